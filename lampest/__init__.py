@@ -20,13 +20,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from lampest.cost.terms import Term
-    from lampest.estimate.estimator import AutoWeight, Bounds
+    from lampest.estimate.estimator import AutoWeight
     from lampest.estimate.methods import MethodName
     from lampest.estimate.methods.method import Method
     from lampest.estimate.objective import Tare
     from lampest.estimate.witness import Verify
     from lampest.recording.recording import Recording
     from lampest.report.reconstruction import Reconstruction
+    from lampest.solvers.posed import Bounds
     from lampest.solvers.solution import Settings
 
 # The public names are those of __init__.pyi, which editors and type checkers read, too.
@@ -79,7 +80,7 @@ def reconstruct(
 ) -> Reconstruction:
     """Estimate the cells of every measured frame.
 
-    They are r̂ = argmin Σ weight·loss(residual) within the bounds.
+    The estimate r̂ minimises Σ weight·loss(residual) within the bounds.
 
     Parameters
     ----------

@@ -30,7 +30,6 @@ from .cost.terms import Weight as Weight
 from .cost.terms import term_types as term_types
 from .estimate.estimates import Estimates as Estimates
 from .estimate.estimator import AutoWeight as AutoWeight
-from .estimate.estimator import Bounds as Bounds
 from .estimate.estimator import Estimator as Estimator
 from .estimate.methods import MethodName
 from .estimate.methods.approximate import LinearisedMethod as LinearisedMethod
@@ -39,7 +38,6 @@ from .estimate.methods.approximate import UncorrectedMethod as UncorrectedMethod
 from .estimate.methods.method import Method as Method
 from .estimate.methods.method import OptimalMethod as OptimalMethod
 from .estimate.methods.smoother import SmootherMethod as SmootherMethod
-from .estimate.model_check import ModelCheck as ModelCheck
 from .estimate.objective import Tare as Tare
 from .estimate.own_program import OwnProgram as OwnProgram
 from .estimate.own_program import OwnSolution as OwnSolution
@@ -48,6 +46,7 @@ from .estimate.state import Step as Step
 from .estimate.stream import Stream as Stream
 from .estimate.witness import Verify as Verify
 from .files.errors import InputError as InputError
+from .inference.model_check import ModelCheck as ModelCheck
 from .panel.conditions import Experiment as Experiment
 from .panel.conditions import MeasuredSubject as MeasuredSubject
 from .panel.conditions import Temperature as Temperature
@@ -55,16 +54,16 @@ from .panel.conditions import Water as Water
 from .panel.faults import Faults as Faults
 from .panel.panel import Array as Array
 from .panel.panel import Panel as Panel
-from .panel.readouts import DrivenReadout as DrivenReadout
-from .panel.readouts import GroundedReadout as GroundedReadout
-from .panel.readouts import LoadedColumnsReadout as LoadedColumnsReadout
 from .panel.readouts import Readout as Readout
 from .panel.readouts import TwoPointReadout as TwoPointReadout
-from .panel.readouts import VirtualGroundReadout as VirtualGroundReadout
 from .panel.readouts.characteristic import Characteristic as Characteristic
 from .panel.readouts.diode import Diode as Diode
+from .panel.readouts.driven_readout import DrivenReadout as DrivenReadout
 from .panel.readouts.floating import two_point_resistance as two_point_resistance
 from .panel.readouts.lines import SeriesPerLine as SeriesPerLine
+from .panel.readouts.presets import GroundedReadout as GroundedReadout
+from .panel.readouts.presets import LoadedColumnsReadout as LoadedColumnsReadout
+from .panel.readouts.presets import VirtualGroundReadout as VirtualGroundReadout
 from .panel.readouts.wiring import ContactPrior as ContactPrior
 from .panel.readouts.wiring import Contacts as Contacts
 from .panel.readouts.wiring import Lines as Lines
@@ -113,6 +112,7 @@ from .runs.results import Results as Results
 from .runs.results import StepFigures as StepFigures
 from .runs.results import read_results as read_results
 from .runs.results import write_results as write_results
+from .solvers.posed import Bounds as Bounds
 from .solvers.solution import Outcome as Outcome
 from .solvers.solution import Settings as Settings
 from .solvers.solution import Solution as Solution

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 import lampest
 from lampest import Panel, Recording, Scene
 from lampest.panel.panel import Array
-from lampest.panel.readouts import (
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.presets import (
     GroundedReadout,
     LoadedColumnsReadout,
-    TwoPointReadout,
     VirtualGroundReadout,
 )
 

@@ -29,21 +29,20 @@ from lampest import (
     term_types,
 )
 from lampest.cost.cost import Cost
-from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.stream import Stream
 from lampest.files.errors import BROKEN
 from lampest.formulation.patterns import EXCITATIONS
-from lampest.panel.readouts import (
+from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts.presets import (
     GroundedReadout,
     LoadedColumnsReadout,
-    Readout,
-    TwoPointReadout,
     VirtualGroundReadout,
 )
 from lampest.panel.scene import Scene
 from lampest.solvers.by_ipopt import Ipopt
-from lampest.solvers.convex import convex_cells
 from lampest.solvers.multistart import evaluated
+from lampest.solvers.posed import Bounds
 from lampest.solvers.projected_newton import ProjectedNewton
 from tests.least_cost import Array, Circuit, LeastCost, Penalty
 
@@ -272,7 +271,7 @@ class RandomProblem:
                 self.scene.wiring,
                 EXCITATIONS["nodal"],
             )
-            solvers.append((nodal, [starts[1], np.log(convex_cells(data, None)).ravel()]))
+            solvers.append((nodal, [starts[1], np.log(data.start()).ravel()]))
         for solver, places in solvers:
             for place in places:
                 try:

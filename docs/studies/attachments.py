@@ -32,7 +32,7 @@ from lampest.apps.recognition.attachment import Attachment
 from lampest.apps.recognition.detect.answer import LAMPREY, Detected
 from lampest.apps.recognition.detect.detection import Known, known_of, measured_frames
 from lampest.apps.recognition.pumping import BLOCK_S, Pumping
-from lampest.estimate.prepared import Prepared
+from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import PublishedResponse, ratio_from_pressure

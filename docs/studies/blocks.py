@@ -19,9 +19,9 @@ import numpy as np
 import lampest
 from lampest.apps.studies.common import inverse_time
 from lampest.estimate.batch import push_block, push_streams
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
 from lampest.files.process import ONE_BLAS_THREAD
+from lampest.inference.prepared import Prepared
 from lampest.solvers.projected_lbfgs import InverseHessians
 
 FRAMES = 24

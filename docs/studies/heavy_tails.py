@@ -15,14 +15,13 @@ from docs.studies.limit import RESTING, SETTINGS
 from lampest.cost.losses import Absolute, Huber, Squared, Student
 from lampest.cost.problem import Data
 from lampest.cost.terms import Gradient, LogRatio, Misfit, TotalVariation, TotalVariationOfChange
-from lampest.estimate.deciding import baseline_readings, deciding_frames
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import deciding_data
 from lampest.estimate.weights import with_chosen_weights
+from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.recording.recording import Recording
+from lampest.recording.recording import Recording, baseline_readings, deciding_frames
 from lampest.solvers.multistart import best_solution
 
 FACTORS = 10.0 ** np.arange(-3.0, 2.1, 1 / 3)

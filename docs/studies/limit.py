@@ -27,7 +27,8 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.smoother import SmootherMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
+from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic

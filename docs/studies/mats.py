@@ -27,13 +27,14 @@ from lampest.apps.studies.common import clocked, inverse_time
 from lampest.apps.studies.study import markdown
 from lampest.cost.given import Background
 from lampest.cost.terms import Misfit
-from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.floating import FloatingNetwork, grounding
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.report.compare import grouped, screen_table
 from lampest.report.words import text_of
+from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import Settings
 
 # conductances of the published test

@@ -26,8 +26,8 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import term_kind
 from lampest.estimate.methods import named_method
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
+from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings, Solution

@@ -20,11 +20,11 @@ import numpy as np
 import lampest
 from lampest import LoadedColumnsReadout, Recording, Scene, Simulation, TwoPointReadout
 from lampest.audit.advice import Audit
-from lampest.estimate.explanation import Explanation
-from lampest.estimate.model_check import ModelCheck, Question
-from lampest.estimate.prepared import Prepared
-from lampest.estimate.rivals import Rival
 from lampest.files.levels import SIGNIFICANCE
+from lampest.inference.explanation import Explanation
+from lampest.inference.model_check import ModelCheck, Question
+from lampest.inference.prepared import Prepared
+from lampest.inference.rivals import Rival
 from lampest.recording.simulation.measure import measured
 
 # evidence; its noise is some ± 2 √evidence

@@ -21,7 +21,7 @@ from docs.studies.model_check import sound, wrong
 from docs.studies.readouts import CIRCUITS, measured
 from lampest import Panel, Recording, Scene
 from lampest.audit.advice import Audit
-from lampest.estimate.prepared import Prepared
+from lampest.inference.prepared import Prepared
 
 COMPARED = ("mark", "better", "doubts", "advice")
 

@@ -15,10 +15,10 @@ from docs.studies import script
 from lampest.apps.studies import study
 from lampest.cost.given import Background
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.outliers import impossible_readings
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
+from lampest.inference.outliers import impossible_readings
+from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings

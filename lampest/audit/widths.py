@@ -1,8 +1,9 @@
 """Widths of error bars by their causes.
 
 The errors of a cell's estimate without a penalty are K(U z + ε) to first order, with the gain K of
-the fit, errors z that all frames share and the noise ε. Each has a part of the variance. Those of a
-change ln(r/r0) are K_f(U_f z + ε_f) − K_b(U_b z + ε_b), of the frame f and the unloaded panel b.
+the fit, errors z that all frames share and the noise ε. Each has a part of the variance. The errors
+of a change ln(r/r0) are K_f(U_f z + ε_f) − K_b(U_b z + ε_b), of the frame f and the unloaded panel
+b.
 """
 
 from collections.abc import Mapping
@@ -12,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.cost.given import Background
-from lampest.estimate.cells_fit import CellsFit, cells_alone
-from lampest.estimate.prepared import Prepared
 from lampest.files.errors import BROKEN
+from lampest.inference.cells_fit import CellsFit, data_of_cells
+from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
 from lampest.panel.sizes import Systematic
 from lampest.panel.systematic import SHARED_ERRORS, error_columns, systematic_of
@@ -93,7 +93,7 @@ def simulated_widths(recording: Recording) -> tuple[Width, ...]:
     fits = []
     for frame in (0, -1):
         measured = readings[frame]
-        data = cells_alone().data(measured.alone(), Background(scene))
+        data = data_of_cells(scene, measured)
         fits.append(CellsFit.at(scene, data, measured, cells[frame]))
     moved = np.abs(np.log(cells[-1] / cells[0])) > MIN_CHANGE
     resting, loaded = fits

@@ -1,8 +1,8 @@
-"""The cost function, with sparse derivatives.
+"""The cost function of one frame, or of a baseline and its first frame, with sparse derivatives.
 
-Its terms are over one frame, or over a baseline and its first frame jointly. φ = Σ_terms weight ·
-loss(residual). This module is symbolic; values and the way from potentials to cells are elsewhere.
-Weights are parameters of the compiled functions: costs that differ in nothing else share these.
+φ = Σ_terms weight · loss(residual). This module is symbolic; values and the adjoint product from
+potentials to cells are in `lampest.cost.problem`. Weights are parameters of the compiled functions,
+so that costs that differ only in their weights share these functions.
 """
 
 import warnings
@@ -80,9 +80,14 @@ class Cost:
         return Symbols(cell_resistance, reading, Given.symbols(*shape, partial=self.partial))
 
     def residuals(self, symbols: "Symbols") -> list[tuple[int, casadi.SX]]:
-        """Return (number of the term, residual) pairs of expressions, frame by frame.
+        """Return the residuals of all terms as expressions, frame by frame.
 
-        They are without rows of faulty cells.
+        Residuals leave out the rows that depend on a faulty cell.
+
+        Returns
+        -------
+        list of (int, casadi.SX)
+            Number of the term, and its residual (rows, 1).
         """
         pairs = []
         for frame in range(self.frames):
@@ -150,10 +155,10 @@ def _residual_of(term: Term, state: State) -> casadi.SX:
     unknown = casadi.vertcat(state.cell_resistance, state.reading)
     if columns != 1 or (rows == 0 and len(state.panel.neighbours[2])):
         raise InputError(
-            f"{name} is {rows} × {columns}, not a column of one or more rows; fields of state are "
-            "columns, "
-            "state.grid(state.cell_resistance) is the matrix of rows × columns, and casadi.vec "
-            "makes a column of one"
+            f"{name} is {rows} × {columns}, not a column of one or more rows; "
+            "fields of state are columns, "
+            "state.grid(state.cell_resistance) is the matrix of rows × columns, "
+            "and casadi.vec makes a column of one"
         )
     symbols, unknowns = (
         {symbol.element_hash() for symbol in casadi.symvar(part)} for part in (residual, unknown)
@@ -194,9 +199,9 @@ class Symbols:
         }
 
     def compiled(self, name: str, output: casadi.SX, **more: casadi.SX) -> Compiled:
-        """Return a function of the inputs that an output depends on, and of the inputs `more`.
+        """Return a compiled function, called by names, of the inputs that an output depends on.
 
-        It takes the inputs by their names.
+        The inputs `more` are inputs of the function in any case.
         """
         inputs = self.inputs()
         # One pass for all inputs: which of their entries the output depends on
@@ -279,9 +284,9 @@ class CostFunctions:
 
 @dataclass(frozen=True, eq=False)
 class Entries:
-    """Places of the nonzero second derivatives with respect to (cells; readings).
+    """Places of the nonzero second derivatives of a cost with respect to (cells; readings).
 
-    Each of the two has `count` unknowns.
+    The cells and the readings are `count` unknowns each.
 
     Attributes
     ----------
@@ -345,8 +350,8 @@ class Summand:
             name = type(self.loss).__name__
             shape = "×".join(map(str, cost.shape))
             raise InputError(
-                f"loss {name}: cost gives {shape} numbers; it must give one, the sum over all "
-                "residuals"
+                f"loss {name}: cost gives {shape} numbers; "
+                "it must give one, the sum over all residuals"
             )
         return self.weight * cost
 
@@ -374,7 +379,13 @@ def summands(
 
 
 def stacked(parts: Sequence[Summand]) -> tuple[casadi.SX, casadi.SX]:
-    """Return the residuals and weights of all rows, (rows, 1) each."""
+    """Return the residuals and weights of all summands as columns.
+
+    Returns
+    -------
+    residuals, weights : casadi.SX, shape (rows, 1)
+        Rows of all summands in their order, and the weight of each row.
+    """
     weights = [casadi.repmat(part.weight, part.rows, 1) for part in parts]
     residuals = [part.residual for part in parts]
     return casadi.vertcat(casadi.SX(0, 1), *residuals), casadi.vertcat(casadi.SX(0, 1), *weights)
@@ -383,7 +394,8 @@ def stacked(parts: Sequence[Summand]) -> tuple[casadi.SX, casadi.SX]:
 def program_groups(parts: Sequence[Summand]) -> list[list[Summand]]:
     """Return the groups of summands that a program lowers together.
 
-    These are each whole one, all with duals, and each split one.
+    A summand whose loss enters 'whole' or 'split' is a group of its own; all summands with duals
+    form one group.
     """
     smooth, dual, split = (
         [part for part in parts if part.loss.enters == how] for how in ("whole", "dual", "split")

@@ -1,7 +1,7 @@
 """Inputs of a solve other than its unknowns, by name.
 
-They are arrays in data, symbols in costs and in a term's `State`. A further input for new terms is
-one more field of `Given`, with its source and its value if absent.
+The inputs of a solve are arrays; those of a cost and of a term's `State` are symbols. A further
+input for new terms is one more field of `Given`, with its source and its value if absent.
 """
 
 from collections.abc import Callable, Iterator
@@ -100,10 +100,10 @@ def input_field(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Given:
-    """Inputs of a solve.
+    """Inputs of a solve other than its unknowns.
 
-    They are arrays in its data, symbols in a compiled cost, and columns (cells, 1) in a term's
-    `State`. A field is None if it is not known.
+    A field is an array in the data of a solve, a symbol in a compiled cost, a column (cells, 1) in
+    a term's `State`, and None if it is not known.
 
     Attributes
     ----------

@@ -111,10 +111,7 @@ class Loss(Configuration):
         return np.asarray(np.maximum(_halves(self, residual)[1], 0.0))
 
     def stiffness(self, residual: Array) -> Array:
-        """Return the weights of iteratively reweighted least squares, (rows,).
-
-        They are ½ρ'(x)/x, ½ρ'' at 0.
-        """
+        """Return weights ½ρ'(x)/x of iteratively reweighted least squares, (rows,); ½ρ'' at 0."""
         slope, second = _halves(self, residual)
         # ½ρ'(x)/x → ½ρ''(0) for x → 0
         zero = residual == 0
@@ -129,10 +126,7 @@ class Loss(Configuration):
         return self.curvature(residual)
 
     def steady_pull(self, residual: Array) -> Array:
-        """Return the part of the slope beyond that of the curvature ω, (rows,).
-
-        It is √((½ρ'(x))² − (ω x)²).
-        """
+        """Return √((½ρ'(x))² − (ω x)²), the slope not due to the curvature ω, (rows,)."""
         slope, second = _halves(self, residual)
         return np.asarray(
             np.sqrt(np.maximum(slope**2 - (np.maximum(second, 0.0) * residual) ** 2, 0.0))
@@ -146,9 +140,9 @@ class Loss(Configuration):
         return float(np.sum(evidence.residual * _halves(self, evidence.residual)[0]))
 
     def determined(self, evidence: PenaltyEvidence) -> float:
-        """Return γ, the residuals that the data determine.
+        """Return γ = tr(B⁺ B_t) − tr(A⁻¹ B_t), the number of residuals that the data determine.
 
-        It is γ = tr(B⁺ B_t) − tr(A⁻¹ B_t) of the fixed point λ = s² γ/η.
+        The number γ enters the fixed point λ = s² γ/η.
         """
         return evidence.count - evidence.trace()
 
@@ -215,7 +209,7 @@ class Huber(Loss):
     def lowered(self, residual: casadi.SX, weight: casadi.SX, unit: casadi.SX) -> Lowered:
         """Return min over p, q ≥ 0 of Σ (x − p + q)² + 2·corner·(p + q).
 
-        Here p and q are the part beyond the corner.
+        The variables p and q are the excess of x over the corner, above and below.
         """
         above, below = (casadi.SX.sym(name, residual.shape[0]) for name in ("above", "below"))
         inside = residual - unit * (above - below)
@@ -259,9 +253,9 @@ class Absolute(Loss):
         return np.asarray(np.sqrt(2 / np.pi) / 2 / np.maximum(noise, np.finfo(float).tiny))
 
     def penalty_curvature(self, residual: Array, weight: float, scale: float) -> Array:
-        """Return ω/weight = w/8s² of the normal distribution with the variance 8s⁴/w².
+        """Return ω/weight = w/8s², w the weight and s² the scale.
 
-        This is the variance of exp(−w|x|/2s²).
+        The normal distribution with this curvature has the variance 8s⁴/w² of exp(−w|x|/2s²).
         """
         return np.full_like(residual, weight / (8 * scale))
 
@@ -285,11 +279,11 @@ class Absolute(Loss):
 class Student(Loss):
     """Σ c²·log(1 + (x/c)²), c the corner.
 
-    It is x² near 0 and logarithmic far out, so that outliers have little influence.
-
-    −2·log of Student's t with ν degrees of freedom and scale s, where c² = ν s² and weight·c² = ν +
-    1; not convex beyond the corner, which has the unit of the term's residual. Raises ValueError
-    unless it is positive and finite.
+    The loss is close to x² near 0 and grows logarithmically beyond the corner, so that outliers
+    have little influence. For c² = ν s² and weight·c² = ν + 1, weight·loss is −2·log of Student's t
+    with ν degrees of freedom and scale s. The loss is not convex beyond the corner, which has the
+    unit of the term's residual.
+    Raises ValueError unless the corner is positive and finite.
     Source: Lange, Little & Taylor, J. Amer. Statist. Assoc. 84, 1989.
 
     >>> lampest.Misfit(loss=lampest.Student(corner=3.0)).loss.corner

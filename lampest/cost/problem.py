@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from time import monotonic
@@ -14,12 +15,11 @@ from scipy import sparse
 
 from lampest.cost.cost import Cost
 from lampest.cost.given import Given
-from lampest.files.errors import brief
+from lampest.files.errors import BROKEN, brief
 from lampest.panel.compiled import Compiled, guarded, with_entries
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.readouts.branches import branch
 from lampest.panel.readouts.floating import FloatingNetwork
 from lampest.panel.readouts.wiring import Wiring
 
@@ -106,7 +106,7 @@ class Data:
     def flat(self) -> dict[str, Array]:
         """Arrays (…, numbers) by name for compiled functions.
 
-        Absent ones consist of the number of their source.
+        `Source.absent` takes the place of absent fields.
         """
         shape = (*self.panels, self.lower[0].size)
         arrays = {
@@ -136,9 +136,9 @@ class Data:
 
     @property
     def plain(self) -> NDArray[np.bool_]:
-        """Whether a reading is a value: not one-sided, missing or a substitute.
+        """Whether a reading is a value, neither one-sided nor missing nor a substitute.
 
-        It is boolean (frames, rows, columns).
+        The array is boolean, (frames, rows, columns).
         """
         shown = np.ones(self.measured.shape, dtype=bool)
         if not self.partial:
@@ -149,7 +149,7 @@ class Data:
     def deviation(self) -> Array:
         """Standard deviations σ of readings, and σ/seen of substitutes.
 
-        They are arbitrary for missing readings.
+        The entries of missing readings are arbitrary.
         """
         if not self.partial:
             return self.sigma
@@ -170,6 +170,26 @@ class Data:
         """Uniform start, (frames, rows, columns) ohm; see `Readout.uniform_start`."""
         return self.readout.uniform_start(self.measured)
 
+    def start(self, near: Array | None = None) -> Array:
+        """Return the readout's start of every frame, (frames, rows, columns) ohm.
+
+        The start of two-point readings minimises a convex function of the cells whose gradient is
+        their misfit. `near` is an estimate of the same shape at which the computation begins, or
+        None. If the computation breaks down, the uniform start is returned.
+        """
+        places = [None] * len(self.measured) if near is None else list(near)
+        frames = zip(self.measured, self.upper, places, strict=True)
+        with suppress(*BROKEN):
+            return np.stack([self.readout.start(*frame) for frame in frames])
+        return self.uniform_start
+
+    def start_minimises(self, cost: Cost) -> bool:
+        """Return whether the readout's start minimises a cost.
+
+        It does where the cost has readings alone, and cells that reproduce them are unique.
+        """
+        return all(term.reads_measurement for term in cost.terms) and self.readout.unique
+
     @cached_property
     def log_bounds(self) -> tuple[Array, Array]:
         """Logarithms of the bounds (lower, upper)."""
@@ -177,9 +197,9 @@ class Data:
 
     @cached_property
     def ties(self) -> Array:
-        """Ties of the lines to ground, (…, frames, lines) siemens.
+        """Conductances of the lines to ground in siemens.
 
-        Those of coupled modules are (…, frames, modules, lines).
+        The shape is (…, frames, lines), and (…, frames, modules, lines) for coupled modules.
         """
         if self.panels and self.parts is None:
             return self.readout.ties(self.measured)
@@ -193,9 +213,9 @@ class Data:
         return self.readout.network(cell_resistance, ties, self.wiring)
 
     def networks(self, cell_resistance: Array) -> tuple[Network, ...]:
-        """Return the solved networks of all frames.
+        """Return the solved network of every frame, for cells (…, frames, rows, columns) in ohm.
 
-        Each has the leading axis of cells (…, frames, rows, columns).
+        The leading axis of the cells is the leading axis of every network.
         """
         frames = range(cell_resistance.shape[-3])
         return tuple(self.network(frame, cell_resistance[..., frame, :, :]) for frame in frames)
@@ -203,19 +223,20 @@ class Data:
 
 @lru_cache(maxsize=256)
 def _mapped(function: Compiled, panels: int, place: int) -> Compiled:
-    """Return a function for many panels at once.
+    """Return a function for many panels at once, one function for each `place`.
 
-    Each `place` has its own, because it stores its arguments.
+    A compiled function stores its arguments; simultaneous solves therefore need functions of their
+    own.
     """
     return function.mapped(panels)
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Cost φ and its derivatives at one point.
+    """Cost φ and its derivatives at one point of one panel, or of each of many panels.
 
-    With a leading axis they are at one point of each of many panels. Attributes with plural names
-    are arrays over the panels; those with singular names are numbers of a single panel.
+    Many panels are the leading axis of the arrays. Attributes with plural names are arrays over the
+    panels; those with singular names are numbers of a single panel.
 
     Attributes
     ----------
@@ -243,9 +264,7 @@ class Evaluation:
     def at(
         cls, cost: Cost, data: Data, cell_resistance: Array, own_weights: Array | None = None
     ) -> "Evaluation":
-        """Return the evaluation at a cell resistance (…, frames, rows, columns) ohm.
-
-        It solves the networks.
+        """Solve the networks of cells (…, frames, rows, columns) ohm, and return the evaluation.
 
         Raises numpy.linalg.LinAlgError if a line is not connected.
         """
@@ -301,11 +320,8 @@ class Evaluation:
 
     @property
     def branch(self) -> Array:
-        """Branch of every frame's panel, (…, frames).
-
-        See `lampest.panel.readouts.branches.branch`.
-        """
-        return np.stack([branch(network) for network in self.networks], axis=-1)
+        """Branch of every frame's panel, (…, frames); see `Network.branch`."""
+        return np.stack([network.branch for network in self.networks], axis=-1)
 
     @property
     def costs(self) -> Array:
@@ -323,7 +339,13 @@ class Evaluation:
         return float(self.objectives)
 
     def partials(self, dual: Array) -> tuple[Array, Array]:
-        """Return (∂φ/∂r at fixed readings y, ∂φ/∂y), each (…, frames, rows, columns)."""
+        """Return the partial derivatives of the cost.
+
+        Returns
+        -------
+        direct, through : array, shape (…, frames, rows, columns)
+            ∂φ/∂r at fixed readings y, and ∂φ/∂y.
+        """
         values = self.call(self.cost.functions.first, dual) if len(dual) else self.first
         # `first` = (costs of the terms, costs at y = 0, ∂φ/∂r, ∂φ/∂y)
         gradient = values[..., 2 * len(self.cost.terms) :].reshape(
@@ -352,10 +374,7 @@ class Evaluation:
 
     @cached_property
     def cost_scales(self) -> Array:
-        """Scale of the cost for tests of optimality, (…).
-
-        It is φ at this point plus the mean φ of a cell at y = 0.
-        """
+        """Scale s of the cost in tests of optimality, (…): φ plus the mean φ of a cell at y = 0."""
         scale = self.cell_costs + self.objectives
         return np.asarray(np.where(scale == 0, 1.0, scale))
 
@@ -371,9 +390,9 @@ class Evaluation:
 
     @cached_property
     def last_bits(self) -> Array:
-        """Rounding errors of residuals with an absolute loss, (residuals,).
+        """Rounding errors ε·(Σ |∂x/∂r|·r + Σ |∂x/∂y|·|y|) of residuals with an absolute loss.
 
-        They are ε·(Σ |∂x/∂r|·r + Σ |∂x/∂y|·|y|).
+        The shape is (residuals,).
         """
         rows, columns = self.cost.functions.nonsmooth_jacobian.pattern
         slopes = self.call(self.cost.functions.nonsmooth_jacobian)
@@ -397,9 +416,9 @@ class Evaluation:
     def kkt_residual(self, dual: Array, log_gradient: Array | None = None) -> float:
         """Return max |u − Π(u − ∇φ/s)| plus the dual gap φ/s.
 
-        Here u = log r, Π is onto the bounds, and s = `cost_scale`. It is zero where the first-order
-        optimality conditions hold. `log_gradient` is ∂φ/∂u for these duals, if it is already
-        computed.
+        The position is u = log r, Π projects onto the bounds, and s = `cost_scale`. The residual is
+        zero where the first-order optimality conditions hold. `log_gradient` is ∂φ/∂u for these
+        duals, if it is already computed.
         """
         gradient = self.log_gradient(dual) if log_gradient is None else log_gradient
         gap = self.dual_gap(np.clip(dual, -1, 1)) / self.cost_scale if len(dual) else 0.0
@@ -408,7 +427,7 @@ class Evaluation:
     def projected_gradients(self, log_gradient: Array) -> Array:
         """Return max |u − Π(u − ∇φ/s)| of every panel, (…).
 
-        It is for a gradient ∂φ/∂u (…, frames, rows, columns).
+        `log_gradient` is ∂φ/∂u, (…, frames, rows, columns).
         """
         lower, upper = self.data.log_bounds
         # Π(u − ∇φ/s): gradient step, projected onto the bounds

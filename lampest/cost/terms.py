@@ -1,6 +1,6 @@
 """Terms of the cost function.
 
-To add one, write its class here, before `AnyTerm`, and name it there.
+To add a term, write its class here, before `AnyTerm`, and name it there.
 """
 
 from abc import abstractmethod
@@ -61,10 +61,7 @@ class State(Given):
         return self.cell_resistance / (self.baseline if reference == "baseline" else self.previous)
 
     def log_steps(self, values: Any) -> Any:
-        """Return log(x_b/x_a)/distance over all pairs of neighbours, (pairs, 1) per pitch.
-
-        See `Panel.neighbours`.
-        """
+        """Return log(x_b/x_a)/distance over pairs of `Panel.neighbours`, (pairs, 1) per pitch."""
         first, second, distance = neighbour_operators(self.panel)
         return casadi.log((second @ values) / (first @ values)) / distance
 
@@ -76,8 +73,8 @@ class State(Given):
     def gradient(self, values: Any) -> Any:
         """Return ∇x as one column; paper, section IV.D.
 
-        Of a full rectangle (2·cells, 1): the row part, then the column part. Of listed cells
-        (pairs, 1): the difference of each pair of `Panel.neighbours` over its distance.
+        A full rectangle has (2·cells, 1) differences, the row part before the column part. Listed
+        cells have (pairs, 1): the difference of each pair of `Panel.neighbours` over its distance.
         """
         if self.panel.cells is None:
             return gradient_operator(*self.panel.shape) @ values
@@ -100,9 +97,14 @@ def gradient_operator(rows: int, columns: int) -> casadi.DM:
 
 @cache
 def neighbour_operators(panel: Panel) -> tuple[casadi.DM, casadi.DM, casadi.DM]:
-    """Return selections of first and second cells of all pairs of neighbours, and distances.
+    """Return the operators of differences between neighbours.
 
-    The selections are sparse (pairs, cells).
+    Returns
+    -------
+    first, second : casadi.DM, shape (pairs, cells), sparse
+        Selections of the first and of the second cell of every pair of neighbours.
+    distance : casadi.DM, shape (pairs, 1)
+        Distance of the two cells in pitches.
     """
     *cells, distance = panel.neighbours
     pairs = range(len(distance))
@@ -267,8 +269,8 @@ class GradientOfRelativeChange(Term):
 class TotalVariation(Term):
     """100·log(r_b/r_a) in percent per pitch, over all pairs a, b of neighbours.
 
-    With its absolute loss the anisotropic total variation of log r. Source: Rudin, Osher & Fatemi,
-    Physica D 60, 1992.
+    The term with its absolute loss is the anisotropic total variation of log r.
+    Source: Rudin, Osher & Fatemi, Physica D 60, 1992.
 
     >>> lampest.TotalVariation().loss.kind
     'absolute'
@@ -289,7 +291,7 @@ class TotalVariation(Term):
 class LogGradient(Term):
     """ln(r_b/r_a) over all pairs a, b of neighbours, per pitch.
 
-    It is scale-free, for panels whose unloaded cells are open.
+    The residual does not depend on the scale of r, and suits panels whose unloaded cells are open.
 
     >>> lampest.LogGradient().weight
     'auto'
@@ -308,9 +310,8 @@ class LogGradient(Term):
 class LogRatio(Term):
     """100·log(r/r0) in percent, r0 the baseline or the previous frame.
 
-    It weighs suction and pressure alike.
-
-    Squared, a Gaussian prior of log r; with its absolute loss few cells change, by any amount.
+    Suction and pressure of the same ratio have the same cost. With the squared loss the term is a
+    Gaussian prior of log r; with the absolute loss few cells change, by any amount.
     Source: Tarantola, Inverse Problem Theory, 2005 (positive parameters by their logarithms).
 
     >>> lampest.LogRatio(weight=1.0).kind
@@ -334,7 +335,7 @@ class LogRatio(Term):
 class TotalVariationOfChange(Term):
     """100·log((r/r0)_b/(r/r0)_a) in percent per pitch, over all pairs a, b of neighbours.
 
-    Here r0 is that of the `reference`. With its absolute loss the anisotropic total variation of
+    The `reference` names r0. The term with its absolute loss is the anisotropic total variation of
     log r/r0; see `TotalVariation`.
 
     >>> lampest.TotalVariationOfChange().loss.kind
@@ -358,13 +359,13 @@ class TotalVariationOfChange(Term):
 class Arrival(Term):
     """(log r − log r0)/√(sd0² + q²), r0 the previous frame.
 
-    Here sd0 is the standard deviation of the logarithm of r0.
-
-    walk_percent : q, the standard deviation of a cell's own change from one frame to the next, in
-    percent, without steps that all readings share (`Readout.common_step`). An extended Kalman
-    filter with bounds, of whose covariance it reads the diagonal; Huber's loss lets cells jump.
-    With misfit.weighting: noise a weight of one is right, with plain readings that all have the
-    noise σ, one of σ² ohm². Raises ValueError unless q is positive and finite.
+    The standard deviation sd0 is that of log r0. The standard deviation q, `walk_percent` in
+    percent, is that of a cell's own change from one frame to the next, without steps that all
+    readings share (`Readout.common_step`). The term makes the estimate an extended Kalman filter
+    with bounds that uses the diagonal of the covariance; Huber's loss allows single cells to jump.
+    The right weight is 1 with misfit.weighting: noise, and σ² ohm² with plain readings of equal
+    noise σ.
+    Raises ValueError unless q is positive and finite.
     Sources: Rao, Rawlings & Mayne, IEEE Trans. Automat. Contr. 48, 2003 (arrival cost); Masreliez &
     Martin, IEEE Trans. Automat. Contr. 22, 1977 (robust Kalman filter).
 
@@ -412,8 +413,8 @@ def _check_class(term: type[Term]) -> None:
     """Raise ValueError unless a class of terms has a unit, and a `kind` that no other term has."""
     if not isinstance(getattr(term, "unit", None), str):
         raise ValueError(
-            f"{term.__name__} has no unit: declare it in the class, such as unit: ClassVar[str] = "
-            "'ohm'"
+            f"{term.__name__} has no unit: "
+            "declare it in the class, such as unit: ClassVar[str] = 'ohm'"
         )
     for member in shipped(AnyTerm):
         if member is not term and not set(kinds_of(member)).isdisjoint(kinds_of(term)):
@@ -429,9 +430,7 @@ def term_kind(term: Term) -> str:
 
 
 def term_types() -> dict[str, type[Term]]:
-    """Return kind → class for every member of the union in its order.
-
-    Then come those of installed packages.
+    """Return kind → class, first of the members of the union, then of installed packages.
 
     >>> sorted(lampest.term_types())[:2]
     ['arrival', 'cell_resistance']

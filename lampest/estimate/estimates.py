@@ -9,13 +9,11 @@ from numpy.typing import NDArray
 
 from lampest.cost.terms import term_kind
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.model_check import ModelCheck
-from lampest.estimate.noise import NoiseEstimate
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.state import Step
-from lampest.estimate.warnings import unsolved
 from lampest.files.applications import applications
 from lampest.files.levels import TWO_SIDED
+from lampest.inference.noise import NoiseEstimate
+from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wiring import Contacts
 from lampest.posterior.certainty import Certainty
@@ -23,6 +21,9 @@ from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.solvers.solution import Status
+
+if TYPE_CHECKING:
+    from lampest.inference.model_check import ModelCheck
 
 OVERRULED_MISFIT = 5.0  # times the noise: a penalty that the data choose leaves readings within it
 AT_RAILS = {  # in place of the solver's own sentence where readings are at or beyond a rail
@@ -208,8 +209,8 @@ class Estimates:
         solved = int(self.solved.sum())
         status = self.status[0]
         return (
-            f"{type(self).__name__}({self.recording.name}: {self.method}, "
-            f"{solved} of {len(self.steps)} frames solved, the first: {status})"
+            f"{type(self).__name__}({self.recording.name}: "
+            f"{self.method}, {solved} of {len(self.steps)} frames solved, the first: {status})"
         )
 
     @property
@@ -268,7 +269,7 @@ class Estimates:
     def status(self) -> tuple[str, ...]:
         """Outcome of each solve in a sentence, (frames,).
 
-        It names rails of the converter that leave cells open.
+        Rails of the converter that leave cells open are named.
         """
         readout = self.recording.scene.readout
         messages = []
@@ -358,8 +359,8 @@ class Estimates:
     def reading_sigma(self) -> Array | None:
         """Posterior predictive standard deviation of every reading, (frames, rows, columns).
 
-        It is in the readout's unit. It includes the errors of the cells, the noise and the model's
-        error, and exists for missing readings, too. None without error bars; NaN in a frame
+        The unit is that of the readout. The errors of the cells, the noise and the model's error
+        are included; missing readings have a value, too. None without error bars; NaN in a frame
         without.
         """
         deviation = [None if step.bars is None else step.bars.reading for step in self.steps]
@@ -395,36 +396,33 @@ class Estimates:
     def tared(self) -> tuple[str, ...] | None:
         """Reason for a new zero of pressures after each frame, (frames,).
 
-        It is '' without one, and None without `Estimator.tare`.
+        The reason is '' for a frame without a new zero. None without `Estimator.tare`.
         """
         return None if self._load is None or self.estimator.tare is None else self._load.tared
 
     @property
-    def model_check(self) -> ModelCheck:
+    def model_check(self) -> "ModelCheck":
         """The check whether the scene's circuit explains the recording's readings."""
         check = self.prepared.check
         number = self.prepared.recording.number
         if not self._is_part or number is None:
             return check
         message = (
-            f"; of a long recording {len(number)} frames between {number[0]} and "
-            f"{number[-1]} were asked"
+            f"; of a long recording {len(number)} frames between {number[0]} "
+            f"and {number[-1]} were asked"
         )
         return replace(check, sentence=check.sentence + message)
 
     @property
     def noise(self) -> NoiseEstimate:
-        """Noise of the recording's readings.
-
-        It includes the model's error where readings show one.
-        """
+        """Noise of the recording's readings, with the model's error where readings show one."""
         return self.prepared.noise
 
     @cached_property
     def checks(self) -> tuple[str, ...]:
         """Doubts about the estimates, one line each.
 
-        They are on failed frames, weights, roles and units, circuit, noise.
+        Doubts concern failed frames, weights, roles and units, circuit, and noise.
         """
         return (*self._own_doubts, *self.prepared.warnings)
 
@@ -436,7 +434,7 @@ class Estimates:
     @property
     def _own_doubts(self) -> tuple[str, ...]:
         """Doubts about these estimates alone: failed frames, and penalties that overrule data."""
-        failed = unsolved(self.solved, self.status)
+        failed = _unsolved(self.solved, self.status)
         return tuple(filter(None, (failed, self._overruled)))
 
     @property
@@ -464,8 +462,7 @@ class Estimates:
         )
         return (
             f"with the weight that was chosen for {terms} readings are missed by {factor:.2g} "
-            "times their noise in the "
-            "median frame: give a smaller weight, or leave the term out"
+            "times their noise in the median frame: give a smaller weight, or leave the term out"
         )
 
     @cached_property
@@ -486,7 +483,7 @@ class Estimates:
     def misfit(self) -> dict[str, Array]:
         """Misfit of every frame against its noise, see `frame_misfit`.
 
-        It is empty where the noise is unknown.
+        The dictionary is empty where the noise is unknown.
         """
         if self.sigma is None:
             return {}
@@ -555,3 +552,15 @@ def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
         width = np.log(estimates._bars["ratio_upper"]) - np.log(estimates._bars["ratio_lower"])
     change = np.log(estimates.cell_resistance / estimates.baseline_resistance)
     return change - estimates.recording.scene.common_change[0], width / (2 * TWO_SIDED)
+
+
+def _unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
+    """Return the number of unsolved frames with the reason of the first, in words.
+
+    '' where there is none.
+    """
+    failed = int(np.sum(~solved))
+    if not failed:
+        return ""
+    count = "no frame is" if failed == len(solved) else f"{failed} of {len(solved)} frames are not"
+    return f"{count} solved: {status[int(np.argmin(solved))]}"

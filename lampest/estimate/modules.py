@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from lampest.estimate.batch import push_streams, solve_baselines
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.module_noise import MAX_NAMED, named_modules
-from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
+from lampest.inference.module_noise import MAX_NAMED, named_modules
+from lampest.inference.noise import NoiseEstimate
 from lampest.panel.faults import Faults
 from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -43,6 +43,8 @@ def begin_stream(estimator: Estimator, scene: Scene, period: float, resting: Rea
 
     Raises InputError as `Stream.begin`, and as `network_scenes`.
     """
+    if scene.panel.modules is None:
+        return Stream.begin(estimator, scene, period, resting)
     pairs = zip(network_scenes(scene, estimator), network_readings(scene, resting), strict=True)
     return begin_networks(
         scene, [None if own is None else (estimator, own, part) for own, part in pairs], period
@@ -56,7 +58,7 @@ def begin_networks(
     period: float,
     noise: NoiseEstimate | None = None,
 ) -> Stream:
-    """Return the stream of a scene from those of its networks.
+    """Return the stream of a scene of modules from those of its networks.
 
     Parameters
     ----------
@@ -72,10 +74,9 @@ def begin_networks(
     Raises InputError as `Stream.begin`.
     """
     layout = scene.panel.modules
-    if layout is None or layout.coupled:
+    assert layout is not None
+    if layout.coupled:
         [(estimator, own, resting)] = filter(None, networks)
-        if layout is None:
-            return Stream.begin(estimator, own, period, resting, noise)
         return CoupledStream.begin(replace(estimator, error_bars=False), own, period, resting)
     noises = (None,) * layout.count if noise is None else noise.of_modules
     streams = list[Stream | None]()
@@ -106,8 +107,7 @@ def network_scenes(scene: Scene, estimator: Estimator) -> list[Scene | None]:
     Raises InputError as `_coupled_scene`.
     """
     layout = scene.panel.modules
-    if layout is None:
-        return [scene]
+    assert layout is not None
     if layout.coupled:
         return [_coupled_scene(scene, estimator)]
     return [
@@ -119,7 +119,8 @@ def network_scenes(scene: Scene, estimator: Estimator) -> list[Scene | None]:
 def network_readings(scene: Scene, readings: Readings) -> list[Readings]:
     """Return the readings of each network that is estimated on its own, dead modules included."""
     layout = scene.panel.modules
-    if layout is None or layout.coupled:
+    assert layout is not None
+    if layout.coupled:
         return [readings]
     return [readings.of_module(layout, number) for number in range(layout.count)]
 
@@ -127,7 +128,7 @@ def network_readings(scene: Scene, readings: Readings) -> list[Readings]:
 def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
     """Return the scene of the whole image.
 
-    It has a block diagonal network and places that include the seams.
+    The scene has a block diagonal network, and places that include the seams.
 
     Raises InputError where a module is wired or has no two-point readout, and where error bars are
     requested.
@@ -136,8 +137,8 @@ def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
     assert layout is not None
     if estimator.error_bars is True or estimator.weighs_previous:
         raise InputError(
-            "error_bars: estimates with terms over the seams of modules (panel.modules.coupled) "
-            "have none"
+            "error_bars: estimates with terms over the seams of modules "
+            "(panel.modules.coupled) have none"
         )
     for number, module in enumerate(scene.of_modules):
         if not isinstance(module.circuit, TwoPointReadout) or module.wiring is not None:
@@ -276,7 +277,7 @@ class ModulesStream(Stream):
     def rested_whole(self) -> "ModulesStream":
         """Return the stream with the joined baselines of the modules.
 
-        It is unchanged where no module has one.
+        If no module has a baseline, the stream is unchanged.
         """
         steps = [None if module is None else module.baseline for module in self.modules]
         if not any(steps):

@@ -1,12 +1,11 @@
 """State of a sequence between frames, and the solve of a frame."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 
 from lampest.cost.given import Background
-from lampest.estimate.alike import PanelChoice
 from lampest.estimate.objective import Objective
 from lampest.estimate.witness import Verification
 from lampest.files.errors import brief
@@ -18,7 +17,8 @@ from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
 from lampest.solvers.solution import Solution, Status, blank
 
-UNKNOWN_SD = 10.0  # standard deviation of log r0 where nothing is known of it
+if TYPE_CHECKING:
+    from lampest.inference.alike import PanelChoice
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ class Step:
     def bare(self) -> "Step":
         """Return the step without the parts from which error bars are computed.
 
-        These parts take much memory.
+        The omitted parts take much memory.
         """
         return replace(self, solution=replace(self.solution, at=None, dual=None, carried=None))
 
@@ -146,7 +146,7 @@ class SequenceState:
     track: Track | None = None
     first: bool = True
     frame_noise: FrameNoise | None = None
-    panels: PanelChoice | None = None
+    panels: "PanelChoice | None" = None
 
     @property
     def background(self) -> Background:

@@ -1,4 +1,1 @@
-"""Foundations: input errors, atomic files, HDF5, YAML documents, sweeps, unions by kind.
-
-They are the foundations of all packages.
-"""
+"""Foundations of all packages: input errors, atomic files, HDF5, YAML documents, sweeps, kinds."""

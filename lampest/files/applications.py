@@ -1,7 +1,6 @@
 """Applications of the core: folders of `lampest/apps`, and objects of installed packages.
 
-The core imports none of them. It asks an application by its name, and does without where it is not
-installed.
+The core imports no application. It asks an application by its name, and works without it.
 """
 
 import sys
@@ -165,8 +164,8 @@ def applications() -> Applications:
 def _entry_points() -> list[Any]:
     """Return the entry points of the group, ordered by name.
 
-    Their files are searched for its name first: Python's own search takes longer than a command
-    needs to print its help.
+    A search for the group's name in the entry point files of installed packages comes first,
+    because Python's own search takes longer than a command needs to print its help.
     """
     places = [Path(place or ".") for place in sys.path]
     files = (file for place in places for file in place.glob("*-info/entry_points.txt"))

@@ -6,11 +6,11 @@ import io
 import json
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain, count
-from math import inf
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +95,7 @@ class Document:
 def place_in(node: Any, part: str | int) -> Any:
     """Return a part of a dotted path as a key of `node`.
 
-    It is a word in a mapping, an index in a list, None elsewhere.
+    The key is a word for a mapping, an index for a list, and None for any other node.
     """
     if isinstance(node, dict):
         return part
@@ -284,9 +284,9 @@ FACTOR_OF_LETTER = {"": 1.0, "R": 1.0, "k": 1e3, "K": 1e3, "M": 1e6}
 
 
 def _plain_words(message: str, content: Any, location: Sequence[Any]) -> str:
-    """Return a validator's sentence in the words of a user's file.
+    """Return a validator's sentence in the words of a user's file, with the value.
 
-    It comes with the value, and how a number is written.
+    A number that was written as a text is followed by the way to write it.
     """
     if not message.startswith("Input should be "):
         return message
@@ -364,9 +364,9 @@ def conformed(validator: TypeAdapter[Any], value: Any) -> Any:
 
 
 def _possible_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> str:
-    """Return the key that is similar to an unknown one, or else the possible ones.
+    """Return the words on the key that is similar to an unknown one, or else on the unused keys.
 
-    These are those that its place may also have; '' for many.
+    Returns '' if there are no unused keys, or more than twelve.
     """
     schema = adapter(kind).json_schema()
     nodes = _alternatives(schema, schema)
@@ -398,7 +398,7 @@ def _possible_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> str:
 
 
 def _alternatives(node: Any, schema: Any) -> list[Any]:
-    """Return the schemas of which a value fulfils one, without references."""
+    """Return the alternative schemas of a value, without references."""
     while "$ref" in node:
         node = schema["$defs"][node["$ref"].rpartition("/")[2]]
     inner = node.get("anyOf", node.get("oneOf", ()))
@@ -450,18 +450,15 @@ def _named_first(message: str, content: Any, place: tuple[Any, ...]) -> tuple[st
 
 
 def _sentence_of(faults: Sequence[Any]) -> str:
-    """Return one sentence on the alternative faults of a value.
-
-    It is without the validator's terms for unions.
-    """
+    """Return one sentence, free of the validator's terms, on the alternative faults of a value."""
     sentences = []
     for fault in faults:
         sentence = fault["msg"].removeprefix("Value error, ")
         if fault["type"] == "union_tag_invalid":
             kinds = fault["ctx"]["expected_tags"].replace("'", "")
             sentence = (
-                f"there is no kind {fault['ctx']['tag']} in lampest or an installed "
-                f"package; there are {kinds}"
+                f"there is no kind {fault['ctx']['tag']} in lampest or an installed package; "
+                f"there are {kinds}"
             )
         elif fault["type"] == "union_tag_not_found":
             sentence = "Input should be a mapping with a 'kind'"
@@ -490,10 +487,7 @@ def _meant_choice(faults: Sequence[Any]) -> str:
 
 
 def _location(fault: Any, content: Any) -> tuple[Any, ...]:
-    """Return the location of a fault without the keys that name alternatives of a type.
-
-    These are the keys by which the validator names them.
-    """
+    """Return the location of a fault without the keys by which a validator names alternatives."""
     place: list[Any] = []
     parts = fault["loc"]
     chosen: Any = None  # the mapping whose kind was passed: a kind may be called as one of its keys
@@ -518,6 +512,28 @@ def to_yaml(value: Any) -> str:
     writer.width = 4096
     writer.dump(plain_content(value), stream)
     return stream.getvalue()
+
+
+def in_one_line(content: Any) -> str:
+    """Return a mapping as one line of YAML, such as 'readout: {kind: grounded, sense: one}'."""
+    if not isinstance(content, Mapping):
+        return _scalar_or_list(content)
+    parts = []
+    for key, value in content.items():
+        text = in_one_line(value)
+        parts.append(f"{key}: {{{text}}}" if isinstance(value, Mapping) else f"{key}: {text}")
+    return ", ".join(parts)
+
+
+def _scalar_or_list(value: Any) -> str:
+    """Return a number, a word, nothing, or a list of them in YAML."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_scalar_or_list, value))}]"
+    if isinstance(value, float) and isfinite(value):
+        return f"{value:g}"
+    if isinstance(value, float):
+        return {inf: ".inf", -inf: "-.inf"}.get(value, ".nan")
+    return "null" if value is None else str(value)
 
 
 def plain_content(value: Any) -> Any:

@@ -1,7 +1,7 @@
 """HDF5 by lampest's conventions: atomic files, digests, fixed-length ASCII, units.
 
-The digests are of all values, the units of all datasets. Format v110 has checksums of all metadata,
-including small values. Larger values are in chunks with Fletcher-32 checksums. They are compressed
+All values have digests, and all datasets have units. Format v110 has checksums of all metadata,
+including small values. Larger values are in chunks with Fletcher-32 checksums, and are compressed
 unless they are many and their digits are noise. Each block of values has a digest
 (`checksums.seal`), which every reading function verifies.
 """
@@ -94,8 +94,8 @@ def new_file(path: Path) -> Iterator[h5py.File]:
 def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
     """Yield a new file that is too large for memory.
 
-    It is built on disk and appears once it is complete. `size` is the maximum size of the file in
-    bytes. Raises InputError as `new_file`, or if the disk has less space.
+    The file is built on disk and appears once it is complete. `size` is the maximum size of the
+    file in bytes. Raises InputError as `new_file`, or if the disk has less space.
     """
     with whole_file(path) as unfinished:
         check_room(path, size)
@@ -181,10 +181,17 @@ def _opened(path: Path) -> Iterator[h5py.File]:
 
 
 def checked(path: Path) -> tuple[int, checksums.Integrity]:
-    """Read all of a file, and return its number of bytes and what was verified.
+    """Read all of a file, and verify its checksums.
 
     Raises InputError with the path of a damaged dataset, and if bytes follow the end of a file of
     lampest's.
+
+    Returns
+    -------
+    size : int
+        Size of the file in bytes.
+    integrity : checksums.Integrity
+        Number of datasets, and paths of those without checksums.
     """
     with existing_file(path) as file:
         integrity = checksums.read_through(file)
@@ -205,7 +212,7 @@ def ascii_array(values: Any) -> Any:
 def set_attributes(node: Any, **attributes: Any) -> None:
     """Write attributes, text as fixed-length ASCII.
 
-    For a large attribute, its SHA-256 is written as a further attribute `<name>_sha256`.
+    The SHA-256 of a large attribute is written as a further attribute `<name>_sha256`.
     """
     for name, value in attributes.items():
         data = np.asarray(ascii_array(value) if isinstance(value, str | list) else value)
@@ -248,10 +255,7 @@ def chunk_of(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _shrinks(data: NDArray[Any]) -> bool:
-    """Return whether compression is worth its time.
-
-    It is judged by a sample of large floating-point data.
-    """
+    """Return whether compression of data is worth its time, judged by a sample of large arrays."""
     if data.size <= CHUNK or data.dtype.kind != "f":
         return True
     sample = np.ascontiguousarray(data.reshape(len(data), -1)[:16, :512])
@@ -443,7 +447,7 @@ def read_texts(
 ) -> tuple[str, ...]:
     """Return a list of fixed-length texts, or a part of it.
 
-    Raises InputError if it is absent, of another length, or something else.
+    Raises InputError if the dataset is absent, of another length, or something else.
     """
     dataset = _node_or_none(file, path, h5py.Dataset)
     size = None if dataset is None or dataset.shape is None or dataset.ndim != 1 else len(dataset)

@@ -1,6 +1,6 @@
-"""Concatenation of HDF5 groups from several files, with little memory.
+"""Concatenation of HDF5 groups from several files, dataset by dataset and part by part.
 
-It proceeds dataset by dataset and part by part.
+Parts bound the memory that a dataset takes.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -89,18 +89,18 @@ ONE_BLAS_THREAD = OneBlasThread()
 
 
 def check_address_space() -> None:
-    """Raise InputError if the limit of addresses (ulimit -v) is too small.
+    """Raise InputError if the limit of addresses (ulimit -v) is too small for the libraries.
 
-    It has to suffice for the libraries of a command. Under a limit that suffices, the libraries
-    reserve their buffers at once, before data take the addresses.
+    Under a limit that suffices, the libraries reserve their buffers at once, before data take the
+    addresses.
     """
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     if limit == resource.RLIM_INFINITY:
         return
     if limit < ADDRESS_SPACE:
         both = (
-            f"{in_bytes(ADDRESS_SPACE)} of addresses are needed, and the limit is "
-            f"{in_bytes(limit)} (ulimit -v)"
+            f"{in_bytes(ADDRESS_SPACE)} of addresses are needed, "
+            f"and the limit is {in_bytes(limit)} (ulimit -v)"
         )
         raise InputError(f"not enough memory: {both}")
     _reserve_buffers()
@@ -137,7 +137,8 @@ def check_memory(needed: float, label: str) -> None:
 def memory_limit() -> float:
     """Return the available memory in bytes.
 
-    It is the user's limit, or 90 % of that of machine, container and ulimit.
+    The user's limit comes first; without one, the available memory is 90 % of the memory that
+    machine, container and ulimit leave free.
 
     Raises InputError if the user's limit is no size.
     """
@@ -171,8 +172,8 @@ def in_bytes(size: float) -> str:
 def ended_where_hung(limit_s: float | None) -> Iterator[None]:
     """End an expendable process by SIGALRM if the block takes too long.
 
-    That is longer than HUNG_SECONDS and ten times the limit in s. For calls of libraries that never
-    return to Python, so that no Python signal handler runs.
+    The block may take HUNG_SECONDS and ten times the limit in s. SIGALRM ends calls of libraries
+    that never return to Python, so that no Python signal handler runs.
     """
     if limit_s is None or not EXPENDABLE.get():
         yield
@@ -233,10 +234,7 @@ def interrupted(error: BaseException | None) -> bool:
 
 
 def deaf() -> AbstractContextManager[None]:
-    """Return a context that ignores all terminating signals.
-
-    It is for the short time in which a file is closed.
-    """
+    """Return a context that ignores all terminating signals, for the closing of a file."""
     return handled(lambda number: None)
 
 
@@ -244,7 +242,7 @@ def deaf() -> AbstractContextManager[None]:
 def handled(handler: Callable[[int], object]) -> Iterator[None]:
     """Pass every terminating signal within the block to a handler.
 
-    It is without effect outside the main thread.
+    Outside the main thread the block runs without the handler.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -289,9 +287,9 @@ def libraries_to_the_log() -> Iterator[None]:
 
 
 def logged_reason(error: BaseException, of: str) -> str:
-    """Return the message of an exception: its own if lampest raised it.
+    """Return the message of an exception that lampest raised, or a sentence on any other one.
 
-    Otherwise it is a sentence, with an entry in the log. `of` is the computation, for the log.
+    The log gets an entry on any other exception, with the computation `of`.
     """
     trace = error.__traceback__
     raised = ""
@@ -304,6 +302,6 @@ def logged_reason(error: BaseException, of: str) -> str:
     logging.getLogger("lampest").error("%s", of, exc_info=error)
     kind = type(error).__name__
     return (
-        f"cannot compute this panel: its values exceed the numerical range ({kind}; details: "
-        "LAMPEST_LOG)"
+        "cannot compute this panel: its values exceed the numerical range "
+        f"({kind}; details: LAMPEST_LOG)"
     )

@@ -2,10 +2,11 @@
 
 import inspect
 import itertools
+import json
 import typing
 from abc import ABCMeta
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, is_dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, is_dataclass
 from functools import cache, wraps
 from types import UnionType
 from typing import Annotated, Any, ClassVar, ParamSpec, TypeVar
@@ -13,8 +14,8 @@ from typing import Annotated, Any, ClassVar, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.applications import GROUPS, applications
-from lampest.files.document import conformed, schema_of
+from lampest.files.applications import GROUPS, applications, loaded
+from lampest.files.document import adapter, conformed, schema_of
 from lampest.files.errors import InputError, in_words
 
 P = ParamSpec("P")
@@ -23,10 +24,7 @@ Kind = TypeVar("Kind")
 
 
 class Checked(ABCMeta):
-    """Metaclass that validates the arguments of a dataclass by its fields' types.
-
-    Those of its subclasses are validated by their fields' types, too.
-    """
+    """Metaclass that validates the arguments of dataclasses and their subclasses by field types."""
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
         """Return an object.
@@ -216,17 +214,17 @@ def _check_of(hint: Any) -> Callable[[Any, str], Any]:
 
 
 def _finished(parts: Iterable[Any]) -> tuple[type[Any], ...]:
-    """Return those of the types whose objects are valid as they are.
+    """Return those of the types whose objects need no validation: None, and dataclasses.
 
-    These are None, and dataclasses, which validated their own arguments: an object of a field's
-    type needs no schema of all that it contains.
+    Dataclasses have validated their own arguments. An object of such a type needs no schema of all
+    that it contains.
     """
     finished: list[type[Any]] = []
     for part in parts:
         if isinstance(part, type) and (part is type(None) or is_dataclass(part)):
             finished.append(part)
         elif typing.get_origin(part) is Annotated and isinstance(part.__metadata__[0], ByKind):
-            finished += _finished(typing.get_args(part.__origin__))
+            finished += _finished(_alternatives(part.__origin__))
     return tuple(finished)
 
 
@@ -261,7 +259,7 @@ def _plain(value: Any, label: str) -> Any:
 def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
     """Return the objects of a class that applications and installed packages add to lampest.
 
-    Packages register them in a group of entry points, and are ordered by name.
+    Packages register objects in a group of entry points, and are ordered by name.
 
     Raises InputError if an object cannot be loaded, or is of another class.
     """
@@ -294,7 +292,7 @@ def of_kind(kind: str, noun: str, members: Sequence[Kind]) -> Kind:
 
 @dataclass(frozen=True)
 class ByKind:
-    """Marker of Annotated[A | B, ByKind()].
+    """Marker of Annotated[A | B, ByKind()], or of Annotated[Base, ByKind(members={...})].
 
     Validation selects the member by the `kind: Literal[...]` of the input.
 
@@ -304,24 +302,30 @@ class ByKind:
         Group of entry points by which installed packages add members; '' for none.
     default : str
         Kind of an input without one; '' if the input must have one.
+    members : mapping of str to str
+        'module:Class' by kind, of members that are imported when an input has their kind; empty
+        where a union lists the members.
     """
 
     group: str = ""
     default: str = ""
+    members: Mapping[str, str] = field(default_factory=dict, hash=False)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         """Return the tagged union of the members, one choice for each literal.
 
         Called by pydantic.
         """
-        members = typing.get_args(source)
-        choices: dict[str, Any] = {}
-        for member in (*members, *_installed_members(members, self.group)):
+        union = Annotated[source, self]
+        named = {"type": "with-info", "function": self._validated}
+        later = {"type": "function-plain", "function": named}
+        choices: dict[str, Any] = dict.fromkeys(self.members, later)
+        for member in (*_listed(union), *_installed_members(union)):
             for kind in kinds_of(member):
                 choices[kind] = handler.generate_schema(member)
         tag = self._tag if self.default else "kind"
         tagged = {"type": "tagged-union", "discriminator": tag, "choices": choices}
-        base = _base(members)
+        base = _base(union)
         # In Python, objects of an unregistered subclass, such as one in a notebook, are members,
         # too.
         made = {"type": "is-instance", "cls": base}
@@ -332,6 +336,21 @@ class ByKind:
             "json_schema": tagged,
             "python_schema": either if registered else tagged,
         }
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> Any:
+        """Return the JSON schema, with those of all members. Called by pydantic."""
+        tagged = schema["json_schema"]
+        choices = tagged["choices"] | {
+            kind: adapter(loaded(target)).core_schema for kind, target in self.members.items()
+        }
+        return handler(tagged | {"choices": choices})
+
+    def _validated(self, value: Any, info: Any) -> Any:
+        """Return an input as an object of the member that has its kind."""
+        validator = adapter(loaded(self.members[self._tag(value)])).validator
+        if info.mode == "json":
+            return validator.validate_json(json.dumps(value), strict=True)
+        return validator.validate_python(value, strict=True)
 
     def _tag(self, value: Any) -> Any:
         if isinstance(value, dict):
@@ -347,21 +366,33 @@ def kinds_of(member: Any) -> tuple[str, ...]:
     return typing.get_args(_hints(member).get("kind"))
 
 
-def shipped(union: Any) -> tuple[type[Any], ...]:
-    """Return the classes of Annotated[A | B, ByKind(group)] without those of installed packages.
+def _marker(union: Any) -> ByKind:
+    """Return the marker of Annotated[..., ByKind(...)]."""
+    marker: ByKind = typing.get_args(union)[1]
+    return marker
 
-    It serves code that runs while a module is imported: packages import that module, and cannot be
-    loaded before it.
+
+def _listed(union: Any) -> tuple[type[Any], ...]:
+    """Return the classes that Annotated[A | B, ByKind()] lists; () where the marker names them."""
+    return () if _marker(union).members else _alternatives(typing.get_args(union)[0])
+
+
+def shipped(union: Any) -> tuple[type[Any], ...]:
+    """Return the classes of a union by kind without those of installed packages.
+
+    Code that runs while a module is imported needs this function, because packages import that
+    module and cannot be loaded before it.
     """
-    return typing.get_args(typing.get_args(union)[0])
+    named = dict.fromkeys(_marker(union).members.values())
+    return (*map(loaded, named), *_listed(union))
 
 
 def members_of(union: Any) -> tuple[type[Any], ...]:
-    """Return the classes of Annotated[A | B, ByKind(group)], those of installed packages included.
+    """Return the classes of a union by kind, those of installed packages included.
 
     Raises InputError if a package registers another object, or a class without a `kind` of its own.
     """
-    return (*shipped(union), *_installed_members(shipped(union), typing.get_args(union)[1].group))
+    return (*shipped(union), *_installed_members(union))
 
 
 @cache
@@ -373,19 +404,30 @@ def members_by_kind(union: Any) -> dict[str, type[Any]]:
     return by_kind
 
 
-def _base(members: tuple[type[Any], ...]) -> type[Any]:
-    """Return the nearest class from which all members derive."""
+def member_of_kind(union: Any, kind: str) -> type[Any] | None:
+    """Return the class of a union that has a kind, or None; other named members stay unloaded."""
+    target = _marker(union).members.get(kind)
+    if target is not None:
+        member: type[Any] = loaded(target)
+        return member
+    return members_by_kind(union).get(kind)
+
+
+def _base(union: Any) -> type[Any]:
+    """Return the nearest class from which all members of a union derive."""
+    members = _alternatives(typing.get_args(union)[0])
     return next(
         kind for kind in members[0].__mro__ if all(issubclass(member, kind) for member in members)
     )
 
 
-def _installed_members(members: tuple[type[Any], ...], group: str) -> Iterator[type[Any]]:
+def _installed_members(union: Any) -> Iterator[type[Any]]:
     """Yield the members that installed packages add to a union."""
-    base = _base(members)
-    used = list(itertools.chain.from_iterable(map(kinds_of, members)))
-    for added in installed(group, type) if group else ():
-        named = f"{group}: {added.__name__} of an installed package"
+    marker = _marker(union)
+    base = _base(union)
+    used = [*marker.members, *itertools.chain.from_iterable(map(kinds_of, _listed(union)))]
+    for added in installed(marker.group, type) if marker.group else ():
+        named = f"{marker.group}: {added.__name__} of an installed package"
         if not issubclass(added, base):
             raise InputError(f"{named} is no {base.__name__}")
         kinds = kinds_of(added)

@@ -23,9 +23,9 @@ from lampest.files.process import in_bytes
 
 @dataclass(frozen=True)
 class Touched:
-    """Files of a command so far: read, written, and its own ones.
+    """Files of a command so far: read, written, and its own.
 
-    It may read and write its own ones again.
+    A command may read and write its own files again.
     """
 
     read: set[Path] = field(default_factory=set)
@@ -144,10 +144,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Write the names in a folder to the disk.
-
-    Without this, a new file may be gone after a power failure.
-    """
+    """Write the names in a folder to the disk, so that a new file survives a power failure."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         with suppress(OSError):  # a file system that cannot do it for folders
@@ -159,7 +156,7 @@ def sync_folder(folder: Path) -> None:
 def _host() -> str:
     """Return four characters that identify this computer.
 
-    Others may share the folder and have equal process ids.
+    Other computers may share the folder and have equal process ids.
     """
     return f"{crc32(os.uname().nodename.encode()) % 2**16:04x}"
 
@@ -272,7 +269,7 @@ def opened_for_locking(path: Path, *, make: bool = False) -> int:
 def locked(path: Path) -> Iterator[None]:
     """Hold a shared lock on a file within the block, at most until the process ends.
 
-    It does not affect readers.
+    Readers of the file are not affected.
     """
     with os.fdopen(opened_for_locking(path), "rb") as handle:
         fcntl.flock(handle, fcntl.LOCK_SH)

@@ -1,7 +1,4 @@
-"""Numbers of a program for given data: start, parameters, bounds and units.
-
-They are given by the names of the program's blocks.
-"""
+"""Numbers of a program for given data: start, parameters, bounds and units, by block names."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -124,10 +121,7 @@ class Instance:
         excitation: Excitation,
         blocks: Sequence[Evaluation],
     ) -> "Instance":
-        """Return the instance that begins at the cells of the evaluations.
-
-        There is one evaluation for each block of frames.
-        """
+        """Return the instance that begins at the cells of the evaluations, one for each block."""
         values = _FrameValues(circuits, excitation, blocks)
         scale = values.scale
         cost_scale = values.cost_scale
@@ -176,7 +170,8 @@ class Instance:
     def cells_of(self, result: ProgramResult) -> Array:
         """Return the cells of a result, (frames, rows, columns) ohm.
 
-        They are on a bound where its multiplier says so.
+        A cell is put on a bound if the bound's multiplier exceeds the distance to it, see
+        `on_bounds`.
         """
         place = self.program.unknown
         conductance, pull, low, high = (
@@ -237,7 +232,7 @@ def _equation_limits(program: Program, side: str) -> Array:
 def on_bounds(conductance: Array, multiplier: Array, low: Array, high: Array) -> Array:
     """Return the conductances, put on a bound where its multiplier exceeds the distance to it.
 
-    All have shape (…, cells).
+    The arguments and the result have the shape (…, cells).
     """
     lowered = np.where(-multiplier > conductance - low, low, conductance)
     return np.where(multiplier > high - conductance, high, lowered)
@@ -320,9 +315,9 @@ class _FrameValues:
         return inputs
 
     def voltages(self, cells: Array, scale: float) -> dict[str, Array]:
-        """Return the voltages of cells (frames, rows, columns) by name.
+        """Return the voltages of cells (frames, rows, columns) by name, in the unit `scale`.
 
-        They are given frame after frame, in `scale`.
+        An array contains the voltages of all frames, one after the other.
         """
         readout = self.data[0].readout
         solved = []

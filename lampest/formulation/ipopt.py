@@ -86,7 +86,7 @@ class Limits:
     def fine_options(self) -> dict[str, Any]:
         """Return the options of a fine solve.
 
-        It ends where it no longer comes closer than the usual tolerance.
+        A fine solve ends where it comes no closer than the usual tolerance.
         """
         most = min(FINE_ITERATIONS, self.max_iterations)
         return {

@@ -56,9 +56,9 @@ class NetworkSymbols:
 def joined_addresses(
     circuits: Sequence[Circuit], networks: Sequence[NetworkSymbols]
 ) -> NetworkSymbols:
-    """Return the network of one frame from those of its addresses.
+    """Return the network of one frame, joined from the networks of its addresses.
 
-    Each has the readings that it takes.
+    Every address contributes the readings that it takes.
     """
     if len(networks) == 1:
         return networks[0]
@@ -124,11 +124,11 @@ class Excitation(ABC):
 class Nodal(Excitation):
     """One pattern a line.
 
-    Of lines without wire the voltages are the symmetric matrix Z. With the n lines of the shorter
+    The voltages of lines without wire are the symmetric matrix Z. With the n lines of the shorter
     side driven, and the m others far, the unknowns are half of the driven block of Z, the voltages
     of the far lines, and the far lines' own voltage Z_ff where the readout reads it. By reciprocity
-    the balance of a far line under its own current needs no further voltage. That is n(n + 1)/2 +
-    mn + m unknowns in place of (m + n)².
+    the balance of a far line under its own current needs no further voltage. The unknowns number
+    n(n + 1)/2 + mn + m in place of (m + n)².
     """
 
     kind: Literal["nodal"] = "nodal"
@@ -172,7 +172,7 @@ def _network_of_lines(
 ) -> NetworkSymbols:
     """Return the nodal network of lines without wire, in the unknowns of a symmetric Z.
 
-    See `Nodal`.
+    The class `Nodal` describes these unknowns.
     """
     driven, far = (numbers.tolist() for numbers in _sides(circuit.shape))
     driven_count = len(driven)
@@ -306,10 +306,10 @@ def _reads_own(circuit: Circuit, readout: Readout) -> tuple[bool, bool]:
 def _at_ends(
     unknowns: _Unknowns, circuit: Circuit, symbols: ConductanceSymbols
 ) -> tuple[casadi.SX | None, casadi.SX]:
-    """Return v of all lines, (lines, 1), and the current balance while they are at their ends.
+    """Return the voltages v of all lines, and the current balance while they are at their ends.
 
-    v is the voltage of a line, or the current that a held line takes; see `DifferenceNetwork`. None
-    and no equation where lines have no potentials.
+    A line that is held has its current in v; see `DifferenceNetwork`. Lines without potentials have
+    neither v nor an equation.
     """
     if circuit.ends is None:
         return None, casadi.SX(0, 1)
@@ -356,7 +356,8 @@ def _excited(
 def _unit(circuit: Circuit, first: Numbers, second: Numbers, scale: casadi.SX) -> casadi.SX:
     """Return the unit of K between pairs of lines, (pairs, 1).
 
-    It is `scale` ohm, its inverse between lines at ground.
+    The unit is `scale` ohm between two free lines, 1 between a free and a held line, and the
+    inverse of `scale` between two held lines.
     """
     power = 1.0 - circuit.held[first].astype(float) - circuit.held[second].astype(float)
     return casadi.SX(casadi.vertcat(*(scale**exponent for exponent in power.tolist())))

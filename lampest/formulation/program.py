@@ -253,8 +253,8 @@ class Program(CasadiOwner):
             )
         if not (lower < upper and sd > 0):
             raise InputError(
-                f"unknown {name} needs lower < upper and sd > 0, not {lower:g}, {upper:g} and "
-                f"{sd:g}"
+                f"unknown {name} needs lower < upper and sd > 0, "
+                f"not {lower:g}, {upper:g} and {sd:g}"
             )
         symbol = casadi.SX.sym(name, size)
         begin = float(np.clip(mean, lower, upper)) if start is None else start
@@ -265,7 +265,7 @@ class Program(CasadiOwner):
     def with_reading(self, changed: Callable[[casadi.SX], Any]) -> "Program":
         """Return the program whose terms read changed(y) in place of y.
 
-        Shape (cells, frames), in the readout's unit.
+        Both readings have the shape (cells, frames) and the readout's unit.
 
         Raises
         ------
@@ -289,7 +289,7 @@ class Program(CasadiOwner):
     ) -> "Program":
         """Return the program with a constraint lower ≤ expression ≤ upper.
 
-        It is an equation if there is no upper limit.
+        The constraint is an equation if there is no upper limit.
 
         Raises
         ------
@@ -300,8 +300,8 @@ class Program(CasadiOwner):
         if expression.shape[1] != 1 or not expression.shape[0]:
             rows, columns = expression.shape
             raise InputError(
-                f"constraint {name} is {rows} × {columns}, not a column (rows, 1); casadi.vec "
-                "makes one of a matrix"
+                f"constraint {name} is {rows} × {columns}, not a column (rows, 1); "
+                "casadi.vec makes one of a matrix"
             )
         if not casadi.depends_on(expression, self.unknown.column):
             raise InputError(
@@ -331,9 +331,12 @@ class Program(CasadiOwner):
 
     @guarded
     def split_residuals(self, unknown: Array, parameter: Array) -> list[Array]:
-        """Return the residuals of each group that is split into p and q.
+        """Return the residuals of each group that is split into p and q, at given unknowns x.
 
-        They are evaluated at numbers of x and of the parameters.
+        Parameters
+        ----------
+        unknown, parameter : array
+            Values of x and of the parameters p.
         """
         values = self._split_residuals(unknown, parameter) if self._split_residuals.n_out() else ()
         several = values if isinstance(values, tuple) else (values,)
@@ -417,10 +420,7 @@ class Program(CasadiOwner):
 
     @cached_property
     def derivatives(self) -> dict[str, casadi.Function]:
-        """Gradient of f, Jacobian of g, and Hessian of the Lagrangian.
-
-        They have the names that CasADi expects.
-        """
+        """Gradient of f, Jacobian of g, and Hessian of the Lagrangian, by CasADi's names."""
         nlp = self.nlp
         arguments = [nlp["x"], nlp["p"]]
         gradient = casadi.Function(

@@ -50,8 +50,9 @@ def water_pressure(panel: Panel, water: Water | None) -> Array:
 class Temperature(Configuration):
     """Effect of the film's temperature on every cell between baseline and measurement.
 
-    It is r(T) = r(T_b)·exp(α (T − T_b)). The exponential agrees with 1 + α (T − T_b) within (α (T −
-    T_b))²/2, and stays positive far from T_b. Raises ValueError if a number is out of range.
+    The model is r(T) = r(T_b)·exp(α (T − T_b)). The exponential agrees with 1 + α (T − T_b) within
+    (α (T − T_b))²/2, and stays positive far from T_b. Raises ValueError if a number is out of
+    range.
 
     Attributes
     ----------

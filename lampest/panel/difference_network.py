@@ -21,12 +21,12 @@ from lampest.panel.tied_network import ReadCircuit, TiedNetwork
 class DifferenceNetwork(TiedNetwork):
     """Network whose derivatives follow from the potential differences D across its cells.
 
-    A line with a tie of infinite conductance is held at ground. It is excited by a unit potential,
-    any other line by a unit current. With C the conductances between lines that are not held (ties
-    included), −G those between held and other lines, and A those between held lines, K = [[−(A − G
-    C⁻¹ Gᵀ), G C⁻¹], [C⁻¹ Gᵀ, C⁻¹]] and the potentials of all lines for each excitation are P = [[1,
-    G C⁻¹], [0, C⁻¹]], held lines first. Without held lines K = P = Z. In every case D = P·B and
-    ∂K_ab/∂g_c = −D_ac D_bc. Nothing is lost to a tie that is only nearly infinite.
+    A line with a tie of infinite conductance is held at ground. A held line is excited by a unit
+    potential, any other line by a unit current. With C the conductances between lines that are not
+    held (ties included), −G those between held and other lines, and A those between held lines, K =
+    [[−(A − G C⁻¹ Gᵀ), G C⁻¹], [C⁻¹ Gᵀ, C⁻¹]] and the potentials of all lines for each excitation
+    are P = [[1, G C⁻¹], [0, C⁻¹]], held lines first. Without held lines K = P = Z. In every case D
+    = P·B and ∂K_ab/∂g_c = −D_ac D_bc. Nothing is lost to a tie that is only nearly infinite.
 
     Attributes
     ----------
@@ -52,9 +52,9 @@ class DifferenceNetwork(TiedNetwork):
         """
 
     def potentials(self) -> Array:
-        """Return the potential of every line (lines, patterns).
+        """Return the potential of every line, (lines, patterns).
 
-        It is that for the excitation of line `pattern`.
+        Pattern k is the excitation of line k.
         """
         return self.excited.T
 
@@ -119,9 +119,15 @@ class DifferenceSecondOrder(SecondOrder):
         return np.asarray(self.network.conductance * self.network.drawn(self.loading))
 
     def products(self, step: Array) -> tuple[Array, Array]:
-        """Return J·p and H·p = g·(2 diag(Dᵀ W dD) + diag(Dᵀ W' D)), (rows, columns) each.
+        """Return the products with the Jacobian and the Hessian, from dDᵀ = X·(g·p·Dᵀ).
 
-        dDᵀ = X·(g·p·Dᵀ), and W' is the change of W by the change of the slopes of h.
+        Returns
+        -------
+        change : array, shape (rows, columns)
+            J·p.
+        second : array, shape (rows, columns)
+            H·p = g·(2 diag(Dᵀ W dD) + diag(Dᵀ W' D)), W' the change of W by that of the slopes of
+            h.
         """
         network = self.network
         change = self.network.changes(step)
@@ -175,10 +181,21 @@ class HeldNetwork(DifferenceNetwork):
 
 
 def excitations(admittance: Array, ties: Array) -> tuple[Array, Array]:
-    """Return K and P of `DifferenceNetwork`, (lines, lines) each.
+    """Return K and P of `DifferenceNetwork`.
 
-    They are computed from the lines' admittance without ties, siemens. `ties` are (lines,) siemens,
-    infinite where a line is held. Raises numpy.linalg.LinAlgError if a line is not connected.
+    Raises numpy.linalg.LinAlgError if a line is not connected.
+
+    Parameters
+    ----------
+    admittance : array, shape (lines, lines)
+        Admittance of the lines without ties, siemens.
+    ties : array, shape (lines,)
+        Siemens; infinite where a line is held.
+
+    Returns
+    -------
+    entries, potentials : arrays, shape (lines, lines)
+        K and P.
     """
     held = np.isinf(ties)
     free = ~held

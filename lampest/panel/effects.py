@@ -1,6 +1,6 @@
 """Effects outside the scene, and their influence on readings.
 
-They are leaks between lines and contact resistances.
+The effects are leaks between lines and contact resistances.
 """
 
 from abc import ABC, abstractmethod
@@ -32,6 +32,8 @@ class Effect(ABC):
         Whether it began after the unloaded frames.
     size : float
         Size in the unit of `prior`.
+    key : str
+        The key of a scene that states it.
     prior : float
         Standard deviation of the size.
     positive : bool
@@ -41,6 +43,7 @@ class Effect(ABC):
     lines: tuple[int, ...]
     since: bool = False
     size: float = 0.0
+    key: ClassVar[str]
     prior: ClassVar[float]
     positive: ClassVar[bool] = False
 
@@ -60,7 +63,7 @@ class Effect(ABC):
     def added(self, scene: Scene, network: Network) -> Array:
         """Return the effect's contribution to the readings, (rows, columns).
 
-        It is that beside the changed network.
+        The influence of the changed network is not included.
         """
         return np.zeros(network.conductance.shape)
 
@@ -77,6 +80,7 @@ class Effect(ABC):
 class LineLeak(Effect):
     """Leak from each of the lines to the next one, such as water, in siemens."""
 
+    key = "leaks"
     prior = 1 / 10e3
     positive = True
 
@@ -101,6 +105,7 @@ class LineLeak(Effect):
 class LooseContact(Effect):
     """Additional resistance at the contact of a line, such as that of a loose one, in ohm."""
 
+    key = "contacts"
     prior = 100.0
 
     @classmethod
@@ -110,8 +115,8 @@ class LooseContact(Effect):
     def sentence(self, rows: int) -> str:
         more = "more" if self.size > 0 else "less"
         return (
-            f"{float(f'{abs(self.size):.2g}'):g} ohm {more} at the contact of "
-            f"{self.where(rows)}{self._since}"
+            f"{float(f'{abs(self.size):.2g}'):g} ohm {more} "
+            f"at the contact of {self.where(rows)}{self._since}"
         )
 
     def added(self, scene: Scene, network: Network) -> Array:
@@ -127,9 +132,14 @@ EFFECTS: tuple[type[Effect], ...] = (LineLeak, LooseContact)
 def with_effects(
     effects: Sequence[Effect], scene: Scene, network: Network
 ) -> tuple[Network, Array]:
-    """Return the network with all effects, and their further contribution.
+    """Return the network with all effects.
 
-    The contribution is to its readings, (rows, columns).
+    Returns
+    -------
+    network : Network
+        The changed network.
+    added : array, shape (rows, columns)
+        Contribution of the effects to the readings besides the changed network.
     """
     added = sum(
         (effect.added(scene, network) for effect in effects), np.zeros(network.conductance.shape)

@@ -1,6 +1,6 @@
 """Known faults of a panel.
 
-They are cells and lines that are broken, lines that touch, and modules that are not read.
+Faults are cells and lines that are broken, lines that touch, and modules that are not read.
 """
 
 from dataclasses import dataclass, replace
@@ -28,8 +28,8 @@ class Faults(Configuration):
     dead_modules : pairs of int
         Modules that are not read; their cells are not estimated.
     joined_rows, joined_columns : tuples of int
-        Groups of lines that touch at their terminals. They are one node with equal readings, which
-        determine only the sum of the conductances of their cells on one crossing line.
+        Groups of lines that touch at their terminals. Such lines are one node with equal readings,
+        which determine only the sum of the conductances of their cells on one crossing line.
 
     >>> lampest.Faults(dead_rows=(1,)).open_cells(lampest.Panel(2, 3)).sum()
     np.int64(3)
@@ -68,16 +68,13 @@ class Faults(Configuration):
         )
 
     def check(self, panel: Panel) -> None:
-        """Raise ValueError unless all faults are on the panel and agree with each other.
-
-        They must also leave an intact part.
-        """
+        """Raise ValueError unless all faults are on the panel, agree, and leave an intact part."""
         layout = panel.modules
         lines = self.dead_rows or self.dead_columns or self.joined_rows or self.joined_columns
         if layout is not None and lines:
             raise ValueError(
-                "faults: every module has lines of its own; name those under modules: [{at: ..., "
-                "faults: ...}]"
+                "faults: every module has lines of its own; "
+                "name those under modules: [{at: ..., faults: ...}]"
             )
         for place in self.dead_modules:
             if layout is None or not (

@@ -12,11 +12,11 @@ from lampest.panel.panel import Array, check_line_memory
 
 
 def current_balance(incidence: Any, conductance: Any, potentials: Any) -> Any:
-    """Return the net current out of every node through the cells.
+    """Return the net current out of every node through the cells, I = B (g ∘ Bᵀ V).
 
-    It is I = B (g ∘ Bᵀ V), in ampere, as the potentials. Of lines it is I_j = Σ_k g_jk (V_j − V_k)
-    for a row and I_k = Σ_j g_jk (V_k − V_j) for a column. CasADi matrices are accepted, as well as
-    NumPy arrays. Source: paper, equation (2).
+    The unit is ampere for potentials in volt. For lines I_j = Σ_k g_jk (V_j − V_k) of a row and I_k
+    = Σ_j g_jk (V_k − V_j) of a column. CasADi matrices are accepted, as well as NumPy arrays.
+    Source: paper, equation (2).
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def current_balance(incidence: Any, conductance: Any, potentials: Any) -> Any:
 def laplacian(conductance: Array) -> Array:
     """Return L of L·V = current_balance(B, g, V) of lines, (…, lines, lines) siemens.
 
-    It is singular; paper, equation (3).
+    The matrix is singular. Source: paper, equation (3).
     """
     rows, columns = conductance.shape[-2:]
     check_line_memory(rows, columns)

@@ -80,8 +80,8 @@ P = TypeVar("P", bound=Linearised)
 class LevenbergMarquardt:
     """Levenberg–Marquardt method with its settings.
 
-    μ falls to a tenth after a step that gains more than half of the linear model's prediction. It
-    grows tenfold after a step that gains nothing.
+    μ falls to a tenth after a step that gains more than half of the linear model's prediction. A
+    step that gains nothing multiplies μ by ten.
 
     Attributes
     ----------
@@ -127,6 +127,12 @@ class LevenbergMarquardt:
             Lower and upper bounds of the unknowns.
         ended : callable
             Function (point, number of evaluations) → whether to end the iteration.
+
+        Returns
+        -------
+        position : array, shape (unknowns,)
+        point : linearised sum of squares
+            The model at the position.
         """
         low, high = (np.broadcast_to(bound, start.shape) for bound in bounds)
         position = np.clip(start, low, high)

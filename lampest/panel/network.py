@@ -1,10 +1,9 @@
 """Solved networks of cells with the impedance Z = (L(g) + diag(t))⁻¹ of a panel's lines.
 
 A readout defines the ties t of the lines to ground (siemens) and the readings y = h(p, q, t) with p
-= Z_jj, q = Z_kk, t = Z_jk. All derivatives follow from these two. They are in u = log r. With D =
-Z·B, B the ±1 incidence vectors of the cells, ∂Z_ab/∂u_c = g_c D_ac D_bc. For weights w of the
-readings, d(Σ w y) = tr(W dZ) with
-W = [[diag Σ_k w h_p, ½ w h_t], [·, diag Σ_j w h_q]].
+= Z_jj, q = Z_kk, t = Z_jk. All derivatives are with respect to u = log r, and follow from these
+two. With D = Z·B, B the ±1 incidence vectors of the cells, ∂Z_ab/∂u_c = g_c D_ac D_bc. For weights
+w of the readings, d(Σ w y) = tr(W dZ) with W = [[diag Σ_k w h_p, ½ w h_t], [·, diag Σ_j w h_q]].
 
 Where idle lines end in potentials, x is the excitation of all lines by them, and a reading depends
 on v = Z·x, too: y = h(p, q, t, e, f) with e = v_j and f = v_k. As v is linear in Z, nothing new
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from lampest.panel.kirchhoff import bipartite, injected, line_sums
 from lampest.panel.line_blocks import LineBlocks
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, check_line_memory
 
 ENTRY_NAMES = "pqtef"
 Numbers = NDArray[np.intp]
@@ -129,7 +128,7 @@ class Network(ABC):
     def forward(self, step: Array) -> Array:
         """Return J·p = ∂y/∂u·p for a step p of u = log r, (rows, columns).
 
-        It takes (rows + columns)³ operations.
+        The product takes (rows + columns)³ operations.
         """
         return self.read_change(self.changes(step))
 
@@ -142,7 +141,7 @@ class Network(ABC):
     def adjoint(self, weights: Array) -> Array:
         """Return Jᵀ·w = g·bᵀ(Z W Z)b for weights w of the readings, (rows, columns).
 
-        It takes (rows + columns)³ operations.
+        The product takes (rows + columns)³ operations.
         """
         return np.asarray(self.drawn(self.loading(weights)) / self.cell_resistance)
 
@@ -228,6 +227,16 @@ class Network(ABC):
         row, column, mutual, *_ = self.entries(self._impedance)
         return row - mutual, mutual - column
 
+    @property
+    def branch(self) -> Array:
+        """Sign of the median change of the readings where all cells grow by one factor, (…).
+
+        Panels that give the same readings and differ in sign lie on two sides of a fold; see
+        `lampest.panel.readouts.branches`.
+        """
+        grown = self.forward(np.ones(self.cell_resistance.shape))
+        return np.asarray(np.sign(np.median(grown, axis=(-2, -1))))
+
     def second_order(self, weights: Array) -> "SecondOrder":
         """Return the second derivatives of Σ w·y, for weights w of the readings (rows, columns)."""
         return SecondOrder(self, weights)
@@ -245,14 +254,14 @@ class Network(ABC):
     def potentials(self) -> Array:
         """Return the potential of every line, (lines, patterns) V/A.
 
-        It is that while a unit current enters line `pattern`.
+        Pattern k is a unit current into line k.
         """
         return self._impedance
 
     def leaking(self, across: Array, siemens: float) -> "Network":
         """Return the network with conductances between lines, for its readings.
 
-        It uses Woodbury's Z − Z B (1/G + BᵀZB)⁻¹ BᵀZ.
+        By Woodbury's formula Z becomes Z − Z B (1/G + BᵀZB)⁻¹ BᵀZ.
 
         Parameters
         ----------
@@ -269,8 +278,9 @@ class Network(ABC):
     def condition(self) -> float:
         """Return Σ_l |L_ll Z_ll| over the lines.
 
-        It is the amplification of the rounding of L in any reading. An error ε_l of L_ll changes
-        bᵀZb by ε_l·v_l², v = Z·b, and v_l² ≤ Z_ll·bᵀZb. Infinite or NaN for a broken inverse.
+        The sum is the amplification of the rounding of L in any reading. An error ε_l of L_ll
+        changes bᵀZb by ε_l·v_l², v = Z·b, and v_l² ≤ Z_ll·bᵀZb. The sum is infinite or NaN for a
+        broken inverse.
         """
         driving_point = self._impedance.diagonal(axis1=-2, axis2=-1)
         return float(np.abs(line_sums(self.conductance) * driving_point).sum(axis=-1).max())
@@ -300,7 +310,7 @@ class Network(ABC):
     ) -> Entries:
         """Return the entries of ½(P + Pᵀ), P = left·right, without its other products.
 
-        They are fewer if P is symmetric.
+        A symmetric P needs fewer products.
         """
         rows = self.rows
         diagonal = np.einsum("...ij,...ji->...i", left, right)
@@ -357,10 +367,15 @@ class SecondOrder:
         return np.asarray(across(self.network.entries(self._twice)) / self.network.cell_resistance)
 
     def products(self, step: Array) -> tuple[Array, Array]:
-        """Return J·p and H·p for a step p of u, (rows, columns) each.
+        """Return the products with the Jacobian and the Hessian for a step p of u.
 
-        H·p = g·(2 bᵀ K L_{g·p} Z b + bᵀ Z W' Z b), W' the change of W by the change of the slopes
-        of h.
+        Returns
+        -------
+        change : array, shape (rows, columns)
+            J·p.
+        second : array, shape (rows, columns)
+            H·p = g·(2 bᵀ K L_{g·p} Z b + bᵀ Z W' Z b), W' the change of W by that of the slopes of
+            h.
         """
         network = self.network
         currents = injected(step / network.cell_resistance, network._impedance)
@@ -373,9 +388,9 @@ class SecondOrder:
         return network.read_change(change), second / network.cell_resistance
 
     def change_of_slopes(self, change: Entries) -> list[Array]:
-        """Return w·(h_pp dp + h_pq dq + …), and the same of h_q and all others.
+        """Return the changes of the weighted slopes of h for changes (…) of the entries.
 
-        They are those for changes (…) of the entries.
+        The first one is w·(h_pp dp + h_pq dq + …) of h_p; those of h_q and all others follow.
         """
         weighted = self._weighted_curvatures
         shape = np.broadcast_shapes(*(part.shape for part in change))
@@ -441,3 +456,69 @@ def loading_of(row: Array, column: Array, mutual: Array, *of_sources: Array) -> 
 def _sums(row: Array, column: Array) -> Array:
     """Return the sums of weights of rows, and of columns, over the readings of every line."""
     return np.concatenate([row.sum(axis=-1), column.sum(axis=-2)], axis=-1)
+
+
+def inverse_of(conductance: Array, ties: Array) -> Array:
+    """Return Z = (L(g) + diag(t))⁻¹, (…, lines, lines) ohm.
+
+    Raises LinAlgError if a line is not connected.
+
+    The lines of the longer side are eliminated by hand, so that the cost is that of the shorter
+    side's inverse and of the entries of Z. With a the sums of the eliminated lines, the others form
+    a network of conductances Gᵀ diag(a)⁻¹ G with ties t + Gᵀ diag(a)⁻¹ t. Positive sums lose no
+    digits where cells are decades apart.
+    Source: Grassmann, Taksar, Heyman, Operations Research 33 (1985).
+    """
+    rows, columns = conductance.shape[-2:]
+    if rows < columns:
+        return np.roll(inverse_of(*_exchanged(conductance, ties)), (rows, rows), axis=(-2, -1))
+    check_line_memory(rows, columns)
+    row_sums, shares, schur = _without_rows(conductance, ties)
+    # Z_kk' = S⁻¹, Z_jk = diag(a)⁻¹ G S⁻¹, Z_jj' = diag(a)⁻¹ + diag(a)⁻¹ G S⁻¹ Gᵀ diag(a)⁻¹
+    within: Array = np.linalg.inv(schur)
+    inverse = np.empty((*ties.shape, rows + columns), dtype=within.dtype)
+    between = shares @ within
+    inverse[..., rows:, rows:] = within
+    inverse[..., :rows, rows:] = between
+    inverse[..., rows:, :rows] = between.swapaxes(-1, -2)
+    inverse[..., :rows, :rows] = between @ shares.swapaxes(-1, -2)
+    np.einsum("...ii->...i", inverse)[..., :rows] += 1 / row_sums
+    return inverse
+
+
+def log_determinant(conductance: Array, ties: Array) -> float:
+    """Return ln det(L(g) + diag(t)) of a single network.
+
+    Raises LinAlgError if a line is not connected.
+    """
+    if conductance.shape[0] < conductance.shape[1]:
+        conductance, ties = _exchanged(conductance, ties)
+    row_sums, _, schur = _without_rows(conductance, ties)
+    return float(np.log(row_sums).sum() + np.linalg.slogdet(schur)[1])
+
+
+def _exchanged(conductance: Array, ties: Array) -> tuple[Array, Array]:
+    """Return the conductances and ties of a network whose rows are columns."""
+    rows = conductance.shape[-2]
+    return conductance.swapaxes(-1, -2), np.concatenate(
+        [ties[..., rows:], ties[..., :rows]], axis=-1
+    )
+
+
+def _without_rows(conductance: Array, ties: Array) -> tuple[Array, Array, Array]:
+    """Return a, diag(a)⁻¹ G, and the matrix of the columns' network without rows.
+
+    See `inverse_of`.
+    """
+    total = line_sums(conductance) + ties
+    if not total.all():
+        raise np.linalg.LinAlgError("a line is not connected")
+    rows = conductance.shape[-2]
+    row_sums = total[..., :rows]
+    shares = conductance / row_sums[..., None]
+    meshed = shares.swapaxes(-1, -2) @ conductance
+    np.einsum("...ii->...i", meshed)[...] = 0.0
+    tied = ties[..., rows:] + np.einsum("...jk,...j->...k", shares, ties[..., :rows])
+    schur = -meshed
+    np.einsum("...ii->...i", schur)[...] = meshed.sum(axis=-1) + tied
+    return row_sums, shares, schur

@@ -26,7 +26,7 @@ CellPlace = tuple[int, int, float, float] | tuple[int, int, float, float, float]
 def check_line_memory(rows: int, columns: int, matrices: int = 3) -> None:
     """Raise InputError if memory does not suffice for `matrices` matrices (lines, lines).
 
-    These are such as L and Z.
+    L and Z are such matrices.
     """
     lines = rows + columns
     if lines > MAX_UNCHECKED_LINES:
@@ -88,7 +88,7 @@ class Modules(Configuration):
         return divmod(number, self.columns)
 
     def cells(self, number: int) -> tuple[slice, slice]:
-        """Return the slices of the image that contain the cells of a module."""
+        """Return the rows and the columns of the image that a module has, as two slices."""
         row, column = self.place(number)
         rows = self.each.rows
         columns = self.each.columns
@@ -203,9 +203,14 @@ class Panel(Configuration):
         check_line_memory(self.rows, self.columns, matrices)
 
     def centres_mm(self) -> tuple[Array, Array]:
-        """Return the positions of columns and of rows in mm, including seams.
+        """Return the positions of the lines, including seams.
 
-        They are x_k = k·pitch of columns, and y_j = j·pitch of rows.
+        Returns
+        -------
+        x : array, shape (columns,)
+            Positions x_k = k·pitch of columns in mm.
+        y : array, shape (rows,)
+            Positions y_j = j·pitch of rows in mm.
         """
         x = np.arange(self.columns)
         y = np.arange(self.rows)
@@ -220,7 +225,13 @@ class Panel(Configuration):
 
     @property
     def extents_mm(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Smallest and largest x of the cells' centres, and y, in mm."""
+        """Extent of the cells' centres.
+
+        Returns
+        -------
+        x, y : (float, float)
+            Smallest and largest coordinate in mm.
+        """
         x, y = ((float(np.nanmin(axis)), float(np.nanmax(axis))) for axis in self.places_mm)
         return x, y
 
@@ -260,11 +271,18 @@ class Panel(Configuration):
 
     @cached_property
     def neighbours(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-        """Pairs of neighbours: numbers of first cells, of second cells, distances in pitches.
+        """Pairs of neighbouring cells.
 
         Full rectangle: pairs along columns, then pairs along rows. Listed cells: pairs without
         another cell in the circle, in space the sphere, whose diameter connects them (the Gabriel
         graph, which is connected; Gabriel & Sokal, Systematic Zoology 18, 1969).
+
+        Returns
+        -------
+        first, second : integer arrays, shape (pairs,)
+            Numbers of the cells.
+        distance : array, shape (pairs,)
+            Distance of their centres in pitches.
         """
         if self.cells is None:
             numbers = np.arange(self.crossings).reshape(self.shape)
@@ -341,7 +359,7 @@ def beyond_any_panel(values: Array) -> NDArray[np.bool_]:
 def as_panels_have(values: Array) -> Array:
     """Return numbers limited to the range of physical quantities.
 
-    Those below the range are returned as zero, and those above as ±infinity.
+    Numbers below the range become zero, and numbers above it ±infinity.
     """
     beyond = beyond_any_panel(values)
     if not np.any(beyond):
@@ -353,8 +371,8 @@ def as_panels_have(values: Array) -> Array:
 def difference_matrix(length: int) -> Array:
     """Return D (length, length) of finite differences.
 
-    They are central differences inside, one-sided at the border, zero for a single point. The
-    gradient of a matrix X is (D X, X Dᵀ). Source: MATLAB's `gradient` with unit spacing, which the
-    paper's equations (19)-(24) use.
+    The differences are central inside and one-sided at the border; D is zero for a single point.
+    The gradient of a matrix X is (D X, X Dᵀ). Source: MATLAB's `gradient` with unit spacing, which
+    the paper's equations (19)-(24) use.
     """
     return np.zeros((1, 1)) if length == 1 else np.asarray(np.gradient(np.eye(length), axis=0))

@@ -105,14 +105,14 @@ class Response(Configuration):
     @property
     @abstractmethod
     def told_kpa(self) -> tuple[float, float]:
-        """Lowest and highest pressure in kPa for which the curve is specified."""
+        """Lowest and highest pressure in kPa for which the curve is specified, in this order."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TableResponse(Response):
     """Response by points: a monotone cubic (PCHIP) through ln r.
 
-    It is extrapolated linearly beyond the first and last point.
+    Beyond the first and last point the curve is linear.
 
     Attributes
     ----------
@@ -299,7 +299,7 @@ class PublishedResponse(Response):
 def _level(logarithm: ArrayLike) -> Array:
     """Return a function of ln f in which the published curve is piecewise linear.
 
-    It is f, or ln f plus a constant.
+    Depending on the pressure the function is f, or ln f plus a constant.
     """
     logarithm = np.asarray(logarithm, dtype=float)
     linear = np.clip(logarithm, np.log(CURVE_RATIO[3]), 0.0)
@@ -357,7 +357,7 @@ PUBLISHED = PublishedResponse()
 def ratio_from_pressure(pressure: ArrayLike, response: Response = PUBLISHED) -> Array:
     """Return r/r0 = f(p) of a cell with gain 1 for pressures in kPa, any shape.
 
-    It is strictly decreasing.
+    The ratio is strictly decreasing in the pressure.
     """
     return np.exp(response.logarithm(pressure))
 
@@ -439,7 +439,7 @@ class Film(Configuration):
     def strength(self, name: Literal["hysteresis", "creep_per_decade"]) -> Strength:
         """Return hysteresis or creep as specified, or the usual one for 'auto'.
 
-        It comes with the spread from cell to cell.
+        The standard deviation includes the spread from cell to cell.
         """
         value = getattr(self, name)
         mean, sd = self.usual[name] if value == "auto" else (value, value * self.deviation)
@@ -459,15 +459,15 @@ class Film(Configuration):
     def answer(self) -> float:
         """Ratio of ln(r/r0) of a bent cell to that of a flat one at equal pressure.
 
-        It is assumed equal for all pressures.
+        The model assumes the same ratio for all pressures.
         """
         answers = np.log1p(BENT_CHANGE)
         return float(np.interp(self.curvature_per_m, CURVATURES, answers / answers[0]))
 
     @property
     def answer_sd(self) -> float:
-        """Relative standard deviation of `answer`.
+        """Relative standard deviation of `answer`, the scatter of the published cells about a line.
 
-        It is the scatter of the published cells about a line in the curvature.
+        The line is in the curvature.
         """
         return 0.15 if self.curvature_per_m else 0.0

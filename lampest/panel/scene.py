@@ -251,7 +251,7 @@ class Scene(Configuration):
     def requested(self) -> NDArray[np.bool_]:
         """Whether a frame should have a reading, boolean (rows, columns).
 
-        It may have more, without a cell.
+        A frame may have further readings, of places without a cell.
         """
         return self.panel.present & ~self.blind
 
@@ -259,7 +259,7 @@ class Scene(Configuration):
     def open_cells(self) -> NDArray[np.bool_]:
         """Whether a crossing does not conduct, boolean (rows, columns).
 
-        It is without a cell, or open by a fault.
+        Such crossings have no cell, or a cell that is open by a fault.
         """
         return ~self.panel.present | self._of_faults(Faults.open_cells)
 
@@ -308,7 +308,7 @@ class Scene(Configuration):
     def circuit(self) -> Readout:
         """Circuit by which readings follow from cells.
 
-        It is the readout, or two-point resistances without one.
+        A scene without a readout has two-point resistances.
         """
         return TwoPointReadout() if self.readout is None else self.readout.in_scene(self)
 
@@ -320,9 +320,12 @@ class Scene(Configuration):
 
     @property
     def series_lines(self) -> tuple[Array, Array]:
-        """Resistance in series with each row and with each column, ohm.
+        """Resistance in series with each row and with each column, half each of a common number.
 
-        It is half of a number that is for both channels.
+        Returns
+        -------
+        rows, columns : arrays, shapes (rows,) and (columns,)
+            In ohm.
         """
         rows, columns = self.panel.network.shape
         series = self.series_resistance_ohm
@@ -360,13 +363,16 @@ class Scene(Configuration):
     @property
     def known_memory(self) -> float | None:
         """`converter_memory` if it is a number; None otherwise."""
-        return plain_size(self.converter_memory)
+        return None if isinstance(self.converter_memory, str) else self.converter_memory
 
     @property
     def common_change(self) -> tuple[float, float]:
-        """Change of log r of all cells since the unloaded frames, and its deviation.
+        """Change of log r of all cells since the unloaded frames, by temperature and creep.
 
-        The change is by temperature and creep.
+        Returns
+        -------
+        change, sd : float
+            The change and its standard deviation.
         """
         warmth = self.temperature
         creep, creep_sd = (self.estimated or {}).get("creep", (0.0, 0.0))

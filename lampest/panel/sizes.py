@@ -35,10 +35,10 @@ LIMITS = {
 
 @dataclass(frozen=True)
 class Systematic(Configuration):
-    """Systematic errors that all readings may share.
+    """Systematic errors that all readings may share; they widen error bars and change no estimate.
 
-    They widen error bars and change no estimate. None: absent. Each is a number, or `estimated`:
-    the recording determines it once, beginning with the size of common electronics.
+    None: absent. Each is a number, or `estimated`: the recording determines it once, beginning with
+    the size of common electronics.
 
     Attributes
     ----------

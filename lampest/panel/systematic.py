@@ -1,8 +1,7 @@
-"""Systematic errors that all frames share.
+"""Systematic errors of reference, channels, contacts, series, wire and converter in all frames.
 
-They are those of reference, channels, contacts, series, wire, and the converter's curve. To first
-order the error of the estimate is K·U·z with the gain K and independent standard normal z. Every
-error has one or more columns of U, its effect on the readings, computed as a secant of the
+To first order the error of the estimate is K·U·z with the gain K and independent standard normal z.
+Every error has one or more columns of U, its effect on the readings, computed as a secant of the
 readout's equations. `SHARED_ERRORS` lists the errors.
 """
 
@@ -14,7 +13,7 @@ import numpy as np
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import of_side
-from lampest.panel.readouts.wiring import Wiring, contact_responses, wire_responses
+from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
 
@@ -90,8 +89,8 @@ def estimated_errors(scene: Scene) -> tuple[str, ...]:
 def unobservable_numbers(scene: Scene, of_changes: float | None = None) -> str:
     """Return a sentence on the numbers of a circuit that frames cannot determine.
 
-    It states them with their assumed tolerances. The text is ASCII. It is '' for a scene without a
-    readout, and for a readout that states no such numbers.
+    The sentence states the numbers with their assumed tolerances, in ASCII. It is '' for a scene
+    without a readout, and for a readout that states no such numbers.
 
     Parameters
     ----------
@@ -117,20 +116,19 @@ def unobservable_numbers(scene: Scene, of_changes: float | None = None) -> str:
     remaining = ""
     if of_changes is not None:
         remaining = (
-            f"; at these ends changes of loaded cells are off by {100 * of_changes:.2g} % in the "
-            "median"
+            "; at these ends changes of loaded cells "
+            f"are off by {100 * of_changes:.2g} % in the median"
         )
     return (
         f"no frame shows the numbers with which all cells scale, assumed {named}{remaining}; "
-        "lampest calibrate "
-        "measures them"
+        "lampest calibrate measures them"
     )
 
 
 def recorded_share(measured: Array, scene: Scene) -> Array:
-    """Return ∂(reading)/∂ log(recorded), by central differences.
+    """Return ∂(reading)/∂ log(recorded), the effect of a factor on a recorded value.
 
-    It is the effect of a factor on a recorded value.
+    Central differences approximate the derivative.
     """
     recorded = scene.circuit.to_recorded(measured, scene)
     above = scene.circuit.from_recorded(recorded * np.exp(LOG_STEP), scene)
@@ -139,9 +137,9 @@ def recorded_share(measured: Array, scene: Scene) -> Array:
 
 
 def own_errors(measured: Array, scene: Scene, size: float) -> Array:
-    """Return the readings' standard deviations, (frames, rows, columns).
+    """Return the readings' standard deviations for a deviation `size` of log(recorded).
 
-    They are those for a deviation `size` of log(recorded).
+    The result has shape (frames, rows, columns).
     """
     return size * np.abs(recorded_share(measured, scene)) if size else np.zeros(measured.shape)
 
@@ -169,9 +167,9 @@ def _series(network: Network, measured: Array, scene: Scene, size: float) -> Arr
 
 
 def _curve(network: Network, measured: Array, scene: Scene, size: float) -> Array:
-    """Return the columns of a converter's curve; none without one.
+    """Return the columns of a converter's curve; none without a converter.
 
-    They are sines of ½, 1, 1½ and 2 periods over its range.
+    The columns are sines of ½, 1, 1½ and 2 periods over the converter's range.
     """
     if scene.readout is None:
         return np.zeros((0, *measured.shape))
@@ -191,6 +189,8 @@ def _curve(network: Network, measured: Array, scene: Scene, size: float) -> Arra
 
 def _wire(network: Network, measured: Array, scene: Scene, size: float) -> Array:
     """Return the columns of an additional wire resistance of all rows, and of all columns."""
+    from lampest.panel.readouts.wired_network import wire_responses  # for this error alone
+
     return size * wire_responses(network, (scene.wiring or Wiring()).lines)
 
 
@@ -329,6 +329,8 @@ class Shared:
         """
         parts = list[Array]()
         if self.contact_root is not None:
+            from lampest.panel.readouts.wired_network import contact_responses  # for contacts alone
+
             parts.append(contact_responses([network]) @ self.contact_root)
         if self.systematic is not None:
             joint = () if self.root is None else self.estimated
@@ -346,9 +348,9 @@ class Shared:
         return columns.reshape(len(columns), measured.size).T
 
     def own_error(self, measured: Array) -> Array:
-        """Return the standard deviation of each reading's own error.
+        """Return the standard deviation of each reading's own error, (frames, rows, columns).
 
-        It is in the readings' unit, with shape (frames, rows, columns).
+        The unit is that of the readings.
         """
         size = 0.0 if self.systematic is None else READING_ERROR.size(self.systematic)
         return own_errors(measured, self.scene, size)

@@ -117,9 +117,12 @@ def equation_derivatives(
 def reads_own(
     readout: ReadCircuit, rows: int, columns: int, *, with_potentials: bool = False
 ) -> tuple[bool, bool]:
-    """Return whether the reading depends on the rows' Z_jj, and whether on the columns' Z_kk.
+    """Return whether the reading depends on the driving-point impedances of its lines.
 
-    Z_jj and Z_kk are impedances.
+    Returns
+    -------
+    by_row, by_column : bool
+        Whether it depends on the row's Z_jj, and on the column's Z_kk.
     """
     import casadi
 

@@ -60,7 +60,7 @@ def steihaug(
 ) -> SubproblemStep:
     """Return argmin gᵀs + ½ sᵀHs over ‖s‖_M ≤ radius.
 
-    It is correct up to `accuracy` where the minimum is inside the radius.
+    Inside the radius the minimum is correct up to `accuracy`.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ class _Norms:
     def after(self, length: float, ratio: float, strength: float) -> "_Norms":
         """Return the products after a step α p and the next search direction p ← βp − z.
 
-        They follow by recursion (Steihaug 1983) from the length α, the ratio β and rᵀz.
+        The length α, the ratio β and rᵀz determine them by recursion (Steihaug 1983).
         """
         return _Norms(
             step=self.square_after(length),

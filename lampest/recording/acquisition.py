@@ -59,10 +59,7 @@ NO_SUM = np.iinfo(np.uint16).max  # a missing sum; 64 readings of 10 bits sum to
 
 
 def group_of(circuit: Readout) -> str:
-    """Return the name of the group of the recorded values.
-
-    That of two-point resistances differs.
-    """
+    """Return the name of the group of recorded values, 'two_point' or 'readings'."""
     return "two_point" if circuit.unit == "ohm" else "readings"
 
 
@@ -284,8 +281,8 @@ def _extend(dataset: h5py.Dataset, values: Sequence[Any] | NDArray[Any]) -> NDAr
 def checksums(columns: Sequence[NDArray[Any]], salt: bytes, first: int) -> NDArray[np.uint32]:
     """Return the CRC-32 of each row.
 
-    It is that of the salt, the number of the row from `first` on, and the row of all columns.
-    Without a salt it is that of the columns alone, as in files of older versions.
+    The CRC covers the salt, the number of the row from `first` on, and the row of all columns.
+    Without a salt, as in files of older versions, it covers the columns alone.
     """
     sums = np.empty(len(columns[0]), dtype=np.uint32)
     for row in range(len(sums)):
@@ -310,8 +307,8 @@ def undamaged_frames(file: h5py.File, scene: Scene) -> slice:
             else ""
         )
         raise InputError(
-            f"{file.filename}: {fault or 'an event is damaged'}; lampest check --repair keeps the "
-            "undamaged rest"
+            f"{file.filename}: {fault or 'an event is damaged'}; "
+            "lampest check --repair keeps the undamaged rest"
         )
     return slice(len(intact))
 
@@ -325,7 +322,7 @@ def blocks(frames: int, crossings: int) -> Iterator[slice]:
 def recorded_of_sums(scene: Scene, sums: NDArray[Any], readings: int) -> Array:
     """Return recorded values of sums of codes by the readout of each module.
 
-    The sums have shape (…, rows, columns). NaN for NO_SUM.
+    The sums have the shape (…, rows, columns); the value of NO_SUM is NaN.
     """
     layout = scene.panel.modules
     if layout is None:

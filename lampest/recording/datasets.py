@@ -1,6 +1,6 @@
 """Recordings and files shipped with lampest.
 
-They are in a checkout in `configs/` and `data/`, in a wheel in `lampest/shipped/`.
+A checkout has these files in `configs/` and `data/`, a wheel in `lampest/shipped/`.
 
 >>> lampest.datasets.names()[-2:]
 ('ring', 'rod')

@@ -92,7 +92,7 @@ def _with_codes_offset(scene: Scene, steps: float) -> Scene:
 def read_frames(file: h5py.File, scene: Scene, part: slice) -> dict[str, Any]:
     """Return the fields of a `Recording` that its file holds, by name.
 
-    Without times the frames are a second apart.
+    Frames without times are a second apart.
 
     Parameters
     ----------
@@ -145,17 +145,14 @@ def read_raw_readings(file: h5py.File) -> int:
     most = np.iinfo(np.uint16).max
     if not (0 <= number <= most and float(number).is_integer()):
         raise InputError(
-            f"{file.filename}: /entry/raw@readings must be a whole number from 0 to {most}, not "
-            f"{number:g}"
+            f"{file.filename}: /entry/raw@readings must be a whole number from 0 to {most}, "
+            f"not {number:g}"
         )
     return int(number)
 
 
 def _check_held(file: h5py.File, places: Mapping[str, str]) -> None:
-    """Raise InputError if memory does not suffice for a recording.
-
-    It must suffice for it and the working copies of its readings.
-    """
+    """Raise InputError if memory does not suffice for a recording and copies of its readings."""
     shape = hdf5.shape_of(file, places["recorded"])
     besides = set(places) - {"recorded", "time", "role", "raw_sums"}
     held = sum(prod(hdf5.shape_of(file, places[field])) for field in besides)
@@ -167,10 +164,7 @@ def _check_held(file: h5py.File, places: Mapping[str, str]) -> None:
 def create_frames_group(
     entry: h5py.Group, name: str, signal: str, panel: Panel, time: Array
 ) -> h5py.Group:
-    """Return a new group of frames with the coordinates of its axes.
-
-    They are time in s, rows and columns of a panel.
-    """
+    """Return a new group of frames with the coordinates time in s, rows and columns of a panel."""
     group = entry.create_group(name)
     hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=["time", "row", "column"])
     hdf5.write_scale(group, "time", time, "s", "time of the frame")
@@ -185,8 +179,8 @@ def create_frames_group(
 def coordinates(panel: Panel) -> dict[str, tuple[tuple[str, ...], NDArray[Any], str, str]]:
     """Return (axes, values, unit, long name) of the coordinates row, column, y, x and z, by name.
 
-    y depends on the row and x on the column. Of listed cells both, and z in space, depend on the
-    cell, with NaN without a cell.
+    The coordinate y depends on the row and x on the column. For listed cells x, y, and z in space,
+    depend on the cell, and are NaN without a cell.
     """
     lines = zip(("row", "column"), map(np.arange, panel.shape), strict=True)
     axes = {line: ((line,), number, "1", f"{line} line") for line, number in lines}

@@ -1,11 +1,10 @@
-"""Detection of garbled frames.
+"""Detection of garbled frames: lines whose readings were lost or displaced in transmission.
 
-These have lines whose readings were lost or displaced on their way to the computer. Transmission
-fails for one frame or for some of its lines: their readings are bytes of something else, or those
-of other cells. Such readings deviate from the neighbouring frames in whole lines while the other
-lines do not, and they are rougher than the lines ever are, or equal those of cells further along
-the scan. A load that is present for one frame is neither: it changes a patch of cells, which is as
-smooth in one frame as in the others.
+Transmission fails for one frame or for some of its lines: their readings are bytes of something
+else, or those of other cells. Such readings deviate from the neighbouring frames in whole lines
+while the other lines do not, and they are rougher than the lines ever are, or equal those of cells
+further along the scan. A load that is present for one frame is neither: it changes a patch of
+cells, which is as smooth in one frame as in the others.
 """
 
 from collections.abc import Sequence
@@ -87,7 +86,7 @@ class GarbledLines:
 def garbled_lines(recording: Recording) -> tuple[GarbledLines, ...]:
     """Return the garbled lines of all frames, in temporal order.
 
-    Panels of modules are judged as one image.
+    A panel of modules counts as one image.
     """
     values = _signal(recording)
     if len(values) < MIN_FRAMES or min(values.shape[1:]) < MIN_LINE_CELLS:
@@ -126,10 +125,10 @@ def garbled_sentence(garbled: Sequence[GarbledLines]) -> str:
 
 
 def _signal(recording: Recording) -> Array:
-    """Return the voltages at the converter (frames, rows, columns).
+    """Return the voltages at the converter, or conductances in 1/ohm without a readout.
 
-    Without a readout these are the conductances, 1/ohm. Bounds are included, because garbled codes
-    may lie at a rail; NaN where missing.
+    The shape is (frames, rows, columns). Bounds are included, because garbled codes may lie at a
+    rail; missing readings are NaN.
     """
     scene = recording.scene
     recorded = recording.recorded
@@ -143,7 +142,7 @@ def _signal(recording: Recording) -> Array:
 def _expected(values: Array) -> tuple[Array, Array]:
     """Return the median of the neighbours of each frame and their scatter.
 
-    Shape (frames, rows, columns).
+    Both arrays have the shape (frames, rows, columns).
     """
     frames = np.arange(len(values))
     width = 2 * WINDOW + 1
@@ -156,9 +155,9 @@ def _expected(values: Array) -> tuple[Array, Array]:
 
 
 def _noise(recording: Recording, values: Array) -> float:
-    """Return the standard deviation of the noise by changes from frame to frame.
+    """Return the standard deviation of the noise, estimated from changes from frame to frame.
 
-    It is at least that of the converter.
+    The noise of the converter is the least value.
     """
     steps = np.abs(np.diff(values, axis=0))
     measured = float(MAD_TO_SIGMA / np.sqrt(2) * median(steps.ravel())[0])
@@ -232,10 +231,10 @@ class Along:
         return np.flatnonzero(clear)
 
     def _is_displaced(self, frame: int, lines: NDArray[np.bool_]) -> bool:
-        """Return whether lines have the readings of cells further along the scan.
+        """Return whether lines of one frame have the readings of cells further along the scan.
 
-        They also have readings of their own before and after. A load that jumps is displaced as
-        well, but the film, whose cells differ in the first frame, is not.
+        The lines must have their own readings in the frames before and after. A load that jumps is
+        displaced as well, but the film, whose cells differ in the first frame, is not.
         """
         if not 0 < frame < len(self.values) - 1:
             return False

@@ -24,9 +24,9 @@ OPEN_CELLS = (
 
 
 def processing_of(codes: Array, resting: NDArray[np.bool_], present: NDArray[np.bool_]) -> str:
-    """Return what firmware did to readings, as a sentence that says what to change.
+    """Return a sentence on the processing of readings by firmware, and on the remedy.
 
-    '' where nothing is seen.
+    The sentence is '' if no processing is evident.
 
     Parameters
     ----------
@@ -44,8 +44,8 @@ def processing_of(codes: Array, resting: NDArray[np.bool_], present: NDArray[np.
         return ""
     if np.sum(read < 0) > NEGATIVE_SHARE * known.sum():
         return (
-            f"codes below 0, down to {np.nanmin(read):g}: the firmware subtracts a resting "
-            f"frame; {AS_CONVERTED}"
+            f"codes below 0, down to {np.nanmin(read):g}: "
+            f"the firmware subtracts a resting frame; {AS_CONVERTED}"
         )
     zero = read == 0
     above = read[known & ~zero]
@@ -53,15 +53,15 @@ def processing_of(codes: Array, resting: NDArray[np.bool_], present: NDArray[np.
         share = zero[resting].sum() / known[resting].sum()
         if share > ZERO_SHARE:
             return (
-                f"{100 * share:.0f} % of the unloaded readings are exactly 0: the firmware "
-                "subtracts a resting frame "
-                f"and clips at 0, or has a threshold; {AS_CONVERTED}; {OPEN_CELLS}"
+                f"{100 * share:.0f} % of the unloaded readings are exactly 0: "
+                "the firmware subtracts a resting frame and clips at 0, or has a threshold; "
+                f"{AS_CONVERTED}; {OPEN_CELLS}"
             )
     if above.size and zero.sum() > ZERO_SHARE * known.sum() and above.min() >= MIN_THRESHOLD:
         return (
-            f"{100 * zero.sum() / known.sum():.0f} % of the readings are exactly 0, and none lies "
-            "between 0 and "
-            f"{above.min():g}: the firmware has a threshold; {AS_CONVERTED}; {OPEN_CELLS}"
+            f"{100 * zero.sum() / known.sum():.0f} % of the readings are exactly 0, "
+            f"and none lies between 0 and {above.min():g}: "
+            f"the firmware has a threshold; {AS_CONVERTED}; {OPEN_CELLS}"
         )
     return ""
 

@@ -33,9 +33,9 @@ def stand_in(value: Array, known: NDArray[np.bool_]) -> Array:
 def stand_in_spread(value: Array, known: NDArray[np.bool_]) -> Array:
     """Return the standard deviation of log(stand_in) for one frame, (rows, columns).
 
-    1 if nothing is known. It is determined by cross-validation, leaving out one diagonal after the
-    other: the rms error, or more if that does not cover 95 % of the errors. For a line without any
-    known reading the variance of the other lines' effects is added.
+    Cross-validation, which leaves out one diagonal after the other, gives the rms error, or more if
+    this does not cover 95 % of the errors. For a line without any known reading the variance of the
+    other lines' effects is added. The deviation is 1 if nothing is known.
     """
     if not known.any():
         return np.ones(known.shape)
@@ -85,7 +85,7 @@ def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
 def median(values: Array, axis: int = 0) -> Array:
     """Return medians along an axis, which is kept, without NaN.
 
-    NaN where all values are. Faster than nanmedian.
+    The median of NaN alone is NaN. The function is faster than nanmedian.
     """
     # NaN last
     ordered = np.sort(values, axis=axis)
@@ -200,7 +200,7 @@ class Readings:
     ) -> "Readings":
         """Return the readings of a panel of modules, each by its own scene.
 
-        Those of dead modules are missing.
+        Dead modules have no readings.
         """
         values = layout.split(recorded).copy()
         values[..., list(scene.dead_modules), :, :] = np.nan
@@ -216,10 +216,7 @@ class Readings:
         return cls.of_parts(layout, [parts[number] for number in range(layout.count)])
 
     def each(self, change: Callable[[Array], Array]) -> "Readings":
-        """Return the readings with a function applied to all four arrays.
-
-        Such a function is `layout.split`.
-        """
+        """Return the readings with a function such as `layout.split` applied to all arrays."""
         sigma = None if self.sigma is None else change(self.sigma)
         return Readings(change(self.value), sigma, change(self.side), change(self.seen))
 
@@ -238,7 +235,7 @@ class Readings:
     def together(self, *frames: "Readings", axis: int = 0) -> "Readings":
         """Return frames (rows, columns) stacked as (frames, rows, columns).
 
-        σ is None if it is for one of them.
+        The stack has no σ if a frame has none.
         """
 
         def stacked(name: str) -> Any:
@@ -279,7 +276,7 @@ class Readings:
         """Return whether frames can be estimated, (…).
 
         At most half of the scene's requested readings may be missing. At least half of them, or M +
-        N − 1, must be values: so many describe a panel with one factor for each line.
+        N − 1, must be values: a panel with one factor for each line has M + N − 1 unknowns.
         """
         requested = scene.requested
         lines = int(requested.any(axis=1).sum() + requested.any(axis=0).sum())
@@ -335,9 +332,14 @@ class Readings:
 
 
 def mean_change(value: Array, resting: Array) -> Array:
-    """Return the mean |log y/y₀| of each frame, (…).
+    """Return the mean |log y/y₀| of each frame, (…), without NaN.
 
-    It is for readings y (…, rows, columns) and y₀ (rows, columns). NaN is ignored.
+    Parameters
+    ----------
+    value : array, shape (…, rows, columns)
+        Readings y.
+    resting : array, shape (rows, columns)
+        Unloaded readings y₀.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         change = np.abs(np.log(value / resting))
@@ -347,9 +349,9 @@ def mean_change(value: Array, resting: Array) -> Array:
 
 
 def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp]) -> int:
-    """Return the frame with the largest mean |log y/y₀|, the last one if several.
+    """Return the number of the frame, among `frames`, with the largest mean |log y/y₀|.
 
-    It is one of the numbers `frames`.
+    The last such frame is returned if there are several.
     """
     change = mean_change(value[frames], resting)
     return int(frames[np.flatnonzero(change == change.max())[-1]])
@@ -374,22 +376,19 @@ def check_sigma(scene: Scene, recorded: Array, sigma: Array | None, where: str =
     impossible = beyond_any_panel(sigma)
     if np.any(impossible):
         raise InputError(
-            f"{where}sigma holds {sigma[impossible][0]:.6g} {scene.circuit.unit}, which no "
-            "electronics has"
+            f"{where}sigma holds {sigma[impossible][0]:.6g} {scene.circuit.unit}, "
+            "which no electronics has"
         )
     if np.any(sigma <= 0):
         index = tuple(int(part) for part in np.argwhere(sigma <= 0)[0])
         raise InputError(
-            f"{where}sigma{list(index)} is {sigma[index]:.6g} {scene.circuit.unit}; it must be "
-            "positive"
+            f"{where}sigma{list(index)} is {sigma[index]:.6g} {scene.circuit.unit}; "
+            "it must be positive"
         )
 
 
 def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:
-    """Return σ of every reading of the network from the given one, or from the readout's.
-
-    None if unknown.
-    """
+    """Return σ of the network's readings from the given one, or from the readout's, or None."""
     if sigma is not None:
         return scene.circuit.sigma_of_reading(recorded, np.broadcast_to(sigma, recorded.shape))
     if scene.readout is None:
@@ -400,9 +399,12 @@ def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:
 def _without_channel_before(
     scene: Scene, memory: float, recorded: Array, side: Array, sigma: Array | None
 ) -> tuple[Array, Array, Array]:
-    """Return recorded values within the rails, their sides and σ.
+    """Return recorded values without the converter's memory of other channels.
 
-    They are without the converter's memory of other channels.
+    Returns
+    -------
+    recorded, side, sigma : array, shape of `recorded`
+        Values within the rails, the sides of bounds, and standard deviations.
     """
     if scene.readout is None:
         raise InputError(
@@ -419,7 +421,7 @@ def _without_channel_before(
 def _least_value(scene: Scene, reach: Array) -> Array:
     """Return the network's reading up to which a value is an upper bound.
 
-    It is for `reach` of NOISE_REACH σ.
+    `reach` is NOISE_REACH standard deviations of the readings.
     """
     if scene.circuit.unit != "ohm":
         return np.zeros_like(reach)
@@ -472,10 +474,7 @@ def _averaged(
 
 
 def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = None) -> Array:
-    """Return frames with substitutes where `whole` is 0.
-
-    They are predicted from the values among the seen readings.
-    """
+    """Return frames with predictions from the seen values where `whole` is 0."""
     if np.all(whole):
         return value
     known = ((whole if seen is None else seen) > 0) & (side == VALUE)
@@ -496,10 +495,14 @@ def _filled(values: Array, seen: Array) -> Array:
 def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     """Return groups of rows with equal readings in all frames (frames, rows, columns).
 
-    There are no groups if the noise is unknown. Two rows that touch are one node: their
-    readings are equal in every column of every frame, and differ from those of other rows in every
-    frame. Rows of a uniform panel that no load reaches differ from the others only under loads, and
-    not in the frame in which the rows are most alike.
+    Two rows that touch are one node: their readings are equal in every column of every frame, and
+    differ from those of other rows in every frame. Rows of a uniform panel that no load reaches
+    differ from the others only under loads, and not in the frame in which the rows are most alike.
+
+    Returns
+    -------
+    tuple of tuple of int
+        Numbers of the rows of each group; empty if the noise is unknown.
     """
     sigma = readings.sigma_of_values
     rows = readings.value.shape[-2]

@@ -18,7 +18,7 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FILE_ATTRIBUTES, Acquisition, group_of, stored_fields
 from lampest.recording.file import create_frames_group, read_frames, recording_file
-from lampest.recording.readings import Readings, check_sigma
+from lampest.recording.readings import Readings, check_sigma, mean_change, strongest_frame
 from lampest.recording.unit import check_unit, recorded_values
 
 UNLOADED = 0
@@ -33,6 +33,7 @@ UNEVENLY = (
 )
 # Least relative change of readings or cells by a load or a common error, far above drift.
 MIN_CHANGE = 0.01
+MAX_NEIGHBOURS = 2  # frames or networks that decide with the strongest one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -106,8 +107,8 @@ class Recording(Validated):
         if self.recorded.shape[1:] != shape or frames == 0:
             actual = " × ".join(str(size) for size in self.recorded.shape)
             raise InputError(
-                f"{self.name}: {self.path} is {actual}, but the scene's panel asks for frames × "
-                f"{shape[0]} × {shape[1]} with at least one frame"
+                f"{self.name}: {self.path} is {actual}, but the scene's panel asks for "
+                f"frames × {shape[0]} × {shape[1]} with at least one frame"
             )
         where = f"{self.name}: {self._group}/"
         check_sigma(self.scene, self.recorded, self.sigma, where)
@@ -140,7 +141,7 @@ class Recording(Validated):
     def _check_unit(self) -> None:
         """Raise InputError if the values are probably in kohm.
 
-        They are, without raw sums, if all are below the series resistance.
+        Values without raw sums are in kohm if all are below the series resistance.
         """
         circuit = self.scene.circuit
         valid = self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
@@ -156,9 +157,8 @@ class Recording(Validated):
         stuck = valid.min() == valid.max()  # at the converter's rail: a module without contact
         if not stuck and valid.max() < series and 8 <= code < 2**circuit.adc_bits - 8:
             raise InputError(
-                f"{self.name}: {self.path} is at most {valid.max():.4g} ohm, less than the "
-                f"{series:.4g} ohm in series; "
-                "are these kohm?"
+                f"{self.name}: {self.path} is at most {valid.max():.4g} ohm, "
+                f"less than the {series:.4g} ohm in series; are these kohm?"
             )
 
     @property
@@ -238,8 +238,8 @@ class Recording(Validated):
             or (known is not None and array.shape[1:] != requested)
         ):
             shapes = (
-                f"(frames, {requested[0]}, {requested[1]}) with at least one frame, not "
-                f"{array.shape}"
+                f"(frames, {requested[0]}, {requested[1]}) with at least one frame, "
+                f"not {array.shape}"
             )
             raise InputError(f"values must have the shape {shapes}")
         if not 0 <= baseline <= len(array):
@@ -349,7 +349,7 @@ class Recording(Validated):
     ) -> Any:
         """Return a Matplotlib figure with a map of a frame's readings.
 
-        They are shown against the unloaded ones where there are some.
+        If the recording has unloaded frames, the map shows the change against them.
 
         Parameters
         ----------
@@ -441,6 +441,36 @@ class Recording(Validated):
         if len(frames) == 0:
             raise InputError(f"{self.name}: {self._group}/role has no measured frame (role 1)")
         return frames
+
+
+def baseline_readings(recording: Recording, readings: Readings) -> Readings:
+    """Return the mean of the unloaded frames.
+
+    Without any, or where too little of them was read, the first frame of which enough was read.
+    """
+    unloaded = np.flatnonzero(recording.role == UNLOADED)
+    mean = readings[unloaded if len(unloaded) else [0]].mean()
+    usable = np.flatnonzero(readings.enough(recording.scene))
+    return mean if mean.enough(recording.scene) or not len(usable) else readings[usable[:1]].mean()
+
+
+def deciding_frames(
+    recording: Recording, readings: Readings, resting: Readings
+) -> NDArray[np.intp]:
+    """Return the measured frame that differs most from rest, and frames that decide with it.
+
+    The further frames are spread evenly over those that differ half as far from rest. Frames
+    without enough readings are left out.
+    """
+    frames = recording.measured_frames()
+    frames = frames[readings.enough(recording.scene)[frames]]
+    if not len(frames):
+        return frames
+    change = mean_change(readings.plain_values, resting.value)
+    strongest = strongest_frame(readings.plain_values, resting.value, frames)
+    loaded = frames[(change[frames] >= change[strongest] / 2) & (frames != strongest)]
+    spread = np.linspace(0, len(loaded) - 1, MAX_NEIGHBOURS if len(loaded) else 0)
+    return np.append(strongest, loaded[np.unique(spread.round().astype(int))])
 
 
 def _scene_of(scene: Scene | str | Path | None) -> Scene | None:

@@ -153,10 +153,7 @@ def joined(parts: Sequence[Recording], chosen: NDArray[Any] | None = None) -> Re
 
 
 def first_unloaded(stored: StoredRecording, most: int) -> Recording | None:
-    """Return at most `most` unloaded frames from the beginning of a recording.
-
-    None if there is none.
-    """
+    """Return at most `most` unloaded frames from the beginning of a recording, or None."""
     numbers = np.flatnonzero(stored.role == UNLOADED)[:most]
     parts = (stored.part(frames) for frames in stored.blocks if np.isin(numbers, frames).any())
     chosen = [
@@ -166,9 +163,9 @@ def first_unloaded(stored: StoredRecording, most: int) -> Recording | None:
 
 
 def measured_part(stored: StoredRecording, frames: range, beside: int) -> Recording | None:
-    """Return the measured frames of a range, and of `beside` frames on either side.
+    """Return the measured frames of a range, and of `beside` frames on either side, or None.
 
-    None if the range has none.
+    The function returns None if no frame of the range is measured.
     """
     part = stored.part(frames, beside)
     assert part.number is not None
@@ -180,8 +177,8 @@ def measured_part(stored: StoredRecording, frames: range, beside: int) -> Record
 def save_parts(path: Path, parts: Iterable[Recording]) -> None:
     """Write a recording from its parts, completely or not at all.
 
-    Until all parts exist they are files in a temporary folder next to it. Raises InputError if it
-    cannot be written.
+    Parts are files in a temporary folder next to the recording until all of them exist. Raises
+    InputError if the recording cannot be written.
     """
     files: list[Path] = []
     with folder_beside(path) as folder:

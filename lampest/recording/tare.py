@@ -30,11 +30,16 @@ def frames_named(text: str, frames: int | None = None) -> range:
 
 
 def tared(recording: Recording, frames: range) -> tuple[Recording, float]:
-    """Return the recording with given frames as the only unloaded ones, and their change.
+    """Return the recording with given frames as the only unloaded ones.
 
-    It is the change of readings within them. The change is the largest relative change of a reading
-    from the first half of the frames to the second half; 0 for a single frame. Raises InputError if
-    no measured frame would remain.
+    Raises InputError if no measured frame would remain.
+
+    Returns
+    -------
+    recording : Recording
+    change : float
+        Largest relative change of a reading from the first half of these frames to the second, or 0
+        for a single frame.
     """
     if len(frames) == len(recording.role):
         raise InputError(

@@ -49,10 +49,10 @@ def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
 def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source: object) -> Array:
     """Return values converted from their unit to the readout's recorded quantity.
 
-    Shape (frames, rows, columns). NaN is kept. Codes and voltages at a rail, infinite resistances
-    and those of zero remain bounds. Raises InputError with the place (frame, row, column) of an
-    impossible value, or with the source if most readings are at the rail of a shorted cell: unit or
-    range are probably wrong.
+    Values have the shape (frames, rows, columns). NaN is kept. Codes and voltages at a rail,
+    infinite resistances and those of zero remain bounds. Raises InputError with the place (frame,
+    row, column) of an impossible value, or with the source if most readings are at the rail of a
+    shorted cell: unit or range are probably wrong.
     """
     scaled = values * FACTORS[unit]
     readout = scene.readout
@@ -98,8 +98,8 @@ def _check_shorted(
         return
     key = "converter_volt" if hasattr(readout, "converter_volt") else "supply_volt"
     wrong = (
-        f"{count} of {total} readings stand at the rail of the converter that a shorted cell "
-        "reaches"
+        f"{count} of {total} readings "
+        "stand at the rail of the converter that a shorted cell reaches"
     )
     scale = f"readout.{key}, {readout.full_scale_volt:g} V, the end of its range"
     raise InputError(f"{source}: {wrong}: are they in {unit}, and is {scale}?")

@@ -11,10 +11,10 @@ from typing import Any, ClassVar, Literal
 
 from lampest.cost.given import Background
 from lampest.cost.terms import AnyTerm, Term, term_types
-from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
+from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
 from lampest.estimate.objective import Tare
-from lampest.estimate.sequence import check_by_parts
+from lampest.estimate.parts import check_by_parts
 from lampest.estimate.witness import Verify
 from lampest.files import sweep
 from lampest.files.document import (
@@ -34,6 +34,7 @@ from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import check_name
 from lampest.runs.executors import AnyExecutor, Dask, Executor
 from lampest.runs.results import PublishedFigures
+from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import Settings
 
 FORBID: dict[str, Any] = {"extra": "forbid"}

@@ -1,8 +1,7 @@
-"""Bounds of cells: active set and projected steps.
+"""Bounds of cells: active set, projected steps, and bounds that leave readings unexplained.
 
-Also whether bounds prevent cells from explaining readings. The multiplier of an active bound is the
-remaining gradient. Source: Nocedal & Wright, Numerical Optimization, 2006, section 12.3
-(multipliers as sensitivities).
+The multiplier of an active bound is the remaining gradient.
+Source: Nocedal & Wright, Numerical Optimization, 2006, section 12.3 (multipliers as sensitivities).
 """
 
 import numpy as np
@@ -17,10 +16,10 @@ MIN_DECREASE_SHARE = 1e-12  # of the cost's scale: a smaller decrease is roundin
 
 
 def free_cells(at: Evaluation, gradient: Array) -> NDArray[np.bool_]:
-    """Return the free cells, boolean (…, cells).
+    """Return the cells that can move and that no bound holds, boolean (…, cells).
 
-    These have room, and the gradient does not press them against a bound. `gradient` is in u = log
-    r, (…, cells).
+    A bound holds a cell if the cell is at the bound and the descent of the cost points beyond it.
+    `gradient` is ∂φ/∂u, u = log r, (…, cells).
     """
     lower, upper = at.data.log_bounds
     slope = gradient.reshape(at.position.shape)
@@ -44,7 +43,7 @@ def within_bounds(at: Evaluation, free: NDArray[np.intp], step: Array) -> Array:
 def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
     """Return a point of lower cost forward or backward along a direction (cells,) of u.
 
-    None if none is found.
+    Returns None if neither side has such a point.
     """
     least = _certain_cost(at) - MIN_DECREASE_SHARE * at.cost_scale
     size = float(np.abs(along).max(initial=0.0)) or 1.0
@@ -67,7 +66,7 @@ def _certain_cost(at: Evaluation) -> float:
 def moved_by(at: Evaluation, step: Array) -> Evaluation | None:
     """Return the evaluation after a step of u (flat), clipped to the bounds.
 
-    None if its network cannot be solved.
+    Returns None if the network cannot be solved there.
     """
     cells = np.exp(at.position + step.reshape(at.position.shape))
     try:

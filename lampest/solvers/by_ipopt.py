@@ -1,12 +1,14 @@
 """Solver that gives the nonlinear program with node voltages to IPOPT.
 
-It begins at the same starts as every other solver, and takes no other answer: initial voltages are
-those of the start's cells, multipliers those with which IPOPT ended the frame before.
+IPOPT begins at the same starts as every other solver, and its solution is checked in the same way.
+Initial voltages are those of the start's cells; initial multipliers are the final ones of the
+previous frame.
 """
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import log
+from typing import ClassVar
 
 import numpy as np
 
@@ -57,6 +59,8 @@ class Ipopt(Solver):
         Those of the frame before.
     """
 
+    cells_alone: ClassVar[bool] = False
+
     readout: Readout
     wiring: Wiring | None
     patterns: Excitation
@@ -76,10 +80,7 @@ class Ipopt(Solver):
         return replace(self, multipliers=carried if isinstance(carried, Multipliers) else None)
 
     def cold(self) -> "Ipopt":
-        """Return the solver that begins without multipliers.
-
-        It has a barrier parameter of IPOPT's own choice.
-        """
+        """Return the solver without initial multipliers and with IPOPT's own barrier parameter."""
         return replace(self, multipliers=None)
 
     def solve(self, data: Data, start: Evaluation) -> Outcome:

@@ -1,6 +1,4 @@
-"""Second-order certificate of a local minimum.
-
-It has the length of one more Newton step, and the definiteness of the Hessian.
+"""Second-order certificate of a local minimum: a Newton step, and the definiteness of the Hessian.
 
 With g and H of the cost in u = log r over the free cells, a Newton step is s = −H⁻¹ g, its
 decrement δ = √(gᵀ H⁻¹ g). Where cost/s₀² is −2·log probability, δ/(√2·s₀) bounds |s_c| over the
@@ -113,9 +111,10 @@ class Certificate:
 
     @property
     def settled(self) -> bool:
-        """Whether this is a strict minimum within a tolerance.
+        """Whether the point is a strict minimum within a tolerance.
 
-        It is one up to a millionth of log r or DEVIATION_SHARE of a posterior deviation.
+        The tolerance of the Newton step is a millionth of log r, or DEVIATION_SHARE of a posterior
+        deviation.
         """
         if self.definiteness is not Definiteness.POSITIVE:
             return False
@@ -125,9 +124,9 @@ class Certificate:
         )
 
     def after(self, hessian: Hessian) -> "Certificate":
-        """Return the certificate of a nearby point by the factor of this one.
+        """Return the certificate of a nearby point, computed with the factor of this one.
 
-        Second derivatives hardly change.
+        Second derivatives hardly differ between the two points.
         """
         assert self.factor is not None
         free = self.factor.cells
@@ -143,10 +142,10 @@ class Certificate:
         )
 
     def converged(self, cost_scale: float) -> bool:
-        """Return whether one more step hardly changes cells and cost.
+        """Return whether one more Newton step hardly changes cells and cost.
 
-        It then moves no cell by a millionth and lowers the cost by at most its rounding. This
-        replaces the test of the gradient for penalties that outweigh the data by 10⁸: their
+        Such a step moves no cell by a millionth and lowers the cost by at most its rounding. The
+        test replaces that of the gradient for penalties that outweigh the data by 10⁸: their
         gradient is rounding, but the Newton step, divided by their curvature, is small.
         """
         small = float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH
@@ -174,12 +173,11 @@ def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) 
 
 
 def _of_reproduced(hessian: Hessian) -> Certificate | None:
-    """Return the certificate of plain least squares whose readings are all reproduced.
+    """Return the certificate of plain least squares whose readings are all reproduced, or None.
 
-    None in other cases. The cost then is nearly zero, its least value, and the Newton step is s =
-    −J⁻¹ e with the relative residuals e of the readings. J alone keeps digits that H = JᵀWJ loses.
-    If the noise is not known, the certificate also holds where cells within MAX_DISTANCE reproduce
-    all readings.
+    The cost then is nearly zero, its least value, and the Newton step is s = −J⁻¹ e with the
+    relative residuals e of the readings. J alone keeps digits that H = JᵀWJ loses. If the noise is
+    not known, the certificate also holds where cells within MAX_DISTANCE reproduce all readings.
     """
     if not all(term.reads_measurement for term in hessian.at.cost.terms) or not hessian.only_data:
         return None

@@ -69,7 +69,7 @@ class QuadraticModel:
     def of(cls, point: Iterate) -> "QuadraticModel":
         """Return the exact model about a point.
 
-        Its preconditioner is the newest one, unless the point has moved too far from it.
+        The preconditioner is the newest one if the point is near enough to it, else a new one.
         """
         hessian = point.hessian
         cached = point.newest_preconditioner

@@ -1,6 +1,4 @@
-"""First and second derivatives of the cost in u = log r, potentials eliminated.
-
-They are available as products, or as a matrix.
+"""Derivatives of the cost in u = log r, potentials eliminated, as products and as a matrix.
 
 With J = ∂y/∂u, e = ∂φ/∂y, N = diag(g)·Σ_i e_i ∂²y_i/∂g²·diag(g), T the second derivatives of the
 terms by (r; y): ∇²φ = (diag r; J)ᵀ T (diag r; J) + N + diag(r ∂φ/∂r − Jᵀ e). Gauss–Newton's matrix
@@ -30,10 +28,10 @@ from lampest.solvers.smoothing import Smoothing
 
 @dataclass(frozen=True, eq=False)
 class Hessian:
-    """Gradient and Hessian of φ in u = log r at one point.
+    """Gradient and Hessian of φ in u = log r at one point of one panel, or of each of many panels.
 
-    With a leading axis, they are at one point of each of many panels. Vectors are flat, (…, frames
-    · cells). Products, and matrices over chosen cells, exist for a single panel only.
+    Many panels are the leading axis of the arrays. Vectors are flat, (…, frames · cells). Products,
+    and matrices over chosen cells, exist for a single panel only.
 
     Attributes
     ----------
@@ -61,9 +59,8 @@ class Hessian:
     def elsewhere(self, position: Array) -> "Hessian":
         """Return the derivatives at another point u, (…, cells), clipped to the bounds.
 
-        This works without absolute losses only.
-
-        Raises numpy.linalg.LinAlgError where a line is not connected.
+        The cost must have no absolute losses. Raises numpy.linalg.LinAlgError where a line is not
+        connected.
         """
         data = self.at.data
         cells = np.clip(np.exp(position).reshape(data.lower.shape), data.lower, data.upper)
@@ -192,9 +189,9 @@ class Hessian:
     def reading_weight(self) -> Array:
         """Weights W of the readings in the Gauss–Newton matrix, (frames, rows, columns).
 
-        W = max(∂²φ/∂y², 0) for squared losses and ρ'(x)/x·(∂x/∂y)² for all others. The latter are
-        the weights of iteratively reweighted least squares. They are positive even where ρ'' is
-        negative, beyond a loss's corner.
+        W = max(∂²φ/∂y², 0) for squared losses and ρ'(x)/x·(∂x/∂y)² for all others. The latter, the
+        weights of iteratively reweighted least squares, are positive even beyond a loss's corner,
+        where ρ'' is negative.
         """
         weight = np.maximum(self.curvature, 0.0)
         if not all(term.loss.squared for term in self.at.cost.terms if term.reads_measurement):
@@ -241,7 +238,7 @@ class Hessian:
     def only_data(self) -> bool:
         """Whether the second derivatives have no part at fixed readings.
 
-        This holds for one frame with no penalty on its cells.
+        Costs of one frame without a penalty on its cells have none.
         """
         cells = self.at.cell_resistance
         functions = self.at.cost.functions

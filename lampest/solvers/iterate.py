@@ -80,10 +80,7 @@ class Iterate:
 
     @cached_property
     def gap(self) -> float:
-        """Duality gap Σ w·(|x| − z·x) of the smoothed absolute losses.
-
-        It is relative to the cost's scale.
-        """
+        """Duality gap Σ w·(|x| − z·x) of the smoothed absolute losses over the cost's scale."""
         if not len(self.at.nonsmooth):
             return 0.0
         slope = self.hessian.smoothing.slope(self.at.nonsmooth)
@@ -121,9 +118,9 @@ class Iterate:
 
     @property
     def converges(self) -> bool:
-        """Whether the next step is expected to be short enough for a certificate.
+        """Whether a certificate of this point is expected to hold after the next step.
 
-        It is if a certificate of this point holds after it.
+        The step must be short, and the cost without absolute losses.
         """
         return self.expected <= STEPS.refactor_distance**2 and not len(self.at.nonsmooth)
 
@@ -136,7 +133,7 @@ class Iterate:
     def settled(self) -> bool:
         """Whether this is a certified strict minimum, or a plateau.
 
-        A plateau is without any gradient or direction of descent.
+        A plateau has neither a gradient nor a direction of descent.
         """
         verdict = self.certificate
         return verdict is not None and (
@@ -145,10 +142,7 @@ class Iterate:
 
     @property
     def below_saddle(self) -> "Iterate | None":
-        """The certificate's point of lower cost next to a saddle.
-
-        None without a certificate or such a point.
-        """
+        """The certificate's point of lower cost next to a saddle; None without such a point."""
         if self.certificate is None or self.certificate.lower is None:
             return None
         lower = self.certificate.lower
@@ -156,10 +150,7 @@ class Iterate:
 
     @property
     def newest_preconditioner(self) -> Preconditioner | None:
-        """The factor of ∇²φ of the newest certificate.
-
-        Without one, it is the preconditioner of an earlier point.
-        """
+        """Factor of ∇²φ of the newest certificate, else the preconditioner of an earlier point."""
         verdict = self.newest_certificate
         if verdict is None or verdict.factor is None:
             return self.preconditioner
@@ -192,7 +183,7 @@ class Iterate:
     def at_step(self, step: Array) -> "Iterate | None":
         """Return the point after a step of u (flat), clipped to the bounds.
 
-        None if its network cannot be solved.
+        Returns None if the network cannot be solved there.
         """
         at = moved_by(self.at, step)
         if at is None:

@@ -20,8 +20,6 @@ from lampest.files.errors import BROKEN
 from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.certificate import MIN_COST_SHARE
-from lampest.solvers.convex import convex_cells, convex_is_the_answer
-from lampest.solvers.relaxation import relaxed_starts
 from lampest.solvers.solution import MAX_STARTS, Outcome, Solution, Solver, Status, check, failure
 
 # Starts of a frame whose first solve met negative curvature: as many as there are kinds of starts.
@@ -62,8 +60,8 @@ class Effort:
     def of(cls, solver: Solver, data: Data, previous: Array | None) -> "Effort":
         """Return the effort of a frame.
 
-        It is MAX_MINIMA starts where the cost may have several minima, and more of them with losses
-        that are not convex.
+        The number of starts, unless the settings state it, is MAX_MINIMA where the cost may have
+        several minima, MAX_RELAXED with losses that are not convex, and 1 otherwise.
         """
         if solver.settings.starts is not None:
             return cls(solver.settings.starts, requested=True)
@@ -105,8 +103,8 @@ def best_solution(
 ) -> Solution:
     """Return the lowest minimum that a solver reaches from the starts of a frame.
 
-    It is on the branch of the first start. A start with a numerical breakdown is skipped. If all
-    starts break down, the status states it.
+    Minima on the branch of the first start precede all others. A start with a numerical breakdown
+    is skipped. If all starts break down, the status states it.
 
     Parameters
     ----------
@@ -137,11 +135,14 @@ def best_solution(
 def _places(solver: Solver, data: Data, previous: Array | None) -> Iterator[Array]:
     """Yield the starts of a frame.
 
-    They are endless where their number is requested, and with losses that are not convex.
+    The sequence has no end where the settings state the number of starts, and with losses that are
+    not convex.
     """
     cost = solver.cost
     usual = starts(cost, data, previous)
     if not cost.convex_losses:
+        from lampest.solvers.relaxation import relaxed_starts  # for such losses alone
+
         first = next(usual)
         yield first
         yield from relaxed_starts(solver.continued(None), evaluated(cost, data, first))
@@ -151,10 +152,7 @@ def _places(solver: Solver, data: Data, previous: Array | None) -> Iterator[Arra
 
 
 def lower_of(best: Solution | None, solution: Solution) -> Solution:
-    """Return the solution of lower cost.
-
-    It is the earlier one where costs are equal, or nothing is solved.
-    """
+    """Return the solution of lower cost, or `best` if the costs are equal or nothing is solved."""
     if best is None or (solution.solved and not best.solved):
         return solution
     # near 0 relative differences say nothing: several panels may give the readings exactly
@@ -165,10 +163,10 @@ def lower_of(best: Solution | None, solution: Solution) -> Solution:
 
 
 def preferred(best: Solution | None, solution: Solution, branch: Array) -> Solution:
-    """Return the solution on a branch; of two on it, or off it, that of lower cost.
+    """Return the solution on a branch, or of two solutions on it, or off it, that of lower cost.
 
-    Where two panels read alike, costs do not say which of them is meant
-    (`lampest.panel.readouts.branches`). The first start does, which continues the frame before.
+    Two panels can have equal readings (`lampest.panel.readouts.branches`), and costs do not tell
+    them apart. The first start does, because it continues the frame before.
     """
     if best is None or not best.solved or not solution.solved:
         return lower_of(best, solution)
@@ -208,14 +206,14 @@ def several_minima(cost: Cost, data: Data) -> bool:
 
 
 def starts(cost: Cost, data: Data, previous: Array | None) -> Iterator[Array]:
-    """Yield the starts of a frame in the order in which they are tried.
+    """Yield the starts of a frame, (frames, rows, columns) ohm, in the order of their trial.
 
-    Each has the shape (frames, rows, columns), in ohm. The convex start of plain least squares is
-    left out: it is the answer by another method.
+    The convex start of plain least squares is left out, because it is the solution by another
+    method.
     """
     yield data.uniform_start if previous is None else previous
-    if not convex_is_the_answer(cost, data):
-        yield convex_cells(data, None)
+    if not data.start_minimises(cost):
+        yield data.start()
     if previous is not None:
         yield data.uniform_start
 
@@ -223,9 +221,9 @@ def starts(cost: Cost, data: Data, previous: Array | None) -> Iterator[Array]:
 def scattered(data: Data) -> Iterator[Array]:
     """Yield an endless, deterministic sequence of starts.
 
-    They are apparent resistances times factors of 1 to START_SPREAD. The exponents are the
-    fractional parts of √2·n², which are evenly distributed (Rudnick, Sarnak & Zaharescu, Invent.
-    Math. 145, 2001).
+    A start is the apparent resistance times factors from 1 to START_SPREAD. The exponents of
+    START_SPREAD are the fractional parts of √2·n², which are evenly distributed (Rudnick, Sarnak &
+    Zaharescu, Invent. Math. 145, 2001).
     """
     size = data.measured.size
     for drawn in count():

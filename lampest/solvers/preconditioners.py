@@ -1,6 +1,4 @@
-"""Preconditioners M ≈ ∇²φ of conjugate gradients.
-
-They are reused from frame to frame while they are accurate enough.
+"""Preconditioners M ≈ ∇²φ of conjugate gradients, reused from frame to frame while accurate enough.
 
 Small problems use the Cholesky factor of ∇²φ, or of the Gauss–Newton matrix. Large problems use
 derivatives by ohm, A = T + diag(c) + V S Vᵀ: T contains the penalties, c the response of each
@@ -54,7 +52,7 @@ class Preconditioner(ABC):
     def distance(self, cell_resistance: Array) -> float:
         """Return the largest |δ log r| between this point and the one of M.
 
-        It is infinite for a panel of another shape.
+        The distance is infinite for a panel of another shape.
         """
         if cell_resistance.shape != self.cell_resistance.shape:
             return float("inf")
@@ -265,9 +263,10 @@ class CoarseLines:
 
     @classmethod
     def of(cls, local: sparse.csr_array, along: Array, blocks: LineBlocks) -> "CoarseLines | None":
-        """Return the coarse space, or None.
+        """Return the coarse space, or None if it does not repay its cost.
 
-        None if three quarters of the lines add less than T + diag(c) has along them.
+        The cost is not repaid if three quarters of the lines add less than T + diag(c) has along
+        them.
         """
         if not len(along):
             return None
@@ -328,7 +327,7 @@ class CoarseLines:
 def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
     """Return a new preconditioner at a point.
 
-    It is over the free cells on small problems, over all cells on large ones.
+    The preconditioner acts on the free cells of small problems, and on all cells of large ones.
     """
     if not hessian.dense:
         return TwoLevel.of(hessian)
@@ -343,8 +342,9 @@ def gauss_newton_factor(
 ) -> Cholesky | None:
     """Return the Cholesky factor of the Gauss–Newton matrix over the free cells.
 
-    It is that of the matrix plus `damping` on its unit diagonal. Larger shifts are tried if that is
-    not positive definite. Returns None on large problems, or if no shift suffices.
+    The matrix is scaled to a unit diagonal and regularised by `damping` on it; larger shifts are
+    tried if the result is not positive definite. Returns None on large problems, or if no shift
+    suffices.
     """
     if not hessian.dense:
         return None
@@ -370,7 +370,7 @@ def floored(diagonal: Array) -> Array:
 def sparse_inverse(matrix: sparse.csr_array) -> Linear:
     """Return x → K⁻¹·x for a symmetric matrix K whose diagonal may span decades.
 
-    It is computed by sparse LU in symmetric order.
+    Sparse LU in symmetric order factors the matrix.
     """
     diagonal = floored(matrix.diagonal())
     size = np.sqrt(diagonal)

@@ -1,6 +1,4 @@
-"""Projected L-BFGS for many panels over a leading axis.
-
-Its inverse Hessians are reused from frame to frame.
+"""Projected L-BFGS for many panels over a leading axis, with inverse Hessians of earlier frames.
 
 If frames differ little, M⁻¹ ∇φ is nearly the Newton step, and every further step costs one gradient
 and one product with M⁻¹. Panels that have converged leave the batch. A panel that finds no step of
@@ -18,12 +16,12 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.solvers.acceptance import decreases_enough
 from lampest.solvers.bounds import MILLIONTH
 from lampest.solvers.certificate import clear_of_rounding
 from lampest.solvers.direction import conductance_change, log_resistance_change
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky
+from lampest.solvers.progress import decreases_enough
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings
 from lampest.solvers.steps import STEPS
@@ -82,15 +80,15 @@ class InverseHessians:
     def distance(self, panels: Numbers, position: Array) -> Array:
         """Return the largest |δ log r| since M was made, for the chosen panels.
 
-        It is infinite where there is no M.
+        The distance is infinite where there is no M.
         """
         moved = np.abs(position - self.position[panels]).max(axis=1)
         return np.where(np.isnan(moved), np.inf, moved)
 
     def shows_minimum(self, panels: Numbers, points: Hessian) -> Mask:
-        """Return whether ∇²φ was positive definite within CERTIFIED_DISTANCE.
+        """Return whether ∇²φ was positive definite, over the free cells of `points`, near them.
 
-        It must have been so over at least these free cells.
+        Two points are near within CERTIFIED_DISTANCE of log r.
         """
         near = self.distance(panels, points.position) <= CERTIFIED_DISTANCE
         return near & self.positive[panels] & ~(points.free & ~self.free[panels]).any(axis=1)
@@ -234,7 +232,7 @@ def _last_steps(
 ) -> tuple[Array, Mask, Mask]:
     """Return the Newton steps of panels, and which of the `near` ones are settled or stuck.
 
-    Panels whose gradient is small are near an optimum. They are settled if M shows a minimum and
+    Panels whose gradient is small are near an optimum. A panel is settled if M shows a minimum and
     the step is short, and stuck if ∇²φ is not positive definite. M is renewed, in place, where it
     does not show a minimum.
     """
@@ -288,10 +286,7 @@ class Secants:
         return Secants((*self.pairs, (step, change, size))[-self.most :])
 
     def direction(self, points: Hessian, inverses: InverseHessians, panels: Numbers) -> Array:
-        """Return −H ∇φ over the free cells by the two-loop recursion.
-
-        Here H = M⁻¹ corrected by the secants.
-        """
+        """Return −H ∇φ over the free cells, H = M⁻¹ corrected by the secants in two loops."""
         slope = np.where(points.free, points.gradient, 0.0)
         shares = list[Array]()
         for step, change, size in reversed(self.pairs):

@@ -41,7 +41,15 @@ def relaxed(cost: Cost) -> Cost:
 
 @lru_cache(maxsize=64)
 def huber_of(loss: Loss) -> tuple[float, float]:
-    """Return the corner of Huber's loss for a loss, and its factor ½ρ''(0)."""
+    """Return the corner and the factor of the Huber loss that replaces a loss.
+
+    Returns
+    -------
+    corner : float
+        CORNER of the range of residuals in which the loss is convex.
+    factor : float
+        Curvature ½ρ''(0) of the loss.
+    """
     convex = loss.curvature(RESIDUALS) > 0
     end = RESIDUALS[-1] if convex.all() else RESIDUALS[int(np.argmin(convex))]
     return CORNER * float(end), float(loss.curvature(np.zeros(1))[0])

@@ -38,9 +38,9 @@ class Smoothing:
         return slope
 
     def stiffness(self, residual: Array) -> Array:
-        """Return the second derivative of the smoothed loss with z as unknown.
+        """Return (1 − z·x/√(x² + β²))/√(x² + β²), the second derivative of the smoothed loss.
 
-        It is (1 − z·x/√(x² + β²))/√(x² + β²).
+        The derivative is that of a system with the duals z as further unknowns.
         """
         size = np.sqrt(residual**2 + self.width**2)
         stiffness: Array = (1 - self.dual * residual / size) / size

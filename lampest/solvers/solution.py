@@ -47,9 +47,9 @@ class Status(Enum):
 
     OPTIMUM = "optimum verified"
     HELD = (
-        "an optimum, but only within the bounds: cells that these hold leave readings off by more "
-        "than their noise"
-        " (by a millionth where that is unknown)"
+        "an optimum, but only within the bounds: "
+        "cells that these hold leave readings off by more than their noise "
+        "(by a millionth where that is unknown)"
     )
     MISSED = "an optimum, but it misses more than a tenth of the readings by ten times their noise"
     FLAT = "an optimum, but a plateau: the data and penalties leave some cells undetermined"
@@ -64,12 +64,12 @@ class Status(Enum):
     )
     BROKEN_OFF = "the run was broken off before this frame"
     ROUNDED = (
-        "not converged: one term outweighs the others by more than the sixteen digits of "
-        "double precision"
+        "not converged: "
+        "one term outweighs the others by more than the sixteen digits of double precision"
     )
     STALLED = (
-        "not converged: the cost has stopped falling; the data and penalties determine some "
-        "cells too weakly"
+        "not converged: the cost has stopped falling; "
+        "the data and penalties determine some cells too weakly"
     )
     ITERATIONS = "the iteration limit was reached before an optimum"
     TIME = "the time limit was reached before an optimum"
@@ -81,14 +81,15 @@ class Status(Enum):
 UNSETTLED = {Definiteness.POSITIVE: Status.FAINT, Definiteness.UNDETERMINED: Status.FLAT}
 ADVICE = {
     Status.OPTIMUM: "Nothing to do.",
-    Status.HELD: "Look at the cells at their bounds: a reading may be wrong, or `bounds` too "
-    "narrow.",
-    Status.MISSED: "Check the scene and the weights: the loss of the misfit ignores readings that "
-    "are far off, and these are too many to be outliers.",
-    Status.FLAT: "Add a penalty, or a weight to the one there is; do not interpret the "
-    "undetermined cells.",
-    Status.FAINT: "Add a penalty, lower `solver: tolerance`, or read the error bars before these "
-    "cells.",
+    Status.HELD: "Look at the cells at their bounds: "
+    "a reading may be wrong, or `bounds` too narrow.",
+    Status.MISSED: "Check the scene and the weights: "
+    "the loss of the misfit ignores readings that are far off, "
+    "and these are too many to be outliers.",
+    Status.FLAT: "Add a penalty, or a weight to the one there is; "
+    "do not interpret the undetermined cells.",
+    Status.FAINT: "Add a penalty, lower `solver: tolerance`, "
+    "or read the error bars before these cells.",
     Status.APPROXIMATE: "Take a formulation that ends at an optimum where a frame matters.",
     Status.SADDLE: "Begin at more places: `solver: {starts: 10}`.",
     Status.UNVERIFIED: "Take `formulation: reduced`; if that ends so too, report the frame.",
@@ -97,8 +98,8 @@ ADVICE = {
     Status.UNRESTED: "Choose other unloaded frames with `lampest tare`.",
     Status.BROKEN_OFF: "Run the same command again: it solves unfinished cases anew.",
     Status.ROUNDED: "Lower the weight of the heaviest term.",
-    Status.STALLED: "Raise the weight of a penalty, or the corner of its loss; check that the "
-    "readout fits the data.",
+    Status.STALLED: "Raise the weight of a penalty, or the corner of its loss; "
+    "check that the readout fits the data.",
     Status.ITERATIONS: "Raise `solver: max_iterations`, or add a penalty.",
     Status.TIME: "Raise `solver: time_limit_s`.",
     Status.INFEASIBLE: "Check `bounds`: they may leave no room.",
@@ -196,7 +197,7 @@ class Outcome:
 class Solution:
     """Checked estimate of one solve.
 
-    NaN unless it is an optimum, or an approximation that was requested.
+    Arrays are NaN unless the estimate is an optimum, or an approximation that was requested.
 
     Attributes
     ----------
@@ -279,10 +280,14 @@ class Solver(ABC):
         Cost that is minimised.
     settings : Settings
         Tolerance and limits of a solve.
+    cells_alone : bool
+        Whether cells are the only unknowns: potentials are eliminated, and a solve holds its start.
 
     >>> sorted(name for name in vars(lampest.Solver) if not name.startswith("_"))
-    ['cold', 'continued', 'name', 'prepare', 'solve']
+    ['cells_alone', 'cold', 'continued', 'name', 'prepare', 'solve']
     """
+
+    cells_alone: ClassVar[bool] = True
 
     cost: Cost
     settings: Settings
@@ -297,9 +302,9 @@ class Solver(ABC):
         _ = self.cost.functions
 
     def continued(self, carried: object) -> "Solver":
-        """Return the solver that begins with what the solve of the frame before carries.
+        """Return the solver that begins with the data `carried` by the previous frame's solution.
 
-        It is unchanged if that is of no use.
+        Returns the solver itself if it has no use for these data.
         """
         return self
 
@@ -317,11 +322,10 @@ class Solver(ABC):
 
 
 def check(start: Evaluation, outcome: Outcome) -> Solution:
-    """Return the solution of an outcome.
+    """Return the solution of an outcome, with cost and KKT residual recomputed outside the solver.
 
-    This is after cost and KKT residual are recomputed outside the solver. An estimate is kept only
-    if its KKT residual is at most VERIFIED, or its certificate converged, and its cost is not
-    higher than at the start.
+    An estimate is kept only if its KKT residual is at most VERIFIED, or its certificate converged,
+    and its cost is not higher than at the start.
 
     Parameters
     ----------
@@ -371,7 +375,8 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
 def misses_many(at: Evaluation) -> bool:
     """Return whether a share of more than MAX_FAR of the readings deviates by FAR of their noise.
 
-    This is asked of misfits whose loss is not convex: they ignore readings that are far off.
+    The test concerns misfits whose loss is not convex, because such a loss ignores deviating
+    readings.
     """
     data = at.data
     ignores = any(term.reads_measurement and not term.loss.convex for term in at.cost.terms)
@@ -383,9 +388,9 @@ def misses_many(at: Evaluation) -> bool:
 
 
 def sharp_hessian(at: Evaluation, dual: Array) -> Hessian:
-    """Return the Hessian with absolute losses smoothed.
+    """Return the Hessian with smoothed absolute losses.
 
-    They are smoothed by SMOOTHING_WIDTH of the largest residual.
+    The smoothing width is SMOOTHING_WIDTH of the largest residual.
     """
     largest = float(np.abs(at.nonsmooth).max(initial=0.0)) or 1.0
     return Hessian(at, Smoothing(SMOOTHING_WIDTH * largest, dual))
@@ -437,9 +442,7 @@ def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> 
 
 @typed
 def approximation(cost: Cost, data: Data, outcome: Outcome) -> Solution:
-    """Return the solution of a method that does not end at an optimum.
-
-    It has its cost and its KKT residual.
+    """Return the solution, with cost and KKT residual, of a method that does not end at an optimum.
 
     >>> import inspect
     >>> list(inspect.signature(lampest.approximation).parameters)
@@ -473,19 +476,13 @@ def solution_at(at: Evaluation, residual: float, outcome: Outcome, status: Statu
 
 
 def failure(cost: Cost, data: Data, status: Status, residual: float, outcome: Outcome) -> Solution:
-    """Return a solution of NaN with a status.
-
-    It has the KKT residual and the iterations of the outcome.
-    """
+    """Return a solution of NaN with a status, a KKT residual, and the iterations of an outcome."""
     no_solution = blank(data.measured.shape, len(cost.terms), status)
     return replace(no_solution, kkt_residual=residual, iterations=outcome.iterations)
 
 
 def blank(shape: tuple[int, ...], terms: int, status: Status) -> Solution:
-    """Return a solution of NaN with a status where nothing was solved.
-
-    Shape (frames, rows, columns).
-    """
+    """Return a solution of NaN, (frames, rows, columns), with the status of a failed solve."""
     unknown = np.full(shape, np.nan)
     flags = np.zeros(shape, dtype=bool)
     return Solution(

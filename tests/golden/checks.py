@@ -32,20 +32,20 @@ from lampest.apps.recognition.swings import Patterns, patterns_of
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import Look, WatchSetup
 from lampest.apps.recognition.window import Window
-from lampest.estimate import changed_cells, noise, outliers
-from lampest.estimate.compared_frames import noise_factor
-from lampest.estimate.deciding import baseline_readings, deciding_frames
-from lampest.estimate.explanation import Explanation
-from lampest.estimate.model_check import module_factors
-from lampest.estimate.nuisances import CircuitEffects
-from lampest.estimate.nuisances import candidates as possible_effects
-from lampest.estimate.prepared import Prepared
-from lampest.estimate.saturation import saturated
-from lampest.estimate.scan_motion import displacement
-from lampest.estimate.variance_components import noted_excess, repeated_scatter, scatter
+from lampest.inference import changed_cells, noise, outliers
+from lampest.inference.compared_frames import noise_factor
+from lampest.inference.explanation import Explanation
+from lampest.inference.model_check import module_factors
+from lampest.inference.nuisances import CircuitEffects
+from lampest.inference.nuisances import candidates as possible_effects
+from lampest.inference.prepared import Prepared
+from lampest.inference.saturation import saturated
+from lampest.inference.scan_motion import displacement
+from lampest.inference.variance_components import noted_excess, repeated_scatter, scatter
 from lampest.panel.effects import LineLeak, LooseContact
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.scene import OwnOfModule
+from lampest.recording.recording import baseline_readings, deciding_frames
 
 # Preparation
 

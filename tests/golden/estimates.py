@@ -26,11 +26,11 @@ from lampest.estimate.methods import MethodName
 from lampest.estimate.methods.joint import Joint, error_bars
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.modules import begin_stream
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import default_terms
 from lampest.estimate.stream import CarriedOver, Stream
 from lampest.estimate.weights import converter_and_faults, strongest
 from lampest.files.errors import InputError
+from lampest.inference.prepared import Prepared
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts.readout import with_memory
 from lampest.panel.scene import OwnOfModule

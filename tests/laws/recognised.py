@@ -9,7 +9,7 @@ from lampest.apps.recognition.detect.detection import Frames, Known, known_of, m
 from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.fit import Verdict
 from lampest.apps.recognition.observation import Baseline, ModelErrors, Observation
-from lampest.estimate.prepared import Prepared
+from lampest.inference.prepared import Prepared
 from lampest.recording.shapes.shape import Candidate
 
 PANEL = Panel(10, 10)

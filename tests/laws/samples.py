@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import numpy as np
 
 import lampest
-from lampest.files.typed import ByKind
+from lampest.files.typed import ByKind, shipped
 
 # Ordinary numbers, the ends of usual ranges, and such as lose digits or change type where text is
 # careless.
@@ -88,20 +88,24 @@ def parts(hint: Any) -> Iterator[Any]:
     """A type and all types within it."""
     yield hint
     if get_origin(hint) is not Literal:
-        for part in get_args(hint):
+        for part in shipped(hint) if is_by_kind(hint) else get_args(hint):
             yield from parts(part)
+
+
+def is_by_kind(hint: Any) -> bool:
+    """Whether a type is a union that is told apart by `kind`."""
+    return get_origin(hint) is Annotated and isinstance(get_args(hint)[1], ByKind)
 
 
 @cache
 def unions() -> tuple[tuple[type, ...], ...]:
     """The members of every union that is told apart by `kind`."""
     members = [
-        get_args(get_args(part)[0])
+        shipped(part)
         for kind in configurations()
         for hint in hints(kind).values()
         for part in parts(hint)
-        if get_origin(part) is Annotated
-        and any(isinstance(mark, ByKind) for mark in get_args(part))
+        if is_by_kind(part)
     ]
     return tuple(dict.fromkeys(members))
 
@@ -202,6 +206,8 @@ def value(hint: Any, rng: np.random.Generator) -> Any:
         return chosen(NUMBERS[hint], rng)
     if hint in (str, Any):
         return chosen(TEXTS, rng)
+    if is_by_kind(hint):
+        return value(chosen(shipped(hint), rng), rng)
     if origin is Annotated:
         return value(inner[0], rng)
     if origin in (Union, UnionType):

@@ -42,8 +42,9 @@ from lampest.estimate.methods import AnyMethod, MethodName, named_method
 from lampest.files import typed
 from lampest.files.document import Document, parse_document, plain_content, to_yaml, validated
 from lampest.panel.faults import Faults
-from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
+from lampest.panel.readouts import AnyReadout, TwoPointReadout
 from lampest.panel.readouts.lines import SeriesPerLine
+from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.panel.readouts.wiring import ContactPrior, Contacts
 from lampest.panel.response import Film, PowerResponse, TableResponse
 from lampest.panel.scene import Scene
@@ -214,6 +215,14 @@ def test_every_method_may_be_given_by_its_name() -> None:
     assert {word for method in methods for word in words(method)} == {*get_args(MethodName)}
     for method in methods:
         assert all(named_method(word) == method(kind=word) for word in words(method))
+
+
+@pytest.mark.parametrize("union", [AnyReadout, AnyMethod])
+def test_classes_named_by_a_union_have_the_kinds_of_their_names(union: Any) -> None:
+    named = get_args(union)[1].members
+    assert named.keys() == typed.members_by_kind(union).keys()
+    for kind in named:
+        assert kind in typed.kinds_of(typed.member_of_kind(union, kind))
 
 
 def test_installed_kinds_stand_in_the_order_of_their_names(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import lampest
-from lampest.estimate.noise import NoiseEstimate
-from lampest.estimate.resolve import ENTRIES, FRAME_KEYS, resolved_scene, specified
 from lampest.files.document import parse_document, validated
+from lampest.inference.noise import NoiseEstimate
+from lampest.inference.resolve import ENTRIES, FRAME_KEYS, resolved_scene, specified
 from lampest.panel.scene_file import scene_text
 from lampest.panel.sizes import ESTIMATED, Systematic
 

@@ -5,7 +5,7 @@ import pytest
 
 import lampest
 from lampest import Misfit, Panel, Readings, Recording, Scene, TwoPointReadout
-from lampest.estimate.outliers import impossible_readings
+from lampest.inference.outliers import impossible_readings
 from lampest.recording.readings import AT_LEAST
 
 SCENES = {

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lampest import Array, two_point_resistance
 from lampest.formulation.circuit import Circuit
-from lampest.panel.impedance import inverse_of
 from lampest.panel.kirchhoff import current_balance, injected, laplacian
+from lampest.panel.network import inverse_of
 from lampest.panel.panel import as_panels_have
 from lampest.panel.readouts.floating import (
     MAX_RELATIVE_MISFIT,

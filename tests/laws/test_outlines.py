@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from promises import promise
 
 import lampest
 from lampest import Cells, Panel, Scene, Simulation
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.recognition.detect.pressed import pressed_of
-from lampest.estimate.outliers import impossible_readings
-from lampest.estimate.prepared import Prepared
+from lampest.inference.outliers import impossible_readings
+from lampest.inference.prepared import Prepared
 from lampest.panel.readouts.floating import exact_two_point_resistance
 from lampest.panel.response import PUBLISHED
 from tests.estimates import recording_of
@@ -193,6 +194,7 @@ def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
     )
 
 
+@promise("howto/outlines: They are not estimated, and their resistance in results is NaN.")
 @pytest.mark.parametrize("outline", ["glove", "ring"])
 def test_results_and_pictures_have_the_outline_of_the_panel(outline: str, tmp_path: Path) -> None:
     """Results are written, read and drawn; an absent crossing has no number."""

@@ -19,7 +19,8 @@ from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.typed import members_of
 from lampest.panel.network import Network
 from lampest.panel.readouts import AnyReadout
-from lampest.panel.readouts.wiring import Lines, contact_responses
+from lampest.panel.readouts.wired_network import contact_responses
+from lampest.panel.readouts.wiring import Lines
 from tests.laws.samples import examples
 from tests.netlist import impedance_of
 

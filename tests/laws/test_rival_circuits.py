@@ -5,10 +5,10 @@ import pytest
 
 import lampest
 from lampest import DrivenReadout, GroundedReadout, LoadedColumnsReadout, Panel, Scene
-from lampest.estimate import explanation
-from lampest.estimate.compared_frames import broken_law
-from lampest.estimate.prepared import Prepared
-from lampest.estimate.rivals import Rival
+from lampest.inference import explanation
+from lampest.inference.compared_frames import broken_law
+from lampest.inference.prepared import Prepared
+from lampest.inference.rivals import Rival
 from lampest.panel.readouts.readout import Readout
 
 CIRCUITS = (

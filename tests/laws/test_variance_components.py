@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lampest import Array
-from lampest.estimate.variance_components import MIN_NOISE_SHARE, Scatter, posterior_size, scatter
+from lampest.inference.variance_components import MIN_NOISE_SHARE, Scatter, posterior_size, scatter
 
 SHAPES = ((3, 4, 5), (8, 6, 3), (20, 5, 4), (6, 1, 7))  # frames, lines, channels
 every_shape = pytest.mark.parametrize("shape", SHAPES)

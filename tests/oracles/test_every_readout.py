@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from contracts.extensions import Divider
 from numpy.testing import assert_allclose
+from promises import promise
 from scipy.optimize import brentq
 
 import lampest
@@ -31,18 +32,17 @@ from lampest import (
 )
 from lampest.audit.verdict import verdict
 from lampest.cost.terms import LogGradient, LogRatio, Misfit
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.files.levels import Witness
-from lampest.panel.readouts import (
-    DrivenReadout,
+from lampest.inference.prepared import Prepared
+from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts.driven_readout import DrivenReadout
+from lampest.panel.readouts.lines import SeriesPerLine
+from lampest.panel.readouts.presets import (
     GroundedReadout,
     LoadedColumnsReadout,
-    Readout,
-    TwoPointReadout,
     VirtualGroundReadout,
 )
-from lampest.panel.readouts.lines import SeriesPerLine
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.recording.simulation.simulation import Simulation
@@ -735,6 +735,7 @@ def test_starts_of_random_circuits_equal_their_cells() -> None:
     assert wrong < MAX_WRONG * circuits
 
 
+@promise('theory/circuit: the verdict is "doubtful" and names both panels')
 def test_a_second_panel_with_equal_readings_is_reported_as_a_doubt() -> None:
     """The unloaded readings of cells of 1 kilo-ohm are those of cells of 7 kilo-ohm.
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lampest.estimate.prepared import Prepared
+from lampest.inference.prepared import Prepared
 from lampest.recording.garbled import garbled_lines
 from lampest.report.strongest import strongest_readings
 from tests.panels import Plan, recorded

@@ -9,7 +9,7 @@ import lampest
 from docs.studies.held_lines import nodal_volts, random_readout
 from lampest import Array, DrivenReadout, Misfit, Panel, Recording, Scene
 from lampest.audit.verdict import verdict
-from lampest.estimate.prepared import Prepared
+from lampest.inference.prepared import Prepared
 from tests.netlist import volts
 
 SHAPE = (5, 6)

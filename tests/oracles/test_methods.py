@@ -21,11 +21,12 @@ from lampest import (
 )
 from lampest.cost.losses import Huber
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
-from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.approximate import LinearisedMethod, TruncatedMethod
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.runs.config import read_run
+from lampest.solvers.posed import Bounds
 from tests.estimates import recording_of
 
 LSM: tuple[Term, ...] = (Misfit(),)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from promises import promise
 
 import lampest
 from docs.studies.model_check import named, sound, wrong
@@ -24,10 +25,10 @@ from lampest import (
     Unmodelled,
     simulate,
 )
-from lampest.estimate.cells_fit import fitted
-from lampest.estimate.prepared import Prepared
 from lampest.files.levels import SIGNIFICANCE
 from lampest.files.typed import members_of
+from lampest.inference.cells_fit import fitted
+from lampest.inference.prepared import Prepared
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.posterior.reference import MAX_CELLS
@@ -103,6 +104,7 @@ def test_a_right_circuit_is_not_called_wrong(seed: int) -> None:
 
 
 # Loads that show it: a rod that halves nine cells leaves a series resistance of 140 ohm undecided.
+@promise("README: lampest checks the circuit and names a likelier one.")
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 4])
 def test_a_wrong_circuit_is_rejected_and_the_right_one_named(seed: int) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
+from promises import promise
 
 import lampest
 from lampest import InputError, LogGradient, Recording, Rod, Stream, TwoPointReadout
@@ -16,10 +17,10 @@ from lampest.cost.terms import Misfit, RelativeChange, Term
 from lampest.estimate import batch
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import begin_stream
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream, reconstruct
 from lampest.estimate.stream import CarriedOver
 from lampest.files.document import parse_document, to_yaml, validated
+from lampest.inference.prepared import Prepared
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.scene import Scene
@@ -86,6 +87,7 @@ def test_impossible_modules_give_one_sentence(keys: str, sentence: str) -> None:
     assert sentence in str(error.value)
 
 
+@promise("howto/modules: Every module is estimated as if it stood alone")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "penalty", [None, lampest.Gradient(weight=1e-7), lampest.RelativeChange(weight=1e-3)]

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from promises import promise
 
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
@@ -17,14 +18,14 @@ from lampest.apps.recognition.at_rest import touched
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.studies.study import read_settings
 from lampest.audit.effects import unnamed_effects
-from lampest.estimate import still_cells
-from lampest.estimate.cells_fit import CellsFit
-from lampest.estimate.compared_frames import noise_factor
-from lampest.estimate.outliers import detect_outliers, frozen_readings
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
-from lampest.estimate.variance_components import Scatter, posterior_size, scatter
 from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, TWO_SIDED, UNUSUAL
+from lampest.inference import still_cells
+from lampest.inference.cells_fit import CellsFit
+from lampest.inference.compared_frames import noise_factor
+from lampest.inference.outliers import detect_outliers, frozen_readings
+from lampest.inference.prepared import Prepared
+from lampest.inference.variance_components import Scatter, posterior_size, scatter
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
@@ -182,6 +183,7 @@ def test_readings_repeated_by_a_coarse_converter_are_not_frozen(noise: float) ->
     assert flagged == 0
 
 
+@promise("faq: Outliers of a single frame are replaced.")
 def test_outliers_are_detected_under_a_breathing_load() -> None:
     """Readings go by ten to forty σ from frame to frame.
 
@@ -315,6 +317,7 @@ def test_noise_specified_wrong_by_a_factor_of_twelve_is_measured(
     assert unloaded or not any("unloaded frames scatter" in line for line in estimate.checks)
 
 
+@promise("README: Error bars cover the effects that the scene names")
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_error_bars_cover_a_specified_or_estimated_gain_of_each_frame(seed: int) -> None:
     assert min(coverage_of(recorded(seed, scene_of(0.7, gain=0.004), gain=0.004))) > MIN_COVERAGE

@@ -16,8 +16,8 @@ from lampest import Block, Cells, Course, Recording, Scene, Simulation, TwoPoint
 from lampest.apps.recognition.detect.detection import Known, known_of
 from lampest.apps.studies.study import read_settings
 from lampest.audit.effects import unnamed_effects
-from lampest.estimate.prepared import Prepared
 from lampest.files.levels import UNUSUAL
+from lampest.inference.prepared import Prepared
 from lampest.panel.panel import EachModule, Modules
 from tests.estimates import recording_of
 from tests.netlist import two_point_resistances

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from promises import promise
 
 import lampest
 from lampest import (
@@ -109,6 +110,10 @@ OTHERS: dict[str, Any] = {
 }
 
 
+@promise(
+    "howto/readouts: Loads, idle driven lines and idle sensed lines may end in a potential of "
+    "their own"
+)
 def test_every_combination_of_potentials_agrees_with_its_netlist() -> None:
     circuits = combinations()
     assert len(circuits) >= 96
@@ -248,4 +253,30 @@ def test_every_formulation_finds_the_cells(name: str, formulation: str) -> None:
     frames = np.stack([volts(resting, readout), volts(loaded, readout)])
     recording = Recording.from_array(frames, unit="volt", scene=scene, baseline=1)
     found = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation=formulation)
+    assert_allclose(found.cell_resistance[0], loaded, rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("readout", "shape", "pressed", "factor"),
+    [
+        (OTHERS["grounded, mid-supply"], SHAPE, ([1], [2]), 0.05),
+        (
+            LoadedColumnsReadout(drive_ohm=80.0, driven_groups=((0, 1, 2, 3), (4, 5, 6, 7))),
+            (8, 5),
+            ([1, 1, 1, 7], [1, 2, 3, 2]),
+            0.1,
+        ),
+    ],
+)
+def test_bounds_of_a_hard_press_contain_its_cells(
+    readout: Any, shape: tuple[int, int], pressed: Any, factor: float
+) -> None:
+    resting = cells_of(5, shape, contrast=0.2)
+    loaded = resting.copy()
+    # It moves the other readings of the column beyond those of any uniform panel.
+    loaded[pressed] *= factor
+    scene = Scene(Panel(*shape), replace(readout, adc_bits=16, noise_lsb=0.1, readings=1))
+    frames = np.stack([volts(resting, readout), volts(loaded, readout)])
+    recording = Recording.from_array(frames, unit="volt", scene=scene, baseline=1)
+    found = lampest.reconstruct(recording, [Misfit(weighting="noise")])
     assert_allclose(found.cell_resistance[0], loaded, rtol=2e-3)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from promises import promise
 
 import lampest
 from lampest import (
@@ -22,11 +23,12 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Loss, Squared, Student
 from lampest.cost.terms import CellResistance, Gradient, Misfit
-from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
-from lampest.estimate.outliers import impossible_readings
+from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.files.levels import TWO_SIDED
+from lampest.inference.outliers import impossible_readings
 from lampest.posterior import reference
 from lampest.posterior.reference import references
+from lampest.solvers.posed import Bounds
 from tests.estimates import in_intervals, log_errors, recording_of, rms
 
 NOISE = 0.003  # of the readings
@@ -223,6 +225,7 @@ def test_a_missing_reading_has_a_wider_interval_that_holds_it() -> None:
     )
 
 
+@promise("howto/weights: Error bars include this uncertainty.")
 def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
     """The bars of the same weight, given as a number, are smaller.
 

@@ -9,8 +9,8 @@ import pytest
 import lampest
 from lampest import Scene
 from lampest.audit.widths import NOISE, Width, simulated_widths, widths_of
-from lampest.estimate.prepared import Prepared
 from lampest.files.document import read_document, validated
+from lampest.inference.prepared import Prepared
 from lampest.recording.simulation import Simulation, simulate
 from lampest.report.info import describe
 from lampest.runs.starter import SIMULATION, write_starter

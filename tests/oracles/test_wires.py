@@ -13,15 +13,17 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from promises import promise
 from scipy.optimize import minimize
 
 from lampest import Estimates, Faults, InputError, Recording, Rod, Scene, Squared, Status, read_run
 from lampest.cost.terms import Gradient, LogRatio, Misfit, RelativeChange, Term
-from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.approximate import TruncatedMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
+from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.panel.readouts.readout import with_memory, without_memory
 from lampest.panel.readouts.wiring import (
     ContactPrior,
@@ -34,6 +36,7 @@ from lampest.panel.readouts.wiring import (
 from lampest.recording.readings import AT_LEAST, AT_MOST, Readings, touching_columns, touching_rows
 from lampest.recording.simulation.measure import true_contacts
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
+from lampest.solvers.posed import Bounds
 from tests.estimates import log_errors, rms, scores
 
 LSM = (Misfit(weighting="noise"),)
@@ -402,6 +405,7 @@ def test_the_converter_memory_is_kept_per_channel(readout: Readout) -> None:
     assert_allclose(with_memory(readout, MEMORY_FRACTION, volt[None])[0], expected, rtol=ROUNDING)
 
 
+@promise("howto/devices: lampest inverts the equation exactly")
 @each_converter
 def test_the_converter_memory_is_corrected_exactly_with_its_noise(readout: Readout) -> None:
     volt = volts(readout, (3, 5, 4))

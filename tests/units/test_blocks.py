@@ -6,8 +6,8 @@ import pytest
 import lampest
 from docs.studies.blocks import jumping_between_rods, under_a_rod
 from lampest.estimate.batch import leading_frames, push_block
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
+from lampest.inference.prepared import Prepared
 from lampest.recording.readings import Readings
 
 SIDE = 6

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from promises import promise
 
 import lampest
 from lampest.apps.recognition.detect.detection import answer_recording, detect_recording
@@ -131,7 +132,7 @@ def test_a_run_without_checks_says_so_and_computes_none(
     def refused(prepared: Any) -> None:
         raise AssertionError("checked")
 
-    monkeypatch.setattr(lampest.estimate.prepared.Prepared, "check", property(refused))
+    monkeypatch.setattr(lampest.inference.prepared.Prepared, "check", property(refused))
     report = run(folder, f"{RUN}check: none\n")
     assert [line for line in report.warnings if "not checked" in line] == [
         "mine: the circuit was not checked: the run leaves it out"
@@ -150,10 +151,11 @@ def described(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
         raise AssertionError("checked")
 
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(lampest.estimate.prepared.Prepared, "check", property(refused))
+    monkeypatch.setattr(lampest.inference.prepared.Prepared, "check", property(refused))
     return describe("mine.h5")
 
 
+@promise("theory/model_check: their answer comes first")
 def test_info_prints_its_answer_before_the_verdict(described: Iterator[str]) -> None:
     lines: list[str] = []
     with pytest.raises(AssertionError, match="checked"):

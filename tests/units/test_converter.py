@@ -6,6 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from promises import promise
 
 import lampest
 from lampest import (
@@ -19,8 +20,8 @@ from lampest import (
     VirtualGroundReadout,
 )
 from lampest.audit.advice import Audit
-from lampest.estimate.prepared import Prepared
-from lampest.estimate.resolve import resolved_scene
+from lampest.inference.prepared import Prepared
+from lampest.inference.resolve import resolved_scene
 
 BITS = 10
 STEP = 5 / 2**BITS
@@ -43,6 +44,7 @@ def test_transitions_are_those_of_the_data_sheet() -> None:
     assert converter.volt_from_code(np.array([0.0, 512.0])).tolist() == [0.0, 2.5]
 
 
+@promise("howto/readouts: Code c stands for c steps")
 def test_codes_of_a_rounding_converter_leave_cells_unbiased() -> None:
     rng = np.random.default_rng(3)
     cells = 3000 * np.exp(0.3 * rng.standard_normal((1, 8, 8)))

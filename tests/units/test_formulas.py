@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from lampest.apps.calibration.loads import _responses
-from lampest.estimate.changed_cells import (
+from lampest.files import levels
+from lampest.inference.changed_cells import (
     MOVED_COST,
     scores_with_errors,
     select_changed,
     usual_starts,
 )
-from lampest.files import levels
 from lampest.panel import compiled
 from lampest.panel.panel import Array
 

@@ -18,30 +18,22 @@ from lampest.apps.recognition import (
     watch,
     watch_parts,
 )
-from lampest.estimate import (
-    explanation,
-    model_check,
-    noise,
-    nuisances,
-    objective,
-    sequence,
-    variance_components,
-    witness,
-)
+from lampest.estimate import sequence, witness
 from lampest.estimate.methods import method
 from lampest.files import hdf5, levels, process
+from lampest.inference import explanation, model_check, noise, nuisances, variance_components
 from lampest.panel import trust_region
 from lampest.posterior import reference, sampled, track
 from lampest.recording import stored
-from lampest.solvers import certificate, projected_lbfgs, solution
+from lampest.solvers import certificate, posed, projected_lbfgs, solution
 
 ROOT = Path(__file__).parents[2]
 STATED: dict[str, list[tuple[str, float, float]]] = {
     "docs/theory/inverse_problem.md": [
         ("the residual is at most 10⁻⁶", solution.VERIFIED, 1e-6),
         ("more than a thousandth of its standard deviation", certificate.DEVIATION_SHARE, 1e-3),
-        ("the upper bound is 10⁹ times the readout's apparent", objective.OPEN_FACTOR, 1e9),
-        ("at a millionth of its apparent resistance", objective.SHORT_FACTOR, 1e-6),
+        ("the upper bound is 10⁹ times the readout's apparent", posed.OPEN_FACTOR, 1e9),
+        ("at a millionth of its apparent resistance", posed.SHORT_FACTOR, 1e-6),
     ],
     "docs/theory/solver.md": [
         ("the step below $10^{-8}$", projected_lbfgs.LAST_STEP, 1e-8),

@@ -27,9 +27,9 @@ from lampest.apps.live.engine import Engine
 from lampest.apps.live.run import from_recording, take_sample
 from lampest.apps.recognition.detect.detection import known_of
 from lampest.cost.terms import Arrival, LogGradient, Misfit, RelativeChange
-from lampest.estimate import prepared as preparation
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
+from lampest.inference import prepared as preparation
+from lampest.inference.prepared import Prepared
 from lampest.panel.conditions import Water
 from lampest.panel.faults import Faults
 from lampest.panel.scene import Scene

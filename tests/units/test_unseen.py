@@ -23,9 +23,9 @@ from lampest.audit.advice import Audit
 from lampest.audit.finding import with_lines
 from lampest.audit.verdict import verdict
 from lampest.cost.terms import term_kind
-from lampest.estimate.model_check import ModelCheck
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.usual_scale import with_usual_scale
+from lampest.inference.model_check import ModelCheck
+from lampest.inference.prepared import Prepared
 
 INPUTS = DrivenReadout(
     drive_ohm=45.0, idle_ohm=45.0, load_ohm=inf, supply_volt=3.3, adc_bits=16, readings=1

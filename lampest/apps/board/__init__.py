@@ -1,7 +1,4 @@
-"""Recording from boards.
-
-It consists of protocol (without I/O), serial port, stream of frames, journal, and record.
-"""
+"""Recording from boards: protocol (without I/O), serial port, stream of frames, journal, record."""
 
 from lampest.files.applications import Application, Command
 

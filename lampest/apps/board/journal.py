@@ -345,8 +345,16 @@ def repair(path: Path) -> tuple[int, int]:
 def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float | None]:
     """Rewrite the journal at `path`, or another one, as a recording at `path`.
 
-    Return scene, frames and noise. Raises InputError without room for the rewriting: the file at
-    `path` is unchanged then, and can be repaired later.
+    Raises InputError without room for the rewriting: the file at `path` is unchanged then, and can
+    be repaired later.
+
+    Returns
+    -------
+    scene : Scene
+    frames : int
+        Number of frames.
+    noise : float or None
+        Noise of one reading from repeats in LSB, if these determine it.
     """
     own(path)
     with deaf():
@@ -360,8 +368,8 @@ def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float
             cause = error.__cause__
             reason = cause.strerror if isinstance(cause, OSError) else None
             raise InputError(
-                f"{path}: {counted(recording.frames, 'frame')} kept, but the file cannot be "
-                f"completed ({reason or str(error).removeprefix(f'{path}: ')}); "
+                f"{path}: {counted(recording.frames, 'frame')} kept, but "
+                f"the file cannot be completed ({reason or str(error).removeprefix(f'{path}: ')}); "
                 f"lampest check --repair {path} completes it once there is room"
             ) from error
         return recording.scene, recording.frames, noise
@@ -370,7 +378,7 @@ def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float
 def _with_sigma(recording: Recording, noise: float | None) -> Recording:
     """Return the recording with σ of every reading.
 
-    It is by the noise of its repeats in LSB if it is known.
+    The noise of repeats in LSB determines σ if it is known, otherwise the readout's.
     """
     readout = recording.scene.readout
     if readout is None or recording.scene.panel.modules is not None:  # whose modules have their own

@@ -91,7 +91,6 @@ def difference_sentence(case: CaseResult, board_log_change: Array, frames: NDArr
     unit = "" if case.sigma_own is None else "; σ is a cell's own error"
     count = f"{len(case.frame)} frame{'' if len(case.frame) == 1 else 's'}"
     return (
-        f"its cells differ from lampest's ({' + '.join(case.costs)}, {count}) by {median} in the "
-        f"median, {largest} at "
-        f"most, in frame {frames[worst[0]]}{unit}"
+        f"its cells differ from lampest's ({' + '.join(case.costs)}, {count}) "
+        f"by {median} in the median, {largest} at most, in frame {frames[worst[0]]}{unit}"
     )

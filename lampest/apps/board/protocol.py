@@ -123,7 +123,7 @@ OUTCOMES = (
 class Hello:
     """Identity and settings of a board.
 
-    They are sent after a reset, once a second while idle, and on request. With loaded columns,
+    A board sends them after a reset, once a second while idle, and on request. With loaded columns,
     reference_milliohm is the load of every column, and drive_milliohm the resistance in series with
     each row. `estimates` and `identity` are no part of HELLO. Boards that estimate accept
     SET_BASELINE; the identity is the number that a board drew at START, as its answer says.
@@ -174,7 +174,7 @@ class Hello:
 
     @property
     def size(self) -> tuple[int, int, int]:
-        """Numbers of rows, columns and readings."""
+        """Numbers of rows, columns and readings, in this order."""
         return self.rows, self.columns, self.readings
 
 
@@ -286,7 +286,14 @@ class Receiver:
     pending: bytes = b""
 
     def feed(self, data: bytes) -> tuple["Receiver", tuple[Message, ...]]:
-        """Return the next state and the messages that the data complete; no data raise an error."""
+        """Return the next state and the messages that the data complete; no data raise an error.
+
+        Returns
+        -------
+        receiver : Receiver
+            The next state.
+        messages : tuple of Message
+        """
         *pieces, pending = (self.pending + data).split(b"\0")
         # One byte more than MAX_STUFFED suffices to recognise a piece that is no message.
         return Receiver(pending[: MAX_STUFFED + 1]), tuple(

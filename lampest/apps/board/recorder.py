@@ -49,9 +49,9 @@ class Recorder:
         self._finishing: list[Thread] = []
 
     def ask(self, name: str) -> None:
-        """Start a recording by its name ('': the time), or end a running one.
+        """Start a recording by its name ('': the time), or end a running one, from any thread.
 
-        It is for any thread. Raises InputError.
+        Raises InputError for an unusable name.
         """
         if name and not NAME.fullmatch(name):
             raise InputError("a recording's name has up to 64 letters, digits, - and _")
@@ -87,7 +87,7 @@ class Recorder:
     def close(self) -> None:
         """End a running recording, and wait until all files are closed.
 
-        It waits without regard to signals.
+        Signals do not interrupt the wait.
         """
         if self._journal is not None:
             self._end()

@@ -47,8 +47,8 @@ def samples_of(
     if scene is None or scene.panel.modules is None:
         if len(ports) > 1:
             raise InputError(
-                "--port: several boards need a scene with panel: {modules: ...}, a board for each "
-                "module"
+                "--port: several boards need a scene with panel: "
+                "{modules: ...}, a board for each module"
             )
         return board_samples(
             ports[0] if ports else only_port(), scene, period, on_state, ending, baseline
@@ -58,9 +58,8 @@ def samples_of(
     if len(ports) != len(numbers):
         named = ", ".join(str(list(layout.place(number))) for number in numbers[:4])
         raise InputError(
-            f"the scene reads {len(numbers)} modules: name as many ports, --port once for each, in "
-            f"the order {named}"
-            f"{', …' if len(numbers) > 4 else ''}; not {len(ports)}"
+            f"the scene reads {len(numbers)} modules: name as many ports, --port once for each, "
+            f"in the order {named}{', …' if len(numbers) > 4 else ''}; not {len(ports)}"
         )
     readings = {
         module.readout.readings
@@ -277,9 +276,9 @@ def _image(
     before: Alignment,
     after: Alignment,
 ) -> Sample:
-    """Return the boards' frames as one sample.
+    """Return the boards' frames as one sample, with the clock of the first board.
 
-    It has the clock of the first board and the restarts of all.
+    The sample has the restarts of all boards.
     """
     layout = scene.panel.modules
     first = next(iter(parts.values()))

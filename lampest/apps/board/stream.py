@@ -10,8 +10,9 @@ from lampest.apps.board.port import SILENCE_SECONDS, Board, NoBoardError
 from lampest.apps.board.protocol import Estimate, Frame, Garbage, Hello, Message
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.lines import as_tuple
+from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import COUNTER, recorded_of_sums
 
@@ -57,8 +58,8 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
                     f"{value:g}" if isinstance(value, float) else value for value in (mine, theirs)
                 ]
                 raise InputError(
-                    f"the scene's readout.{name} is {both[0]}, but the board says {both[1]} "
-                    "(firmware pins.h)"
+                    f"the scene's readout.{name} is {both[0]}, "
+                    f"but the board says {both[1]} (firmware pins.h)"
                 )
     size = (*scene.panel.shape, ours.readings)
     most = (hello.most_rows, hello.most_columns, hello.most_readings)
@@ -190,7 +191,7 @@ class Scanning:
     def take(self, frame: Frame) -> tuple[Sample, ...]:
         """Take a further frame, and return the new samples.
 
-        They are one, two, or none if the frame does not follow.
+        There are one or two samples, or none if the frame does not follow.
         """
         frame = frame.with_estimate(self.estimate)
         if self.before is None:
@@ -323,9 +324,9 @@ class Scanning:
         )
 
     def _most_ms(self, moment: float) -> float:
-        """Return the largest possible advance of the board's clock in ms.
+        """Return the largest possible advance of the board's clock in ms since a moment.
 
-        It is that since a time of the host's steady clock.
+        The moment is in seconds of the host's steady clock.
         """
         # The factor 1000 covers simulated boards, which run 300 times as fast as a real one.
         return 1e3 * (1000 * max(time.monotonic() - moment, 0.0) + 10 + 3 * self.hello.period)
@@ -420,9 +421,10 @@ def board_samples(
 
 
 class _Line:
-    """Connection to a board: settings, newest sample, and later messages.
+    """Connection to a board.
 
-    These are the messages since then that were no valid frames.
+    A line holds the board's settings, its newest sample, and the later messages that were no valid
+    frames.
     """
 
     def __init__(
@@ -455,8 +457,8 @@ class _Line:
         if self._unfit and waited > UNFIT_SECONDS + 3 * period:
             came = ", ".join(f"{number} {kind}" for kind, number in self._unfit.most_common())
             raise InputError(
-                f"{self._url}: nothing fit for {waited:.0f} s, though the line is not silent "
-                f"({came})"
+                f"{self._url}: nothing fit for {waited:.0f} s, "
+                f"though the line is not silent ({came})"
             )
 
     def connection(self, board: Board) -> Samples:

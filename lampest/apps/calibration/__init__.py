@@ -1,7 +1,4 @@
-"""Calibration: numbers of the circuit or of the film.
-
-They are estimated from recordings of known resistors or loads.
-"""
+"""Calibration of the circuit or of the film from recordings of known resistors or loads."""
 
 from lampest.files.applications import Application, Command
 

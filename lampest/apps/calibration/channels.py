@@ -1,9 +1,9 @@
-"""Calibration of channels, series resistance and reference.
+"""Calibration of channels, series resistance and reference from recordings under many loads.
 
-It is made from ordinary recordings under many loads. Under a wrong circuit, untouched cells seem to
-move when others do. The smoother's cost has the errors z that all frames share as unknowns. Every
-block of frames gives an estimate z with the precision Λ of its likelihood, where the cells are
-integrated out by the Schur complement. All blocks together give the posterior N(ẑ, C),
+The recordings are ordinary ones, without known resistors. Under a wrong circuit, untouched cells
+seem to move when others do. The smoother's cost has the errors z that all frames share as unknowns.
+Every block of frames gives an estimate z with the precision Λ of its likelihood, where the cells
+are integrated out by the Schur complement. All blocks together give the posterior N(ẑ, C),
 
     C⁻¹ = I + b Σ Λ,   ẑ = b C Σ (Λ + I) z,
 
@@ -20,14 +20,14 @@ import numpy as np
 from lampest.apps.calibration.calibration import DIGITS, FRACTION_DIGITS, Calibration, common_scene
 from lampest.cost.losses import Student
 from lampest.cost.terms import Misfit
-from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.joint import BELIEVED
 from lampest.estimate.methods.smoother import SmootherMethod
-from lampest.estimate.prepared import Prepared
-from lampest.estimate.rivals import RESISTORS
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import BROKEN, InputError
+from lampest.inference.assumptions import ASSUMED
+from lampest.inference.prepared import Prepared
+from lampest.inference.rivals import RESISTORS
 from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.readouts.lines import SeriesPerLine, of_side
@@ -104,10 +104,9 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
         series_tolerance_ohm=round(common, DIGITS) or None,
     )
     summary = (
-        f"reference {100 * errors[0]:+.2f} +- {100 * deviation[0]:.2f} %, channels off by "
-        f"{np.sqrt(np.mean(errors[1:] ** 2)):.2f} ohm rms and known to {spread:.2f} ohm beside "
-        "their mean, "
-        f"from {frames} frames"
+        f"reference {100 * errors[0]:+.2f} +- {100 * deviation[0]:.2f} %, "
+        f"channels off by {np.sqrt(np.mean(errors[1:] ** 2)):.2f} ohm rms "
+        f"and known to {spread:.2f} ohm beside their mean, from {frames} frames"
     )
     return ChannelCalibration(
         scene=_corrected(replace(scene, systematic=sizes), errors),
@@ -218,10 +217,7 @@ def _rounded(readout: Any) -> Any:
 
 
 def _circuit(scene: Scene) -> Scene:
-    """Return the scene without loads, environment and film.
-
-    It is the part that all recordings must share.
-    """
+    """Return the scene without loads, environment and film: the part that all recordings share."""
     return replace(
         scene, subject=None, experiment=None, water=None, temperature=None, film=None, response=None
     )

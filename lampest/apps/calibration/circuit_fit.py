@@ -82,9 +82,15 @@ class Unknown:
     def values(self, unknowns: Array) -> tuple[float, list[Array]]:
         """Return the common value and the offsets of the lines of each side.
 
-        The value is in the number's unit; the offsets, spread·e, are in ohm. The spread of channels
-        is a third of the difference between worst and typical ones; that of resistors is the
-        standard deviation of RESISTOR_TOLERANCE.
+        The spread of channels is a third of the difference between worst and typical ones; that of
+        resistors is the standard deviation of RESISTOR_TOLERANCE.
+
+        Returns
+        -------
+        common : float
+            In the number's unit.
+        offsets : list of arrays, shape (lines,) each
+            spread·e in ohm, one array a side.
         """
         common = self.scale * float(unknowns[self.index])
         spread = RESISTOR_TOLERANCE / 3**0.5 * common
@@ -113,7 +119,7 @@ class Problem:
     def unknowns(self) -> tuple[Unknown, ...]:
         """Numbers that resistors determine.
 
-        They are those of the readout, and memory and wires that the scene names.
+        The numbers are those of the readout, and memory and wires where the scene names them.
         """
         scene = self.scene
         unknowns = list[Unknown]()
@@ -221,8 +227,8 @@ class Problem:
     def covariance(self, unknowns: Array, own_lsb: float = 0.0) -> Array:
         """Return the covariance C of the readings, (readings, readings) V².
 
-        It includes noise, quantisation, the tolerances of resistors and of the reference, and
-        `own_lsb`, the converter's own error in LSB.
+        The sources of variance are noise, quantisation, the tolerances of resistors and of the
+        reference, and `own_lsb`, the converter's own error in LSB.
         """
         at = self.expected(unknowns)
         names = dict.fromkeys(name for trial in self.trials for name in trial.resistors)

@@ -1,8 +1,8 @@
-"""Numbers of the electronics that known resistors determine, and how a scene states them.
+"""Numbers of the electronics that known resistors determine, and their keys in a scene.
 
-They are resistances of channels and reference resistors, the memory of the converter, wires and a
-diode's drop. This module has their plausible values, an estimate in words, and the scene with
-estimated numbers.
+The numbers are resistances of channels and reference resistors, the memory of the converter, wires
+and a diode's drop. For each of them the module has plausible values, the estimate as a sentence,
+and the scene with the estimate.
 """
 
 from collections.abc import Sequence

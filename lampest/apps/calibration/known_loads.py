@@ -151,9 +151,12 @@ class KnownLoads:
         check_not_negative(self, "place_mm")
 
     def pressures(self, panel: Panel) -> tuple[Array, Array]:
-        """Return the pressures of the loads and their standard deviations by position.
+        """Return the pressures of the loads, and their standard deviations by position.
 
-        Both are (loads, rows, columns) kPa.
+        Returns
+        -------
+        pressures, pressure_sd : arrays, shape (loads, rows, columns)
+            In kPa.
         """
         shift = self.place_mm
         patch = patch_of(panel, self.patch_mm)

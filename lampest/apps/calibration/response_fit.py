@@ -64,13 +64,22 @@ class Loaded:
 
     @cached_property
     def felt(self) -> tuple[NDArray[np.intp], ...]:
-        """Numbers of the load and of the cell of each response, (n,)."""
+        """Indices of the load and of the cell of each response, (n,) each.
+
+        A response counts if a load may touch the cell, and its change is known.
+        """
         touched = (self.pressure != 0) | (self.pressure_sd > 0)
         return np.nonzero(touched & np.isfinite(self.change) & np.isfinite(self.sd))
 
     @cached_property
     def falls(self) -> tuple[Array, Array]:
-        """a, (loads, cells, pieces), and its standard deviation by the load's position."""
+        """Falls a of ln r by the first guess, split into intervals.
+
+        Returns
+        -------
+        falls, falls_sd : arrays, shape (loads, cells, pieces)
+            The value, and its standard deviation by the load's position.
+        """
         on_film = (
             self.pressure
             + self.water
@@ -80,9 +89,14 @@ class Loaded:
         return middle, (upper - lower) / 2
 
     def expected(self, fitted: "FittedResponse") -> tuple[Array, Array]:
-        """Return x, the expected ln(r/r0), and the variance, (n,) each.
+        """Return the expected responses of a fit.
 
-        The variance is that by the estimate and the load's position.
+        Returns
+        -------
+        response : array, shape (n,)
+            x, the expected ln(r/r0).
+        variance : array, shape (n,)
+            Variance by the estimate of the change and by the load's position.
         """
         response, position = (fitted.parts(part).sum(axis=-1)[self.felt] for part in self.falls)
         return response, self.sd[self.felt] ** 2 + position**2
@@ -93,9 +107,14 @@ class Loaded:
         return np.asarray(1 / np.sqrt(variance + fitted.scatter**2 * response**2))
 
     def rows(self, fitted: "FittedResponse", weight: Array) -> tuple[Array, Array]:
-        """Return the residuals of a fit times the weight, and their Jacobian.
+        """Return the weighted least-squares problem of a fit.
 
-        They are (n,) and (n, cells + pieces).
+        Returns
+        -------
+        residuals : array, shape (n,)
+            Times the weight.
+        jacobian : array, shape (n, cells + pieces)
+            Times the weight.
         """
         parts = weight[:, None] * fitted.parts(self.falls[0])[self.felt]
         response = parts.sum(axis=1)
@@ -108,7 +127,7 @@ class Loaded:
 def _falls(pressure: Array, base: Response) -> Array:
     """Return −ln f_base(p) split into intervals, (..., pieces).
 
-    It has the sign of the pressure (...) kPa.
+    Every piece has the sign of its pressure p (...) kPa.
     """
     fallen = -base.logarithm(pressure)[..., None]
     ends = np.concatenate([[-np.inf], -base.logarithm(ENDS), [np.inf]])
@@ -157,14 +176,19 @@ class FittedResponse:
     def parts(self, falls: Array) -> Array:
         """Return the summands −κ_i e^{ψ_k} a_ik of ln(r/r0), (..., cells, pieces).
 
-        They are its slopes by ψ, too.
+        Each summand is also its own derivative with respect to ψ_k.
         """
         return np.asarray(-falls * np.exp(self.gains[:, None] + self.pieces))
 
     def gain(self) -> tuple[Array, Array]:
-        """Return κ over its mean and its relative standard deviation, (cells,) each.
+        """Gains of the cells over their mean.
 
-        Scatter is included in the deviation.
+        Returns
+        -------
+        gain : array, shape (cells,)
+            κ over its mean.
+        relative_sd : array, shape (cells,)
+            Relative standard deviation, with the scatter.
         """
         centred = np.eye(len(self.gains), len(self.state)) - self._mean
         # var(ln κ_i − mean ln κ) = (e_i − m)ᵀ P (e_i − m)
@@ -172,7 +196,15 @@ class FittedResponse:
         return np.exp(centred @ self.state), np.sqrt(variance + self.scatter**2)
 
     def curve(self, pressure: Array, base: Response = PUBLISHED) -> tuple[Array, Array]:
-        """Return ln f and its relative standard deviation at nonzero pressures (n,) kPa."""
+        """Return the fitted curve at nonzero pressures (n,) kPa.
+
+        Returns
+        -------
+        logarithm : array, shape (n,)
+            ln f.
+        relative_sd : array, shape (n,)
+            Relative standard deviation of ln f.
+        """
         parts = _falls(pressure, base) * np.exp(self.pieces)
         total = parts.sum(axis=1)
         # ∂ln|ln f|/∂(ln κ, ψ): the share of each interval, and the mean gain
@@ -187,7 +219,7 @@ class FittedResponse:
 def fit_loads(loaded: Loaded) -> FittedResponse:
     """Return the least-squares fit with the spread and scatter that maximise the evidence.
 
-    It is found by alternation.
+    The fit alternates between the state and these two.
     """
     cells = loaded.change.shape[1]
     touched = np.isin(np.arange(cells), loaded.felt[1])
@@ -219,10 +251,9 @@ def with_least_squares(loaded: Loaded, fitted: FittedResponse) -> FittedResponse
 
 
 def with_evidence(loaded: Loaded, fitted: FittedResponse) -> FittedResponse:
-    """Return the fit with the spread and scatter that maximise the evidence.
+    """Return the fit with the spread and scatter that maximise the evidence (Nelder-Mead).
 
-    They are found by the Nelder-Mead method. The residuals of each cell, without its own gain, are
-    N(0, V + spread² x xᵀ) with a diagonal V.
+    The residuals of each cell, without its own gain, are N(0, V + spread² x xᵀ) with a diagonal V.
     """
     response, constant_variance = loaded.expected(fitted)
     cell = loaded.felt[1]
@@ -251,10 +282,10 @@ def with_evidence(loaded: Loaded, fitted: FittedResponse) -> FittedResponse:
 def deviations_from_others(loaded: Loaded, fitted: FittedResponse) -> Array:
     """Return ln of each load's response over its prediction from all other loads, (loads,).
 
-    NaN where undetermined. It is the median over the load's cells, without those at the edge of the
-    foot, whose response depends on the position. The fit without a load is one Newton step from the
-    fit with all loads, δ = C Jᵀ (I − J C Jᵀ)⁻¹ f, with the Jacobian J and the residuals f of this
-    load, and the covariance C of the state.
+    The deviation of a load is the median over its cells, without those at the edge of the foot,
+    whose response depends on the position; NaN where undetermined. The fit without a load is one
+    Newton step from the fit with all loads, δ = C Jᵀ (I − J C Jᵀ)⁻¹ f, with the Jacobian J and the
+    residuals f of this load, and the covariance C of the state.
     """
     deviations = np.full(len(loaded.change), np.nan)
     load, cell = loaded.felt

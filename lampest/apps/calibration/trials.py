@@ -57,9 +57,7 @@ class Trial:
 
     @classmethod
     def of(cls, recording: Recording, known: Array | float) -> "Trial":
-        """Return the trial of a recording with its known resistors.
-
-        They are (rows, columns) or one number, ohm.
+        """Return the trial of a recording with known resistors, (rows, columns) or one number, ohm.
 
         Raises InputError without a readout or a resistor, or where readings change from frame to
         frame.
@@ -128,7 +126,13 @@ class Trial:
 
 
 def usable_range(readout: Readout) -> tuple[float, float]:
-    """Return the lowest and highest voltage at which noise reaches no rail of the converter, V."""
+    """Return the voltages between which noise reaches no rail of the converter.
+
+    Returns
+    -------
+    lowest, highest : float
+        In volts.
+    """
     margin = (2 + 3 * float(np.max(readout.assumed_noise))) * readout.lsb_volt
     return margin, readout.full_scale_volt - margin
 
@@ -154,8 +158,8 @@ def _check_drift(name: str, readout: Readout, residual: Array) -> None:
     lasting = np.sqrt(max(total - quick, 0.0) / residual[0].size) / 2.0**readout.adc_bits
     if len(residual) >= MIN_SAMPLE and quick < total / 2 and lasting > 1e-3:
         raise InputError(
-            f"{name}: no calibration: its readings drift by {100 * lasting:.2g} % of the supply, "
-            f"and {CHANGE}"
+            f"{name}: no calibration: its readings drift "
+            f"by {100 * lasting:.2g} % of the supply, and {CHANGE}"
         )
 
 
@@ -193,9 +197,9 @@ def _valid(name: str, readout: Readout, volt: Array, across: int) -> NDArray[np.
 def known_resistors(text: str, panel: Panel) -> Array:
     """Return the resistors in place of the cells, (rows, columns) ohm.
 
-    They come from a number or a .csv or .npy file. In a file every row is a line of the panel; inf,
-    nan or nothing between two commas stands for no resistor. Raises InputError where it is neither
-    a number nor such a table.
+    `text` is a number, or the path of a .csv or .npy file. In a file every row is a line of the
+    panel; inf, nan or nothing between two commas stands for no resistor. Raises InputError where it
+    is neither a number nor such a table.
     """
     try:
         return np.full(panel.shape, float(text))

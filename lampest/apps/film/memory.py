@@ -92,9 +92,9 @@ class Plays:
         return cls(weight, 1 / corners, np.zeros_like(corners))
 
     def after(self, pressure: Array) -> "Plays":
-        """Return the plays after a monotone change to a pressure (...) kPa.
+        """Return the plays after a monotone change to a pressure p (...) kPa.
 
-        They are z_i clipped between p and b_i p.
+        Every z_i is clipped between p and b_i p.
         """
         reached = self.reach * pressure
         low = np.minimum(pressure, reached)
@@ -163,7 +163,7 @@ class Creep:
     def after(self, at_once: Array, seconds: float) -> "Creep":
         """Return the creep after an interval in s with constant u (...).
 
-        It is s_j ← u + (s_j − u) e^{−t/τ_j}.
+        Every s_j decays to u: s_j ← u + (s_j − u) e^{−t/τ_j}.
         """
         return replace(self, crept=at_once + (self.crept - at_once) * self._decay(seconds))
 
@@ -220,7 +220,7 @@ class FilmMemory:
         )
 
     def answered(self, pressure: Array, seconds: float) -> tuple["FilmMemory", Array]:
-        """Return the film after a load, and ln(r/r_rest) at its end.
+        """Return the film after a load, and its response.
 
         Parameters
         ----------
@@ -228,6 +228,13 @@ class FilmMemory:
             kPa, constant during the interval.
         seconds : float
             Duration of the interval.
+
+        Returns
+        -------
+        film : FilmMemory
+            State at the end of the interval.
+        response : array, shape (...)
+            ln(r/r_rest) at the end of the interval.
         """
         effective = self.plays.effective(pressure)
         at_once = self.response.logarithm(self.water) - self.response.logarithm(
@@ -267,14 +274,14 @@ class FilmMemory:
     def fading(self, seconds: float) -> Array:
         """Return ln(r/r_rest) (...) after an interval in s without load.
 
-        It is the fading memory of earlier loads.
+        The result is the memory of earlier loads, which fades.
         """
         return -self.gain * self.creep.answer(np.zeros(np.shape(self.creep.strength)), seconds)
 
     def at_once(self, change: Array, seconds: float) -> Array:
         """Return β u (...), −ln(r/r_rest) without creep, after an interval in s.
 
-        It is determined from ln(r/r_rest) = `change`.
+        `change` is ln(r/r_rest) with creep.
         """
         return np.asarray(self.gain * self.creep.at_once(-change / self.gain, seconds))
 
@@ -396,8 +403,8 @@ class FilmKnown:
     def estimated(self, change: Array, sd: Array, time: Array) -> "FilmKnown":
         """Return the film with the posterior of its creep, given a recording.
 
-        It is unchanged where the scene specifies it. After a load a cell still shows c Σ s_j and a
-        constant share ρ of its largest response. With exponential priors
+        A creep that the scene specifies is not estimated. After a load a cell still shows c Σ s_j
+        and a constant share ρ of its largest response. With exponential priors
 
             P(c, ρ | data) ∝ P(c) P(ρ) Π [½ N(u; 0, σ) + ½/`loaded_range`]
 
@@ -443,14 +450,18 @@ class FilmKnown:
     def at_once(self, change: Array, time: Array) -> tuple[Array, Array]:
         """Return ln r/r_rest without creep, and its error by the uncertainty of creep.
 
-        Shape (frames, rows, columns).
-
         Parameters
         ----------
         change : array, shape (frames, rows, columns)
             ln r/r_rest; NaN is preserved.
         time : array, shape (frames,)
             s.
+
+        Returns
+        -------
+        expected, error : arrays, shape (frames, rows, columns)
+            ln r/r_rest without creep; its change when the strength of creep grows by one standard
+            deviation.
         """
         mean, sd = self.cells or self.creep
         strength = np.stack([np.broadcast_to(size, change.shape[1:]) for size in (mean, mean + sd)])
@@ -469,9 +480,9 @@ class FilmKnown:
 
 
 def _moments(logarithm: Array, grid: Array) -> tuple[Array, Array]:
-    """Return the mean and the standard deviation of a strength, (...).
+    """Return the mean and the standard deviation of a strength, (...) each.
 
-    They are computed from ln P at the grid, (strengths, ...).
+    `logarithm` is ln P at the grid of strengths, (strengths, ...).
     """
     wide = np.gradient(grid).reshape(-1, *[1] * (logarithm.ndim - 1))
     weight = np.exp(logarithm - logarithm.max(axis=0)) * wide

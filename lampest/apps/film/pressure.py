@@ -185,7 +185,7 @@ class PressureTrack:
     ) -> Pressure:
         """Return the pressure of the next frame at a time in s.
 
-        It may be that of several frames if the film has no memory.
+        A film without memory permits several frames at once.
 
         Parameters
         ----------
@@ -400,7 +400,7 @@ def response_sd(scene: Scene, answer: Array) -> Array:
 def scatter_sd(scene: Scene, errors: Systematic | None) -> Array:
     """Return each cell's own part of `response_sd`.
 
-    It is from measured gains, else the specified error, else RESPONSE_SD.
+    The sources are, in this order, measured gains, the specified error, and RESPONSE_SD.
     """
     assumed = RESPONSE_SD if errors is None or errors.response_sd is None else errors.response_sd
     measured = None if scene.response is None else scene.response.gain_sd

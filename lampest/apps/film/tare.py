@@ -42,7 +42,7 @@ class TareWatch:
     def after(
         self, change: Array, memory: Array, time: float
     ) -> tuple["TareWatch", Array | None, str]:
-        """Return the state after a frame, the new zero or None, and the reason or ''.
+        """Return the state after a frame, and a new zero if one is due.
 
         Parameters
         ----------
@@ -52,6 +52,15 @@ class TareWatch:
             The film's memory in ln r.
         time : float
             s.
+
+        Returns
+        -------
+        watch : TareWatch
+            State for the next frame.
+        zero : array, shape (rows, columns), or None
+            The new zero in ln r/r_zero, if one is due.
+        reason : str
+            Sentence on the new zero, or ''.
         """
         zeroed = time if self.zeroed is None else self.zeroed
         count = self.tare.frames
@@ -62,18 +71,17 @@ class TareWatch:
         if mean is None:
             return watch, None, ""
         message = (
-            f"nothing touched the panel for {count} frames ({time - watch.frames[0][1]:.3g} s): no "
-            "cell was off by "
-            f"more than {100 * np.expm1(np.nanmax(np.abs(mean))):.2g} %, as drift and the film's "
-            "memory allow"
+            f"nothing touched the panel for {count} frames ({time - watch.frames[0][1]:.3g} s): "
+            f"no cell was off by more than {100 * np.expm1(np.nanmax(np.abs(mean))):.2g} %, "
+            "as drift and the film's memory allow"
         )
         return TareWatch(self.tare, time), mean, message
 
     def _zero(self, memory: Array, minutes: float) -> Array | None:
-        """Return the mean of the first half of the frames.
+        """Return the mean of the first half of the frames as a new zero; None where none is due.
 
-        None where it must not or need not be a new zero. It must not where a frame shows a load,
-        and need not where the mean is within its noise.
+        No zero is taken where a frame shows a load, and none is needed where the mean is within its
+        noise.
         """
         frames = np.stack([change for change, _ in self.frames])
         finite = np.isfinite(frames).all(axis=0)
@@ -106,9 +114,9 @@ def sigma_of_frames(frames: Array) -> Array:
 
 
 def _stands_out(change: Array) -> bool:
-    """Return whether ln r/r0 (rows, columns) may show a load.
+    """Return whether ln r/r0 (rows, columns) may show a load, in one cell or in the mean of four.
 
-    It may show it in one cell or in the mean of four; NaN counts as 0.
+    NaN counts as 0.
     """
     cells = np.pad(np.nan_to_num(change), 1)
     four = (cells[:-1, :-1] + cells[1:, :-1] + cells[:-1, 1:] + cells[1:, 1:]) / 4

@@ -1,6 +1,6 @@
 """Import of other programs' files as recordings.
 
-These are text tables, sheets, arrays, and layouts of one's own.
+The importer reads text tables, sheets, arrays, and layouts that users register.
 """
 
 from lampest.files.applications import Application, Command

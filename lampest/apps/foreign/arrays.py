@@ -31,8 +31,8 @@ MAX_BYTES = 500_000_000  # of a file, unpacked, and of its values in memory (tes
 # Data elements of a .mat file in the order of their numbers from 0; '-' is reserved.
 ELEMENTS = "- i1 u1 i2 u2 i4 u4 f4 - f8 - - i8 u8 matrix compressed utf-8 utf-16 utf-32"
 PICKLED = (
-    "it holds pickled objects, which run code when they are opened, so that lampest does not "
-    "open them"
+    "it holds pickled objects, "
+    "which run code when they are opened, so that lampest does not open them"
 )
 ONE = "(rows, columns)"
 STACKED = "(rows, columns, frames)"
@@ -160,11 +160,16 @@ class Layout(Validated):
 
     @abstractmethod
     def read(self, path: Path, rows: int, columns: int) -> tuple[Array, Array | None]:
-        """Return readings (frames, rows, columns), NaN where missing, and times (frames).
-
-        Times are in the file's unit or None.
+        """Return the readings of a file and their times.
 
         Raises InputError with the place in the file that cannot be read.
+
+        Returns
+        -------
+        readings : array, shape (frames, rows, columns)
+            NaN where missing.
+        times : array, shape (frames,), or None
+            In the file's unit.
         """
 
     def frames(self, path: Path, shape: Shape) -> Frames:
@@ -393,8 +398,9 @@ def arrays_of(path: Path) -> Arrays:
 def frames_of_arrays(path: Path, arrays: Arrays, shape: Shape, variable: str | None) -> Frames:
     """Return the frames of the only array that fits the panel, or of the array `variable`.
 
-    They are by the first fitting layout. Frames behind those that a number of the file counts, and
-    frames of zeros at the end whose times are 0, were never written and are left out.
+    The first layout that fits the shape of the array determines its axes. Frames after the number
+    of frames that the file states, and frames of zeros at the end whose times are 0, were never
+    written and are left out.
 
     Raises InputError if no array or several arrays fit.
     """

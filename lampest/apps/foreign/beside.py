@@ -1,6 +1,6 @@
-"""Fields beside the readings of a line.
+"""Additional fields in a line of readings.
 
-They are clocks of several columns, numbers of frames and rows, constant marks.
+Such fields are clocks of several columns, numbers of frames and rows, and constant marks.
 """
 
 from collections.abc import Sequence
@@ -80,11 +80,12 @@ def _joined(
 
 
 def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
-    """Return a table without a header with names for the fields beside the readings.
+    """Return a table without a header with names for the additional fields, and without marks.
 
-    It is returned without marks. These are a clock, a time, a frame's number, or marks, which are
-    the same in every line, before or after the readings; a row's number stands before. Where they
-    cannot be distinguished, and where a single field leads, the table is returned unchanged.
+    The additional fields stand before or after the readings: a clock, a time, a frame's number, or
+    marks, which are equal in every line. A row's number always stands before the readings. Where
+    the fields cannot be distinguished, and where there is a single leading one, the table is
+    returned unchanged.
     """
     # Or it would with rows and columns exchanged.
     fits = table.width in (shape[0] * shape[1], *shape)
@@ -190,7 +191,7 @@ def _name_of(table: ReadingsTable, field: int, rows: int, *, mark: bool) -> str 
 def _is_row(texts: NDArray[np.object_], rows: int) -> bool:
     """Return whether texts count the rows of every frame, from 0 or 1.
 
-    They count as numbers or as names such as R3.
+    The texts are numbers, or names such as R3.
     """
     numbers = np.array([(line_of(text) or ("", -1))[1] for text in texts])
     first = int(numbers.min())

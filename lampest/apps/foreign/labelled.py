@@ -59,16 +59,23 @@ def frames_of_table(table: Any, shape: Shape) -> Frames:
 
 
 def labelled_array(data: Any) -> tuple[Array, Array | None, str | None]:
-    """Return the values (frames, rows, columns), the times in s and the unit of a labelled array.
+    """Return the values, times and unit of a labelled array.
 
-    Raises InputError if it is none, or if its dimensions are not time, row and column.
+    Raises InputError for another object, or if its dimensions are not time, row and column.
+
+    Returns
+    -------
+    values : array, shape (frames, rows, columns)
+    times : array, shape (frames,), or None
+        In seconds; None without coordinates of time.
+    unit : str or None
     """
     if not all(hasattr(data, name) for name in ("dims", "coords", "attrs", "transpose")) or hasattr(
         data, "data_vars"
     ):
         raise InputError(
-            f"from_xarray needs an xarray.DataArray, not {in_words(data)}; of a Dataset name a "
-            "variable"
+            f"from_xarray needs an xarray.DataArray, not {in_words(data)}; "
+            "of a Dataset name a variable"
         )
     places = {role_of(str(name)): name for name in data.dims}
     frame = places.get("time", places.get("frame"))

@@ -56,10 +56,9 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
             replace(shorter, notes=(*table.notes, f"empty columns left out: {empty}")), shape
         )
     raise InputError(
-        f"{table.place(0, None)}: {counted(table.width, 'field')}; {shape[0]} × {shape[1]} cells "
-        f"need {cells}, "
-        f"{cells + 1} with the time, or 3 or 4 for row, column, value and frame, or {shape[1]} in "
-        "a line for each row; "
+        f"{table.place(0, None)}: {counted(table.width, 'field')}; "
+        f"{shape[0]} × {shape[1]} cells need {cells}, {cells + 1} with the time, "
+        f"or 3 or 4 for row, column, value and frame, or {shape[1]} in a line for each row; "
         "`layout` says what each field is"
     )
 
@@ -215,8 +214,8 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
 def _counter_before_cells(table: ReadingsTable, shape: Shape) -> str | None:
     """Return whether the first of four fields is a 'frame' or a 'time'; None for neither.
 
-    It stands before row, column and value. Each of its values must stand before most cells of the
-    panel, and before none of them twice. Readings are not so.
+    The other three fields are row, column and value. A counter's value precedes most cells of the
+    panel, and none of them twice; readings do not repeat in this way.
     """
     counter, row, column = (
         (table.values[:, field] for field in range(3)) if table.width == 4 else (np.empty(0),) * 3
@@ -353,7 +352,7 @@ def _frame_numbers(table: ReadingsTable, cells: Index, order: dict[str, int]) ->
 def _begins_again(numbers: Index, ended: Sequence[bool]) -> NDArray[np.bool_]:
     """Return whether a frame begins at a line, (lines,).
 
-    It does where its number occurs again, or a title precedes it.
+    A frame begins where a number of the current frame occurs again, and after a title.
     """
     numbers_of_frame = set[int]()
     begins = np.zeros(len(numbers), dtype=bool)
@@ -466,9 +465,10 @@ def _blocks(
     parts = whole_parts(table.values[:, fields], rows) if len(groups) == 1 else ()
     if parts is None:
         raise InputError(
-            f"{table.source.source}: {counted(len(table.lines), 'line')} are no whole number of "
-            f"frames of {rows} lines, and the readings do not show which are lost, doubled or of a "
-            "cut frame; leave the lines before the first whole frame and behind the last one out"
+            f"{table.source.source}: {counted(len(table.lines), 'line')} "
+            f"are no whole number of frames of {rows} lines, "
+            "and the readings do not show which are lost, doubled or of a cut frame; "
+            "leave the lines before the first whole frame and behind the last one out"
         )
     frame = np.full(len(table.lines), -1)
     row = np.zeros(len(table.lines), dtype=np.intp)
@@ -539,7 +539,7 @@ def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:
     long = next((group for group in best[0] if len(group) > rows), None)
     if long and not whole(best[0]):
         raise InputError(
-            f"{table.place(long[0], None)}: a block of {len(long)} lines, where the panel has "
-            f"{rows} rows"
+            f"{table.place(long[0], None)}: "
+            f"a block of {len(long)} lines, where the panel has {rows} rows"
         )
     return best

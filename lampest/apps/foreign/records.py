@@ -21,11 +21,17 @@ Content = tuple[Any, tuple[str, ...]]  # a file's content, and notes on it
 
 
 def records_of(path: Path) -> tuple[Arrays | FieldLines, tuple[str, ...]]:
-    """Return the arrays of a file of records by name, and notes.
+    """Return the content of a file of records.
 
     Records of single values are the lines of a table.
 
     Raises InputError if the file is damaged or too large, or if its lists have different lengths.
+
+    Returns
+    -------
+    content : dict of arrays by name, or FieldLines
+    notes : tuple of str
+        Remarks of the reader for the user.
     """
     content, notes = READERS[path.suffix.lower()](path)
     held = _largest_records(content)

@@ -250,7 +250,7 @@ class ReadingsTable:
 def kind_of(text: str) -> str:
     """Return a line with '#' in place of its numbers.
 
-    It is the same for the titles of all frames.
+    The titles of all frames have the same result.
     """
     return NUMBER.sub("#", text)
 
@@ -388,10 +388,7 @@ def _usual_count(counts: Index) -> int:
 
 
 def _width(fields: NDArray[Any], usual: int) -> int:
-    """Return the usual number of fields without empty ones at the end.
-
-    Those are left out that are empty in all complete lines.
-    """
+    """Return the number of fields without the last ones that are empty in all complete lines."""
     width = usual
     while width > 1 and np.all(fields[:, width - 1] == ""):
         width -= 1
@@ -431,8 +428,8 @@ def _damage_note(source: FieldLines, damaged: NDArray[np.bool_]) -> str:
         return ""
     numbers = [source.lines[line].number for line in np.flatnonzero(damaged).tolist()]
     return (
-        f"bytes that are no text: their fields in {source.word} {first_and_more(numbers)} are "
-        "missing"
+        "bytes that are no text: their fields "
+        f"in {source.word} {first_and_more(numbers)} are missing"
     )
 
 
@@ -477,9 +474,9 @@ def _names(fields: NDArray[Any], header: int) -> tuple[list[str], bool]:
 
 
 def _data_lines(source: FieldLines, words: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return whether a line has a number or a word for a missing one, boolean (lines,).
+    """Return whether a line has data, boolean (lines,).
 
-    It must also have few other words.
+    A line of data has a number or a word for a missing one, and few other words.
     """
     fields = source.fields
     filled = source.fields != ""
@@ -497,9 +494,9 @@ def _data_lines(source: FieldLines, words: NDArray[np.bool_]) -> NDArray[np.bool
 
 
 def _header_line(fields: NDArray[Any], data: NDArray[np.bool_], width: int) -> int | None:
-    """Return the header, which names or counts the fields.
+    """Return the number of the header's line; None without a header.
 
-    It is the first data line if it names or counts the fields, or the line before it if that does.
+    The header names or counts the fields. It is the first data line or the line before.
     """
     first = int(np.argmax(data))
     following = fields[first + 1, 0] if first + 1 < len(fields) else ""

@@ -1,6 +1,6 @@
 """Unit of foreign numbers.
 
-It is specified, named in the header, or the only one that values and scene permit.
+The unit is specified, named in the header, or the only one that values and scene permit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,10 +24,16 @@ MAX_CODE = 65535  # of a 16-bit converter; larger whole numbers are resistances
 def understood_unit(
     values: Array, named: Sequence[str], scene: Scene | None, source: object
 ) -> tuple[str, str]:
-    """Return the unit of values (any shape, NaN if missing), and a sentence on the reason.
+    """Return the unit of values (any shape, NaN if missing) and the reason for it.
 
     `named` are the units that the header permits, () if it names none. Raises InputError if no unit
     fits, or several.
+
+    Returns
+    -------
+    unit : str
+    reason : str
+        Sentence for the user.
     """
     readout = None if scene is None else scene.readout
     allowed = [unit for unit in _possible_units(readout) if not named or unit in named]

@@ -25,14 +25,12 @@ ROLE_OF_WORD = _by_word(
     row="row rows zeile reihe y i",
     column="column columns col cols spalte x j",
     cell="cell taxel pixel index sensor",
-    value="value values reading measured resistance ohm kohm volt voltage code adc raw counts mv r "
-    "v wert widerstand "
-    "spannung",
+    value="value values reading measured resistance ohm kohm volt voltage code adc raw counts "
+    "mv r v wert widerstand spannung",
     frame="frame frames scan step sample frame_id frame_nr frame_no scan_nr nr messung bild",
     date="date datum day tag",
     time="time times t timestamp timestamps time_stamp datetime date_time zeit uhrzeit zeitstempel "
-    "elapsed clock ts "
-    "millis micros ms us µs s sec second seconds unix epoch",
+    "elapsed clock ts millis micros ms us µs s sec second seconds unix epoch",
 )
 # Words for the parts of a time of day that stands in columns of their own.
 PART_OF_CLOCK = _by_word(
@@ -58,8 +56,7 @@ PRESSURE_UNITS = _by_word(
 )
 LOADS = PRESSURE_UNITS | _by_word(
     load="n newton newtons g gram grams kg lb lbs lbf kgf pressure pressures druck force forces "
-    "kraft weight gewicht "
-    "load last conductance leitwert temperature"
+    "kraft weight gewicht load last conductance leitwert temperature"
 )
 ANY_PRESSURE_UNIT = "|".join(sorted(map(re.escape, PRESSURE_UNITS), key=len, reverse=True))
 STATED_PRESSURE = re.compile(rf"(?:\d\s*|[\[(:=]\s*)({ANY_PRESSURE_UNIT})(?![\w/²])", re.IGNORECASE)
@@ -94,8 +91,8 @@ MAX_LENGTH = 100
 # (ovf), multimeters (OL), Microsoft's C library (1.#QNAN) and Excel (#DIV/0!).
 NO_NUMBERS = _by_word(
     nan="nan -nan +nan na n/a null none nil ovf -ovf ol o.l o.l. overload overflow over err error "
-    "missing ? ?? . -inf "
-    "-infinity nan(ind) -nan(ind) 1.#ind -1.#ind 1.#qnan #n/a #na #div/0! #num! #value! #ref!",
+    "missing ? ?? . -inf -infinity nan(ind) -nan(ind) 1.#ind -1.#ind 1.#qnan "
+    "#n/a #na #div/0! #num! #value! #ref!",
     inf="inf +inf infinity +infinity ∞ 1.#inf",
 )
 NUMBER = r"[+-]?(\d+({0}\d*)?|{0}\d+|\d{{1,3}}({1}\d{{3}})+({0}\d*)?)([eE][+-]?\d+)?"
@@ -124,9 +121,14 @@ Where = Callable[[int], str]
 
 
 def parted(name: str) -> tuple[str, str]:
-    """Return a name in lower case and the unit at its end as written, or ''.
+    """Split a name into its words and its unit.
 
-    The words of the name are joined by underscores.
+    Returns
+    -------
+    word : str
+        Name in lower case without the unit, its words joined by underscores.
+    unit : str
+        Unit at the end of the name as written, or ''.
     """
     text = name[:MAX_LENGTH].strip()
     unit = ""
@@ -158,9 +160,9 @@ def role_of(name: str) -> str | None:
 
 
 def cell_of(name: str) -> tuple[int, int] | None:
-    """Return (row, column) of names such as r0c0 or 'row 0 col 3'; else None.
+    """Return (row, column) of a name such as r0c0 or 'row 0 col 3'; else None.
 
-    Others are R1C1, c3_r0, cell_0_3, (0, 3), [0][3].
+    Other such names are R1C1, c3_r0, cell_0_3, (0, 3) and [0][3].
     """
     word, _ = parted(name)
     matches = filter(None, (pattern.fullmatch(word) for pattern in CELLS))
@@ -168,9 +170,9 @@ def cell_of(name: str) -> tuple[int, int] | None:
 
 
 def line_of(name: str) -> tuple[str, int] | None:
-    """Return word and number, such as ('r', 3), of names such as R3, 'row 3', 3 or col_3.
+    """Return (word, number), such as ('r', 3), of a name such as R3 or 'row 3'; else None.
 
-    None for other names.
+    Other such names are 3 and col_3.
     """
     match = ONE_NUMBER.fullmatch(parted(name)[0])
     return (match[1].strip("_"), int(match[2])) if match else None
@@ -194,7 +196,7 @@ def units_of(names: Sequence[str]) -> tuple[str, ...]:
 def _units_of_one(name: str) -> tuple[str, ...]:
     """Return the units that a name permits.
 
-    It permits them by its unit, otherwise by the whole name, its first or its last word.
+    The unit at the end of the name decides, otherwise the whole name, its first or its last word.
     """
     stem, unit = parted(name)
     if unit in ("v", "V"):
@@ -202,9 +204,8 @@ def _units_of_one(name: str) -> tuple[str, ...]:
     load = load_named(name)
     if load:
         raise InputError(
-            f"the header says {load!r}: readings must be ohm, kohm, volt, mV or code, from which "
-            "cells are computed. "
-            "If they are, `unit` says which"
+            f"the header says {load!r}: readings must be ohm, kohm, volt, mV or code, "
+            "from which cells are computed. If they are, `unit` says which"
         )
     bracketed = BRACKETED.fullmatch(name.strip()) is not None and unit != ""
     if unit.lower() not in UNITS_OF_WORD and (bracketed or ELECTRIC.fullmatch(unit)):
@@ -401,9 +402,9 @@ def _iso(text: str, way: str) -> str:
 
 
 def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -> Clock:
-    """Return the clock of times as numbers, in a given or an inferred unit.
+    """Return the clock of times as numbers.
 
-    It is inferred from the column's name or the numbers.
+    Their unit is the given one, or else is inferred from the column's name or from the numbers.
 
     Raises InputError if the times do not increase.
     """
@@ -486,8 +487,8 @@ def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
     if len(cut) > MAX_CUT * len(seconds):
         bad = ~np.isfinite(seconds) | (np.diff(seconds, prepend=-np.inf) <= 0)
         raise InputError(
-            f"{where(int(np.argmax(bad)))}: times must be finite and grow; `period` sets them "
-            "instead"
+            f"{where(int(np.argmax(bad)))}: "
+            "times must be finite and grow; `period` sets them instead"
         )
     if not len(cut):
         return seconds, ""

@@ -1,7 +1,4 @@
-"""Live estimation of frames as they arrive.
-
-They are shown on a page in the browser and published for other programs.
-"""
+"""Live estimation of frames: pictures in the browser, and publication for other programs."""
 
 from lampest.files.applications import Application, Command
 

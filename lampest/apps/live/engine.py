@@ -23,14 +23,14 @@ from lampest.apps.live.state import NOTICED_PERCENT, Findings, PanelState, solve
 from lampest.apps.live.watcher import News, Scan, Unloaded, watcher
 from lampest.apps.recognition.detect.answer import Detected
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.outliers import (
+from lampest.files.errors import InputError
+from lampest.inference.outliers import (
     frozen_readings,
     impossible_readings,
     without_outliers,
     without_readings,
 )
-from lampest.estimate.prepared import Prepared
-from lampest.files.errors import InputError
+from lampest.inference.prepared import Prepared
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 
@@ -116,7 +116,7 @@ class Engine:
     def tare(self) -> None:
         """Replace the baseline by the mean of the next frames, as many as the first one had.
 
-        This is thread-safe.
+        The method is thread-safe.
         """
         self._zero_asked.set()
         self._watch(self._baseline)
@@ -173,8 +173,8 @@ class Engine:
             return
         self._unloaded.append(scan)
         self.say(
-            f"baseline: {len(self._unloaded)} of {self._baseline} unloaded frames; keep the panel "
-            "free"
+            f"baseline: {len(self._unloaded)} "
+            f"of {self._baseline} unloaded frames; keep the panel free"
         )
         if len(self._unloaded) == self._baseline:
             self.begin(source, self._unloaded)
@@ -218,7 +218,7 @@ class Engine:
     def _with_findings(self, state: PanelState) -> PanelState:
         """Return the state with the findings of second looks.
 
-        It is without second looks if their process died.
+        If the process of second looks has died, the state solves every frame completely.
         """
         while not self._found.empty():
             findings = self._found.get()

@@ -67,8 +67,8 @@ class Newest(Generic[T]):
 class Beside(Generic[T]):
     """Process of low priority that answers tasks one after the other.
 
-    It has a thread that waits for the answers. If the process dies, its tasks are lost, `gone`
-    becomes True and `on_gone` is called.
+    A thread waits for the answers. If the process dies, its tasks are lost, `gone` becomes True and
+    `on_gone` is called.
 
     Parameters
     ----------

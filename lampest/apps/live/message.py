@@ -195,7 +195,10 @@ class Message:
 
     @property
     def signature(self) -> tuple[int, str, str]:
-        """Frame number, sentence of the answer and alarm; equal signatures are not sent twice."""
+        """Frame number, sentence of the answer and alarm, in this order.
+
+        Messages of equal signature are not sent twice.
+        """
         detected = self.view.detected
         return self.picture.number, "" if detected is None else detected.sentence, self.view.alarm
 

@@ -178,9 +178,8 @@ class OscPublish(Publish):
             from pythonosc.udp_client import UDPClient
         if NO_PREFIX & set(self.path) or not (self.path.isascii() and self.path.isprintable()):
             raise InputError(
-                f"--publish: osc: {self.path!r} is no prefix: it has ASCII letters, and none of # "
-                "* , ? [ ] { } "
-                "and spaces"
+                f"--publish: osc: {self.path!r} is no prefix: "
+                "it has ASCII letters, and none of # * , ? [ ] { } and spaces"
             )
         if self.port == 0:
             raise InputError("--publish: osc: there is no port 0: give one from 1 to 65535")
@@ -286,8 +285,8 @@ class MqttPublish(Publish):
             from paho.mqtt.enums import CallbackAPIVersion
         if set(self.path) & set("+#"):
             raise InputError(
-                f"--publish: mqtt: '{self.path}' is no topic to publish to: + and # stand for "
-                "others"
+                f"--publish: mqtt: '{self.path}' "
+                "is no topic to publish to: + and # stand for others"
             )
         client: Any = Client(CallbackAPIVersion.VERSION2)
         # A short segment does not wait until the one before is confirmed (RFC 896), up to 0.5 s
@@ -526,7 +525,7 @@ def _forward(shown: Newest[View], send: Send, where: str, say: Say) -> None:
         except OSError as error:
             if not failed:
                 say(
-                    f"{where}: frames do not get through ({error.strerror or error}); it is tried "
-                    "again with each"
+                    f"{where}: frames do not get through ({error.strerror or error}); "
+                    "it is tried again with each"
                 )
             failed = True

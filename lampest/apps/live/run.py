@@ -117,9 +117,7 @@ def live(
     on_url: Callable[[str], None] = lambda url: None,
     on_trouble: Callable[[str], None] = lambda sentence: None,
 ) -> Recorded | None:
-    """Reconstruct frames as they arrive and show them in the browser.
-
-    It ends when `frames` have come or with Ctrl-C.
+    """Reconstruct frames as they arrive and show them in the browser until Ctrl-C or a last frame.
 
     Parameters
     ----------
@@ -224,9 +222,14 @@ def recorder_of(
 def chosen(
     name: str | None, config: Path | None, settings: tuple[str, ...] = ()
 ) -> tuple[str, Estimator]:
-    """Return the name and the estimator, the first one by default.
+    """Return an estimator by its name, the first one by default.
 
     Raises InputError for an unknown name.
+
+    Returns
+    -------
+    name : str
+    estimator : Estimator
     """
     if config is None:
         known = tuple(METHODS)
@@ -298,7 +301,7 @@ def from_recording(
 ) -> None:
     """Replay the measured frames of a recording at `speed` times its rate.
 
-    They are replayed against its unloaded frames.
+    The unloaded frames of the recording are the baseline.
     """
     source = FrameSource(
         recording.scene, frame_period(recording), f"replaying at {speed:g} times its speed"

@@ -33,9 +33,8 @@ HINT = ": open the address that lampest printed when it began, with its token if
 REQUEST_HEADER = "X-Lampest"
 HEADERS = {
     "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'none'; connect-src 'self'; script-src "
-    "'unsafe-inline'; "
-    "style-src 'unsafe-inline'; img-src data:",
+    "Content-Security-Policy": "default-src 'none'; connect-src 'self'; "
+    "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
@@ -64,8 +63,8 @@ class Access:
     def __post_init__(self) -> None:
         if self.token and not re.fullmatch(rf"[A-Za-z0-9._~-]{{{MIN_TOKEN_LENGTH},}}", self.token):
             raise InputError(
-                f"--token: give at least {MIN_TOKEN_LENGTH} letters, digits or any of - _ . ~ (or "
-                "none: one is made up)"
+                f"--token: give at least {MIN_TOKEN_LENGTH} letters, digits or any of - _ . ~ "
+                "(or none: one is made up)"
             )
 
     @classmethod
@@ -321,7 +320,7 @@ class PageHandler(BaseHTTPRequestHandler):
 def is_local_name(host: str) -> bool:
     """Return whether a Host header names this computer.
 
-    It does by localhost or a loopback address, with or without a port.
+    Local names are localhost and the loopback addresses, with or without a port.
     """
     ip = ip_named(host.rsplit(":", 1)[0] if host.rpartition(":")[2].isdigit() else host)
     return ip is not None and ip.is_loopback
@@ -344,6 +343,12 @@ def address(text: str) -> tuple[str, int]:
     """Parse HOST:PORT, such as 127.0.0.1:8137, [::1]:0 or 0.0.0.0:8137.
 
     Raises InputError for other texts.
+
+    Returns
+    -------
+    host : str
+        IP address without brackets.
+    port : int
     """
     host, separator, port = text.rpartition(":")
     ip = ip_named(host)

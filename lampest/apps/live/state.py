@@ -10,11 +10,11 @@ from lampest.apps.live.message import BOTH, NOTHING, PRESSING, SUCKING, UNKNOWN,
 from lampest.apps.live.watcher import Scan
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import begin_stream
-from lampest.estimate.outliers import FramesBefore
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.files.levels import OUTLIER_THRESHOLD
+from lampest.inference.outliers import FramesBefore
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.track import Bars, Track
@@ -60,9 +60,7 @@ class Findings:
 
 @dataclass(frozen=True, eq=False)
 class SecondLook:
-    """A frame that is to be solved again.
-
-    It is solved with its own weights, from all starts, and with error bars.
+    """A frame to be solved again, with its own weights, all starts and error bars.
 
     Attributes
     ----------
@@ -162,7 +160,7 @@ class PanelState:
     def in_haste(self) -> "PanelState":
         """Return a state that solves frames as fast as possible.
 
-        It leaves error bars and weights to second looks. The first weights are those of the
+        Error bars and weights are left to second looks. The first weights are those of the
         baseline.
         """
         stream = self.stream
@@ -230,7 +228,7 @@ class PanelState:
     def _zeroed(self, frames: tuple[Readings, ...], time: float, why: str) -> "PanelState":
         """Return the state with the mean of some frames as its zero.
 
-        It is unchanged if they have too few readings.
+        Frames with too few readings leave the zero unchanged.
         """
         first, *following = frames
         zero = first.together(*following).mean()
@@ -244,9 +242,7 @@ class PanelState:
 def solved_scan(
     state: PanelState, scan: Scan, number: int, skipped: int
 ) -> tuple[PanelState, Picture]:
-    """Solve a frame without its outliers; return the next state and the picture.
-
-    The picture has NaN and the reason of a failure.
+    """Solve a frame without its outliers.
 
     Parameters
     ----------
@@ -254,6 +250,13 @@ def solved_scan(
         Number of the frame.
     skipped : int
         Frames skipped before this one.
+
+    Returns
+    -------
+    state : PanelState
+        State for the next frame.
+    picture : Picture
+        NaN with the reason if the frame failed.
     """
     state = replace(state, look=None)
     stream = state.stream
@@ -350,8 +353,7 @@ def read_load(
 ) -> tuple[Pressure | None, Force]:
     """Return pressures of the cells of a frame and their total force.
 
-    Without a response, None and NaN are returned. Cells are saturated regardless of the errors of
-    the estimate.
+    Cells are saturated regardless of the errors of the estimate.
 
     Parameters
     ----------
@@ -361,6 +363,13 @@ def read_load(
         Error bars of the estimate, or None.
     time : float
         s.
+
+    Returns
+    -------
+    pressure : Pressure or None
+        In kPa; None without a response of the film.
+    force : Force
+        In newtons; NaN without a response of the film.
     """
     if load.scene.response is None:
         return None, Force(np.nan, np.nan)

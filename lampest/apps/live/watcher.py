@@ -11,8 +11,8 @@ from lampest.apps.recognition.detect.answer import Detected
 from lampest.apps.recognition.detect.detection import HEAD_FRAMES, Known, known_of
 from lampest.apps.recognition.image import ImageWatch
 from lampest.apps.recognition.watch import Watch
-from lampest.estimate.prepared import Prepared
 from lampest.files.process import logged_reason
+from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings

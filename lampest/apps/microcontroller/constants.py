@@ -115,22 +115,21 @@ class CircuitLines:
         """
         if getattr(readout, "diode", None) is not None:
             raise InputError(
-                "the C library has no diodes: drive the lines without one, or estimate on a "
-                "computer"
+                "the C library has no diodes: "
+                "drive the lines without one, or estimate on a computer"
             )
         if readout.unseen_scales(*shape):
             raise InputError(
-                "the C library has no prior of scales that no reading shows: give each sensed line "
-                "a resistor (load_ohm), or estimate on a computer"
+                "the C library has no prior of scales that no reading shows: "
+                "give each sensed line a resistor (load_ohm), or estimate on a computer"
             )
         equation = equation_of(readout, *shape)
         if len(equation.ties) > 1:
             raise InputError("the C library has no multiplexers in parallel (readout.groups)")
         if np.isinf(equation.ties).any():
             raise InputError(
-                "the C library has no lines that 0 ohm hold at ground while they are idle: give "
-                "idle_ohm or "
-                "idle_load_ohm of the switch"
+                "the C library has no lines that 0 ohm hold at ground while they are idle: "
+                "give idle_ohm or idle_load_ohm of the switch"
             )
         by_rows = readout.driven == "rows"
 
@@ -147,9 +146,8 @@ class CircuitLines:
             np.abs(load) * along_sensed(equation.load) > MAX_RELEASE
         ):
             raise InputError(
-                "the C library has no lines that are held at ground while idle, and driven or "
-                "loaded through a "
-                "resistor: single precision loses what differs"
+                "the C library has no lines that are held at ground while idle, "
+                "and driven or loaded through a resistor: single precision loses what differs"
             )
         tie = readout.ties(np.full(shape, readout.driving_volt / 2))
         lines = cls(tie, drive, release, load, readout.driving_volt * gain)
@@ -244,8 +242,8 @@ class Constants:
             if isinstance(error, InputError):
                 raise
             raise InputError(
-                f"{case.recording} × {case.estimator}: its stored configuration is none that "
-                "lampest writes"
+                f"{case.recording} × {case.estimator}: "
+                "its stored configuration is none that lampest writes"
             ) from error
         constants.check()
         return constants
@@ -344,8 +342,8 @@ class Constants:
                 )
         if self.least_ohm > self.largest_ohm:
             raise InputError(
-                f"bounds: the lower one, {self.least_ohm:g} ohm, exceeds the upper, "
-                f"{self.largest_ohm:g}"
+                f"bounds: the lower one, {self.least_ohm:g} ohm, "
+                f"exceeds the upper, {self.largest_ohm:g}"
             )
         low_sum, high_sum = self.valid_sums
         if low_sum > high_sum:
@@ -365,7 +363,7 @@ class Constants:
 
     @property
     def valid_sums(self) -> tuple[int, int]:
-        """Smallest and largest sum that is no bound: those between the rails."""
+        """Smallest and largest sum between the rails, in this order."""
         readout = self.scene.circuit
         ends = readout.steps_from_volt(readout.volt_from_recorded(np.array(readout.rails())))
         low, high = np.sort(ends) * readout.readings
@@ -380,9 +378,14 @@ class Constants:
 
     @property
     def pairs(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array] | None:
-        """Neighbours of listed cells by their numbers along the longer side.
+        """Neighbours among listed cells, numbered along the longer side; None for a full rectangle.
 
-        None for a full rectangle.
+        Returns
+        -------
+        first, second : integer arrays, shape (pairs,)
+            Numbers of the two cells.
+        distance : array, shape (pairs,)
+            As in `Panel.neighbours`.
         """
         panel = self.scene.panel
         if panel.cells is None:
@@ -455,8 +458,8 @@ def check_scene(scene: Scene) -> None:
         raise InputError(f"the C library has no such circuit: {readout.description()}")
     if readout.readings * (2**readout.adc_bits - 1) >= MISSING:
         raise InputError(
-            f"sums of {readout.readings} readings of {readout.adc_bits} bits exceed 32 bits: give "
-            "fewer readings"
+            f"sums of {readout.readings} readings "
+            f"of {readout.adc_bits} bits exceed 32 bits: give fewer readings"
         )
 
 
@@ -505,7 +508,7 @@ def _plain_sigma(case: CaseResult) -> float:
 def _largest(case: CaseResult) -> float:
     """Return the upper bound of all cells in ohm.
 
-    It is where single precision, or the noise, sees no difference.
+    Larger resistances are not resolved by single precision or by the noise.
     """
     readout = case.scene.circuit
     if not isinstance(readout, DrivenCircuit) or case.sigma is None:
@@ -523,8 +526,8 @@ def _loss(term: Mapping[str, Any]) -> tuple[str, float]:
     loss = term.get("loss", {"kind": "squared"})
     if loss["kind"] not in LOSSES:
         raise InputError(
-            f"the C library has no loss {loss['kind']!r} ({term['kind']}): it has "
-            f"{', '.join(LOSSES)}"
+            f"the C library has no loss {loss['kind']!r} ({term['kind']}): "
+            f"it has {', '.join(LOSSES)}"
         )
     return LOSSES[loss["kind"]], float(loss.get("corner", 1.0))
 

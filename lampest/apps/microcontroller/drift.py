@@ -48,7 +48,7 @@ def frames_to_follow(case: CaseResult, loaded_limit: float) -> float:
 def _prediction_error(change: Array, share: float, loaded_limit: float) -> float:
     """Return the mean square by which unloaded frames (frames, cells) differ from the baseline.
 
-    It is infinite with fewer than MIN_FRAMES unloaded frames.
+    Fewer than MIN_FRAMES unloaded frames give infinity.
     """
     baseline = np.zeros(change.shape[1])
     squares = []

@@ -95,7 +95,13 @@ class Host:
         )
 
     def frame(self, sums: NDArray[np.uint32]) -> tuple[Array, Array]:
-        """Return (log change (rows, columns), status (8,)) of one frame."""
+        """Process one frame.
+
+        Returns
+        -------
+        log_change : array, shape (rows, columns)
+        status : array, shape (8,)
+        """
         return self._call(self.library.host_frame, sums, changes=True)
 
     def baseline(self, sums: NDArray[np.uint32]) -> Array:

@@ -17,9 +17,9 @@ def sources() -> tuple[Path, ...]:
 
 
 def library_version() -> int:
-    """Return LAMPEST_ESTIMATE_VERSION, which constants must name.
+    """Return LAMPEST_ESTIMATE_VERSION, 10,000 major + 100 minor + patch.
 
-    It is 10,000 major + 100 minor + patch.
+    Constants must name the same version.
     """
     text = (library_folder() / "lampest_estimate.h").read_text(encoding="utf-8")
     match = re.search(r"^#define LAMPEST_ESTIMATE_VERSION (\d+)$", text, re.MULTILINE)

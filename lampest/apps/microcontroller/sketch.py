@@ -177,15 +177,15 @@ def export_sketch(
         budget = constants.budget
         about = (
             f"{case.recording} × {case.estimator}: {constants.scene.circuit.description()}",
-            f"budget of a frame: {budget.steps} steps × {budget.products} products, ends within "
-            f"{budget.within:g} σ",
+            f"budget of a frame: {budget.steps} steps × {budget.products} products, "
+            f"ends within {budget.within:g} σ",
         )
         text = header(
             constants,
             "panel",
             (
-                "Constants of an estimator, written by `lampest export --to c` of lampest "
-                f"{version('lampest')}",
+                "Constants of an estimator, "
+                f"written by `lampest export --to c` of lampest {version('lampest')}",
                 f"for version {library_version()} of lampest_estimate.",
                 *about,
             ),
@@ -233,16 +233,16 @@ def _measured(
     if compiler() is None:
         if wishes.any:
             raise InputError(
-                "--within and --milliseconds need a C compiler here (cc, gcc or clang), to measure "
-                "budgets"
+                "--within and --milliseconds need a C compiler here "
+                "(cc, gcc or clang), to measure budgets"
             )
         with np.errstate(invalid="ignore", divide="ignore"):
             optimum = np.nan_to_num(
                 np.log(case.cell_resistance / case.baseline_resistance)[:VECTOR_FRAMES]
             )
         note = (
-            "no C compiler here (cc, gcc or clang): budgets are not measured, the usual one is "
-            "taken"
+            "no C compiler here (cc, gcc or clang): "
+            "budgets are not measured, the usual one is taken"
         )
         return (), constants, _vector(sums, optimum, 0.1), (note,)
     notes: list[str] = []
@@ -250,8 +250,8 @@ def _measured(
     with compiled(constants) as host:
         if case.sigma_own is None and not wishes.any:
             notes.append(
-                "these results have no error bars, the unit of deviations: the usual budget is "
-                "taken"
+                "these results have no error bars, the unit of deviations: "
+                "the usual budget is taken"
             )
         else:
             table = trades(host, constants, case)

@@ -84,7 +84,13 @@ class Trade:
     most_instructions: float
 
     def milliseconds(self, processor: str) -> tuple[float, float]:
-        """Return the range of the estimated time of the costliest frame in ms."""
+        """Return the range of the estimated time of the costliest frame.
+
+        Returns
+        -------
+        least, most : float
+            In milliseconds.
+        """
         about = PROCESSORS[processor]
         least, most = (
             self.most_instructions * cycles / about.megahertz / 1000 for cycles in about.cycles
@@ -155,10 +161,7 @@ def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, .
 
 
 def _deviation(log_change: Array, optimum: Array, own: Array) -> Array:
-    """Return the rms deviation of maps (..., rows, columns) over their cells, (...).
-
-    It is in standard deviations.
-    """
+    """Return the rms deviation of maps (..., rows, columns) in standard deviations, (...)."""
     with np.errstate(invalid="ignore"):
         square = ((log_change - optimum) / own) ** 2
     return np.asarray(np.sqrt(np.nanmean(square, axis=(-2, -1))))
@@ -167,9 +170,7 @@ def _deviation(log_change: Array, optimum: Array, own: Array) -> Array:
 def chosen_budget(
     table: Sequence[Trade], within: float | None, milliseconds: float | None, processor: str | None
 ) -> tuple[Trade, float]:
-    """Return the budget that a user's wishes name, and a deviation.
-
-    It is the deviation at which its frames may end earlier.
+    """Return the budget that fits a user's wishes.
 
     Parameters
     ----------
@@ -183,7 +184,16 @@ def chosen_budget(
     processor : str or None
         One of PROCESSORS.
 
-    Raises InputError where no budget fits.
+    Returns
+    -------
+    budget : Trade
+    deviation : float
+        Deviation in standard deviations at which a frame may end before it has used its budget.
+
+    Raises
+    ------
+    InputError
+        If no budget fits.
     """
     by_cost = sorted(table, key=lambda trade: trade.most_instructions)
     if milliseconds is not None:
@@ -193,8 +203,8 @@ def chosen_budget(
         if not fits:
             least, most = by_cost[0].milliseconds(processor)
             raise InputError(
-                f"no budget takes {milliseconds:g} ms on {processor}: the smallest takes "
-                f"{least:.2g} to {most:.2g} ms"
+                f"no budget takes {milliseconds:g} ms on {processor}: "
+                f"the smallest takes {least:.2g} to {most:.2g} ms"
             )
         if within is None:
             return min(fits, key=lambda trade: trade.median), DEFAULT_WITHIN

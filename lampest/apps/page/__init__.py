@@ -1,7 +1,4 @@
-"""Report page of a batch.
-
-It has results of each estimator and recording, a recommendation, and its uncertainty.
-"""
+"""Report page of a batch: results of each estimator and recording, and a recommendation."""
 
 from lampest.files.applications import Application
 

@@ -319,11 +319,14 @@ def figures(case: CaseResult) -> dict[str, Any]:
 
 
 def doubts(estimator: str, recordings: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-    """Return warnings about the recommended estimator.
+    """Return warnings of residuals beyond the noise, and of wrong error bars.
 
-    They concern residuals beyond the noise and wrong error bars.
-
-    recordings : its `figures` of each recording.
+    Parameters
+    ----------
+    estimator : str
+        The recommended estimator.
+    recordings : sequence of mapping
+        `figures` of the estimator for each recording.
     """
     lines = SPREAD, COVERED
     spreads, coverages = (
@@ -334,16 +337,15 @@ def doubts(estimator: str, recordings: Sequence[Mapping[str, Any]]) -> tuple[str
     sentences = []
     if spread > 1.5:
         sentences.append(
-            f"The residuals of {estimator} are {digits(spread, 2)} times the noise of the "
-            "readings: the noise is "
-            "larger than the scene states, an effect is missing in the model, or the penalty is "
-            "too strong."
+            f"The residuals of {estimator} are {digits(spread, 2)} times the noise "
+            "of the readings: the noise is larger than the scene states, "
+            "an effect is missing in the model, or the penalty is too strong."
         )
     if coverage < 90:
         sentences.append(
-            f"The 95 % intervals of {estimator} contain the truth for {digits(coverage, 2)} % of "
-            "the cells: an effect "
-            "is missing in the scene, or the penalty does not suit these loads."
+            f"The 95 % intervals of {estimator} contain the truth "
+            f"for {digits(coverage, 2)} % of the cells: "
+            "an effect is missing in the scene, or the penalty does not suit these loads."
         )
     return tuple(sentences)
 

@@ -8,9 +8,9 @@ from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.observation import ModelErrors, patch_of
 from lampest.apps.recognition.watch import MAX_CELLS, Watch
 from lampest.apps.recognition.watch_parts import WatchSetup
-from lampest.estimate.compared_frames import noise_factor
-from lampest.estimate.variance_components import NO_RIPPLE
 from lampest.files.process import ONE_BLAS_THREAD
+from lampest.inference.compared_frames import noise_factor
+from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.panel import Array, Panel
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.recording import UNLOADED, Recording
@@ -29,7 +29,8 @@ def lies_on(panel: Panel, logarithm: Array) -> bool:
 def touched(recording: Recording) -> bool:
     """Return whether a load came or left in the unloaded frames.
 
-    False where they scatter as specified. Their gain may vary by MAX_GAIN, as with the supply.
+    False where they scatter as specified. Their gain may vary by MAX_GAIN, as with the supply, and
+    water may move them.
     """
     if recording.scene.panel.modules is not None:
         return any(touched(module) for module in recording.modules)
@@ -43,6 +44,7 @@ def touched(recording: Recording) -> bool:
     setup = replace(
         WatchSetup.of(scene, ModelErrors().of_scene(scene, 0.0)),
         common=lambda measured: supply.columns(measured[None], baseline=False),
+        motion=np.zeros(3),
     )
     sigma = np.min(np.where(unloaded.plain, unloaded.known_sigma, np.inf), axis=0)
     values = unloaded.plain_values

@@ -284,7 +284,7 @@ def _waves(hertz: Array, times: Array) -> Array:
 def _tapered(waves: Array, within: Array) -> Array:
     """Return waves (rates, frames, 2) that fade towards the ends of the window.
 
-    They are returned as unit vectors (rates, 2, frames).
+    The result are unit vectors (rates, 2, frames).
     """
     faded = waves * (np.sin(np.pi * within) ** 2)[:, None]
     return np.swapaxes(faded / np.linalg.norm(faded, axis=1, keepdims=True), 1, 2)
@@ -293,7 +293,7 @@ def _tapered(waves: Array, within: Array) -> Array:
 def _background(swings: Array) -> float:
     """Return the variance of swings (rates, 2, readings) at most rates.
 
-    It is the lower quartile, and at least the noise.
+    The lower quartile estimates it; the variance of noise is the lower limit.
     """
     if not len(swings):
         return 1.0
@@ -397,7 +397,7 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
 def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> float:
     """Return the probability that suction oscillates with its rim.
 
-    It is not that of the rim alone, nor of the load's place or tilt. Each cause is taken at its own
+    The alternatives are the rim alone, and the load's place or tilt. Each cause is taken at its own
     best rate, because the square of a movement oscillates at twice its rate.
 
     Parameters
@@ -421,7 +421,7 @@ def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> fl
 def _explained(root: Array, most: float, swings: Array, noise: float) -> Array:
     """Return ln of the ratio of P(swings | cause) to P(swings | noise), (rates,).
 
-    It is averaged over sizes up to `most`.
+    The likelihood of the cause is averaged over sizes up to `most`.
 
     Parameters
     ----------

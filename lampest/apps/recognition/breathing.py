@@ -74,10 +74,10 @@ class Breathing:
         return self.suction * float(expit(self.odds))
 
     def parted(self, steps: Sequence[float]) -> "Breathing":
-        """Return the breath after steps at times in s: one ends a window that determined a rhythm.
+        """Return the breath after steps at times in s.
 
-        The swings after a pull are others. They begin a window of their own, and do not replace the
-        odds of this one.
+        A step ends a window that determined a rhythm. The swings after a pull are others: the next
+        window has them alone, and they do not replace the odds of this one.
         """
         if self.odds == self.previous_odds or not any(step > self.judged_s for step in steps):
             return self

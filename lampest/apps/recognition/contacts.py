@@ -71,10 +71,10 @@ def _cells_beside(panel: Panel) -> dict[int, list[int]]:
 
 
 def _joined(panel: Panel, strength: Array, sd: Array, basin: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the basins with some of them joined.
+    """Return the basins, joined where the cells between them may have changed as they have.
 
-    Those are joined between which lies a cell that may have changed as they have. Of a cell whose
-    readings are bounds, or of a dead line, nothing is known: it divides no contact.
+    One such cell between two basins is enough. Of a cell whose readings are bounds, or of a dead
+    line, nothing is known: it divides no contact.
     """
     joined = basin.copy()
     for cell, neighbours in _cells_beside(panel).items():

@@ -2,8 +2,8 @@
 
 Candidates are fitted from several starts, and compared by their evidence. The cost has many minima,
 because readings do not depend on rims between patches. Fits begin where templates match, with
-coarse errors about the field of cells. They are then refined with the errors about the best
-explanation. Where no candidate explains the frame, several loads are fitted together.
+coarse errors about the field of cells. The errors about the best explanation then refine them.
+Where no candidate explains the frame, several loads are fitted together.
 """
 
 from collections.abc import Sequence
@@ -189,9 +189,14 @@ class Detector:
         return undisturbed if stands_out.max() < SIGNIFICANT else None
 
     def with_errors(self, frame: Observation, fit: Fit) -> tuple[Observation, Whitening]:
-        """Return the frame without readings that contradict a fit, and the errors.
+        """Return the frame without readings that contradict a fit.
 
-        The errors are those about the fit's change of cells.
+        Returns
+        -------
+        calm : Observation
+            The frame without these readings.
+        whitening : Whitening
+            Errors about the fit's change of cells.
         """
         calm = frame.without(self._contradicting(frame, fit))
         return calm, self.fitting(fit.candidate, calm).errors(fit, fit.scatter)
@@ -231,8 +236,8 @@ class Detector:
     ) -> tuple[Observation, Fit]:
         """Return the frame without outliers, and the fit to it.
 
-        They are found by alternating fits and outlier detection. Outliers are detected among all
-        readings in each round, so that a reading returns if a better fit explains it.
+        Fits and outlier detection alternate. Outliers are detected among all readings in each
+        round, so that a reading returns if a better fit explains it.
 
         Parameters
         ----------
@@ -269,7 +274,7 @@ class Detector:
     def _coarse(self, kinds: Sequence[Candidate], field: Fit, calm: Observation) -> list[Fit]:
         """Return the best fit of every kind from the matches of its templates.
 
-        It is made with coarse errors about the field.
+        The errors are coarse ones about the field.
         """
         likelihood = coarse_errors(calm, field.change)
         fits = list[Fit]()
@@ -291,7 +296,7 @@ class Detector:
         """Return the verdict on all candidates, refined from coarse fits.
 
         The best candidate is refined first. All others are fitted with its errors, and with their
-        own errors if they come close. This is repeated until the best one stays the best.
+        own errors if they come close. The refinement is repeated until the best one stays the best.
 
         Parameters
         ----------

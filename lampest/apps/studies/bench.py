@@ -47,6 +47,11 @@ def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Cours
 
     0: a breathing mouth over a third of the shorter side, with increasing suction. 1: three
     standing rods. 2: a mouth of 35 mm that presses, then sucks, beside a rod.
+
+    Returns
+    -------
+    shapes : tuple of shapes
+    course : Course
     """
     pitch = Panel(*shape).pitch_mm
     height, width = (pitch * (side - 1) for side in shape)

@@ -1,6 +1,6 @@
 """Certified values: 50-digit arithmetic, and a second test of optimality.
 
-They share no code with the solvers.
+The module shares no code with the solvers.
 """
 
 from typing import Any
@@ -17,10 +17,10 @@ from lampest.panel.readouts.floating import exact_two_point_resistance
 
 
 def correct_digits(values: Array, certified: Array) -> float:
-    """Return LRE = −log10(|values − certified|/|certified|).
+    """Return the number of correct digits, LRE = −log10(|values − certified|/|certified|).
 
-    It is the least of all entries, from 0 to 15. Entries that are infinite or zero in both are
-    right; NaN if anything is NaN. Source: NIST StRD.
+    The worst entry counts, from 0 to 15. Entries that are infinite or zero in both are right; NaN
+    if anything is NaN. Source: NIST StRD.
     """
     if np.any(np.isnan(values)) or np.any(np.isnan(certified)):
         return float("nan")

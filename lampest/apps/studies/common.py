@@ -1,6 +1,6 @@
 """Common parts of studies.
 
-They are methods, panels, a lamprey's mouth, timed frames, clocks, peak memory.
+The parts are methods, panels, a lamprey's mouth, timed frames, clocks, and peak memory.
 """
 
 from collections.abc import Callable, Iterable
@@ -15,7 +15,7 @@ import numpy as np
 
 from lampest.apps.studies.study import column, named_values
 from lampest.cost.terms import Term
-from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.methods.method import Method
 from lampest.estimate.sequence import reconstruct
@@ -36,6 +36,7 @@ from lampest.recording.simulation.simulation import Simulation, read_simulations
 from lampest.recording.stored import joined
 from lampest.runs.config import Terms, terms_of
 from lampest.runs.executors import Processes
+from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import STRICT, Settings
 
 CONFIGS = shipped_folder() / "configs"
@@ -70,7 +71,7 @@ class StudyMethod(Configuration):
 def paper_methods() -> dict[str, StudyMethod]:
     """Return the five methods of the paper with its weights.
 
-    They are as the shipped run of its Table I has them.
+    The methods are read from the shipped run of the paper's Table I.
     """
     run = read_document(CONFIGS / "table1.yaml")
     content = run.content["estimators"].items()
@@ -109,9 +110,9 @@ def lamprey_mouth(centre_mm: tuple[float, float], diameter_mm: float = 35.0) -> 
 
 
 def simple_scene(shape: Shape, readout: TwoPointReadout, lines: Lines | None = None) -> Scene:
-    """Return a scene with the series resistance of the shipped lamprey.
+    """Return a scene of a readout, with the series resistance of the shipped lamprey.
 
-    It has nothing beside the circuit.
+    Apart from the circuit, the scene states no effects.
     """
     return Scene(Panel(*shape), readout, shipped_lamprey().scene.series_resistance_ohm, lines=lines)
 
@@ -181,7 +182,15 @@ def outcome(recording: Recording, step: Step) -> dict[str, Any]:
 
 
 def clocked(call: Callable[[], Result]) -> tuple[Result, float]:
-    """Return the result of a call and its seconds: the lesser of wall and processor time."""
+    """Call a function and measure its time.
+
+    Returns
+    -------
+    result
+        Result of the call.
+    seconds : float
+        The lesser of wall time and processor time.
+    """
     wall = perf_counter()
     cpu = process_time()
     result = call()
@@ -191,9 +200,9 @@ def clocked(call: Callable[[], Result]) -> tuple[Result, float]:
 
 
 def inverse_time(matrix: Array) -> float:
-    """Return the processor's seconds of one dense inverse.
+    """Return the processor's seconds of one dense inverse, the least of three measurements.
 
-    It is the least of three measurements of 1 ms or more.
+    Every measurement repeats the inverse for 1 ms or more.
     """
     count = max(1, 50_000 // matrix.size)
     return min(Timer(lambda: np.linalg.inv(matrix), timer=process_time).repeat(3, count)) / count

@@ -91,10 +91,17 @@ class Extreme(NamedTuple):
 
 
 def recording_of(sample: AtlasSample) -> tuple[Recording, Array]:
-    """Return a recording of a scene, and its cells (2, rows, columns) ohm, unloaded and loaded.
+    """Return a recording of a scene with its true cells.
 
     Cells are equal for every noise. Readings are exact ones times 1 + noise, digitised if there is
     a converter.
+
+    Returns
+    -------
+    recording : Recording
+        One unloaded and one loaded frame.
+    cells : array, shape (2, rows, columns)
+        True resistances in ohm.
     """
     case = CASES[sample.case]
     rng = np.random.default_rng([sample.seed, *sample.shape, 1])

@@ -360,7 +360,7 @@ SCREEN: Columns = {
 def mild(solve: Solve) -> bool:
     """Return whether a verified optimum is promised.
 
-    It is for noise up to 1 %, and a contrast up to 10⁶ or a single fault.
+    The promise holds for noise up to 1 %, and a contrast up to 10⁶ or a single fault.
     """
     case = CASES[solve.case]
     return ((case.contrasted and solve.decades <= 6) or case.single_fault) and solve.noise <= 0.01

@@ -1,6 +1,7 @@
 """Framework of studies.
 
-It has settings from YAML, records of experiments, HDF5, CSV, Markdown, figures, tables.
+A study reads its settings from YAML, makes records of experiments, and writes HDF5, CSV, Markdown,
+figures and tables.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -344,9 +344,14 @@ def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Itera
 
 
 def errors(estimates: Estimates) -> tuple[Array, Array]:
-    """Return median errors of all cells and of changed ones in percent, shape (frames,).
+    """Return median errors of the cells of every frame in percent; NaN if unknown.
 
-    NaN if unknown.
+    Returns
+    -------
+    of_all : array, shape (frames,)
+        Median over all cells.
+    of_changed : array, shape (frames,)
+        Median over the changed cells.
     """
     recording = estimates.recording
     frames = len(estimates.frame)

@@ -19,7 +19,6 @@ from scipy.special import erfcx
 from lampest.apps.studies.study import column
 from lampest.cost.cost import Cost
 from lampest.cost.problem import NO_DUAL, Data
-from lampest.estimate.deciding import baseline_readings, deciding_frames
 from lampest.estimate.methods import named_method
 from lampest.estimate.objective import Rule
 from lampest.estimate.sequence import deciding_data
@@ -29,9 +28,8 @@ from lampest.panel.panel import Array
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel, rank
 from lampest.posterior.spectrum import Spectrum
-from lampest.recording.recording import Recording
+from lampest.recording.recording import Recording, baseline_readings, deciding_frames
 from lampest.runs.config import Case
-from lampest.solvers.convex import convex_cells
 from lampest.solvers.multistart import best_solution, evaluated
 
 
@@ -218,9 +216,10 @@ def free_evidence(model: LinearModel, weight: float) -> float:
 def bound_evidence(model: LinearModel) -> float:
     """Return the part of −2 ln evidence by cells at a bound.
 
-    It is Σ (ln 2π − 2 ln ∫₀^∞ exp(−(g t + a t²)/2) dt). t is the distance of a cell from its bound,
-    and g and a are slope and curvature of cost/s². The free cells are integrated over a Gaussian.
-    With both parts, evidences with different active sets are comparable.
+    The sum over these cells is Σ (ln 2π − 2 ln ∫₀^∞ exp(−(g t + a t²)/2) dt), where t is the
+    distance of a cell from its bound, and g and a are slope and curvature of cost/s². The free
+    cells are integrated over a Gaussian. With both parts, evidences with different active sets are
+    comparable.
     """
     bound = np.flatnonzero(model.at_lower | model.at_upper)
     weighted = DenseErrors(model).sensitivity[:, bound] ** 2 * model.data_curvature[:, None]
@@ -297,7 +296,7 @@ class Curves:
 def trace(subject: WeightSubject, marks: list[float]) -> Curves:
     """Return curves over 33 weights, equally spaced in log λ, solved from the first mark outwards.
 
-    They cover the weights for which the penalty matters, at most four decades beyond the marks.
+    The range has the weights for which the penalty matters, at most four decades beyond the marks.
 
     Parameters
     ----------
@@ -308,9 +307,7 @@ def trace(subject: WeightSubject, marks: list[float]) -> Curves:
     low = min(marks) / 1e4
     high = max(marks) * 1e4
     with suppress(*BROKEN):  # without free cells the extent is unknown
-        first = evaluated(
-            subject.with_weight(marks[0]), subject.data, convex_cells(subject.data, None)
-        )
+        first = evaluated(subject.with_weight(marks[0]), subject.data, subject.data.start())
         least, largest = np.exp(Spectrum.of(LinearModel(first, NO_DUAL)).extent)
         low = max(least, low)
         high = min(largest, high)
@@ -330,8 +327,8 @@ def tune(subject: WeightSubject) -> Curves:
     noisy = subject.data.noise_known
     if rule == "evidence" and not noisy:
         raise InputError(
-            "auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the "
-            "recording"
+            "auto_weight.rule: evidence needs the noise: "
+            "a readout in the scene or sigma in the recording"
         )
     initial = subject.search.cost.terms[subject.penalty].weight
     specified = {} if initial == "auto" else {"given": float(initial)}

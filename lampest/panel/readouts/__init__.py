@@ -1,16 +1,25 @@
-"""The kinds of readout. To add one: write its file, name it in `AnyReadout`."""
+"""The kinds of readout. To add one: write its file, name it in `AnyReadout`.
+
+A kind is imported when a scene has it.
+"""
 
 from typing import Annotated
 
 from lampest.files.typed import ByKind
-from lampest.panel.readouts.driven_readout import DrivenReadout as DrivenReadout
-from lampest.panel.readouts.presets import GroundedReadout as GroundedReadout
-from lampest.panel.readouts.presets import LoadedColumnsReadout as LoadedColumnsReadout
-from lampest.panel.readouts.presets import VirtualGroundReadout as VirtualGroundReadout
 from lampest.panel.readouts.readout import Readout as Readout
 from lampest.panel.readouts.two_point import TwoPointReadout as TwoPointReadout
 
 AnyReadout = Annotated[
-    TwoPointReadout | DrivenReadout | LoadedColumnsReadout | GroundedReadout | VirtualGroundReadout,
-    ByKind("lampest.readouts", "two_point"),
+    Readout,
+    ByKind(
+        "lampest.readouts",
+        "two_point",
+        {
+            "two_point": "lampest.panel.readouts.two_point:TwoPointReadout",
+            "driven": "lampest.panel.readouts.driven_readout:DrivenReadout",
+            "loaded_columns": "lampest.panel.readouts.presets:LoadedColumnsReadout",
+            "grounded": "lampest.panel.readouts.presets:GroundedReadout",
+            "virtual_ground": "lampest.panel.readouts.presets:VirtualGroundReadout",
+        },
+    ),
 ]

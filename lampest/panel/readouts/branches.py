@@ -16,7 +16,7 @@ much, it is never taken.
 Each driven line has a fold of its own, so that there may be more panels. `every_panel` searches
 beyond the folds of single lines, too, and frames separate them: cells without a load are
 equal in an unloaded and in a loaded frame on the branch that is meant, and on no other
-(`lampest.estimate.alike`).
+(`lampest.inference.alike`).
 """
 
 import math
@@ -74,7 +74,7 @@ def panels_alike(
 ) -> list[tuple[float, Array]]:
     """Return the panels that give the readings, the most probable one first.
 
-    They are ln p and cells (rows, columns) ohm. The order counts LOG_PRIOR, ln p does not.
+    The order counts LOG_PRIOR; the probabilities in the result do not.
 
     Parameters
     ----------
@@ -86,6 +86,11 @@ def panels_alike(
         Cells at which the searches begin, ohm.
     upper : array, shape (rows, columns)
         Largest resistances, ohm.
+
+    Returns
+    -------
+    list of (float, array)
+        ln p, and cells (rows, columns) ohm, of each panel.
     """
     matched = (
         matching_cells(network, measured, first, first / RANGE, first * RANGE) for first in firsts
@@ -98,7 +103,7 @@ def panels_alike(
     if len(alike) == 1:
         return [(0.0, panels[alike[0]])]
     evidence = {number: _log_evidence(networks[number], panels[number]) for number in alike}
-    prior = {number: LOG_PRIOR * bool(branch(networks[number]) < 0) for number in alike}
+    prior = {number: LOG_PRIOR * bool(networks[number].branch < 0) for number in alike}
     order = sorted(alike, key=lambda number: -(evidence[number] + prior[number]))
     return [(evidence[number], panels[number]) for number in order]
 
@@ -168,15 +173,6 @@ def _distinct(panels: Sequence[Array]) -> list[Array]:
         if not any(np.allclose(np.log(cells), np.log(panel), atol=SAME) for panel in distinct):
             distinct.append(cells)
     return distinct
-
-
-def branch(solved: Network) -> Array:
-    """Return the sign of the median change of the readings where all cells grow by one factor, (…).
-
-    Panels that give the same readings and differ in sign lie on two sides of a fold.
-    """
-    grown = solved.forward(np.ones(solved.cell_resistance.shape))
-    return np.asarray(np.sign(np.median(grown, axis=(-2, -1))))
 
 
 def _log_evidence(solved: Network, cells: Array) -> float:

@@ -49,8 +49,8 @@ class Characteristic(Configuration):
     def __post_init__(self) -> None:
         if isinstance(self.full_volt, str):
             raise ValueError(
-                "full_volt: no frame shows it, because cells of another size read alike; measure a "
-                "known voltage"
+                "full_volt: no frame shows it, "
+                "because cells of another size read alike; measure a known voltage"
             )
         volts = [self.zero_volt, self.full_volt, *(volt for volt, _ in self.curve or ())]
         for volt in volts:
@@ -70,7 +70,12 @@ class Characteristic(Configuration):
 
     @cached_property
     def points(self) -> tuple[Array, Array]:
-        """Voltages and codes of the curve, in the order of the codes."""
+        """Points of the curve in the order of the codes.
+
+        Returns
+        -------
+        volt, code : arrays, shape (points,)
+        """
         assert self.curve is not None
         volt, code = np.array(sorted(self.curve, key=lambda point: point[1])).T
         return volt, code

@@ -129,7 +129,7 @@ class Converter(Configuration):
 
     @property
     def range_volt(self) -> tuple[float, float]:
-        """Least and largest voltage of the converter's range."""
+        """Least and largest voltage of the converter's range, in this order."""
         return min(self._ends), max(self._ends)
 
     @property
@@ -231,7 +231,7 @@ class Converter(Configuration):
     def noise_volt(self, codes: Array | None = None) -> Array:
         """Return the noise of one reading in volt, or that of `codes` in LSB.
 
-        It is to be broadcast to (rows, columns).
+        The result can be broadcast to (rows, columns).
         """
         codes = np.array(self.assumed_noise) if codes is None else codes
         return np.asarray((along(self.noisy_side, codes) if codes.ndim else codes) * self.lsb_volt)
@@ -242,9 +242,9 @@ class Converter(Configuration):
         σ² = (noise² + 1/12 − b²)/readings + b².
 
         b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is the part of the quantisation error that averaging
-        cannot remove, because without noise all readings agree. It is 1/12 without noise, and
-        negligible above half an LSB. None: the converter's own noise, or number of readings.
-        Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
+        cannot remove, because without noise all readings agree. Without noise b² is 1/12; above
+        half an LSB of noise it is negligible. None: the converter's own noise, or number of
+        readings. Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
         """
         noise = np.array(self.assumed_noise if noise_lsb is None else noise_lsb)
         harmonic = np.arange(1, HARMONICS + 1, dtype=float)
@@ -262,9 +262,9 @@ class Converter(Configuration):
         )
 
     def noise_of_variance(self, variance: float) -> float:
-        """Return the noise in LSB whose `averaged_variance` is a given one in LSB².
+        """Return the noise in LSB that has a given `averaged_variance` in LSB².
 
-        It is found by bisection.
+        Bisection finds the noise.
         """
         low = 0.0
         high = 2.0**self.adc_bits
@@ -286,10 +286,15 @@ class Converter(Configuration):
         return self.noise_volt(self.sigma_code())
 
     def rails(self) -> tuple[float, float]:
-        """Return the least and the largest recorded value that is not a bound.
+        """Return the range of recorded values that are no bounds.
 
-        A reading beyond them is one-sided: a code at a rail, or at the floor, only bounds the
+        A reading outside it is one-sided: a code at a rail, or at the floor, only bounds the
         voltage by its edge.
+
+        Returns
+        -------
+        least, most : float
+            Recorded values, in the readout's unit.
         """
         top = 2.0**self.adc_bits - 1
         # Lower edge of the first valid code, and of the last code; stages before the converter may

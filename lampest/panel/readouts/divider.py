@@ -1,6 +1,6 @@
 """Readings of a divider with a reference resistor, as resistances.
 
-This is what all circuits share that record them.
+The base class has the equation and the keys that all such circuits share.
 """
 
 from dataclasses import replace
@@ -15,12 +15,10 @@ from lampest.panel.readouts.readout import SHORT_SHARE, Readout, Surroundings
 
 
 class Divider(Readout):
-    """Base of readouts whose recorded value is that of the divider equation.
+    """Base of readouts whose recorded value is the resistance of the divider equation.
 
-    The value is as if the converter took no current. Kinds are dataclasses that declare its keys in
-    the files' order.
-
-    It includes the scene's series resistance. The keys are those of `TwoPointReadout`. Raises
+    The value is as if the converter took no current, and includes the scene's series resistance.
+    Kinds are dataclasses that declare the keys of `TwoPointReadout` in the files' order. Raises
     ValueError if a number is out of range. Source: paper, equation (1) (across the sensor) and
     section V.B (across the reference).
     """
@@ -50,9 +48,9 @@ class Divider(Readout):
         return np.asarray(self._between_lines(recorded) - scene.series_ohm)
 
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
-        """Return R + R_series, distorted by the converter, (…, rows, columns) ohm.
+        """Return R + R_series as recorded, (…, rows, columns) ohm.
 
-        It is distorted by the converter's input resistance.
+        The converter's input resistance distorts the value.
         """
         total = np.asarray(reading + scene.series_ohm)
         if self.input_ohm is None:

@@ -28,7 +28,6 @@ from lampest.panel.readouts.lines import (
     with_channels,
 )
 from lampest.panel.readouts.readout import (
-    SHORT_SHARE,
     FreeTest,
     Surroundings,
 )
@@ -63,16 +62,6 @@ class DrivenCircuit(DrivenStarts):
         current = current + NOISE_REACH * np.sqrt(self._sum_together((noise * by_volt) ** 2))
         bound = np.maximum(self._driven_volt(current, equation.drive), 0) / current - equation.load
         return np.asarray(np.maximum(bound, least))
-
-    def nearly_shorted(self, measured: Array) -> Array:
-        """Return cells that count as shorts, (…, rows, columns) ohm.
-
-        They are also bounded by a share of the uniform start. With idle lines at ground the
-        apparent resistance is many times too large.
-        """
-        return np.asarray(
-            np.minimum(super().nearly_shorted(measured), SHORT_SHARE * self.uniform_start(measured))
-        )
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
         """Return the tests v_ij ≤ Vcc − Rd_i Σ_k v_ik/Rs_k and Σ_i v_ij ≤ Vcc.
@@ -144,7 +133,7 @@ class DrivenCircuit(DrivenStarts):
     ) -> Array:
         """Return recorded values with the channels added to the resistances.
 
-        They are added to drive_ohm, and to sense_ohm unless it is zero.
+        Channels add to drive_ohm, and to sense_ohm unless it is zero.
         """
         actual = self.with_channels(row_ohm, column_ohm)
         return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
@@ -171,7 +160,8 @@ class DrivenCircuit(DrivenStarts):
     def line_numbers(self) -> tuple[LineNumber, ...]:
         """Return the numbers to calibrate.
 
-        They are drive resistances, which include channels, and reference resistors.
+        Calibration estimates drive resistances, which include channels, reference resistors, and a
+        diode's drop.
         """
         drive = LineNumber("drive_ohm", (self.driven,), channel=True)
         reference = getattr(self, self.of_sensed[0])

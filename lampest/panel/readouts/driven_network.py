@@ -1,22 +1,22 @@
 """Circuits that drive the lines of one side, one after the other, and sense the other side.
 
-They have one equation for all. Driven line i is at the source U through Rd, idle driven lines are
+One equation describes them all. Driven line i is at the source U through Rd, idle driven lines are
 at ground through Rp (infinite: they float; 0: they are held). Sensed line j is at ground through Rs
 while it is read, and through Rq while it is idle. With a = 1/Rd − 1/Rp, b = 1/Rs − 1/Rq and Z of
 the panel with all lines idle,
 
     V_ij = (U/Rd) Z_ij / ((1 + a Z_ii)(1 + b Z_jj) − a b Z_ij²)
 
-at sensed line j; c_j is the share of it at the converter. Multiplied by Rd, it has no division by
-zero:
+at sensed line j; c_j is the share of it at the converter. Multiplied by Rd, the formula has no
+division by zero:
 
     V_ij = U Z_ij / ((A + A' Z_ii)(B + B' Z_jj) − A' B' Z_ij²),
     A = Rd, A' = 1 − Rd/Rp, B = 1, B' = b
 
 A side whose idle lines are held at ground by 0 ohm has A = 1, A' = −Rd, or B = 1/Rs, B' = −1, with
 the entries of `DifferenceNetwork` instead of Z. Where several sensed lines are read at one address,
-their Rs is a part of Z, and b = 0: Z has one version an address. So it has where the driven lines
-are behind several multiplexers, which hold a line each.
+their Rs is a part of Z, and b = 0: Z has one version for each address. The same holds where the
+driven lines are behind several multiplexers, which hold a line each.
 
 Readings and voltages are counted from the potential of the line ends that are furthest from the
 source. Where line ends have several potentials, `lampest.panel.readouts.potentials` has the
@@ -34,8 +34,7 @@ from numpy.typing import NDArray
 
 from lampest.panel.addressed import AddressedNetwork
 from lampest.panel.difference_network import HeldNetwork
-from lampest.panel.impedance import inverse_of
-from lampest.panel.network import Network
+from lampest.panel.network import Network, inverse_of
 from lampest.panel.panel import Array, connected_parts
 from lampest.panel.readouts.diode import Diode
 from lampest.panel.readouts.equation import Equation, LineStates, equation_of
@@ -57,7 +56,8 @@ from lampest.panel.readouts.readout import (
     Readout,
     Surroundings,
 )
-from lampest.panel.readouts.wiring import WiredNetwork, Wiring
+from lampest.panel.readouts.wired_network import WiredNetwork
+from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.tied_network import TiedNetwork
 
 
@@ -129,7 +129,7 @@ class DrivenNetwork(Readout):
 
     @property
     def loads_connected(self) -> tuple[bool, bool]:
-        """Whether sensed lines end anywhere while read, and elsewhere than that while idle."""
+        """Whether sensed lines end anywhere while read, and elsewhere while idle."""
         return True, True
 
     @cached_property
@@ -172,9 +172,9 @@ class DrivenNetwork(Readout):
         check_line_ends(self)
 
     def check(self, scene: Surroundings) -> None:
-        """Raise ValueError as `Readout.check`, or if lists do not fit the panel's lines.
+        """Raise ValueError as `Readout.check`, or if a list does not fit the panel's lines.
 
-        These are lists of resistances or groups.
+        Resistances and groups may be lists.
         """
         super().check(scene)
         driven, sensed = of_side(self.driven, *scene.panel.shape)
@@ -264,9 +264,9 @@ class DrivenNetwork(Readout):
     def ties(self, measured: Array) -> Array:
         """Return the ties, (lines,) siemens.
 
-        They are (addresses, lines) of a circuit with several addresses. They are 1/Rp of driven
-        lines and 1/Rq of sensed lines, or 1/Rs of those that an address reads; infinite for lines
-        that 0 ohm hold at ground.
+        A circuit with several addresses has (addresses, lines). Driven lines have 1/Rp, sensed
+        lines 1/Rq, or 1/Rs if an address reads them. Lines that 0 ohm hold at ground have infinite
+        ties.
         """
         return self.ties_of_parts(measured, None)
 
@@ -330,7 +330,7 @@ class DrivenNetwork(Readout):
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
         """Return the readings of cells of any contrast.
 
-        It does so also if open cells divide the panel into parts.
+        Open cells may divide the panel into parts.
         """
         if cell_resistance.ndim == 3:
             return np.stack([self.exact_reading(frame, wiring) for frame in cell_resistance])
@@ -388,9 +388,9 @@ class DrivenNetwork(Readout):
         return np.zeros(1) if self.diode is None else self.diode.drop(current)
 
     def _sum_together(self, values: Array) -> Array:
-        """Return the sum of values (…, rows, columns) over sensed lines.
+        """Return sums of values (…, rows, columns) over sensed lines.
 
-        It is over the sensed lines that have their loads at the same time.
+        A sum has the sensed lines that have their loads at the same time.
         """
         together = self._equation(values.shape).together
         if together is None:
@@ -402,6 +402,6 @@ class DrivenNetwork(Readout):
     def _driven_volt(self, current: Array, drive: Array | float) -> Array:
         """Return the potential Vcc − Rd I − V_d(I) of a driven line with the current I.
 
-        It is in volt, of any shape.
+        The result is in volt, and has the shape of the current.
         """
         return np.asarray(self.driving_volt - drive * current - self._lost(current))

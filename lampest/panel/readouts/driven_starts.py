@@ -25,10 +25,11 @@ from lampest.panel.readouts.lines import (
 )
 from lampest.panel.readouts.readout import (
     MIN_LOAD_SHARE,
+    SHORT_SHARE,
+    USUAL_OHM,
 )
 from lampest.panel.readouts.unseen import Scale, unseen_scales
 
-USUAL_OHM = 10_000.0  # of cells whose scale no resistor sets
 LARGEST_OHM = 1e8  # of such cells: insulation beside usual ones
 UNIFORM_LEVELS = 140  # of uniform panels, from 10 ohm to 100 Mohm: 12 % from one to the next
 OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
@@ -38,16 +39,16 @@ class DrivenStarts(DrivenNetwork):
     """Base of circuits with driven and sensed lines: cells at which solves begin."""
 
     def _reference(self, equation: Equation) -> Array:
-        """Return the resistor that scales a reading, (rows, columns) ohm.
+        """Return the resistor Rs that scales a reading, (rows, columns) ohm.
 
-        It is Rs. Where no resistor sets the scale of cells, it is one that gives usual cells.
+        Where no resistor sets the scale of cells, the usual resistance of cells takes its place.
         """
         return np.where(np.isfinite(equation.load), equation.load, USUAL_OHM)
 
     def apparent_resistance(self, measured: Array) -> Array:
         """Return the resistance of a single divider with this reading.
 
-        It is Rs·((Vcc − V_d)·c/V − 1) − Rd.
+        For a reading V the resistance is Rs·((Vcc − V_d)·c/V − 1) − Rd.
         """
         equation = self._equation(measured.shape)
         if self._by_uniform_panels(equation, measured):
@@ -62,9 +63,9 @@ class DrivenStarts(DrivenNetwork):
     def uniform_start(self, measured: Array) -> Array:
         """Return r_ij = Rs_j·(1 − Σ_k v_kj)/v_ij, (…, rows, columns) ohm, for idle lines at ground.
 
-        This is exact for Rd = Rp = 0, where no sensed line depends on another one or on its load.
-        Where idle lines float, or are at ground through more than a cell has, it is the apparent
-        resistance.
+        The formula is exact for Rd = Rp = 0, where no sensed line depends on another one or on its
+        load. Where idle lines float, or are at ground through more than a cell has, the start is
+        the apparent resistance.
         """
         equation = self._equation(measured.shape)
         if self._by_uniform_panels(equation, measured):
@@ -101,11 +102,28 @@ class DrivenStarts(DrivenNetwork):
     def resolution(self, measured: Array, sigma: Array) -> Array:
         """Return the resolution limit, see `Readout.resolution`.
 
-        Without a scale it is that of any cell: no reading says more.
+        Without a scale it is that of any cell: no reading says more. Where no closed form gives a
+        cell by its reading, it is the largest limit of uniform panels: a press moves the readings
+        of other cells beyond those of any uniform panel.
         """
-        if self.unseen_scales(*measured.shape[-2:]):
+        rows, columns = measured.shape[-2:]
+        if self.unseen_scales(rows, columns):
             return np.full(measured.shape, LARGEST_OHM)
+        if self._by_uniform_panels(self._equation(measured.shape), measured):
+            return np.asarray(uniform_responses(self, rows, columns) / sigma)
         return super().resolution(measured, sigma)
+
+    def nearly_shorted(self, measured: Array) -> Array:
+        """Return cells that count as shorts, (…, rows, columns) ohm.
+
+        A share of the uniform start bounds them, too, because with idle lines at ground the
+        apparent resistance is many times too large. So is the nearest uniform panel where a reading
+        lies beyond those of all.
+        """
+        start = self.uniform_start(measured)
+        if self._by_uniform_panels(self._equation(measured.shape), measured):
+            return SHORT_SHARE * np.minimum(start, USUAL_OHM)
+        return np.asarray(np.minimum(super().nearly_shorted(measured), SHORT_SHARE * start))
 
     def _by_uniform_panels(self, equation: Equation, measured: Array) -> bool:
         """Return whether no closed form gives a cell by its reading, but a uniform panel does."""
@@ -124,10 +142,10 @@ class DrivenStarts(DrivenNetwork):
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Return cells that reproduce the readings, (rows, columns) ohm.
 
-        They are found by alternation of potentials and cells (`Alternation`), or, where it moves
-        away or several panels give the same readings, by Newton's method from uniform panels.
-        Without loads the equations of floating lines determine ratios of cells alone, and the start
-        is the uniform one.
+        The search alternates between potentials and cells (`Alternation`). Where this moves away or
+        several panels give the same readings, Newton's method starts from uniform panels. Without
+        loads the equations of floating lines determine ratios of cells alone, and the start is the
+        uniform one.
         """
         equation = self._equation(measured.shape)
         if equation.floating:
@@ -204,10 +222,28 @@ def log_medians(circuit: DrivenNetwork, rows: int, columns: int) -> Array:
 
 @lru_cache(maxsize=32)
 def uniform_readings(circuit: DrivenNetwork, rows: int, columns: int) -> tuple[Array, Array]:
-    """Return resistances of uniform panels, (levels,) ohm, and their readings.
+    """Return uniform panels and their readings.
 
-    The readings have shape (levels, rows, columns).
+    Returns
+    -------
+    levels : array, shape (levels,)
+        Resistances of the panels in ohm.
+    readings : array, shape (levels, rows, columns)
     """
     levels = np.geomspace(LEVELS[0], LEVELS[-1], UNIFORM_LEVELS)
     panels = np.broadcast_to(levels[:, None, None], (len(levels), rows, columns))
     return levels, circuit.exact_reading(panels)
+
+
+@lru_cache(maxsize=32)
+def uniform_responses(circuit: DrivenNetwork, rows: int, columns: int) -> Array:
+    """Return the largest |∂y/∂g|, (rows, columns), of each cell of uniform panels of LEVELS.
+
+    In volt·ohm: over the noise it is the resistance that an open cell is told from.
+    """
+    responses = []
+    for level in LEVELS:
+        cells = np.full((rows, columns), level)
+        network = circuit.network(cells, circuit.ties(cells))
+        responses.append(np.abs(network.own_response()) * level)
+    return np.asarray(np.max(responses, axis=0))

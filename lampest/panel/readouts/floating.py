@@ -14,10 +14,18 @@ import scipy
 from numpy.typing import NDArray
 
 from lampest.files.typed import typed
-from lampest.panel.impedance import inverse_of, log_determinant
 from lampest.panel.kirchhoff import line_sums
 from lampest.panel.line_blocks import LineBlocks
-from lampest.panel.network import Entries, Loading, Network, NormalByLines, Numbers, across
+from lampest.panel.network import (
+    Entries,
+    Loading,
+    Network,
+    NormalByLines,
+    Numbers,
+    across,
+    inverse_of,
+    log_determinant,
+)
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, steihaug
 
@@ -377,9 +385,9 @@ def two_point_resistance(cell_resistance: Array) -> Array:
 def exact_two_point_resistance(cell_resistance: Array) -> Array:
     """Return R = f(r) with all but the last one or two digits correct in every entry.
 
-    This holds for any contrast of the cells. Input and result are (rows, columns) or (frames, rows,
-    columns) ohm. A cell of infinite resistance is open, one of zero resistance is a short. Lines
-    without a connection have R = inf, lines that shorts connect have R = 0.
+    The digits hold for any contrast of the cells. Input and result are (rows, columns) or (frames,
+    rows, columns) ohm. A cell of infinite resistance is open, one of zero resistance is a short.
+    Lines without a connection have R = inf, lines that shorts connect have R = 0.
 
     Star–mesh elimination of a line s leaves w_ab + w_as·w_sb/Σ_c w_sc between the others, without a
     subtraction. The conductance between the last two lines is 1/R. All pairs are obtained by
@@ -404,9 +412,7 @@ def exact_two_point_resistance(cell_resistance: Array) -> Array:
 
 
 def _all_pairs(weights: Array, rows: int) -> tuple[Array, Index, Index]:
-    """Return the conductances between every row and every column.
-
-    They are those after elimination of all other lines.
+    """Return the conductances between every row and every column, all other lines eliminated.
 
     Parameters
     ----------

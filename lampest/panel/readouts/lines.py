@@ -52,9 +52,12 @@ def opposite(side: Side) -> Side:
 
 
 def of_side(side: Side, rows: Any, columns: Any) -> tuple[Any, Any]:
-    """Return the values of rows and columns as those of a side and of its opposite side.
+    """Order values of rows and columns by a side, or restore the order of rows and columns.
 
-    The result is (value of the side, value of the opposite side), and the reverse.
+    Returns
+    -------
+    own, opposite
+        Values of the side and of its opposite side; of these again, values of rows and columns.
     """
     return (rows, columns) if side == "rows" else (columns, rows)
 
@@ -158,8 +161,8 @@ def check_groups(groups: Groups | None, side: Side, count: int, key: str = "grou
     beyond = sorted(lines - set(range(count)))
     if beyond:
         raise ValueError(
-            f"readout.{key}: there is no {name} {beyond[0]}; {side} are numbered from 0 to "
-            f"{count - 1}"
+            f"readout.{key}: there is no {name} {beyond[0]}; "
+            f"{side} are numbered from 0 to {count - 1}"
         )
     missing = sorted(set(range(count)) - lines)
     if missing:
@@ -172,7 +175,7 @@ def check_groups(groups: Groups | None, side: Side, count: int, key: str = "grou
 class SeriesPerLine(Configuration):
     """Resistance in series with every line.
 
-    It is rows[j] + columns[k] for the reading of row j and column k.
+    The reading of row j and column k includes rows[j] + columns[k].
 
     Attributes
     ----------

@@ -3,7 +3,7 @@
 The Levenberg–Marquardt method minimises ½ |log(y(u)/y)|² over u = log r on panels of up to
 MAX_DENSE cells. Near a fold of the readings J is nearly singular, where undamped steps lead
 nowhere. On larger panels a step of Newton's method solves J·p = log(y/y(u)) by GMRES with products
-of J. It is shortened until the misfit falls.
+of J, and is shortened until the misfit falls.
 """
 
 from collections.abc import Callable

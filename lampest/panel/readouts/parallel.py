@@ -26,7 +26,7 @@ class ParallelDividers(Divider):
     """Circuit of a two-point readout with several groups of columns in its scene.
 
     A reading is the resistance R = (Vcc/V − 1)·Rref that the divider equation gives, less the
-    channels. It is the equation of `DrivenReadout` with floating lines, in ohm. As the columns of
+    channels. The equation is that of `DrivenReadout` with floating lines, in ohm. As the columns of
     an address share the driven row's channel and its neighbours' cells, R may be larger or smaller
     than the cell.
 
@@ -55,7 +55,7 @@ class ParallelDividers(Divider):
     def _total(self, volt: Any) -> Any:
         """Return the resistance (Vcc/V − 1)·Rref of the whole loop, ohm.
 
-        It is that for a voltage at the converter.
+        V is the voltage at the converter.
         """
         return (self.supply_volt / volt - 1) * float(
             parallel(np.array(self.reference_ohm), self.input_ohm)

@@ -53,11 +53,11 @@ class LineEnds:
 
     @property
     def reference(self) -> float:
-        """Potential from which all others are taken.
+        """Potential from which all others are counted.
 
-        It is the one that is furthest from the source among those in which lines end, so that the
-        potential of every line lies on one side of it. Where idle lines follow the sensed one, it
-        is that of idle sensed lines, because v is then linear in Vp.
+        Of the potentials in which lines end, the reference is the one furthest from the source, so
+        that the potential of every line lies on one side of it. Where idle lines follow the sensed
+        one, the reference is the potential of idle sensed lines, because v is then linear in Vp.
         """
         idle, loads, idle_loads = self.connected
         if self.idle == FOLLOWS:
@@ -192,7 +192,7 @@ class EndedCircuit(Protocol):
 
     @property
     def loads_connected(self) -> tuple[bool, bool]:
-        """Whether sensed lines end anywhere while read, and elsewhere than that while idle."""
+        """Whether sensed lines end anywhere while read, and elsewhere while idle."""
 
     @property
     def line_ends(self) -> LineEnds:

@@ -12,14 +12,13 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.impedance import inverse_of
-from lampest.panel.network import Network
+from lampest.panel.network import Network, inverse_of
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.converter import Converter
 from lampest.panel.readouts.lines import LineNumber, of_side, per_line
-from lampest.panel.readouts.wiring import WiredNetwork, Wiring
-from lampest.panel.tied_network import TiedNetwork
+from lampest.panel.readouts.wiring import Wiring
 
+USUAL_OHM = 10_000.0  # of cells whose scale no resistor sets
 MIN_LOAD_SHARE = 1e-3  # of a load: least apparent resistance, for readings at the end of the range
 # Of the apparent resistance: readings of such a cell differ by a millionth from those of a short.
 SHORT_SHARE = 1e-6
@@ -167,15 +166,14 @@ class Readout(Converter, ABC):
     def check(self, scene: Surroundings) -> None:
         """Raise ValueError if the scene does not fit the readout or the panel.
 
-        It does not fit the readout if it has keys that the readout cannot model.
+        A scene does not fit the readout if it has keys that the readout cannot model.
         """
         per_line("noise_lsb", self.assumed_noise, of_side(self.noisy_side, *scene.panel.shape)[0])
         self._check_scan_order(scene.panel)
         if np.any(scene.series_ohm) and not self.in_series:
             raise ValueError(
-                "series_resistance_ohm belongs to readout.kind: two_point; with others a channel's "
-                "resistance is part "
-                "of the readout's drive_ohm or sense_ohm"
+                "series_resistance_ohm belongs to readout.kind: two_point; "
+                "with others a channel's resistance is part of the readout's drive_ohm or sense_ohm"
             )
 
     def in_scene(self, scene: Surroundings) -> "Readout":
@@ -190,9 +188,9 @@ class Readout(Converter, ABC):
 
     @abstractmethod
     def ties(self, measured: Array) -> Array:
-        """Return the ties t of the lines to ground, (rows + columns,) siemens.
+        """Return the ties t of the lines to ground for readings (rows, columns).
 
-        They are those for readings (rows, columns).
+        The result has shape (rows + columns,), in siemens.
         """
 
     @abstractmethod
@@ -234,7 +232,11 @@ class Readout(Converter, ABC):
         Raises numpy.linalg.LinAlgError if a line is not connected.
         """
         if wiring is not None:
+            from lampest.panel.readouts.wired_network import WiredNetwork  # for wire alone
+
             return WiredNetwork.solve(cell_resistance, ties, self, wiring)
+        from lampest.panel.tied_network import TiedNetwork  # not for floating lines
+
         return TiedNetwork(cell_resistance, inverse_of(1 / cell_resistance, ties), self)
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
@@ -397,9 +399,9 @@ class Readout(Converter, ABC):
         return f"the converter's {rails} of {' and '.join(reached)} {self.unit}"
 
     def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
-        """Return σ·|∂y/∂(recorded)|, the σ of the network's readings y.
+        """Return the σ of the network's readings y, σ·|∂y/∂(recorded)|.
 
-        It follows from the σ of recorded ones, and has the same shape.
+        `sigma` is the σ of the recorded values; all have the same shape.
         """
         return sigma
 
@@ -508,7 +510,7 @@ def with_memory(readout: Readout, fraction: float, volt: Array) -> Array:
 def without_memory(
     readout: Readout, fraction: float, recorded: Array, sigma: Array
 ) -> tuple[Array, Array]:
-    """Return recorded readings without memory, and their σ: U_n = (V_n − m·V_(n−1))/(1 − m).
+    """Return readings without the converter's memory, U_n = (V_n − m·V_(n−1))/(1 − m).
 
     U_n contains the noise of both voltages, √(1 + m²)/(1 − m) times that of one if they are equal.
     After a channel without a value (NaN), the remembered voltage is unknown: uniformly distributed
@@ -521,6 +523,11 @@ def without_memory(
         m.
     recorded, sigma : array, shape (…, rows, columns)
         Recorded values V and their standard deviations, in the readout's unit.
+
+    Returns
+    -------
+    recorded, sigma : arrays, same shape
+        Values U and their standard deviations, in the readout's unit.
     """
     least, most = readout.range_volt
 
@@ -532,7 +539,7 @@ def without_memory(
     def slope(volt: Array) -> Array:
         """Return |∂recorded/∂V| by central differences.
 
-        They are taken at least half an LSB away from the ends of the range.
+        The differences are taken at least half an LSB away from the ends of the range.
         """
         step = STEP_LSB * readout.lsb_volt
         inside = np.clip(volt, least + readout.lsb_volt / 2, most - readout.lsb_volt / 2)

@@ -10,8 +10,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.impedance import inverse_of
-from lampest.panel.network import Network, NormalByLines, SecondOrder
+from lampest.panel.network import Network, NormalByLines, SecondOrder, inverse_of
 from lampest.panel.panel import Array, EachModule, Modules
 from lampest.panel.readouts.divider import Divider
 from lampest.panel.readouts.floating import (
@@ -22,7 +21,6 @@ from lampest.panel.readouts.floating import (
     uniform_factor,
 )
 from lampest.panel.readouts.lines import Groups, check_apart, check_groups
-from lampest.panel.readouts.parallel import ParallelDividers
 from lampest.panel.readouts.readout import FreeTest, Readout, Surroundings
 from lampest.panel.readouts.wiring import Wiring
 
@@ -34,8 +32,8 @@ OWN = ("kind", "groups", "measured_across")
 class TwoPointReadout(Divider):
     """Two-point readout R_jk = Z_jj + Z_kk − 2 Z_jk, all other lines floating.
 
-    It is by a divider with a reference resistor. The recorded value is that of the divider
-    equation, as if the converter took no current. It includes the scene's series resistance. With
+    A divider with a reference resistor measures R. The recorded value is that of the divider
+    equation, as if the converter took no current, and includes the scene's series resistance. With
     several groups of columns, the columns of an address load the driven row together; see
     `ParallelDividers`. Raises ValueError if a number is out of range. Source: paper, equation (1)
     (across the sensor) and section V.B (across the reference).
@@ -87,10 +85,12 @@ class TwoPointReadout(Divider):
     def in_scene(self, scene: Surroundings) -> Readout:
         """Return the circuit that gives the readings.
 
-        It is this one, or dividers in parallel that share the driven row.
+        With several groups of columns these are dividers in parallel, which share the driven row.
         """
         if self.groups is None or len(self.groups) < 2:
             return self
+        from lampest.panel.readouts.parallel import ParallelDividers  # for groups alone
+
         numbers = {
             field.name: getattr(self, field.name) for field in fields(self) if field.name not in OWN
         }
@@ -103,9 +103,8 @@ class TwoPointReadout(Divider):
         converter = "" if self.input_ohm is None else f", converter input {self.input_ohm:g} ohm"
         converter += "" if self.groups is None else f", {len(self.groups)} columns read in parallel"
         return (
-            f"two-point, {self.supply_volt:g} V, reference {self.reference_ohm:g} ohm, measured "
-            "across the "
-            f"{self.measured_across}{converter}, {self.converter_description()}"
+            f"two-point, {self.supply_volt:g} V, reference {self.reference_ohm:g} ohm, "
+            f"measured across the {self.measured_across}{converter}, {self.converter_description()}"
         )
 
     def ties(self, measured: Array) -> Array:
@@ -340,7 +339,13 @@ class BlockSecondOrder(SecondOrder):
         return self.network.inner.second_order(self.network.layout.split(self.weights))
 
     def products(self, step: Array) -> tuple[Array, Array]:
-        """Return (J·p, H·p), module by module."""
+        """Return the products of every module as one image.
+
+        Returns
+        -------
+        change, second : arrays, shape (rows, columns)
+            J·p and H·p.
+        """
         layout = self.network.layout
         change, second = self._inner.products(layout.split(step))
         return np.asarray(layout.joined(change)), np.asarray(layout.joined(second))

@@ -1,9 +1,9 @@
 """Scales of cells that no reading of a circuit shows.
 
-A direction in which no reading changes is a null vector of J = ∂y/∂ln r. It belongs to the circuit,
-not to the cells: inputs without any resistor, with idle lines held at ground, read a mean of
-potentials weighted by the conductances of a column, and a factor on the column changes none of
-them. It is found once for a circuit, at cells that scatter.
+A direction in which no reading changes is a null vector of J = ∂y/∂ln r. The vector belongs to the
+circuit, not to the cells: inputs without any resistor, with idle lines held at ground, read a mean
+of potentials weighted by the conductances of a column, and a factor on the column changes none of
+them. One search at scattered cells finds it for a circuit.
 """
 
 from functools import lru_cache
@@ -69,6 +69,6 @@ def unseen_sentence(scales: tuple[str, ...]) -> str:
     of_lines = " and ".join(name for name in scales if name != "all")
     scale = f"each of the {of_lines} has a scale of its own" if of_lines else "all cells share one"
     return (
-        f"{scale} that no reading shows: no resistor sets it; only ratios of cells within them are "
-        "known, and a resistor from each sensed line to ground (load_ohm) would show it"
+        f"{scale} that no reading shows: no resistor sets it; only ratios of cells within them "
+        "are known, and a resistor from each sensed line to ground (load_ohm) would show it"
     )

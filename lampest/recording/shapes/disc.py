@@ -1,8 +1,8 @@
 """The disc, from which all round loads are made.
 
-It is given by its pressure at points, and its mean on patches with derivatives. On patches the disc
-may be elongated and press unevenly along its rim. The mean is taken over points, with soft edges,
-because an elongated circle on squares has no closed form.
+A disc has a pressure at points, and a mean on patches with derivatives. On patches the disc may be
+elongated and press unevenly along its rim. The mean is taken over points, with soft edges, because
+an elongated circle on squares has no closed form.
 """
 
 from math import pi
@@ -35,9 +35,12 @@ class Disc(NamedTuple):
     tilt_y: float
 
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the contact pressure without tilt, and the suction, kPa, at points.
+        """Return the pressure at points x, y in mm from the centre.
 
-        The points are x, y mm from the centre.
+        Returns
+        -------
+        contact, suction : array, shape of `x`
+            Contact pressure without tilt, and suction, kPa.
         """
         radius = np.hypot(x, y)
         inside = radius < self.inner_mm / 2
@@ -169,7 +172,7 @@ class _Means(NamedTuple):
 
 
 def _means_over_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) -> _Means:
-    """Return the means of which `_at_points` is composed; its parameters.
+    """Return the means that `_at_points` combines; both functions have the same parameters.
 
     The pressure is p = rim_kpa · (whole − hole) · (1 + tilt·(u, v)/R + lobes) + suction · hole,
     with soft indicators of disc and hole.

@@ -64,6 +64,15 @@ class RoundCandidate(Candidate):
         return {**centre_priors(panel), **self._own}
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
+        """Return the pressure of an elongated, uneven disc; see `Candidate.pressure`.
+
+        Returns
+        -------
+        pressure : array, shape (rows, columns)
+            Mean pressure on the patches, kPa.
+        slopes : array, shape (parameters, rows, columns)
+            Derivatives of the pressure by φ, kPa.
+        """
         disc, by_parameter = self.disc_with_slopes(parameters)
         form = slice(-len(EVEN), None)
         pressure, by_number = pressure_at_places(
@@ -77,9 +86,13 @@ class RoundCandidate(Candidate):
         return Disc(*self._numbers(parameters).tolist())
 
     def disc_with_slopes(self, parameters: Array) -> tuple[Disc, Array]:
-        """Return the disc of φ, and its derivatives (8, parameters).
+        """Return the disc of φ, and its derivatives by complex steps, Im f(φ + ih)/h.
 
-        The derivatives are by complex steps, Im f(φ + ih)/h.
+        Returns
+        -------
+        disc : Disc
+        slopes : array, shape (8, parameters)
+            Derivatives of the disc's numbers by φ.
 
         Source: Squire, Trapp, SIAM Review 40, 110 (1998).
         """
@@ -128,10 +141,7 @@ class RoundCandidate(Candidate):
         return np.array([disc.x_mm, disc.y_mm, *numbers, disc.tilt_x, disc.tilt_y, *EVEN])
 
     def blind(self, parameters: Array) -> Array:
-        """Return the standard deviation that readings cannot reduce.
-
-        It is edge_mm/d of ln d, 0 of all others.
-        """
+        """Return the deviations that readings cannot reduce: edge_mm/d of ln d, 0 of all others."""
         place = ("x", "y", *self._own).index("diameter")
         return np.asarray(np.eye(len(parameters))[place] * (self.edge_mm / exp(parameters[place])))
 
@@ -265,7 +275,7 @@ class SuctionCup(RoundShape):
 class OralDisc(RoundShape):
     """Suction p in a lamprey's mouth, with a soft rim that presses.
 
-    In recognition it may be elongated and uneven, and press harder than its suction requires.
+    A mouth in recognition may be elongated and uneven, and press harder than its suction requires.
 
     diameter_mm : outer diameter of the rim; for an elongated mouth the geometric mean of both axes.
     pressure_kpa : suction against the surroundings, negative.
@@ -324,10 +334,15 @@ class OralDisc(RoundShape):
         return self.diameter_mm * sqrt(self.elongation) / 2
 
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the contact pressure of the rim, and the suction inside, of the elongated mouth.
+        """Return the pressure of the rim and the suction inside of the elongated mouth at points.
 
         Points are mapped to the round mouth of equal area, and the rim's pressure is multiplied by
         its unevenness.
+
+        Returns
+        -------
+        contact, suction : array, shape of `x`
+            Contact pressure of the rim, and suction inside, kPa.
         """
         round_one = self.disc()
         turn = radians(self.elongation_deg)
@@ -381,6 +396,13 @@ class Block(Shape):
         return hypot(self.length_mm, self.width_mm) / 2
 
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return the pressure at points x, y in mm from the centre; see `Shape.pressure_at`.
+
+        Returns
+        -------
+        contact, suction : array, shape of `x`
+            Contact pressure of the mass under the block, and zeros, kPa.
+        """
         angle = radians(self.angle_deg)
         along = x * cos(angle) + y * sin(angle)
         across = y * cos(angle) - x * sin(angle)

@@ -1,6 +1,6 @@
-"""Base classes of shapes for simulation and recognition.
+"""Base classes of shapes.
 
-They have the pressure at a point for simulation, and parameters with priors for recognition.
+A shape gives the pressure at a point to simulations, and parameters with priors to recognition.
 """
 
 import dataclasses
@@ -59,9 +59,7 @@ class Template(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Candidate(ABC):
-    """Candidate shape of recognition.
-
-    It has unbounded parameters φ, their priors, and the pressure as a function of φ.
+    """Candidate shape of recognition: unbounded parameters φ, their priors, and the pressure of φ.
 
     Attributes
     ----------
@@ -85,7 +83,12 @@ class Candidate(ABC):
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
         """Return the mean pressure on every patch and its derivatives by φ.
 
-        The shapes are (rows, columns) kPa and (parameters, rows, columns).
+        Returns
+        -------
+        pressure : array, shape (rows, columns)
+            Mean pressure on the patches, kPa.
+        slopes : array, shape (parameters, rows, columns)
+            Derivatives of the pressure by φ, kPa.
         """
 
     @abstractmethod
@@ -93,10 +96,7 @@ class Candidate(ABC):
         """Return the start of a fit from a disc: φ, (parameters,)."""
 
     def disc(self, parameters: Array) -> Disc | None:
-        """Return the most similar disc, from which fits of other kinds may start.
-
-        None where there is none.
-        """
+        """Return the most similar disc, from which fits of other kinds may start, or None."""
         return None
 
     def loads(self, parameters: Array) -> list[tuple["Candidate", Array]]:
@@ -104,16 +104,13 @@ class Candidate(ABC):
         return [(self, parameters)]
 
     def report(self, parameters: Array) -> dict[str, tuple[float, Array]]:
-        """Return the values and derivatives by φ of reported quantities, by name.
-
-        These are such as `x_mm` and `diameter_mm`.
-        """
+        """Return reported quantities such as `x_mm`, by name, each with its derivatives by φ."""
         return {}
 
     def blind(self, parameters: Array) -> Array:
         """Return the standard deviation of φ that readings cannot reduce, (parameters,).
 
-        All patches may share it.
+        The patches may share one error of this deviation.
         """
         return np.zeros(len(parameters))
 
@@ -129,8 +126,8 @@ class Candidate(ABC):
 def centre_priors(panel: Panel) -> dict[str, Prior]:
     """Return the priors of x and y of a centre, mm.
 
-    They have the mean and variance of a uniform distribution over the panel, steps of half a pitch,
-    and a sway of 1 mm.
+    The priors have the mean and variance of a uniform distribution over the panel, steps of half a
+    pitch, and a sway of 1 mm.
     """
     pitch = panel.pitch_mm
     extents = zip("xy", panel.extents_mm, strict=True)
@@ -182,15 +179,21 @@ class Shape(Configuration):
 
     @abstractmethod
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the contact pressure ≥ 0 without tilt, and the suction ≤ 0, kPa, at points.
+        """Return the pressure at points x, y in mm from the centre.
 
-        The points are x, y mm from the centre.
+        Returns
+        -------
+        contact, suction : array, shape of `x`
+            Contact pressure ≥ 0 without tilt, and suction ≤ 0, kPa.
         """
 
     def mean_pressure(self, panel: Panel, patch_mm: float) -> tuple[Array, Array]:
-        """Return the mean contact pressure and suction over square patches.
+        """Return the mean pressure over square patches with the edge `patch_mm`.
 
-        The patches have the edge `patch_mm`; shape (rows, columns), kPa.
+        Returns
+        -------
+        contact, suction : array, shape (rows, columns)
+            Mean contact pressure, tilt included, and mean suction, kPa.
         """
         offset = ((np.arange(POINTS) + 0.5) / POINTS - 0.5) * patch_mm
         across, down = np.where(panel.present, panel.places_mm, 0.0)[:, :, None, :, None]

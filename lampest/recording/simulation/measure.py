@@ -136,7 +136,7 @@ def measured(
     scanned: Sequence[Array] = (),
     on_frame: Callable[[], None] = lambda: None,
 ) -> tuple[Array, NDArray[np.int64] | None]:
-    """Return recorded readings and the sums of the converter's codes, (frames, rows, columns) each.
+    """Return recorded readings, and the sums of the converter's codes.
 
     Codes follow from the true reference resistor, readings from the mean code and the nominal one.
     Without a readout, readings are exact and there are no sums. Raises ValueError if the spread of
@@ -156,6 +156,13 @@ def measured(
         For moving loads, the cells (frames, rows, columns) while each line is read, in order.
     on_frame : callable
         Called after each frame is converted.
+
+    Returns
+    -------
+    recorded : array, shape (frames, rows, columns)
+        Recorded readings.
+    sums : array of int, shape (frames, rows, columns), or None
+        Sums of the codes; None without a readout.
     """
     if scene.panel.modules is not None:
         joined = _measured_modules(
@@ -179,8 +186,8 @@ def measured(
     total = total * np.exp((unmodelled.reading_error or 0.0) * normal)
     if actual.unit == "ohm" and not np.all(total > 0):
         raise ValueError(
-            "unmodelled.channel_spread_ohm makes a resistance negative; give a series resistance "
-            "above it"
+            "unmodelled.channel_spread_ohm makes a resistance negative; "
+            "give a series resistance above it"
         )
     if scene.readout is None:
         return total, None
@@ -203,9 +210,9 @@ def _measured_modules(
     period_s: float,
     scanned: Sequence[Array],
 ) -> tuple[Array, NDArray[np.int64] | None]:
-    """Return what `measured` does for a panel of modules, each with its own random numbers.
+    """Return recorded readings and sums of a panel of modules; see `measured`.
 
-    Dead ones have NaN.
+    Every module has its own random numbers. The readings of dead modules are NaN.
     """
     modules = []
     for number, module_scene in enumerate(scene.of_modules):
@@ -241,9 +248,9 @@ def _true_circuit(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Read
 def _read(
     actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int, period_s: float
 ) -> Array:
-    """Return recorded readings of cells (frames, rows, columns) ohm.
+    """Return recorded readings of cells (frames, rows, columns) ohm, with leak and contact.
 
-    They are with leak and contact from their begin on.
+    The leak and the contact resistance begin at `unmodelled.begins_s`.
     """
     begin = int(np.ceil((unmodelled.begins_s or 0.0) / period_s))
     cells = np.where(scene.panel.present, cells, np.inf)
@@ -318,9 +325,9 @@ def sums_of_codes(
 
 
 def raw_sums(readout: Readout | None, sums: NDArray[np.int64] | None) -> NDArray[np.uint16] | None:
-    """Return the sums as 16-bit integers for a recording.
+    """Return the sums as 16-bit integers for a recording, or None if they do not fit.
 
-    None if readings · (2^bits − 1) does not fit.
+    The largest sum is readings · (2^bits − 1).
     """
     if readout is None or sums is None or readout.readings * (2**readout.adc_bits - 1) >= 2**16:
         return None
@@ -332,7 +339,7 @@ def _disturbed(
 ) -> Array:
     """Return V·(1 + gain) + ripple + INL(V), clipped to the stage's range.
 
-    Shape (frames, rows, columns), in V.
+    The voltages have the shape (frames, rows, columns), in V.
     """
     if unmodelled.gain_spread:
         gain = unmodelled.gain_spread * random_stream(seed, "gain").standard_normal(len(volt))

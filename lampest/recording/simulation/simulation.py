@@ -1,6 +1,6 @@
 """Simulated recordings with their truth, and the files that define them.
 
-They are simulated from loads on a panel and its electronics. A file is YAML with an optional sweep.
+Loads on a panel and its electronics define a simulation. A file is YAML with an optional sweep.
 A number may be given as `{uniform: [low, high]}`: it is drawn from a random stream of the seed and
 of its place in the file, so that other drawn numbers do not affect it. A recording contains the
 drawn numbers, in /entry/truth/simulation.
@@ -102,7 +102,12 @@ class Course(Configuration):
     def contact_and_suction(self, time: Array) -> tuple[Array, Array]:
         """Return the factors of contact pressure and of suction at times (frames,) in s.
 
-        Shape (frames,) each. Suction starts at the end of the approach.
+        Suction starts at the end of the approach.
+
+        Returns
+        -------
+        contact, suction : array, shape (frames,)
+            Factors of contact pressure and of suction.
         """
         touched = time - self.start_s
         released = time - (np.inf if self.release_at_s is None else self.release_at_s)
@@ -121,10 +126,7 @@ class Course(Configuration):
 
 
 def _ramp(time: Array, length: float) -> Array:
-    """Return 3x² − 2x³ with x = time/length clipped to 0 and 1.
-
-    It is a step at time 0 for a length of 0.
-    """
+    """Return 3x² − 2x³ with x = time/length clipped to 0 and 1; a step at 0 for a length of 0."""
     if length == 0:
         return (time >= 0).astype(float)
     part = np.clip(time / length, 0, 1)
@@ -220,8 +222,8 @@ class Simulation(Configuration):
             (self.values <= 20_000_000, "more than 20000000 values in one recording"),
             (
                 late,
-                "course.start_s must lie after the last unloaded frame, one frame_period_s before "
-                "the first",
+                "course.start_s must lie after the last unloaded frame, "
+                "one frame_period_s before the first",
             ),
             (digital or not electronic, f"unmodelled: {electronic} need a readout in the scene"),
             (
@@ -230,8 +232,8 @@ class Simulation(Configuration):
             ),
             (
                 not auto,
-                "film: a simulation needs numbers where the scene says auto; give a film of its "
-                "own",
+                "film: a simulation needs numbers where the scene says auto; "
+                "give a film of its own",
             ),
         ):
             if not right:
@@ -312,7 +314,7 @@ def simulate(
 def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Array:
     """Return p(t) = contact(t)·p_contact + suction(t)·p_suction + p_water over patches.
 
-    Shape (frames, rows, columns), in kPa.
+    The shape is (frames, rows, columns), in kPa.
 
     Parameters
     ----------
@@ -391,7 +393,7 @@ def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
 def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
     """Return r over that of a flat, unloaded film in air, (frames, rows, columns).
 
-    It is with drawn film parameters.
+    The parameters of the film are drawn from its distributions.
     """
     scene = simulation.scene
     first = time[simulation.baseline_frames]
@@ -537,7 +539,7 @@ def _filled(
 ) -> str:
     """Return the output's name with its placeholders replaced.
 
-    These are {seed}, {case} and the last words of swept paths; also {word:03d}.
+    Placeholders are {seed}, {case} and the last words of swept paths; {word:03d} pads a number.
     """
     values = {path.split(".")[-1]: value for path, value in assignments.items()} | {
         "seed": seed,

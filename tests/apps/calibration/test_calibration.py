@@ -35,13 +35,9 @@ from lampest.estimate.sequence import reconstruct
 from lampest.files import levels
 from lampest.files.document import parse_document, validated
 from lampest.panel.conditions import MeasuredSubject
-from lampest.panel.readouts import (
-    AnyReadout,
-    GroundedReadout,
-    LoadedColumnsReadout,
-    TwoPointReadout,
-)
+from lampest.panel.readouts import AnyReadout, TwoPointReadout
 from lampest.panel.readouts.floating import two_point_resistance
+from lampest.panel.readouts.presets import GroundedReadout, LoadedColumnsReadout
 from lampest.panel.response import PUBLISHED, PowerResponse
 from lampest.panel.sizes import Systematic
 from tests.estimates import recording_of, rms

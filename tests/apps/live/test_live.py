@@ -38,14 +38,15 @@ from lampest.apps.live.run import (
     recorder_of,
 )
 from lampest.apps.live.watcher import Scan
-from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
-from lampest.estimate.prepared import Prepared
+from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.sequence import reconstruct
+from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import Film, PublishedResponse
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, read_simulations, simulate
+from lampest.solvers.posed import Bounds
 
 LAMPREY = Path(__file__).parents[3] / "data" / "lamprey_25mm.h5"
 HARDLY_PERCENT = 0.05  # of a change: findings that arrive later move the estimate by no more

@@ -41,8 +41,9 @@ from lampest.apps.recognition.detect.detection import (
     known_of,
     known_of_case,
 )
-from lampest.estimate.prepared import Prepared
-from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
+from lampest.inference.prepared import Prepared
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.shapes import AnyShape
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, Unmodelled, simulate
@@ -116,7 +117,12 @@ def test_frame_noise_survives_its_arrays(readout: Any) -> None:
     scene = Scene(Panel(2, 3), readout)
     channels = 2 if scene.circuit.by_columns else 3
     noise = FrameNoise(
-        scene, 4, 0.01, np.arange(2.0 * channels).reshape(channels, 2), np.ones((channels, 1))
+        scene,
+        4,
+        0.01,
+        np.arange(2.0 * channels).reshape(channels, 2),
+        np.ones((channels, 1)),
+        motion=np.array([0.02, 0.01, 0.0]),
     )
     arrays = _arrays_of(noise)
     np.testing.assert_equal(vars(frame_noise_of(arrays, scene)), vars(noise))
@@ -125,6 +131,7 @@ def test_frame_noise_survives_its_arrays(readout: Any) -> None:
         {"unloaded": np.ones(2)},
         {"together": np.ones(channels)},
         {"apart": np.ones((4, 1))},
+        {"motion": np.ones(2)},
     ):
         with pytest.raises(ValueError, match="must"):
             frame_noise_of(arrays | wrong, scene)

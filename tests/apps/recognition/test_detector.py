@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from laws.recognised import answered
+from promises import promise
 from scipy.stats import multivariate_normal
 
 from docs.studies.attachments import recording as attached
@@ -45,7 +46,11 @@ from lampest.apps.recognition.observation import Baseline, ModelErrors, Observat
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.files.levels import MAX_MEAN_SQUARE
-from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, VirtualGroundReadout
+from lampest.panel.readouts.presets import (
+    GroundedReadout,
+    LoadedColumnsReadout,
+    VirtualGroundReadout,
+)
 from lampest.recording.shapes.disc import Disc
 from lampest.recording.shapes.kinds import RoundCandidate
 from lampest.recording.shapes.shape import Candidate
@@ -532,6 +537,7 @@ def test_the_memory_of_a_lamprey_is_not_detected(creep: float) -> None:
     )
 
 
+@promise("apps/recognition/detect: **Attached is attached until the readings step.**")
 @pytest.mark.slow
 @pytest.mark.parametrize("load", [STRONG, SMALL_ROD], ids=["mouth", "rod"])
 @pytest.mark.parametrize("drift", [0.0, 0.02])

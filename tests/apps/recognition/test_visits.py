@@ -36,7 +36,7 @@ from lampest.apps.recognition.pumping import Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames
 from lampest.apps.recognition.swings import Patterns
 from lampest.apps.recognition.watch import Watch
-from lampest.estimate.prepared import Prepared
+from lampest.inference.prepared import Prepared
 from lampest.recording.recording import MEASURED
 
 # P(sucks)

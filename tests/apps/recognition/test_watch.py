@@ -27,7 +27,8 @@ from lampest.apps.live.run import scan_of
 from lampest.apps.live.watcher import Unloaded, Watched
 from lampest.apps.recognition.detect.answer import CANNOT_SAY, NOTHING, PRESSES, SUCKS
 from lampest.apps.recognition.detector import Detector
-from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.recording.simulation.measure import measured
 
 TWO_POINT = TwoPointReadout(noise_lsb=0.7)

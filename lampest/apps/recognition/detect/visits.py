@@ -239,8 +239,8 @@ def write_visits(path: str | Path, visits: Sequence[Visit]) -> Path:
 def count_table(answers: Sequence[Detected], visits: Sequence[Visit]) -> Table:
     """Return the visits of lampreys, and of what may be one, of each day.
 
-    They are counted by day and by night, and per recorded hour. Recordings without a clock are one
-    row.
+    Visits are counted by day and by night, and per recorded hour. Recordings without a clock are
+    one row.
     """
     hours = dict[str, list[float]]()
     for answer in answers:

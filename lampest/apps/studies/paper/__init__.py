@@ -210,9 +210,14 @@ def all_sides(
 def optima(
     results: Results, mouths: Sequence[Recording]
 ) -> tuple[dict[Any, Array], dict[Any, Row]]:
-    """Return changes of all frames of both mouths, and rows of the large one.
+    """Return the maps of both mouths, and the table of the large one.
 
-    The rows are those of `lampest compare`.
+    Returns
+    -------
+    changes : dict
+        Changes of all frames in percent by (estimator, number of the mouth).
+    rows : dict
+        Rows of `lampest compare` for the large mouth by (estimator, steps).
     """
     numbers = {mouth.name: number for number, mouth in enumerate(mouths)}
     changes = {
@@ -243,9 +248,13 @@ def shown(side: Side) -> Side:
 
 
 def shown_change(recording: Recording) -> tuple[int, Array]:
-    """Return the strongest frame of a recording with unloaded frames, and its change.
+    """Return the strongest frame of a recording with unloaded frames.
 
-    The change is in percent as recorded.
+    Returns
+    -------
+    frame : int
+    change : array, shape (rows, columns)
+        Change of the readings in percent, as recorded.
     """
     change = strongest_readings(recording)
     assert change is not None
@@ -253,9 +262,14 @@ def shown_change(recording: Recording) -> tuple[int, Array]:
 
 
 def load_of(recording: Recording) -> tuple[Array, Array]:
-    """Return change in percent and pressure in kPa of a recording's strongest frame.
+    """Return the strongest frame of a simulated recording and its load.
 
-    The recording is simulated.
+    Returns
+    -------
+    change : array, shape (rows, columns)
+        Change of the readings in percent.
+    pressure : array, shape (rows, columns)
+        True pressure in kPa.
     """
     frame, change = shown_change(recording)
     assert recording.truth_pressure is not None
@@ -366,9 +380,9 @@ class PublishedNumber(NamedTuple):
 def published_beside(sides: Sequence[Side], published: Published) -> Iterator[PublishedNumber]:
     """Yield every published number with ours.
 
-    These are ranges of maps, cells that mouths cover, data errors, times, and lampest's response
-    read back. Times are those of another program on another machine; the response is the same on
-    every side.
+    The numbers are ranges of maps, cells that mouths cover, data errors, times, and lampest's
+    response read back. Times are those of another program on another machine; the response is the
+    same on every side.
     """
     yield from _maps_beside(sides, published)
     yield from _table_beside(sides, published)
@@ -469,7 +483,7 @@ def _through(axes: Axes, x: Array, y: Array, points: Sequence[tuple[float, float
 def response_figure(published: Published) -> Figure:
     """Draw figure 1-e with its inset.
 
-    It shows the response curve of lampest through the published numbers.
+    The figure shows the response curve of lampest through the published numbers.
     """
     figure = style.new_figure(3.2)
     axes = figure.subplots()
@@ -494,7 +508,8 @@ def response_figure(published: Published) -> Figure:
 def bending_figure(published: Published) -> Figure:
     """Draw figures 2-a and 2-d.
 
-    They show unloaded resistance over curvature, and the response of bent cells up to 40 kPa.
+    The left axes show unloaded resistance over curvature, the right ones the response of bent cells
+    up to 40 kPa.
     """
     figure = style.new_figure(2.9)
     left, right = figure.subplots(1, 2)
@@ -544,17 +559,21 @@ def tiles_of(side: Side, published: Published) -> dict[str, list[Tile]]:
         change = side.change(published.mouth_method, number)
         title = f"({mouth.letter}) mouth of {mouth.diameter_mm:g} mm, {published.mouth_method}"
         note = (
-            f"ours {' × '.join(map(str, covered(change)))} cells, paper {mouth.cells} × "
-            f"{mouth.cells}"
+            f"ours {' × '.join(map(str, covered(change)))} cells, "
+            f"paper {mouth.cells} × {mouth.cells}"
         )
         tiles["fig9"].append(Tile(title, change, note))
     return tiles
 
 
 def covered(change: Array) -> tuple[int, int]:
-    """Return the numbers of rows and columns with a cell that fell strongly.
+    """Count the rows and columns with a cell that fell strongly.
 
     Such a cell fell by more than half of the largest fall.
+
+    Returns
+    -------
+    rows, columns : int
     """
     fallen = change < 0.5 * np.nanmin(change)
     return int(np.sum(fallen.any(axis=1))), int(np.sum(fallen.any(axis=0)))

@@ -1,0 +1,44 @@
+"""Assumptions on cells and circuits that no scene states."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Assumptions:
+    """Prior standard deviations; of log r unless a unit is given.
+
+    Attributes
+    ----------
+    common_change : float
+        Change of all cells alike since the unloaded frames, as by temperature.
+    common_step : float
+        Change of all cells alike from frame to frame, as by temperature and supply: some percent.
+    creep : float
+        Change of each untouched cell since the unloaded frames: creep of a film within seconds.
+    skirt : float
+        Change in the skirt of a load, or under a load that covers many cells.
+    skirt_cells : float
+        Distance over which changes in a skirt are correlated, in cells.
+    jump : float
+        Change between frames under a load, and value of a cell that no reading determines.
+    scatter, scatter_factor : float
+        Scatter s of unloaded cells: films of one batch scatter by a tenth, worn ones by 0.4. The
+        prior of ln s has mean ln scatter and standard deviation ln scatter_factor.
+    channel_ohm : float
+        Resistance of a multiplexer's channel, ohm (CD74HC4067, data sheet: any two differ by 10
+        ohm).
+    """
+
+    common_change: float = 0.05
+    common_step: float = 0.1
+    creep: float = 3e-3
+    skirt: float = 0.3
+    skirt_cells: float = 1.5
+    jump: float = 1.0
+    scatter: float = 0.1
+    scatter_factor: float = 2.0
+    channel_ohm: float = 3.0
+
+
+ASSUMED = Assumptions()
+UNKNOWN_SD = 10.0  # standard deviation of log r0 where nothing is known of it

@@ -1,0 +1,302 @@
+"""Selection of changed cells with a spike-and-slab prior.
+
+Log changes d of cells that stand still are N(0, P⁻¹). A cell moved with odds of one to four, and
+then by N(0, 1). The changes of the moved cells M are integrated out:
+
+    −2 ln evidence = dᵀ P d + MOVED_COST |M| + ln |P_MM + 1| − s_Mᵀ (P_MM + 1)⁻¹ s_M,   s = P d
+
+The search adds or removes one cell at a time, each time the one that lowers −2 ln evidence most.
+The sweep operator updates all gains after an exchange in O(cells²).
+Sources: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83, 1988; Goodnight, The American Statistician
+33, 1979.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from lampest.panel.panel import Array
+from lampest.posterior.matrices import inverse_and_volume, swept
+
+MOVED_COST = 2.8  # 2 ln 4: −2 ln of the prior odds of one to four that a cell moved
+# −2 ln prior odds of a bound, an effect or a resistance in series that an explanation needs
+PARAMETER_COST = 12.0
+MAX_EXCHANGES = 4  # for each cell, of one search
+MIN_PIVOT = 1e-300  # rounding may take a pivot to zero, whose logarithm does not exist
+MIN_STILL_SHARE = 0.3  # of the cells: with fewer still cells, a load covers the panel
+
+Chosen = NDArray[np.bool_]
+
+
+def mostly_still(moved: NDArray[np.bool_]) -> bool:
+    """Return whether fewer than half of the cells moved."""
+    return 2 * int(moved.sum()) < moved.size
+
+
+def away_from_changed(still: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return the still cells of all frames without the neighbours of moved cells.
+
+    The skirt of a load moves these neighbours. Where less than MIN_STILL_SHARE of the cells would
+    remain, all still cells are returned.
+
+    Parameters
+    ----------
+    still : boolean array, shape (frames · cells,)
+    shape : tuple of int
+        Rows and columns.
+    """
+    distant = ~touching(~still.reshape(-1, *shape)).ravel()
+    return distant if distant.mean() >= MIN_STILL_SHARE else still
+
+
+def touching(chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the chosen cells with their eight neighbours, (frames, rows, columns)."""
+    around = np.pad(chosen, ((0, 0), (1, 1), (1, 1)))
+    return np.asarray(sliding_window_view(around, (3, 3), axis=(1, 2)).any(axis=(-2, -1)))
+
+
+@dataclass(frozen=True, eq=False)
+class Changes:
+    """Changes of the log cells between frames, d = A z + noise over still cells.
+
+    The errors are z ~ N(0, 1).
+
+    Attributes
+    ----------
+    change : array, shape (n,)
+        d.
+    noise : array, shape (n, n)
+        Σ, the covariance of d over still cells without these errors.
+    columns : array, shape (n, errors)
+        A.
+    """
+
+    change: Array
+    noise: Array
+    columns: Array
+
+    @cached_property
+    def covariance(self) -> Array:
+        """C = Σ + A Aᵀ, the covariance of d over still cells, (n, n)."""
+        return np.asarray(self.noise + self.columns @ self.columns.T)
+
+    @cached_property
+    def inverse_and_volume(self) -> tuple[Array, float]:
+        """Inverse of the covariance, and its determinant.
+
+        Returns
+        -------
+        precision : array, shape (n, n)
+            C⁻¹.
+        volume : float
+            ln |C⁻¹|.
+        """
+        return inverse_and_volume(self.covariance)
+
+    def selected(
+        self, starts: Sequence[Chosen], loaded: Chosen | None = None
+    ) -> tuple[float, Chosen]:
+        """Select the moved cells, see `select_changed`.
+
+        Returns
+        -------
+        score : float
+            −2 ln evidence.
+        moved : boolean array, shape (n,)
+            The moved cells.
+        """
+        precision, volume = self.inverse_and_volume
+        slope = precision @ self.change
+        lost, moved = select_changed(slope, precision, starts, loaded)
+        return lost + float(self.change @ slope) - volume, moved
+
+    def part(self, cells: Chosen) -> "Changes":
+        """Return the changes of these cells alone."""
+        return Changes(self.change[cells], self.noise[np.ix_(cells, cells)], self.columns[cells])
+
+    @property
+    def misfit(self) -> float:
+        """χ² of the changes, dᵀ C⁻¹ d."""
+        return float(self.change @ np.linalg.solve(self.covariance, self.change))
+
+    def cost_of(self, still: Chosen) -> float:
+        """Return −2 ln likelihood of the changes of the still cells alone."""
+        chosen = self.part(still)
+        return chosen.misfit + float(np.linalg.slogdet(chosen.covariance)[1])
+
+    def posterior(self, still: Chosen) -> tuple[Array, Array]:
+        """Return the posterior of z given the changes d_s of the still cells.
+
+        Returns
+        -------
+        mean : array, shape (errors,)
+        covariance : array, shape (errors, errors)
+        """
+        part = self.columns[still]
+        # mean A_sᵀ C_ss⁻¹ d_s, covariance 1 − A_sᵀ C_ss⁻¹ A_s
+        weight = np.linalg.solve(self.covariance[np.ix_(still, still)], part)
+        return weight.T @ self.change[still], np.eye(part.shape[1]) - part.T @ weight
+
+
+def usual_starts(change: Array) -> list[Chosen]:
+    """Return the sets of moved cells that a search begins with.
+
+    The sets are none, all, and the half that changed most.
+    """
+    deviation = np.abs(change - np.median(change))
+    return [
+        np.zeros(len(change), dtype=bool),
+        np.ones(len(change), dtype=bool),
+        deviation > np.median(deviation),
+    ]
+
+
+def select_changed(
+    slope: Array, precision: Array, starts: Sequence[Chosen], loaded: Chosen | None = None
+) -> tuple[float, Chosen]:
+    """Return the moved cells with the largest evidence that a search from several starts finds.
+
+    Parameters
+    ----------
+    slope : array, shape (cells,)
+        s = P d.
+    precision : array, shape (cells, cells)
+        P.
+    starts : sequence of boolean array, shape (cells,)
+        Moved cells that each search begins with; the best end is returned.
+    loaded : boolean array, shape (cells,), optional
+        Cells that moved in any case.
+
+    Returns
+    -------
+    float
+        −2 ln evidence, less dᵀ P d.
+    boolean array, shape (cells,)
+        The moved cells.
+    """
+    fixed = np.zeros(len(slope), dtype=bool) if loaded is None else loaded
+    slab = precision + np.eye(len(slope))
+    ends = (_exchange_cells(slope, slab, fixed | start, fixed) for start in starts)
+    return min(ends, key=lambda selection: selection[0])
+
+
+def _exchange_cells(
+    slope: Array, slab: Array, moved: Chosen, fixed: Chosen
+) -> tuple[float, Chosen]:
+    """Exchange single cells until no exchange lowers −2 ln evidence; fixed cells stay moved.
+
+    Parameters
+    ----------
+    slope : array, shape (cells,)
+        s.
+    slab : array, shape (cells, cells)
+        P + 1.
+    moved, fixed : boolean array, shape (cells,)
+    """
+    inside = np.flatnonzero(moved)
+    outside = np.flatnonzero(~moved)
+    # Table of the sweep operator [P + 1 | s], swept by the moved cells M: block (M, M) is −(P_MM +
+    # 1)⁻¹, the last column holds (P_MM + 1)⁻¹ s_M within M, and s − P_·M (P_MM + 1)⁻¹ s_M outside.
+    moved = moved.copy()
+    inverse = np.linalg.inv(slab[np.ix_(inside, inside)])
+    table = np.ascontiguousarray(np.column_stack([slab, slope]))
+    pulled = inverse @ table[inside]
+    across = slab[np.ix_(outside, inside)]
+    cost = MOVED_COST * len(inside) - float(
+        np.linalg.slogdet(inverse)[1] + slope[inside] @ pulled[:, -1]
+    )
+    table[outside] -= across @ pulled
+    table[inside] = pulled
+    table[np.ix_(inside, inside)] = -inverse
+    table[np.ix_(outside, inside)] = pulled[:, outside].T
+    for _ in range(MAX_EXCHANGES * len(slope)):
+        # Decrease of −2 ln evidence if a cell is added: s²/p − ln p − MOVED_COST with its pivot p;
+        # if it is removed: MOVED_COST − s²/|p| − ln |p|.
+        pivots = np.maximum(np.abs(np.diag(table)), MIN_PIVOT)
+        gains = np.where(moved, -1, 1) * (table[:, -1] ** 2 / pivots - MOVED_COST) - np.log(pivots)
+        cell = int(np.argmax(np.where(fixed, -np.inf, gains)))
+        if fixed[cell] or not gains[cell] > 0:
+            break
+        cost -= float(gains[cell])
+        moved[cell] = not moved[cell]
+        table = swept(table, cell)
+    return cost, moved
+
+
+def scores_with_errors(change: Array, precision: Array, columns: Array) -> Array:
+    """Return −2 ln evidence with one further error, for each of several errors, (errors,).
+
+    The change of still cells is d = a θ + noise with θ ~ N(0, 1): the precision P becomes P − P a
+    aᵀ P/(1 + aᵀ P a). Compared with no error, −2 ln evidence has ln(1 + aᵀ P a) more. The selection
+    of moved cells is greedy: cells are only added.
+
+    Parameters
+    ----------
+    change : array, shape (cells,)
+        d.
+    precision : array, shape (cells, cells)
+        P, of the change without these errors.
+    columns : array, shape (cells, errors)
+        a of each error.
+    """
+    # w = P a (errors, cells), k = 1 + aᵀ P a; P d loses w (wᵀ d)/k, and P + 1 loses w wᵀ/k
+    weighted = (precision @ columns).T
+    within = 1 + np.sum(weighted * columns.T, axis=1)
+    pulled = weighted @ change / within
+    slope = precision @ change - pulled[:, None] * weighted
+    slab = precision + np.eye(len(change))
+    size = np.diag(slab) - weighted**2 / within[:, None]
+
+    def column(cells: NDArray[np.intp]) -> Array:
+        of_cell = np.take_along_axis(weighted, cells[:, None], axis=1)
+        return np.asarray(slab[cells] - of_cell * weighted / within[:, None])
+
+    # dᵀ P d − (aᵀ P d)²/k, less the gain of moved cells, plus ln k
+    unexplained = float(change @ precision @ change) - within * pulled**2
+    return np.asarray(unexplained - _gained(slope, size, column) + np.log(within))
+
+
+def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Array]) -> Array:
+    """Return the total decrease of −2 ln evidence by greedily added cells, (hypotheses,).
+
+    All hypotheses are treated at once. The matrices P + 1 are factored by pivoted Cholesky, one
+    column for each added cell, so that they are never stored.
+
+    Parameters
+    ----------
+    vector : array, shape (hypotheses, cells)
+        s of each.
+    size : array, shape (hypotheses, cells)
+        Diagonal of each P + 1.
+    column : callable
+        Returns one column of each P + 1, (hypotheses, cells), for one cell's number of each
+        hypothesis, (hypotheses,).
+    """
+    index = np.arange(len(vector))
+    total = np.zeros(len(vector))
+    added = np.zeros(vector.shape, dtype=bool)
+    # Rows of the pivoted Cholesky factors, one for each added cell.
+    rows = np.zeros((len(vector), 0, vector.shape[1]))
+    for _ in range(vector.shape[1]):
+        pivots = np.maximum(size, MIN_PIVOT)
+        gains = np.where(added, -np.inf, vector**2 / pivots - np.log(pivots) - MOVED_COST)
+        cells = np.argmax(gains, axis=1)
+        largest = gains[index, cells]
+        active = largest > 0
+        if not active.any():
+            break
+        total = total + np.where(active, largest, 0.0)
+        added[index[active], cells[active]] = True
+        # Schur complement by the new cell c: column ← column − Σ_k l_k l_kc, s ← s − column s_c/p,
+        # and the diagonal loses l².
+        of_cell = column(cells) - np.matmul(rows[index, :, cells][:, None], rows)[:, 0]
+        pivot = np.where(active, of_cell[index, cells], 1.0)[:, None]
+        of_cell = np.where(active[:, None], of_cell, 0.0)
+        vector = vector - of_cell * (vector[index, cells][:, None] / pivot)
+        rows = np.concatenate([rows, (of_cell / np.sqrt(pivot))[:, None]], axis=1)
+        size = size - rows[:, -1] ** 2
+    return total

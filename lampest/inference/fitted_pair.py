@@ -1,0 +1,394 @@
+"""Evidence of two frames, the unloaded panel and a loaded one, under effects beside the circuit.
+
+Each effect adds one parameter θ ~ N(0, prior²) to the readings. Between the unloaded panel b and a
+frame f the log cells that no load touches change by
+
+    d = a θ + noise,   a = K_f U_f − K_b U_b,
+
+where U is the response of the readings to a unit of θ, and K the inverse of their Jacobian. The
+evidence is computed with a and without (`lampest.inference.changed_cells`). Effects in the network
+itself are estimated together with the cells and d, by Gauss-Newton steps.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.inference.assumptions import ASSUMED
+from lampest.inference.cells_fit import FIT, CellsFit
+from lampest.inference.changed_cells import (
+    PARAMETER_COST,
+    Changes,
+    away_from_changed,
+    scores_with_errors,
+    touching,
+    usual_starts,
+)
+from lampest.panel.effects import Effect
+from lampest.panel.panel import Array
+from lampest.panel.systematic import REFERENCE, SERIES, error_columns, systematic_of
+from lampest.recording.readings import Readings
+
+SETTLED_STEP = 0.1  # step of θ in standard deviations below which the iteration ends
+SECANT_STEP = 1e-3  # of the prior's standard deviation
+MAX_HALVINGS = 5  # lengths of a step of θ that are tried, each half of the one before
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Evidence of a pair of frames under given effects.
+
+    Attributes
+    ----------
+    score : float
+        −2 ln evidence up to a constant.
+    moved : boolean array, shape (cells,)
+        The moved cells with the largest evidence.
+    size, sd : array, shape (1 + effects,)
+        Posterior mean and standard deviation of the common change, then of the addition to every
+        effect's present size, in units of the priors; NaN where no cell stands still.
+    """
+
+    score: float
+    moved: NDArray[np.bool_]
+    size: Array
+    sd: Array
+
+
+def responses(fit: CellsFit, effects: Sequence[Effect]) -> Array:
+    """Return the response K U of the log cells to a unit of each θ, by secants.
+
+    Shape (cells, effects).
+    """
+    # An effect of the size of the secant's step; constant ones and those since the unloaded frames
+    # respond alike.
+    small = [replace(effect, since=False, size=SECANT_STEP * effect.prior) for effect in effects]
+    by_effect = {effect: fit.more(effect) / SECANT_STEP for effect in dict.fromkeys(small)}
+    return fit.response(np.stack([by_effect[effect] for effect in small]))
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPair:
+    """The unloaded panel and a frame.
+
+    Attributes
+    ----------
+    frames : tuple of two CellsFit
+        The unloaded panel, then the frame.
+    known_channels : array, shape (cells, lines), or None
+        `channels` of a similar pair, to be used for this one; None: they are computed.
+    start : boolean array, shape (cells,), or None
+        Moved cells of a similar pair, at which the selection of moved cells begins; None: it begins
+        at the usual starts.
+    """
+
+    frames: tuple[CellsFit, CellsFit]
+    known_channels: Array | None = None
+    start: NDArray[np.bool_] | None = None
+
+    @cached_property
+    def channels(self) -> Array:
+        """Change a of the log cells by one ohm more in each line's channel, (cells, lines)."""
+        if self.known_channels is not None:
+            return self.known_channels
+        responses = [
+            fit.response(
+                fit.scene.circuit.shared_errors(fit.cells, fit.readings.value, fit.scene, 0.0, 1.0)[
+                    1:
+                ]
+            )
+            for fit in self.frames
+        ]
+        return np.asarray(responses[1] - responses[0])
+
+    @property
+    def scale_error(self) -> float | None:
+        """Median error of the changes d of moved cells by the numbers that no frame shows.
+
+        The numbers are at their tolerances' ends. None where the scene has no such numbers, or no
+        cell moves.
+        """
+        scene = self.frames[0].scene
+        sizes = systematic_of(scene)
+        if sizes is None or not self.moved.any():
+            return None
+        resting, loaded = (
+            fit.response(
+                error_columns((REFERENCE, SERIES), fit.network, fit.readings.value, scene, sizes)
+            )
+            for fit in self.frames
+        )
+        # columns are of one standard deviation: that of the reference's uniform distribution is its
+        # half width over √3
+        ends = np.ones(loaded.shape[1])
+        ends[0] = np.sqrt(3)
+        error = np.abs((loaded - resting) * ends).sum(axis=1)
+        return float(np.median(error[self.moved.ravel()]))
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects in the network of the frame.
+
+        Constant effects are also in the network of the unloaded panel.
+        """
+        return self.frames[1].effects
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Rows and columns of the panel."""
+        return self.frames[1].cells.shape
+
+    @cached_property
+    def change(self) -> Array:
+        """Change d = ln(r_f/r_b) of the log cells from the unloaded panel to the frame.
+
+        Shape (cells,).
+        """
+        resting, frame = self.frames
+        return np.asarray(np.log(frame.cells / resting.cells).ravel())
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance Σ of d where no load is, (cells, cells).
+
+        Effects and a common change are not included.
+        """
+        # Σ = P_b + P_f + creep² 1 + spread² channels channelsᵀ; the spread is the scene's, or else
+        # one multiplexer's
+        sizes = systematic_of(self.frames[1].scene)
+        spread = float((sizes and sizes.channel_spread_ohm) or ASSUMED.channel_ohm)
+        noise = sum(frame.covariance for frame in self.frames) + ASSUMED.creep**2 * np.eye(
+            len(self.change)
+        )
+        return np.asarray(noise + spread**2 * self.channels @ self.channels.T)
+
+    @cached_property
+    def _volume(self) -> float:
+        """ln |Σ|."""
+        return float(np.linalg.slogdet(self.covariance)[1])
+
+    def columns(self, effects: Sequence[Effect]) -> Array:
+        """Return a = K_f U_f − K_b U_b of each θ in units of its prior, (cells, effects).
+
+        An effect since the unloaded frames changes only the frame: K_b U_b is 0.
+        """
+        if not effects:
+            return np.zeros((len(self.change), 0))
+        resting, loaded = (responses(frame, effects) for frame in self.frames)
+        return np.asarray(loaded - np.array([not effect.since for effect in effects]) * resting)
+
+    def with_columns(self, columns: Array) -> Changes:
+        """Return the changes d with a common change of all cells, then effects, as errors.
+
+        The effects are of one prior deviation each.
+
+        Parameters
+        ----------
+        columns : array, shape (cells, n)
+            a of each effect in units of its prior.
+        """
+        common = np.full(len(self.change), ASSUMED.common_change)
+        return Changes(self.change, self.covariance, np.column_stack([common, columns]))
+
+    @property
+    def _prior(self) -> float:
+        """−2 ln prior of the effects in the network, less ln |Σ|."""
+        costs = (
+            PARAMETER_COST + (effect.size / effect.prior) ** 2
+            for effect in self.effects
+            if effect.size
+        )
+        return sum(costs) - self._volume
+
+    def explained(self, columns: Array) -> Evidence:
+        """Return the evidence with a common change of all cells and with further effects.
+
+        See `with_columns`.
+        """
+        changes = self.with_columns(columns)
+        starts = usual_starts(self.change) if self.start is None else [self.start]
+        score, moved = changes.selected(starts)
+        mean = np.full(1 + columns.shape[1], np.nan)
+        sd = mean
+        if not moved.all():
+            mean, covariance = changes.posterior(away_from_changed(~moved, self.shape))
+            sd = np.sqrt(np.diag(covariance))
+        return Evidence(score + self._prior, moved, mean, sd)
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """The evidence without further effects."""
+        return self.explained(self.columns(()))
+
+    @property
+    def moved(self) -> NDArray[np.bool_]:
+        """The moved cells with the largest evidence, boolean (rows, columns)."""
+        return self.evidence.moved.reshape(self.shape)
+
+    def scores_with(self, effects: Sequence[Effect], candidates: Array) -> Array:
+        """Return −2 ln evidence with further sizes of effects and one candidate, for each, (n,).
+
+        The result approximates the score of `explained`: cells are only added to the moved ones,
+        never removed.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+        candidates : array, shape (cells, n)
+            a of each candidate.
+        """
+        precision, volume = self.with_columns(self.columns(effects)).inverse_and_volume
+        return scores_with_errors(self.change, precision, candidates) - volume + self._prior
+
+    @property
+    def density(self) -> float:
+        """−2 ln density of the frame's readings given the unloaded ones.
+
+        A constant common to all circuits is left out. The densities of circuits are comparable
+        because the Jacobian of the readings is included: a circuit whose readings hardly depend on
+        the cells gains nothing by it.
+        """
+        # p(y) = p(d) |∂d/∂y|: −2 ln p(y) has ln |Jᵀ J| = ln |normal| and ln |Σ| more than the
+        # quadratic form of d
+        return (
+            self.evidence.score + float(np.linalg.slogdet(self.frames[1].normal)[1]) + self._volume
+        )
+
+    @cached_property
+    def _misfit(self) -> tuple[float, int]:
+        """χ² of the changes of the still cells, and the number of these cells."""
+        still = ~self.evidence.moved
+        return self.with_columns(self.columns(())).part(still).misfit, int(still.sum())
+
+    @property
+    def beyond_noise(self) -> float:
+        """The score less the misfit of the still cells as far as noise is expected to have it."""
+        return self.evidence.score - min(self._misfit)
+
+    def beyond_noise_of(self, cells: NDArray[np.bool_]) -> float:
+        """Return −2 ln evidence of these cells alone, beyond that of noise."""
+        changes = self.with_columns(self.columns(())).part(cells)
+        score, moved = changes.selected(usual_starts(changes.change))
+        score += self._prior + self._volume - float(np.linalg.slogdet(changes.noise)[1])
+        return score - min(changes.part(~moved).misfit, int((~moved).sum()))
+
+    def gain_apart(self, better: "FittedPair") -> float:
+        """Return the gain of another explanation in −2 ln evidence, apart from its moved cells.
+
+        Only cells that touch none of its moved cells count, because the skirt of a load looks like
+        another circuit or an effect. The gain is 0 with fewer than two such cells.
+        """
+        distant = ~touching(better.moved[None]).ravel()
+        if distant.sum() < 2:
+            return 0.0
+        return self.beyond_noise_of(distant) - better.beyond_noise_of(distant)
+
+    @property
+    def excess(self) -> float:
+        """Misfit of the still cells over that of noise alone, at least 1."""
+        misfit, still = self._misfit
+        return max(misfit / max(still, 1), 1.0)
+
+    def _stepped(self, effects: Sequence[Effect], step: Array) -> "FittedPair | None":
+        """Return the pair after a step of the effects' sizes.
+
+        None where no cells explain the readings then. Sizes of effects that cannot be negative,
+        such as leaks, are clipped at 0.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+        step : array, shape (effects,)
+            In units of the priors.
+        """
+        stepped = []
+        for effect, change in zip(effects, step, strict=True):
+            size = effect.size + effect.prior * float(change)
+            stepped.append(replace(effect, size=max(size, 0.0) if effect.positive else size))
+        constant = tuple(effect for effect in stepped if not effect.since)
+        resting, loaded = self.frames
+        if constant:
+            refitted = resting.refitted(resting.measured, constant)
+            if refitted is None:
+                return None
+            resting = refitted
+        loaded_fit = loaded.refitted(loaded.measured, tuple(stepped))
+        return (
+            None
+            if loaded_fit is None
+            else replace(self, frames=(resting, loaded_fit), known_channels=self.channels)
+        )
+
+    def _halved_until_fitted(self, effects: Sequence[Effect], step: Array) -> "FittedPair | None":
+        """Return the pair after the longest of MAX_HALVINGS steps that cells explain; else None."""
+        for halvings in range(MAX_HALVINGS):
+            stepped = self._stepped(effects, step * 0.5**halvings)
+            if stepped is not None:
+                return stepped
+        return None
+
+    def settled(self, effects: Sequence[Effect], *, constant: bool = True) -> "FittedPair | None":
+        """Return the pair with the most probable sizes of these effects; None where no cells fit.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+            Effects of the pair, then further ones of size 0.
+        constant : bool
+            Whether the sizes of effects that the unloaded frames have, too, may change.
+        """
+        pair = self
+        for _ in range(FIT.evaluations):
+            evidence = pair.explained(pair.columns(effects))
+            free = np.array([constant or effect.since for effect in effects])
+            step = np.where(free, evidence.size[1:], 0.0)
+            sd = evidence.sd[1:]
+            if not np.isfinite(step).all():
+                return None
+            # Gauss-Newton step of θ, of at most one prior deviation; halved until cells explain
+            # both frames.
+            short = step / max(1.0, float(np.abs(step).max()))
+            stepped = pair._halved_until_fitted(effects, short)
+            if stepped is None:
+                return None
+            pair = stepped
+            effects = pair.effects
+            if np.all(np.abs(step) < SETTLED_STEP * np.maximum(sd, SETTLED_STEP)):
+                break
+        return pair
+
+    def frame_like(self, readings: Readings, near: CellsFit) -> CellsFit | None:
+        """Return the fit of another frame with these effects; None where no cells explain it.
+
+        The sizes of effects since the unloaded frames are estimated anew, and are 0 where the frame
+        is no more probable with them.
+
+        Parameters
+        ----------
+        readings : Readings
+            (rows, columns).
+        near : CellsFit
+            Fit of the frame before.
+        """
+        fit = near.refitted(readings, without_late(near.effects))
+        if fit is None or not any(effect.since for effect in near.effects):
+            return fit
+        begun = near.refitted(readings, near.effects)
+        if begun is None:
+            return None
+        pair = replace(self, known_channels=self.channels)
+        settled = replace(pair, frames=(self.frames[0], begun)).settled(
+            near.effects, constant=False
+        )
+        without = replace(pair, frames=(self.frames[0], fit))
+        if settled is None or without.evidence.score <= settled.evidence.score:
+            return fit
+        return settled.frames[1]
+
+
+def without_late(effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Return the effects, with those since the unloaded frames set to 0."""
+    return tuple(replace(effect, size=0.0) if effect.since else effect for effect in effects)

@@ -1,0 +1,144 @@
+"""Estimation of a converter's memory, its share of the previous channel's voltage.
+
+The estimate follows from the unloaded panel and a loaded frame. With a wrong share every change of
+a cell appears in the next channel, too, so that more cells seem to have moved. The evidence of the
+pair of frames (`lampest.inference.fitted_pair`) is compared over MEMORIES, all equally probable
+before, relative to the misfit of still cells. Nothing is determined where most cells moved: any
+share then explains them.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
+from lampest.inference.compared_frames import ComparedFrames
+from lampest.inference.explanation import MEMORIES as TRIED
+from lampest.inference.explanation import Explanation, may_gain_by_memory
+from lampest.panel.panel import Array
+from lampest.posterior.reference import MAX_CELLS
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+
+KEY = "converter_memory"
+MEMORIES = np.linspace(0.0, 0.3, 16)
+FINER = 9  # points between the neighbours of the most probable one
+MAX_DEVIATION = 0.05  # of the share: with more, the recording does not determine it
+
+
+def estimated_memory(recording: Recording) -> tuple[float, float] | str:
+    """Estimate the converter's memory of a recording.
+
+    Returns
+    -------
+    (share, sd) : tuple of float, or str
+        The share and its standard deviation, or a sentence that says why the recording cannot
+        determine it.
+    """
+    unloaded = recording.role == UNLOADED
+    measured = np.flatnonzero(recording.role == MEASURED)
+    if recording.scene.readout is None:
+        return "the scene has no readout"
+    if not unloaded.any() or not len(measured):
+        return "record unloaded frames, and a load on a few cells"
+    if recording.scene.panel.crossings > MAX_CELLS:
+        return f"the panel has more than {MAX_CELLS} cells: estimate it on a part of it"
+    plain = replace(recording, scene=replace(recording.scene, converter_memory=None))
+    frames = ComparedFrames.of(plain, np.zeros(recording.recorded.shape, dtype=bool))
+    coarse = [_cost(explanation) for explanation in _explanations(frames, MEMORIES)]
+    best = float(MEMORIES[np.argmin(coarse)])
+    step = float(MEMORIES[1])
+    shares = np.linspace(max(best - step, 0.0), max(best, step) + step, FINER)
+    explanations = _explanations(frames, shares)
+    costs = np.array([_cost(explanation) for explanation in explanations])
+    nearest = explanations[int(np.argmin(costs))]
+    if not np.isfinite(costs).all() or nearest is None or nearest.pair is None:
+        return "no cells explain the unloaded panel and a loaded frame"
+    if not mostly_still(nearest.pair.moved):
+        return "the load touches most cells: press a few cells"
+    costs = costs / nearest.pair.excess
+    # parabola through the three points around the least cost: its vertex, and 1/√(half of its
+    # curvature)
+    middle = int(np.clip(np.argmin(costs), 1, len(shares) - 2))
+    below, least, above = costs[middle - 1 : middle + 2]
+    spacing = float(shares[1] - shares[0])
+    slope = (above - below) / (2 * spacing)
+    curvature = (above - 2 * least + below) / spacing**2
+    deviation = float(np.sqrt(2 / curvature)) if curvature > 0 else np.inf
+    if deviation > MAX_DEVIATION:
+        return "the load changes all channels alike: press a few cells"
+    return max(float(shares[middle]) - slope / curvature, 0.0), deviation
+
+
+def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
+    """Return the decrease of −2 ln evidence by the best of the memories TRIED against none.
+
+    The decrease is relative to the misfit of still cells, which errors that the scene does not name
+    increase. The edge of a load looks like a memory: the result is 0 unless cells that touch no
+    moved ones show the memory, too. Where linear theory promises no gain, no share is tried, and
+    the result is 0.
+
+    Parameters
+    ----------
+    frames : ComparedFrames
+        Of a recording whose scene names no memory.
+    without : Explanation or None
+        Explanation of these frames without a memory.
+    """
+    if frames.specified.scene.readout is None or without is None or without.pair is None:
+        return 0.0
+    if not may_gain_by_memory(without, frames):
+        return 0.0
+    best = min(_explanations(frames, np.array(TRIED), without), key=_cost)
+    if best is None or best.pair is None:
+        return 0.0
+    shown = without.pair.gain_apart(best.pair) > PARAMETER_COST * best.pair.excess
+    return (_cost(without) - _cost(best)) / best.pair.excess if shown else 0.0
+
+
+def _explanations(
+    frames: ComparedFrames, shares: Array, near: Explanation | None = None
+) -> list[Explanation | None]:
+    """Return the explanations of frames with each share; None without a fit.
+
+    Each fit begins at the cells of the share before, the first at those of `near`.
+    """
+    explanations = list[Explanation | None]()
+    with np.errstate(all="ignore"):
+        for share in shares.tolist():
+            rival = frames.specified.with_memory(share)
+            explanation = Explanation.of(rival, frames, near, patient=True)
+            near = explanation or near
+            # Channels and moved cells are of this share, not of the one before.
+            explanations.append(explanation and explanation.final)
+    return explanations
+
+
+def _cost(explanation: Explanation | None) -> float:
+    """Return −2 ln density of the loaded frames given the unloaded ones.
+
+    Without an explanation the cost is infinite.
+    """
+    if explanation is None or explanation.pair is None:
+        return np.inf
+    # p(recorded) = p(freed) |∂freed/∂recorded|. The score has the readings relative to their σ,
+    # which is √(1 + m²) |∂freed/∂recorded| times that of the recorded ones.
+    count = float(np.sum(explanation.fits[-1].readings.seen > 0))
+    memory = explanation.rival.scene.known_memory or 0.0
+    return explanation.score + count * float(np.log1p(memory**2))
+
+
+def with_estimated_memory(
+    recording: Recording,
+) -> tuple[Recording, tuple[float, float] | str]:
+    """Replace `converter_memory: estimated` by a number.
+
+    Returns
+    -------
+    recording : Recording
+        With the estimated share in its scene, or with none.
+    estimate : (float, float) or str
+        As `estimated_memory` returns it.
+    """
+    estimate = estimated_memory(recording)
+    share = None if isinstance(estimate, str) else estimate[0]
+    return replace(recording, scene=replace(recording.scene, converter_memory=share)), estimate

@@ -1,0 +1,459 @@
+"""Noise of a recording, estimated from its own frames, and readings with the corresponding σ.
+
+The scatter of unloaded frames (`lampest.inference.variance_components`) is compared with the
+specified noise. Specified noise is replaced only where the frames contradict it; noise, gain and
+ripple that a scene leaves open are taken from them. `NoiseEstimate` holds the result, with a
+sentence for each number and contradiction.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.levels import SIGNIFICANCE
+from lampest.inference.outliers import MAX_SHARE, MIN_FRAMES
+from lampest.inference.variance_components import (
+    MIN_EXCESS,
+    NO_RIPPLE,
+    Scatter,
+    noted_excess,
+    repeated_scatter,
+    unloaded_scatter,
+)
+from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
+from lampest.panel.readouts.converter import ENDLESS
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import ESTIMATED, Systematic, plain_size
+from lampest.panel.systematic import READING_ERROR, SHARED_ERRORS, Possible
+from lampest.posterior.frame_noise import FrameNoise
+from lampest.posterior.interval import chi_square_tail
+from lampest.recording.readings import Readings
+from lampest.recording.recording import UNLOADED, Recording
+
+if TYPE_CHECKING:
+    from lampest.inference.alike import PanelChoice
+    from lampest.inference.nuisances import CircuitEffects
+    from lampest.inference.scan_motion import Share
+
+# Unloaded frames from which noise is estimated if the scene does not specify it.
+MIN_UNLOADED_FRAMES = 5
+MIN_REQUESTED_FRAMES = 2  # where the scene calls it `estimated`: two frames show a scatter
+# LSB: with less, most codes repeat, and the median of their differences shows no noise
+MIN_MEDIAN_NOISE = 0.5
+
+# Errors that the readings of a frame share, in the summary.
+SHARED = ("{:.2g} % gain", "{:.2g} LSB along a scan", "{:.2g} LSB of a line")
+MOVED = "readings at rest move together from frame to frame by {:.2g} %, as in moving water"
+BROKE_DOWN = "arithmetic broke down over its readings"  # why a number is undetermined
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseEstimate:
+    """Noise of a recording, estimated from its unloaded frames and from neighbours in time.
+
+    Attributes
+    ----------
+    outliers : boolean array, shape (frames, rows, columns)
+    warnings : tuple of str
+        Contradictions of the scene and pitfalls, a line each.
+    readings : Readings
+        Readings of all frames, with corrections and the estimated σ.
+    factor, factor_error : float
+        Measured over specified standard deviation of each reading's own noise, and the error of
+        this ratio; NaN where the frames do not determine it.
+    sigma_factor : float
+        Applied factor on σ; 1 where nothing contradicts the scene.
+    frame : FrameNoise or None
+        Errors that the readings of a frame share; None where none is significant.
+    possible_errors : Possible or None
+        Errors that all frames share, as far as the still cells leave them possible; None where that
+        is unknown.
+    motion : Share or None
+        Share of the time between frames that a scan takes while loads move; None: readings are not
+        interpolated.
+    of_modules : tuple of NoiseEstimate or None
+        Noise of each module, None for a dead one; () for a single network.
+    corrected_effects : CircuitEffects or None
+        Effects that are taken off the readings; None where there are none.
+    model_factor : float
+        Part of `sigma_factor` that is the model's error.
+    estimated : dict
+        Key of the scene → (number, standard deviation) of each effect that the recording
+        determined.
+    panels : PanelChoice or None
+        Cells of the unloaded and of a loaded frame, where several panels give their readings.
+    """
+
+    outliers: NDArray[np.bool_]
+    warnings: tuple[str, ...]
+    readings: Readings
+    factor: float = np.nan
+    factor_error: float = np.nan
+    sigma_factor: float = 1.0
+    frame: FrameNoise | None = None
+    possible_errors: Possible | None = None
+    motion: "Share | None" = None
+    of_modules: tuple["NoiseEstimate | None", ...] = ()
+    corrected_effects: "CircuitEffects | None" = None
+    model_factor: float = 1.0
+    estimated: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    panels: "PanelChoice | None" = None
+
+    @property
+    def sentence(self) -> str:
+        """All warnings in one sentence."""
+        return "; ".join(self.warnings)
+
+    @property
+    def reading_error(self) -> float:
+        """Standard deviation of ln of a factor on each reading that is constant in time.
+
+        0 where none is observed.
+        """
+        if self.possible_errors is None:
+            return 0.0
+        return READING_ERROR.size(self.possible_errors.sizes)
+
+    @property
+    def error_in_sigma(self) -> float:
+        """Part of `reading_error` that σ of the readings includes, as a fraction of the reading."""
+        return 0.0 if self.possible_errors is None else self.possible_errors.in_sigma
+
+    @property
+    def shared_sizes(self) -> tuple[float, float, float]:
+        """Standard deviations of the errors that the readings of a frame share.
+
+        Returns
+        -------
+        gain : float
+            In percent.
+        common_ripple, line_ripple : float
+            Ripple common to all lines, and each line's own, in LSB.
+        """
+        if self.frame is None:
+            return 0.0, 0.0, 0.0
+        roots = (self.frame.common_ripple, self.frame.line_ripple)
+        lsb_volt = self.frame.scene.circuit.lsb_volt
+        common_lsb, line_lsb = (
+            float(np.sqrt((root**2).sum() / len(root))) / lsb_volt for root in roots
+        )
+        return 100 * self.frame.gain, common_lsb, line_lsb
+
+    @property
+    def summary(self) -> str:
+        """Noise of the frames in one line; '' where it is unknown."""
+        if np.isnan(self.factor):
+            return ""
+        rescaling = "not rescaled"
+        if self.sigma_factor != 1:
+            rescaling = f"rescaled by {self.sigma_factor:.3g}"
+        shared = ", ".join(
+            text.format(size) for text, size in zip(SHARED, self.shared_sizes, strict=True) if size
+        )
+        messages = (
+            f"scatter {self.factor:.3g} +- {self.factor_error:.1g} times as specified, {rescaling}",
+            f"frames share {shared or 'nothing'}",
+            f"{int(self.outliers.sum())} of {self.outliers.size} readings are outliers",
+            "" if self.possible_errors is None else _sizes_in_words(self.possible_errors),
+        )
+        return "; ".join(filter(None, messages))
+
+    def determined(self, key: str, size: tuple[float, float]) -> "NoiseEstimate":
+        """Return the noise with a number of the scene that the recording determined.
+
+        Parameters
+        ----------
+        key : str
+            Key of the scene.
+        size : (float, float)
+            Number and standard deviation. Where either is NaN, the number is undetermined.
+        """
+        if np.isnan(size).any():
+            return self.undetermined(key, BROKE_DOWN)
+        return replace(self, estimated={**self.estimated, key: size})
+
+    def undetermined(self, key: str, reason: str) -> "NoiseEstimate":
+        """Return the noise with a sentence on a number that the recording cannot determine.
+
+        The sentence says why, and what to record.
+        """
+        return self.with_warnings(
+            f"{key}: estimated, but this recording cannot determine it: {reason}"
+        )
+
+    def with_warnings(self, *sentences: str) -> "NoiseEstimate":
+        """Return the noise with further warnings; empty ones are ignored."""
+        return replace(self, warnings=(*self.warnings, *filter(None, sentences)))
+
+    def with_sigma(self, sigma: Array) -> "NoiseEstimate":
+        """Return the noise with other σ of the readings."""
+        return replace(self, readings=replace(self.readings, sigma=sigma))
+
+    def with_motion(
+        self, scene: Scene, measured: NDArray[np.intp], share: "Share"
+    ) -> "NoiseEstimate":
+        """Return the noise with readings that are interpolated to the middle of their scan.
+
+        Their σ contains what the interpolation leaves.
+
+        Parameters
+        ----------
+        scene : Scene
+        measured : integer array
+            Numbers of the measured frames.
+        share : Share
+            Share of the time between frames that a scan takes.
+        """
+        from lampest.inference.scan_motion import displacement  # for this effect alone
+
+        readings = self.readings
+        displaced, doubt, weight = displacement(scene, readings, measured)
+        noise = readings.known_sigma**2
+        # A reading less its displacement is a mean of two frames, whose noise is independent.
+        own = noise * ((1 - share.mean * weight) ** 2 + (share.mean * weight) ** 2)
+        moved = np.maximum(displaced**2 - 2 * noise * weight**2, 0.0)
+        sigma = np.sqrt(own + (share.reach * doubt) ** 2 + share.deviation**2 * moved)
+        readings = replace(readings, value=readings.value - share.mean * displaced, sigma=sigma)
+        return replace(self, readings=readings, motion=share)
+
+
+def without_effects(
+    noise: NoiseEstimate, recording: Recording, besides: "CircuitEffects | None"
+) -> NoiseEstimate:
+    """Return the noise with the effects of leaks and contacts taken off the readings."""
+    if besides is None or besides.pair is None:
+        return noise
+    from lampest.inference.nuisances import remaining_errors, without_effects_of
+
+    unloaded = recording.role == UNLOADED
+    frame = noise.frame or FrameNoise(
+        recording.scene, int(unloaded.sum()), 0.0, NO_RIPPLE, NO_RIPPLE
+    )
+    readings = without_effects_of(besides.pair, noise.readings, unloaded)
+    frame = replace(frame, effect_errors=remaining_errors(besides.pair))
+    return replace(noise, readings=readings, frame=frame, corrected_effects=besides)
+
+
+def estimate_noise(
+    recording: Recording, outliers: NDArray[np.bool_], cleaned: Readings
+) -> NoiseEstimate:
+    """Return the noise of a single network from its unloaded frames, or measured ones at rest.
+
+    Specified noise is replaced only if the measured one is significantly larger, or smaller for a
+    converter, whose least noise is known: its step. That is the residual scale, which `systematic:
+    {model_error: 0}` excludes. Unspecified noise of a converter is taken from MIN_UNLOADED_FRAMES
+    or more.
+
+    Parameters
+    ----------
+    recording : Recording
+    outliers : boolean array, shape (frames, rows, columns)
+    cleaned : Readings
+        Readings of all frames without outliers.
+    """
+    scene = recording.scene
+    readout = recording.scene.readout
+    unloaded = int((recording.role == UNLOADED).sum())
+    unscaled = NoiseEstimate(
+        outliers, _outlier_messages(outliers, cleaned, recording.role == UNLOADED), cleaned
+    )
+    unscaled = _with_specified_frame_noise(unscaled, scene, unloaded)
+    requested = readout is not None and readout.noise_lsb == ESTIMATED
+    parts = None if cleaned.sigma is None else _scatter_of(recording, cleaned)
+    if cleaned.sigma is None or parts is None:
+        reason = "record five or more unloaded frames"
+        return unscaled.undetermined("readout.noise_lsb", reason) if requested else unscaled
+    ratio = parts.own
+    precision = np.sqrt(2 * parts.own_freedom)  # of a standard deviation, over its error
+    factor = 1.0
+    message = ""
+    specified = readout is None or recording.sigma is not None or readout.noise_specified
+    enough_frames = MIN_REQUESTED_FRAMES if requested else MIN_UNLOADED_FRAMES
+    if specified and not excludes_model_error(scene):
+        factor = _contradicting_factor(recording, parts)
+        message = "" if factor == 1 else _contradiction_in_words(readout, ratio, unloaded)
+    elif readout is not None and not specified and unloaded >= enough_frames:
+        factor = shown_noise(readout, ratio)[1]
+    scaled = replace(cleaned, sigma=factor * cleaned.sigma)
+    noise = replace(
+        unscaled, readings=scaled, factor=ratio, factor_error=ratio / precision, sigma_factor=factor
+    )
+    noise = noise.with_warnings(message)
+    if readout is not None and requested:
+        size = shown_noise(readout, ratio)[0]
+        noise = noise.determined("readout.noise_lsb", (size, size / precision))
+    noise = _with_estimated_frame_noise(noise, recording, parts)
+    if not parts.motion.size:
+        return noise
+    none = np.zeros((len(parts.common_ripple), 0))
+    frame = noise.frame or FrameNoise(scene, unloaded, 0.0, none, none)
+    moved = MOVED.format(100 * float(np.hypot.reduce(parts.motion)))
+    return replace(noise, frame=replace(frame, motion=parts.motion)).with_warnings(moved)
+
+
+def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
+    """Return the factor on specified noise by which the frames contradict it; 1 where they do not.
+
+    Smaller noise than specified is a contradiction of a converter alone, whose least noise is
+    known: its step.
+    """
+    readout = recording.scene.readout
+    squares = parts.own**2 * parts.own_freedom
+    smaller = (
+        parts.own <= 1 / MIN_EXCESS
+        and 1 - chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE
+    )
+    if smaller and readout is not None and recording.sigma is None:
+        return shown_noise(readout, parts.own)[1]
+    return noted_excess(squares, parts.own_freedom)
+
+
+def _contradiction_in_words(readout: Readout | None, ratio: float, unloaded: int) -> str:
+    """Return the sentence on noise of `ratio` times the specified one.
+
+    '' where both are equal in two digits. `unloaded` is the number of unloaded frames.
+    """
+    where = "unloaded frames" if unloaded > 1 else "readings at rest from frame to frame"
+    if readout is None:
+        return f"noise {ratio:.2g} times the recording's sigma, measured in {where}"
+    measured = f"{shown_noise(readout, ratio)[0]:.2g} LSB"
+    specified = f"{float(np.mean(readout.assumed_noise)):.2g} LSB"
+    if measured == specified:
+        return ""
+    return f"noise {measured}, measured in {where}; the scene specifies {specified}"
+
+
+def _with_specified_frame_noise(noise: NoiseEstimate, scene: Scene, unloaded: int) -> NoiseEstimate:
+    """Return the noise with the gain and the ripple that a scene specifies as numbers."""
+    gain, ripple = (plain_size(size) or 0.0 for size in (scene.gain, scene.ripple))
+    if scene.readout is None or not (gain or ripple):
+        return noise
+    # a ripple that all lines share, independent from channel to channel
+    channels = scene.panel.shape[0 if scene.circuit.by_columns else 1]
+    common = (
+        ripple * scene.circuit.lsb_volt * np.eye(channels) if ripple else np.zeros((channels, 0))
+    )
+    return replace(noise, frame=FrameNoise(scene, unloaded, gain, common, np.zeros((channels, 0))))
+
+
+def _with_estimated_frame_noise(
+    noise: NoiseEstimate, recording: Recording, parts: Scatter
+) -> NoiseEstimate:
+    """Return the noise with the gain and the ripple that the scene calls `estimated`.
+
+    The unloaded frames determine both.
+    """
+    scene = recording.scene
+    unloaded = int((recording.role == UNLOADED).sum())
+    requested = [key for key in ("gain", "ripple") if getattr(scene, key) == ESTIMATED]
+    if not requested or scene.readout is None:
+        return noise
+    if unloaded < MIN_REQUESTED_FRAMES:
+        for key in requested:
+            noise = noise.undetermined(key, "record two or more unloaded frames")
+        return noise
+    volt = float(np.mean(scene.readout.sigma_volt()))
+    frame = noise.frame or FrameNoise(
+        scene, unloaded, 0.0, parts.common_ripple[:, :0], parts.line_ripple[:, :0]
+    )
+    if "gain" in requested:
+        frame = replace(frame, gain=float(np.hypot(parts.gain, parts.gain_sd)))  # √E[s²]
+        noise = noise.determined("gain", (parts.gain, parts.gain_sd))
+    if "ripple" in requested:
+        frame = replace(
+            frame, common_ripple=parts.common_ripple * volt, line_ripple=parts.line_ripple * volt
+        )
+        noise = replace(noise, frame=frame)
+        _, common_lsb, line_lsb = noise.shared_sizes
+        common_sd = parts.ripple_sd * volt / scene.circuit.lsb_volt
+        # relative deviation of a standard deviation with as many degrees of freedom
+        line_sd = line_lsb * (1 / np.sqrt(2 * (unloaded - 1)))
+        size = float(np.hypot(common_lsb, line_lsb))
+        noise = noise.determined("ripple", (size, float(np.hypot(common_sd, line_sd))))
+    return replace(noise, frame=frame)
+
+
+def excludes_model_error(scene: Scene) -> bool:
+    """Return whether a scene states that its noise is right and its model has no error."""
+    return isinstance(scene.systematic, Systematic) and scene.systematic.model_error == 0
+
+
+def _outlier_messages(
+    outliers: NDArray[np.bool_], cleaned: Readings, resting: NDArray[np.bool_]
+) -> tuple[str, ...]:
+    """Return sentences on impossible readings and on outliers.
+
+    `resting` are the unloaded frames, (frames,).
+    """
+    messages = list[str]()
+    impossible = outliers & (cleaned.seen == 0) & ~resting[:, None, None]
+    left_out = int(impossible.sum())
+    if left_out:
+        subject = "reading is" if left_out == 1 else "readings are"
+        messages.append(
+            f"{left_out} {subject} larger than any cells allow beside the others, and left out"
+        )
+    replaced = int((outliers & ~impossible).sum())
+    if replaced:
+        message = (
+            f"{replaced} of {outliers.size} readings are outliers of one frame, "
+            "replaced by their neighbours in time"
+        )
+        rest_shows_rate = resting.sum() >= MIN_FRAMES and cleaned.sigma is not None
+        rate = float((outliers[resting] if rest_shows_rate else outliers).mean())
+        # Beyond MAX_SHARE neighbours in time are outliers, too, and replace them badly.
+        if rate > MAX_SHARE:
+            message += (
+                f"; at {100 * rate:.2g} % there are more that nobody sees, "
+                "and error bars do not cover them"
+            )
+        messages.append(message)
+    return tuple(messages)
+
+
+def _scatter_of(recording: Recording, cleaned: Readings) -> Scatter | None:
+    """Return the scatter of the unloaded frames, or of readings at rest without these.
+
+    None where neither shows it. A scatter at rest below MIN_MEDIAN_NOISE of a converter is not
+    used.
+    """
+    resting = recording.role == UNLOADED
+    readout = recording.scene.readout
+    parts = unloaded_scatter(recording, cleaned[resting]) if resting.sum() > 1 else None
+    if parts is None:
+        parts = repeated_scatter(cleaned[~resting])
+        if parts is not None and readout is not None:
+            coarse = shown_noise(readout, parts.own)[0] < MIN_MEDIAN_NOISE
+            parts = None if coarse else parts
+    return parts
+
+
+def shown_noise(readout: Readout, factor: float) -> tuple[float, float]:
+    """Return the noise that a scatter of `factor` times the assumed σ shows.
+
+    Without any scatter σ is that of the converter's step.
+
+    Returns
+    -------
+    float
+        Noise of one reading, LSB.
+    float
+        Factor on the assumed σ. It differs from `factor` because a part of σ, the quantisation that
+        averaging does not reduce, is constant and does not scatter.
+    """
+    assumed = float(np.mean(readout.sigma_code()))
+    # scatter² = factor² (σ² − σ_lasting²): σ_lasting remains in the mean of endlessly many samples
+    lasting = float(np.mean(readout.sigma_code(readout.assumed_noise, ENDLESS)))
+    noise = readout.noise_of_variance(factor**2 * (assumed**2 - lasting**2))
+    return noise, float(np.mean(readout.sigma_code(noise))) / assumed
+
+
+def _sizes_in_words(possible: Possible) -> str:
+    """Return the sizes of shared errors, in words."""
+    sized = [(error, error.size(possible.sizes)) for error in SHARED_ERRORS]
+    parts = [f"{error.name} {size:.2g} {error.unit}".rstrip() for error, size in sized if size]
+    return f"frames share, as standard deviations: {', '.join(parts)}" if parts else ""

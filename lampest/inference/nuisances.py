@@ -1,0 +1,271 @@
+"""Effects beside the circuit: leaks of wet lines, loose contacts, common creep of the film.
+
+All effects are tried by linear theory on a pair of frames (`lampest.inference.fitted_pair`). The
+best ones then enter the network itself. An effect is named if the evidence gains by
+MIN_EVIDENCE_GAIN. Readings can be corrected for the effects that were found.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANT
+from lampest.inference.assumptions import ASSUMED
+from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
+from lampest.inference.fitted_pair import FittedPair, without_late
+from lampest.panel.effects import EFFECTS, Effect, LooseContact
+from lampest.panel.panel import Array
+from lampest.panel.sizes import ESTIMATED
+from lampest.recording.readings import Readings
+from lampest.recording.recording import MIN_CHANGE
+
+# Rivals or effects that are solved exactly, the best ones of linear theory; effects at a time.
+MAX_CANDIDATES = 3
+# Fewer moved cells that an effect must bring: a converter's nonlinearity moves one.
+MIN_SPARED_CELLS = 2
+TAKEN_OFF = "taken off the readings"
+MIN_REMAINING = 0.1  # of a reading: the lower limit of a corrected reading
+
+
+@dataclass(frozen=True, eq=False)
+class BetterExplanation:
+    """Another circuit, or an effect besides the scene's, that explains the readings better.
+
+    Attributes
+    ----------
+    name : str
+        The circuit or the effects in words; '' where nothing explains the readings better.
+    frames : str
+        The loaded frames in words.
+    count, count_as_specified : int
+        Moved cells between the unloaded panel and these frames: under the better explanation, and
+        under the scene's circuit.
+    fits_noise : bool
+        Whether cells explain the readings of the unloaded panel and of the frames within their
+        noise.
+    nearly : str
+        A circuit in words that explains the readings better, but not significantly; ''.
+    addition : mapping
+        Entries of a scene that state the circuit or the effects; empty where none do.
+    """
+
+    name: str = ""
+    frames: str = ""
+    count: int = 0
+    count_as_specified: int = 0
+    fits_noise: bool = True
+    nearly: str = ""
+    addition: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def reason(self) -> str:
+        """The reason why it is named, in words."""
+        counts = f"{self.count} cells have moved then, and {self.count_as_specified} as specified"
+        if self.count >= self.count_as_specified:
+            counts = f"the misfit is smaller, with {self.count} moved cells"
+        return f"between the unloaded panel and {self.frames} {counts}"
+
+
+def candidates(shape: tuple[int, ...], kinds: Sequence[type[Effect]] = EFFECTS) -> list[Effect]:
+    """Return all effects that are tried on a panel.
+
+    Effects since the unloaded frames come first, then the constant ones.
+    """
+    rows, columns = shape
+    return [
+        kind(lines, since)
+        for since in (True, False)
+        for kind in kinds
+        for lines in kind.places(rows, columns)
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class CircuitEffects(BetterExplanation):
+    """Effects beside the circuit that a recording shows.
+
+    Attributes
+    ----------
+    common_change : str
+        The common change of all untouched cells in words; '' where it is not significant.
+    pair : FittedPair or None
+        The pair with the unambiguous effects alone, those that no other effect explains about as
+        well.
+    loaded_at_rest : bool
+        Whether a load may lie on the unloaded panel.
+    """
+
+    common_change: str = ""
+    pair: FittedPair | None = None
+    loaded_at_rest: bool = False
+
+    @property
+    def corrections(self) -> str:
+        """Effects that are taken off the readings, in words."""
+        names = list[str]()
+        if self.pair is not None:
+            names = [effect.sentence(self.pair.shape[0]) for effect in self.pair.effects]
+        return f"{' and '.join(names)}: {TAKEN_OFF}"
+
+
+def find_effects(
+    pairs: Sequence[tuple[str, FittedPair]], kinds: Sequence[type[Effect]] = EFFECTS
+) -> CircuitEffects:
+    """Return the effects with the largest gain of evidence.
+
+    Parameters
+    ----------
+    pairs : sequence of (str, FittedPair)
+        Name of the frame, and its pair with the unloaded panel.
+    kinds : sequence of type
+        Kinds of effects that are searched for.
+    """
+    besides = CircuitEffects()
+    common = ""
+    largest_gain = 0.0
+    for name, pair in pairs:
+        common = _common_change_in_words(pair) or common
+        grown, certain = _with_added_effects(pair, kinds)
+        gain = pair.evidence.score - grown.evidence.score
+        # An effect counts if most cells stand still with it, and neither a load's edge nor one
+        # wrong reading explains as much: an outlier in the frame in which a load arrives is hard to
+        # detect in time.
+        if not (gain > largest_gain and mostly_still(grown.moved)):
+            continue
+        off_by_one = pair.scores_with((), LooseContact.prior * pair.frames[1].gain).min()
+        if off_by_one < grown.evidence.score + MIN_EVIDENCE_GAIN or pair.gain_apart(grown) <= 0:
+            continue
+        largest_gain = gain
+        fits_noise = all(fit.within_noise for fit in grown.frames)
+        names = " and ".join(effect.sentence(pair.shape[0]) for effect in grown.effects)
+        counts = (int(grown.moved.sum()), int(pair.moved.sum()))
+        taken_off = bool(certain.effects) and fits_noise
+        besides = CircuitEffects(
+            names,
+            name,
+            *counts,
+            fits_noise,
+            addition={effect.key: ESTIMATED for effect in grown.effects},
+            pair=certain if taken_off else None,
+        )
+    return besides if besides.name else replace(besides, common_change=common)
+
+
+def _with_added_effects(
+    pair: FittedPair, kinds: Sequence[type[Effect]]
+) -> tuple[FittedPair, FittedPair]:
+    """Add effects to a pair one by one, while each gains evidence and spares moved cells.
+
+    Each has to gain MIN_EVIDENCE_GAIN and to spare MIN_SPARED_CELLS moved cells.
+
+    Returns
+    -------
+    FittedPair
+        With all effects.
+    FittedPair
+        With the unambiguous effects: those added before the first one that another candidate
+        explains about as well, within half of MIN_EVIDENCE_GAIN.
+    """
+    certain = pair
+    doubtful = False
+    for _ in range(MAX_CANDIDATES):
+        tried = sorted(
+            _with_one_more_effect(pair, kinds), key=lambda candidate: candidate.evidence.score
+        )
+        if not tried:
+            break
+        best = tried[0]
+        if pair.evidence.score - best.evidence.score <= MIN_EVIDENCE_GAIN:
+            break
+        if best.moved.sum() > pair.moved.sum() - MIN_SPARED_CELLS:
+            break
+        if len(tried) > 1:
+            lead = tried[1].evidence.score - best.evidence.score
+            doubtful |= lead < MIN_EVIDENCE_GAIN / 2
+        pair = best
+        certain = certain if doubtful else pair
+    return pair, certain
+
+
+def _with_one_more_effect(pair: FittedPair, kinds: Sequence[type[Effect]]) -> Iterator[FittedPair]:
+    """Generate the pairs with one more effect, the best MAX_CANDIDATES effects of linear theory."""
+    effects = candidates(pair.shape, kinds)
+    scores = pair.scores_with(pair.effects, pair.columns(effects))
+    for number in np.argsort(scores)[:MAX_CANDIDATES]:
+        if scores[number] > pair.evidence.score - PARAMETER_COST:
+            return
+        settled = pair.settled((*pair.effects, effects[number]))
+        if settled is not None:
+            yield settled
+
+
+def _common_change_in_words(pair: FittedPair) -> str:
+    """Return the common change of all cells that no load touches, in words.
+
+    The text is '' for a change that may be chance, or a load's rim.
+    """
+    change, sd = (
+        float(ASSUMED.common_change * part[0]) for part in (pair.evidence.size, pair.evidence.sd)
+    )
+    if not mostly_still(pair.moved) or not abs(change) > max(MIN_CHANGE, SIGNIFICANT * sd):
+        return ""
+    return (
+        f"cells that nobody touched changed together by {100 * change:+.2g} +- {100 * sd:.1g} %: "
+        "creep, temperature or the supply"
+    )
+
+
+def without_effects_of(
+    pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_]
+) -> Readings:
+    """Return the readings corrected for the pair's effects.
+
+    Effects since the unloaded frames come, grow and go: their sizes are estimated anew in every
+    measured frame. A frame that no cells explain takes the correction of the frame before. A leak
+    reduces the differences between readings, so σ grows by `CellsFit.amplification`.
+
+    Parameters
+    ----------
+    pair : FittedPair
+    readings : Readings
+        (frames, rows, columns).
+    unloaded : boolean array, shape (frames,)
+
+    Returns
+    -------
+    Readings
+        (frames, rows, columns).
+    """
+    value = readings.value.copy()
+    sigma = readings.known_sigma.copy()
+    resting = pair.frames[0]
+    fit = replace(resting, effects=without_late(pair.effects))
+    value[unloaded] -= fit.offset
+    sigma[unloaded] *= fit.amplification
+    for frame in np.flatnonzero(~unloaded):
+        fit = pair.frame_like(readings[frame], fit) or fit
+        value[frame] -= fit.offset
+        sigma[frame] *= fit.amplification
+    return replace(readings, value=np.maximum(value, MIN_REMAINING * readings.value), sigma=sigma)
+
+
+def remaining_errors(pair: FittedPair) -> Array:
+    """Return the change of the readings by one posterior standard deviation of each effect.
+
+    Returns
+    -------
+    array, shape (2, effects, rows, columns)
+        Fractions of the readings of the unloaded panel, then of the frame.
+    """
+    sd = pair.explained(pair.columns(pair.effects)).sd[1:]
+    errors = np.zeros((2, len(sd), *pair.shape))
+    for place, (effect, deviation) in enumerate(zip(pair.effects, np.nan_to_num(sd), strict=True)):
+        addition = replace(effect, size=float(deviation) * effect.prior)
+        affected_frames = (1,) if effect.since else (0, 1)
+        for number in affected_frames:
+            frame = pair.frames[number]
+            errors[number, place] = frame.more(addition) / frame.measured.value
+    return errors

@@ -1,0 +1,499 @@
+"""Detection of outliers of a single frame.
+
+A loose contact or a lost bit changes one reading in one frame; a touch changes many readings at
+once. A reading is an outlier if it deviates from the prediction of its neighbouring frames while
+its row and column do not. Outliers in unloaded frames are excluded from the mean. In measured
+frames the prediction replaces them.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.levels import FALSE_ALARM_RATE, MAD_TO_SIGMA, OUTLIER_THRESHOLD
+from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
+from lampest.panel.scene import Scene
+from lampest.posterior.interval import largest_normal, largest_of
+from lampest.recording.readings import AT_LEAST, Readings, median
+from lampest.recording.recording import Recording
+
+WINDOW = 4  # neighbouring frames that are compared
+# Deviation over the scatter of the neighbours, so that an arriving load is not flagged.
+MIN_RATIO_TO_SCATTER = 3.0
+# Ratio of the deviation to the median deviation of the row or the column. A load on one cell
+# changes these by 0.22 of the change of its own reading where all lines float: the change has rank
+# one (10 x 10; 0.21 at 32 x 32).
+MIN_RATIO_TO_LINES = 6.0
+# Of a frame's readings, and of twice the unloaded rate: a frame with more was touched.
+MAX_SHARE = 0.05
+# Of pairs or triples of frames, the quietest: loads that come and go disturb the remaining ones.
+QUIET_SHARE = 0.25
+# Share of readings that repeat in the next frame: 0.56 where noise is half a step. With
+# FALSE_ALARM_RATE 3 of 19,000 simulated recordings without a frozen reading show one, and from a
+# step of noise and 12 frames on all frozen ones are noticed.
+MAX_REPEATED = 0.5
+MIN_FRAMES = 3  # with fewer, the deviating frame cannot be identified
+
+# (prediction from the neighbours in time, its standard deviation by their scatter, standard
+# deviation of the deviation by noise alone as a multiple of σ).
+Expected = tuple[Array, Array, Array]
+# arguments: the neighbours, and their offsets in frames
+Predictor = Callable[[Array, NDArray[np.intp]], Expected]
+
+
+def detect_outliers(
+    value: Array, scale: Array, max_share: float = 1.0
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Flag readings that deviate from the prediction of their neighbouring frames.
+
+    Parameters
+    ----------
+    value : array, shape (frames, rows, columns)
+        Readings in temporal order; NaN where missing.
+    scale : array, same shape
+        Standard deviations of the readings; where it is zero, nothing is flagged.
+    max_share : float
+        Frames with a larger share of flagged readings were touched, and are not flagged.
+
+    Returns
+    -------
+    flagged : boolean array, same shape
+    predicted, predicted_sigma : arrays, same shape
+        Value predicted from the neighbours, and its standard deviation beside the noise.
+    """
+    # Two predictions: the median suits rest, a straight line suits motion. A reading is flagged if
+    # either one fails.
+    predictors = [_by_median, *([_by_line] if len(value) > WINDOW else [])]
+    frames = np.arange(len(value))
+    width = min(len(value), WINDOW + 1)
+    first = np.clip(frames - WINDOW // 2, 0, len(value) - width)
+    expected = [_from_window(value, first, frames - first, predict) for predict in predictors]
+    # Of the frames around: that of a touched cell is another.
+    scale = np.broadcast_to(median(scale), scale.shape)
+    outlying = np.zeros(value.shape, dtype=bool)
+    size = value.size
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for prediction, predict in zip(expected, predictors, strict=True):
+            far = _exceeds_threshold(value, scale, prediction)
+            largest = largest_normal(size, FALSE_ALARM_RATE)
+            outlying |= far & ~_is_usual(value, prediction[0], first, predict, largest)
+        outlying &= scale > 0
+    outlying &= (outlying.mean(axis=(-2, -1), keepdims=True) <= max_share) & (
+        len(value) >= MIN_FRAMES
+    )
+    # The prediction with the smaller scatter is used; its disagreement with the other one adds to
+    # its uncertainty.
+    middle, spread, _ = expected[0]
+    line, line_spread, _ = expected[-1]
+    nearer = line_spread < spread
+    deviation = np.nan_to_num(np.abs(line - middle))
+    return (
+        outlying,
+        np.where(nearer, line, middle),
+        np.hypot(np.where(nearer, line_spread, spread), deviation),
+    )
+
+
+def frozen_readings(recording: Recording) -> NDArray[np.bool_]:
+    """Flag readings that have one value in all frames although noise changes the other readings.
+
+    Such a reading does not answer to loads, and moves the cells of its row and column. Let p be the
+    share of the other readings that repeat in the next frame, in the quarter of the frames in which
+    most do. A measured reading repeats in all pairs of frames with the probability p^pairs, if p is
+    at most MAX_REPEATED. With less noise the probability depends on the place within a step of the
+    converter, and none is flagged. Readings at a rail are bounds.
+
+    Returns
+    -------
+    boolean array, shape (rows, columns)
+    """
+    value = recording.readings().plain_values
+    finite = np.isfinite(value)
+    smallest = np.where(finite, value, np.inf).min(axis=0)
+    largest = np.where(finite, value, -np.inf).max(axis=0)
+    constant = smallest == largest
+    pairs = finite[1:] & finite[:-1]
+    compared = pairs & ~constant
+    count = compared.sum(axis=(1, 2))
+    repeated = ((value[1:] == value[:-1]) & compared).sum(axis=(1, 2))
+    many_constant = constant.sum() > max(1.0, MAX_SHARE * constant.size)
+    if not constant.any() or not count.any() or many_constant:
+        return np.zeros(constant.shape, dtype=bool)
+    shares = np.sort(np.maximum(repeated, 1)[count > 0] / count[count > 0])
+    quiet_frames = max(1, round(QUIET_SHARE * len(shares)))
+    share = float(shares[-quiet_frames:].mean())
+    chance = constant.size * share ** pairs.sum(axis=0)
+    return np.asarray(constant & (share <= MAX_REPEATED) & (chance < FALSE_ALARM_RATE))
+
+
+def without_readings(recording: Recording, unread: NDArray[np.bool_]) -> Recording:
+    """Return a recording in which some readings, (rows, columns), are missing."""
+    if not unread.any():
+        return recording
+    return replace(recording, recorded=np.where(unread, np.nan, recording.recorded))
+
+
+def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
+    """Flag single readings that are larger than any cells allow, given the frame's other readings.
+
+    A contact that fails for one reading makes such an outlier, however long it lasts. So does an
+    infinite one among good ones, a lower bound that the others do not allow. After a pass
+    the flagged readings are ignored and the others are tested again. If more than MAX_SHARE of a
+    frame's readings violate the circuit's inequalities, the circuit is another one, and none is
+    flagged.
+
+    Parameters
+    ----------
+    circuit : Readout
+    readings : Readings
+        (frames, rows, columns).
+
+    Returns
+    -------
+    boolean array, same shape
+    """
+    value = readings.value
+    sigma = readings.sigma_of_values
+    outliers = _impossible_bounds(circuit, readings)
+    frames = np.arange(len(value))
+    if sigma is None or not len(frames):
+        return outliers
+    bounds = outliers.copy()
+    for _ in range(int(MAX_SHARE * value[0].size) + 1):
+        broken = np.zeros(len(frames), dtype=bool)
+        for test in circuit.free_tests(value[frames], np.where(outliers, np.inf, sigma)[frames]):
+            if test.single is None:
+                continue
+            # the largest excess of all frames decides on the significance
+            significant = largest_of(test.excess, test.count * len(value)) < FALSE_ALARM_RATE
+            broken |= significant
+            place = test.single.reshape(len(frames), -1).argmax(axis=1)
+            outliers.reshape(len(outliers), -1)[frames[significant], place[significant]] = True
+        frames = frames[broken]
+        if not len(frames):
+            break
+    outliers[frames] = bounds[frames]
+    return outliers
+
+
+def _impossible_bounds(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
+    """Flag lower bounds beyond the largest value that a frame's other readings allow.
+
+    Noise of that value counts. If more than MAX_SHARE of a frame's readings are, none is flagged.
+    """
+    bound = (readings.side == AT_LEAST) & (readings.seen > 0)
+    if not np.any(bound):
+        return np.zeros(bound.shape, dtype=bool)
+    plain = np.where(readings.plain, readings.value, np.inf)
+    allowed = circuit.largest_possible(plain)
+    if readings.sigma is not None:
+        noise = circuit.sigma(np.where(np.isfinite(allowed), allowed, 1.0))
+        allowed = allowed + OUTLIER_THRESHOLD * noise
+    # A bound without a finite number has the largest value of its frame.
+    largest = np.max(
+        readings.value, axis=(-2, -1), keepdims=True, initial=0.0, where=readings.plain
+    )
+    impossible = bound & (np.where(readings.value > largest, readings.value, np.inf) > allowed)
+    count = impossible.sum(axis=(-2, -1), keepdims=True)
+    return np.asarray(impossible & (count <= max(1.0, MAX_SHARE * bound[0].size)))
+
+
+def without_outliers(
+    impossible: NDArray[np.bool_], readings: Readings, unloaded: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], Readings]:
+    """Return the outliers and the readings without them.
+
+    Unloaded outliers are omitted, measured ones replaced. Bounds that the other readings allow are
+    never outliers.
+
+    Parameters
+    ----------
+    impossible : boolean array, shape (frames, rows, columns)
+        Readings that no cells allow; they are omitted in all frames.
+    readings : Readings
+        (frames, rows, columns).
+    unloaded : boolean array, shape (frames,)
+        Unloaded and measured frames are compared separately, because a load arrives between them.
+
+    Returns
+    -------
+    boolean array, shape (frames, rows, columns)
+        The outliers.
+    Readings
+        The readings without them.
+    """
+    readings = readings.without(impossible)
+    value = readings.plain_values
+    sigma = np.ones(value.shape) if readings.sigma is None else readings.sigma
+    outlying = np.zeros(value.shape, dtype=bool)
+    instead = value.copy()
+    spread = np.zeros(value.shape)
+    # The specified σ may be wrong, so it is rescaled by the median change from frame to frame,
+    # which is noise.
+    quiet = unloaded if unloaded.sum() >= MIN_FRAMES else ~unloaded
+    least_ratio = float(readings.sigma is not None)  # a specified σ is not reduced
+    scale = sigma * np.fmax(_pair_scale(value[quiet], sigma[quiet]), least_ratio)
+    max_share = 1.0
+    for chosen in (unloaded, ~unloaded):
+        if chosen.sum() < MIN_FRAMES:
+            max_share = MAX_SHARE
+            continue
+        flagged, predicted, predicted_sigma = detect_outliers(
+            value[chosen], scale[chosen], max_share
+        )
+        outlying[chosen] = flagged
+        instead[chosen] = predicted
+        spread[chosen] = predicted_sigma
+        max_share = max(MAX_SHARE, 2 * float(flagged.mean()))
+    resting = median(value[unloaded])[0] if unloaded.any() else np.full(value.shape[1:], np.nan)
+    at_rest = unloaded[:, None, None]
+    outlying &= at_rest | _alone_in_time(value, scale, resting, ~unloaded)
+    omitted = replace(readings, seen=np.where(outlying & at_rest, 0.0, readings.seen))
+    return outlying | impossible, _replaced(omitted, outlying & ~at_rest, instead, spread)
+
+
+def _alone_in_time(
+    value: Array, scale: Array, resting: Array, measured: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return whether a reading deviates from both neighbouring frames.
+
+    An outlier deviates by more than these differ from each other. Otherwise the reading may be the
+    last one before a load arrives, or belong to its step. The unloaded panel precedes the first
+    measured frame. The last frame, without a successor, is never excluded.
+
+    Parameters
+    ----------
+    value, scale : array, shape (frames, rows, columns)
+        Readings and their standard deviations.
+    resting : array, shape (rows, columns)
+        Median of the unloaded frames.
+    measured : boolean array, shape (frames,)
+    """
+    isolated = np.ones(value.shape, dtype=bool)
+    frames = value[measured]
+    if len(frames) > 1:
+        before = np.concatenate([resting[None], frames[:-2]])
+        after = frames[1:]
+        nearer = np.minimum(np.abs(frames[:-1] - before), np.abs(frames[:-1] - after))
+        least = np.fmax(np.abs(after - before), OUTLIER_THRESHOLD * scale[measured][:-1])
+        isolated[np.flatnonzero(measured)[:-1]] = ~(nearer < least)
+    return isolated
+
+
+def _replaced(
+    readings: Readings, outlying: NDArray[np.bool_], instead: Array, spread: Array
+) -> Readings:
+    value = np.where(outlying, instead, readings.value)
+    sigma = readings.sigma
+    wider = None if sigma is None else np.where(outlying, np.hypot(sigma, spread), sigma)
+    return replace(readings, value=value, sigma=wider)
+
+
+@dataclass(frozen=True, eq=False)
+class FramesBefore:
+    """Last frames of a stream, WINDOW at most, for the detection of outliers online.
+
+    The newest frame comes last. Where lines are connected by cells alone, a touch of one cell
+    changes its row and column, and previous frames alone distinguish an outlier from it. Where a
+    reading depends on its own cell only, they cannot, and the readings stay unchanged.
+    """
+
+    frames: tuple[Readings, ...] = ()
+
+    def after(self, readings: Readings) -> "FramesBefore":
+        """Return the frames after one more has come."""
+        return FramesBefore((*self.frames, readings)[-WINDOW:])
+
+    def without_outliers(
+        self, readings: Readings, scene: Scene, resting: Readings, baseline: Array
+    ) -> tuple[Readings, int]:
+        """Replace the outliers of a frame by their predictions.
+
+        Parameters
+        ----------
+        readings : Readings
+            The new frame, (rows, columns).
+        scene : Scene
+        resting : Readings
+            Unloaded readings, (rows, columns).
+        baseline : array, shape (rows, columns)
+            Cells of the unloaded panel, ohm; NaN where unknown.
+
+        Returns
+        -------
+        readings : Readings
+            The frame without outliers.
+        count : int
+            Number of outliers.
+        """
+        impossible = impossible_readings(scene.circuit, readings.alone())[0]
+        count = int(impossible.sum())
+        readings = readings.without(impossible)
+        if len(self.frames) < MIN_FRAMES or readings.sigma is None or np.isnan(baseline).any():
+            return readings, count
+        value = np.stack([frame.plain_values for frame in self.frames])
+        scale = readings.sigma * np.fmax(
+            _pair_scale(value, np.broadcast_to(readings.sigma, value.shape)), 1.0
+        )
+        middle, spread, _ = _by_median(value)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            outlying = _exceeds_threshold(
+                readings.plain_values, scale, (middle, spread, np.ones(middle.shape))
+            )
+        if not outlying.any() or outlying.mean() > MAX_SHARE:
+            return readings, count
+        network = scene.circuit.network(baseline, scene.circuit.ties(resting.value), scene.wiring)
+        for place in np.argwhere(outlying):  # would a load on this cell move its row or its column?
+            step = np.zeros(scale.shape)
+            step[*place] = 1.0
+            moved = np.abs(network.forward(step)) / scale
+            outlying[*place] = MIN_RATIO_TO_LINES * _beside(moved)[*place] > moved[*place]
+        return _replaced(readings, outlying, middle, spread), count + int(outlying.sum())
+
+
+def _from_window(
+    value: Array, first: NDArray[np.intp], place: NDArray[np.intp], predict: Predictor
+) -> Expected:
+    """Return the prediction of frames first + place from the other frames of their window.
+
+    Each is predicted from the other frames of the window that begins at `first`. The neighbours are
+    gathered as (width − 1, frames, ...), with their offsets (width − 1, frames).
+    """
+    width = min(len(value), WINDOW + 1)
+    within = first[:, None] + np.arange(width)
+    target = first + place
+    nearest = within[within != target[:, None]].reshape(len(first), width - 1).T
+    return predict(value[nearest], nearest - target)
+
+
+def _is_usual(
+    value: Array, expected: Array, first: NDArray[np.intp], predict: Predictor, largest: float
+) -> NDArray[np.bool_]:
+    """Return whether the error of a prediction is usual for this reading.
+
+    The reading's errors in windows near by are the measure.
+
+    Parameters
+    ----------
+    value, expected : array, shape (frames, …)
+        Readings and their predictions.
+    first : integer array, shape (frames,)
+        First frame of each window.
+    predict : callable
+    largest : float
+        Multiple of σ that chance does not exceed.
+    """
+    # errors are compared with those of a block before and one after
+    frames = len(value)
+    block = 2 * WINDOW
+    if frames - WINDOW - 1 < WINDOW:
+        return np.zeros(value.shape, dtype=bool)
+    place = np.arange(frames) - first
+    usual = np.zeros(value.shape)
+    # Frames within the recording lie in the middle of their windows: median error over three blocks
+    # of frames.
+    middle = place == WINDOW // 2
+    deviation = np.nan_to_num(np.abs(value - expected))
+    for begin in range(0, frames, block):
+        around = slice(max(begin - block, 0), begin + 2 * block)
+        usual[begin : begin + block] = median(deviation[around][middle[around]])
+    # Frames at the ends lie elsewhere in theirs: the same place in windows near by is predicted for
+    # comparison.
+    begins = np.arange(frames - WINDOW)
+    for frame in np.flatnonzero(~middle):
+        near = begins[np.argsort(np.abs(begins - first[frame]), kind="stable")[: 3 * block]]
+        predicted, _, _ = _from_window(value, near, np.full(len(near), place[frame]), predict)
+        usual[frame] = median(np.abs(value[near + place[frame]] - predicted))
+    usual = MAD_TO_SIGMA * np.nan_to_num(usual)
+    return np.asarray((usual > 0) & (deviation <= largest * usual))
+
+
+def _by_median(neighbours: Array, offset: NDArray[np.intp] | None = None) -> Expected:
+    """Return the median of the neighbours, (frames, …), with their scatter.
+
+    Parameters
+    ----------
+    neighbours : array, shape (neighbours, frames, …)
+    offset : integer array
+        Not used.
+    """
+    middle = median(neighbours)[0]
+    # var(y − median of n) = σ² (1 + π/(2n))
+    noise = np.sqrt(1 + np.pi / (2 * len(neighbours)))
+    return (
+        middle,
+        MAD_TO_SIGMA * median(np.abs(neighbours - middle))[0],
+        np.full(middle.shape, noise),
+    )
+
+
+def _by_line(neighbours: Array, offset: NDArray[np.intp]) -> Expected:
+    """Return the value of the regression line through the neighbours.
+
+    The line follows a load that moves or breathes.
+
+    Parameters
+    ----------
+    neighbours : array, shape (neighbours, frames, …)
+    offset : integer array, shape (neighbours, frames)
+        Distance of each neighbour in frames.
+    """
+    offset = offset[..., None, None]
+    centre = offset.mean(axis=0)
+    centred = offset - centre
+    size = np.sum(centred**2, axis=0)
+    height = neighbours.mean(axis=0)
+    slope = np.sum(centred * neighbours, axis=0) / size
+    # residual variance s² with n − 2 degrees of freedom; var(y − line at offset 0) = σ² (1 + 1/n +
+    # x̄²/Σ(x − x̄)²)
+    squares = np.sum((neighbours - height - slope * centred) ** 2, axis=0)
+    variance = squares / (len(neighbours) - 2)
+    noise = np.sqrt(1 + 1 / len(neighbours) + centre**2 / size)
+    scatter = 2 * np.sqrt(variance) * noise
+    return height - slope * centre, scatter, np.broadcast_to(noise, height.shape)
+
+
+def _exceeds_threshold(value: Array, scale: Array, expected: Expected) -> NDArray[np.bool_]:
+    """Return whether a reading deviates from its prediction while its row and its column do not.
+
+    Parameters
+    ----------
+    value, scale : array, shape (frames, …, rows, columns)
+        Readings and their standard deviations.
+    expected : tuple of array
+        Prediction with its uncertainties, see `Expected`.
+    """
+    middle, spread, noise = expected
+    deviation = np.abs(value - middle)
+    # |y − ŷ| > max(6 σ √(1 + …), 3 spread).
+    # Within the scatter of the neighbours, so that an arriving load is not flagged.
+    far: NDArray[np.bool_] = deviation > np.fmax(
+        OUTLIER_THRESHOLD * noise * scale, MIN_RATIO_TO_SCATTER * spread
+    )
+    return far & ~(deviation <= MIN_RATIO_TO_LINES * _beside(deviation / scale) * scale)
+
+
+def _beside(values: Array) -> Array:
+    """Return the larger of the medians over each reading's row and over its column.
+
+    Shape (…, rows, columns).
+    """
+    return np.fmax(median(values, -1), median(values, -2))
+
+
+def _pair_scale(value: Array, sigma: Array) -> float:
+    """Return the ratio of the noise to σ; NaN for a single frame.
+
+    The median size of differences between successive frames determines the ratio.
+
+    Parameters
+    ----------
+    value, sigma : array, shape (frames, rows, columns)
+        Differences are divided by √(σ₀² + σ₁²), not the readings by σ: σ depends on the reading,
+        and the ratio of a reading to its own σ hardly varies.
+    """
+    difference = np.abs(np.diff(value, axis=0)) / np.hypot(sigma[1:], sigma[:-1])
+    return MAD_TO_SIGMA * float(median(difference.ravel())[0]) if difference.size else np.nan

@@ -1,0 +1,343 @@
+"""Preparation of a recording: readings, noise, effects, check of the circuit and warnings.
+
+Each is determined once.
+"""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.errors import BROKEN, InputError, in_words
+from lampest.files.process import ONE_BLAS_THREAD
+from lampest.inference.noise import NoiseEstimate, estimate_noise
+from lampest.inference.outliers import (
+    frozen_readings,
+    impossible_readings,
+    without_outliers,
+    without_readings,
+)
+from lampest.inference.resolve import (
+    PASSES,
+    ZERO,
+    resolved,
+    resolved_scene,
+    specified,
+    with_resolved_electronics,
+)
+from lampest.panel.panel import Array, Modules
+from lampest.panel.sizes import ESTIMATED
+from lampest.panel.systematic import unobservable_numbers
+from lampest.recording.garbled import GarbledLines, garbled_lines, garbled_sentence, readings_of
+from lampest.recording.readings import Readings
+from lampest.recording.recording import UNLOADED, Recording
+
+if TYPE_CHECKING:
+    from lampest.inference.alike import PanelChoice
+    from lampest.inference.model_check import ModelCheck, Question
+    from lampest.inference.nuisances import CircuitEffects
+    from lampest.panel.effects import Effect
+
+
+@dataclass(frozen=True, eq=False)
+class Cleaned:
+    """Readings of a single network without outliers.
+
+    Attributes
+    ----------
+    recording : Recording
+        Its scene includes a saturated stage where the readings show one; frozen and garbled
+        readings are missing.
+    frozen : boolean array, shape (rows, columns)
+    garbled : tuple of GarbledLines
+    outliers : boolean array, shape (frames, rows, columns)
+    readings : Readings
+        Unloaded outliers are missing, measured ones are replaced by the prediction of neighbouring
+        frames.
+    memory : (float, float), str or None
+        Estimate of `converter_memory` with its standard deviation, or why there is none; None where
+        the scene calls for none.
+    """
+
+    recording: Recording
+    frozen: NDArray[np.bool_]
+    garbled: tuple[GarbledLines, ...]
+    outliers: NDArray[np.bool_]
+    readings: Readings
+    memory: tuple[float, float] | str | None = None
+
+
+# Of parts in two dividers, with resistors of 5 % (series E24, IEC 60063): √2 · 5 %, rounded up.
+LARGEST_READING_ERROR = 0.08
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A recording with all quantities that its estimates share.
+
+    Each property is computed once, when first needed. Properties raise InputError where the
+    readings contradict the scene, as `Readings.of` does.
+
+    Attributes
+    ----------
+    recording : Recording
+    whole_recording : NoiseEstimate or None
+        For a part of a longer recording: noise, effects and motion of the whole; else None.
+    """
+
+    recording: Recording
+    whole_recording: NoiseEstimate | None = None
+
+    @classmethod
+    def of(cls, recording: "Recording | Prepared") -> "Prepared":
+        """Return the preparation of a recording. Raises InputError where it is neither."""
+        if isinstance(recording, Prepared):
+            return recording
+        if isinstance(recording, Recording):
+            return cls(recording)
+        raise InputError(
+            "recording must be a Recording, "
+            f"such as Recording.load('mine.h5'), not {in_words(recording)}"
+        )
+
+    @property
+    def layout(self) -> Modules | None:
+        """The layout of a panel of modules; None for a single network."""
+        return self.recording.scene.panel.modules
+
+    @cached_property
+    def modules(self) -> "tuple[Prepared | None, ...]":
+        """The preparation of each module, None for a dead one; () for a single network."""
+        if self.layout is None:
+            return ()
+        dead = self.recording.scene.dead_modules
+        parts = enumerate(self.recording.modules)
+        wholes: tuple[NoiseEstimate | None, ...] = (None,) * self.layout.count
+        if self.whole_recording is not None:
+            wholes = self.whole_recording.of_modules
+        return tuple(
+            None if number in dead else Prepared(part, wholes[number]) for number, part in parts
+        )
+
+    @cached_property
+    def cleaned(self) -> Cleaned:
+        """The readings of a single network without outliers."""
+        recording = self.recording
+        if ESTIMATED in (specified(recording.scene, PASSES), specified(recording.scene, ZERO)):
+            from lampest.inference.saturation import with_saturated_stage  # for these keys alone
+
+            recording = with_saturated_stage(recording)
+        memory: tuple[float, float] | str | None = None
+        if recording.scene.converter_memory == ESTIMATED:
+            from lampest.inference.memory import with_estimated_memory  # for this key alone
+
+            recording, memory = with_estimated_memory(recording)
+        if self.recording.scene.outliers == "keep":
+            frozen = np.zeros(recording.scene.panel.shape, dtype=bool)
+            outliers = np.zeros(recording.recorded.shape, dtype=bool)
+            return Cleaned(recording, frozen, (), outliers, recording.readings(), memory)
+        frozen = frozen_readings(recording)
+        garbled = garbled_lines(recording)
+        recording = without_readings(recording, frozen | readings_of(garbled, recording))
+        readings = recording.readings()
+        impossible = impossible_readings(recording.scene.circuit, readings)
+        outliers, readings = without_outliers(impossible, readings, recording.role == UNLOADED)
+        return Cleaned(recording, frozen, garbled, outliers, readings, memory)
+
+    @cached_property
+    def frame_noise(self) -> NoiseEstimate:
+        """Noise of the frames, estimated from unloaded frames and from neighbours in time."""
+        if self.layout is not None:
+            estimates = [None if module is None else module.frame_noise for module in self.modules]
+            from lampest.inference.module_noise import noise_of_modules
+
+            return noise_of_modules(self.recording, self.layout, estimates)
+        noise = estimate_noise(self.cleaned.recording, self.cleaned.outliers, self.cleaned.readings)
+        noise = with_resolved_electronics(
+            noise, self.recording, self.cleaned.recording, self.cleaned.memory
+        )
+        places = [f"row {row}, column {column}" for row, column in np.argwhere(self.cleaned.frozen)]
+        if places:
+            noise = noise.with_warnings(
+                f"one value in all frames at {' and at '.join(places)}, "
+                "while noise changes the other readings: left out"
+            )
+        return noise.with_warnings(garbled_sentence(self.cleaned.garbled))
+
+    @cached_property
+    @ONE_BLAS_THREAD
+    def question(self) -> "Question":
+        """Frames of a single network that its circuit has to explain.
+
+        Raises the errors of `BROKEN`.
+        """
+        from lampest.inference.model_check import Question  # for a check alone
+
+        return Question.of(self.cleaned.recording, self.cleaned.outliers)
+
+    @cached_property
+    def effects(self) -> "CircuitEffects":
+        """Effects beside the circuit of a single network, of all kinds."""
+        from lampest.panel.effects import EFFECTS
+
+        return self.effects_of(EFFECTS)
+
+    @ONE_BLAS_THREAD
+    def effects_of(self, kinds: "Sequence[type[Effect]]") -> "CircuitEffects":
+        """Return the effects beside the circuit of a single network, of some kinds."""
+        from lampest.inference.nuisances import CircuitEffects
+
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            if self.cleaned.readings.sigma is not None:
+                return self.question.effects(kinds)
+        return CircuitEffects()
+
+    @cached_property
+    def check(self) -> "ModelCheck":
+        """Check of the circuit.
+
+        Its sentence names the numbers of the circuit that no frame can determine.
+        """
+        check = self._check
+        if not check.explains:
+            return check
+        unobservable = unobservable_numbers(self.recording.scene, self._scale_error)
+        if not unobservable:
+            return check
+        return replace(check, sentence=f"{check.sentence}; {unobservable}")
+
+    @property
+    def _scale_error(self) -> float | None:
+        """Error of the changes by the numbers that no frame shows; None where it is unknown."""
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            if self.layout is None and self.cleaned.readings.sigma is not None:
+                explanation = self.question.explanation
+                if explanation is not None and explanation.pair is not None:
+                    return explanation.pair.scale_error
+        return None
+
+    @cached_property
+    @ONE_BLAS_THREAD
+    def _check(self) -> "ModelCheck":
+        """The check without the numbers that no frame can determine."""
+        from lampest.inference.model_check import ModelCheck, check_of_modules
+
+        if self.layout is not None:
+            living = {
+                number: module for number, module in enumerate(self.modules) if module is not None
+            }
+            return check_of_modules(
+                self.recording, self.layout, lambda number: living[number]._check
+            )
+        if self.cleaned.readings.sigma is None:
+            return ModelCheck(
+                None, "the circuit was not checked: the noise of the readings is unknown"
+            )
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            check = self.question.check(self.effects)
+            if check.explains is False and not check.better:
+                check = self._with_named_errors(check)
+            count = int(self.cleaned.outliers.sum())
+            if not count:
+                return check
+            outliers = "outliers" if count > 1 else "outlier"
+            sentence = f"{check.sentence}; {count} {outliers} of one frame left out"
+            return replace(check, sentence=sentence)
+        return ModelCheck(
+            None, "the circuit was not checked: arithmetic broke down over its readings"
+        )
+
+    def _with_named_errors(self, check: "ModelCheck") -> "ModelCheck":
+        """Return the check of a circuit with the errors that the scene names beside noise.
+
+        The circuit is doubtful where the recording determines their size, because such errors may
+        also hide a wrong circuit. Errors of readings beyond LARGEST_READING_ERROR are those of
+        another one.
+        """
+        size, _ = self.noise.estimated.get("systematic.reading_error", (0.0, 0.0))
+        if self._named_errors is None or size > LARGEST_READING_ERROR:
+            return check
+        question = replace(self.question, named_errors=self._named_errors)
+        if question.fault:
+            return check
+        from lampest.inference.model_check import EXPLAINED
+        from lampest.panel.estimated import estimated_lines
+
+        sizes = {
+            key: size
+            for key, size in self.noise.estimated.items()
+            if key == "motion" or key.startswith("systematic.")
+        }
+        explained = replace(check, explains=True, sentence=EXPLAINED, doubts=())
+        doubts = list(check.doubts)
+        if sizes:
+            doubts.append(f"only with errors of this size: {'; '.join(estimated_lines(sizes))}")
+        return explained.with_doubts(*doubts)
+
+    @cached_property
+    def _named_errors(self) -> Array | None:
+        """Standard deviations of readings by errors that the scene names beside noise.
+
+        Their shape is (frames, rows, columns); None where it names none.
+        """
+        widened = self.noise.readings.sigma
+        of_noise = self.frame_noise.readings.sigma
+        if widened is None or of_noise is None:
+            return None
+        # without the error of the model, which any wrong circuit has
+        squares = (widened / self.noise.model_factor) ** 2 - of_noise**2
+        return np.sqrt(np.maximum(squares, 0.0)) if (squares > 0).any() else None
+
+    @cached_property
+    @ONE_BLAS_THREAD
+    def noise(self) -> NoiseEstimate:
+        """Noise of the frames and errors that all frames share.
+
+        Its readings have a σ that includes both.
+        """
+        if self.layout is not None:
+            estimates = [None if module is None else module.noise for module in self.modules]
+            from lampest.inference.module_noise import noise_of_modules
+
+            return noise_of_modules(self.recording, self.layout, estimates)
+        noise = resolved(
+            self.frame_noise, self.cleaned.recording, self.whole_recording, self.effects_of
+        )
+        return replace(noise, panels=self.panels)
+
+    @cached_property
+    @ONE_BLAS_THREAD
+    def panels(self) -> "PanelChoice | None":
+        """Cells of a single network, where several panels read alike; None elsewhere.
+
+        A part of a longer recording has those of the whole.
+        """
+        if self.whole_recording is not None:
+            return self.whole_recording.panels
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            if self.recording.scene.circuit.several_panels:
+                return self.question.panels
+        return None
+
+    @cached_property
+    def resolved(self) -> Recording:
+        """Recording with numbers where its scene says `estimated`, as far as it has them."""
+        return replace(self.recording, scene=resolved_scene(self.recording.scene, self.noise))
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """Contradictions of the scene and pitfalls, one line each."""
+        from lampest.inference.warnings import warnings_of
+
+        return warnings_of(self.recording, self.noise, self.check)
+
+    @cached_property
+    def warnings_without_check(self) -> tuple[str, ...]:
+        """The warnings that need no check of the circuit, one line each."""
+        from lampest.inference.warnings import warnings_of
+
+        return warnings_of(self.recording, self.noise, None)

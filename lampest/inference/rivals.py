@@ -1,0 +1,521 @@
+"""Rival circuits of a recording, and the frames that they have to explain.
+
+Rivals are circuits of the one equation with the scene's converter and resistor: every preset with
+either side driven, sensed lines read in parallel, idle lines held by switches; also the scene's
+circuit with readings in another order. Each has any resistance in series. All rivals share the
+converter's voltages: where the scene's circuit has computed resistances from them, that computation
+is inverted.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, fields, replace
+from functools import cache, cached_property
+from itertools import product
+from math import inf
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.errors import InputError
+from lampest.files.levels import FALSE_ALARM_RATE, OUTLIER_THRESHOLD
+from lampest.files.typed import members_of
+from lampest.panel.panel import Array
+from lampest.panel.readouts import AnyReadout, Readout
+from lampest.panel.readouts.characteristic import Characteristic, Known, known
+from lampest.panel.readouts.driven_readout import DrivenReadout
+from lampest.panel.readouts.lines import SeriesPerLine, Side, opposite
+from lampest.panel.scene import Scene
+from lampest.posterior.interval import chi_square_tail
+from lampest.recording.readings import Readings
+from lampest.recording.recording import MEASURED, MIN_CHANGE, UNLOADED
+
+# Names of the resistor that a converter reads across.
+RESISTORS = ("reference_ohm", "load_ohm", "feedback_ohm")
+CALLED = {
+    "driven": "rows and columns swapped",
+    "polarity": "polarity reversed",
+    "measured_across": "read across the other resistor",
+}
+ESP32_BITS = 12  # of the ADC of an ESP32 (its technical reference manual, chapter on the SAR ADC)
+BY_COLUMNS = "readings listed column by column (lampest import --transpose)"
+PARALLEL = (2, 4)  # multiplexers in parallel: 16 lines on two of eight or four of four channels
+# Largest noise of a resistance with which the divider's function of Gaussian voltages is still
+# nearly Gaussian, as a fraction. Largest shift of a mean by the same curvature, in its standard
+# deviations.
+MAX_RELATIVE_NOISE = 0.05
+MAX_SHIFT = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A circuit that may have made a recording.
+
+    Attributes
+    ----------
+    scene : Scene
+        The recording's scene with this circuit.
+    recorded : array, shape (frames, rows, columns)
+        Values that this circuit would have recorded from the same codes.
+    sigma : array or None
+        Standard deviations of the recorded values, where the recording has its own; None: those of
+        the readout.
+    kind : str
+        The kind in words; '' for the specified circuit.
+    entries : mapping
+        Entries of a scene by which it differs from the specified one, without a resistance in
+        series and the order of the readings.
+    in_series : float or None
+        The tried resistance in series, ohm; None: that of the scene.
+    at_limit : bool
+        Whether this number is at the end of its range, where it is no finding.
+    order : array of int, or None
+        Numbers of the recorded readings, rows first, in the order in which this rival takes them;
+        None: as recorded.
+    """
+
+    scene: Scene
+    recorded: Array
+    sigma: Array | None
+    kind: str = ""
+    entries: Mapping[str, Any] = field(default_factory=dict)
+    in_series: float | None = None
+    at_limit: bool = False
+    order: NDArray[np.intp] | None = None
+
+    @property
+    def name(self) -> str:
+        """Circuit in the words of a scene.
+
+        '' for the specified one, also with a number at its limit.
+        """
+        if self.in_series is None or self.at_limit:
+            return self.kind
+        series = f"{self.scene.circuit.series_name} near {float(f'{self.in_series:.2g}'):g}"
+        return f"{self.kind}, {series}" if self.kind else series
+
+    @property
+    def addition(self) -> dict[str, Any]:
+        """Entries that make the specified scene one of this circuit, numbers with two digits.
+
+        It is empty where the readings have another order, which no entry states.
+        """
+        if self.order is not None:
+            return {}
+        entries = dict(self.entries)
+        circuit = self.scene.circuit
+        if self.in_series is not None and not self.at_limit:
+            series: dict[str, Any] = {circuit.series_name: float(f"{self.in_series:.2g}")}
+            entries |= (
+                series
+                if circuit.in_series
+                else {"readout": {**entries.get("readout", {}), **series}}
+            )
+        return entries
+
+    @property
+    def ohm(self) -> float:
+        """The resistance in series, ohm: the tried one, or that of the scene."""
+        return self.scene.specified_in_series if self.in_series is None else self.in_series
+
+    def with_memory(self, fraction: float) -> "Rival":
+        """Return the rival with a converter that keeps a fraction of the channel before."""
+        named = f"converter_memory near {fraction:.2g}"
+        return replace(
+            self,
+            scene=replace(self.scene, converter_memory=fraction),
+            kind=f"{self.kind}, {named}" if self.kind else named,
+            entries={**self.entries, "converter_memory": float(f"{fraction:.2g}")},
+        )
+
+    def ordered(self, values: Array) -> Array:
+        """Return values of recorded readings (…, rows, columns) in the order of this rival."""
+        if self.order is None:
+            return values
+        return np.asarray(
+            values.reshape(*values.shape[:-2], -1)[..., self.order].reshape(values.shape)
+        )
+
+    def with_series(self, ohm: float) -> "Rival":
+        """Return the rival with another resistance in series, ohm."""
+        return replace(self, scene=self.scene.with_series(float(ohm)), in_series=float(ohm))
+
+    @cached_property
+    def readings(self) -> Readings:
+        """Readings of all frames.
+
+        Raises InputError where the circuit cannot have recorded the values.
+        """
+        return Readings.of(self.scene, self.recorded, self.sigma)
+
+    def nearly_gaussian(self, frames: int) -> Array:
+        """Return 1 where the noise of a recorded value is nearly Gaussian, else 0.
+
+        Shape (all frames, rows, columns). Voltages are as Gaussian as the converter's noise.
+        Resistances that were computed from them are nearly Gaussian while the noise is small.
+
+        Parameters
+        ----------
+        frames : int
+            Number of frames that are averaged.
+        """
+        sigma = self.readings.sigma
+        if self.scene.circuit.unit != "ohm" or sigma is None:
+            return np.ones(self.recorded.shape)
+        # The curvature shifts a mean by about (σ/R)² R, which is √n σ/R standard deviations of a
+        # mean of n frames.
+        most = min(MAX_RELATIVE_NOISE, MAX_SHIFT / np.sqrt(frames))
+        return np.where(sigma <= most * self.recorded, 1.0, 0.0)
+
+
+def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival]:
+    """Generate the rivals: all variants of every kind but the specified circuit.
+
+    Parameters
+    ----------
+    specified : Rival
+    reversed_too : bool
+        Whether to include circuits under which the readings decrease with a load where those of the
+        specified circuit increase.
+    """
+    scene = specified.scene
+    readout = specified.scene.readout
+    if readout is None:
+        return
+    volt = readout.volt_from_recorded(specified.recorded)
+    apparent = _logarithm(readout, scene, specified.recorded)
+    for circuit in _circuits_beside(readout, scene):
+        values = circuit.recorded_from_volt(volt)
+        sense = _sense(apparent, _logarithm(circuit, scene, values))
+        if circuit == readout or not (sense > 0 or (reversed_too and sense < 0)):
+            continue
+        sigma = specified.sigma if circuit.unit == readout.unit else None
+        with suppress(ValueError):  # the kind may have no model of another entry of the scene
+            alike = type(circuit) is type(readout) and circuit.in_series
+            series = scene.series_resistance_ohm if alike else 0.0
+            rival = replace(scene, readout=circuit, series_resistance_ohm=series, systematic=None)
+            entries = _entries(circuit, readout)
+            yield Rival(rival, values, sigma, _in_words(entries), {"readout": entries})
+    yield from _listed_by_columns(specified, readout)
+
+
+def rounded_down(specified: Rival) -> Rival | None:
+    """Return the specified circuit with a converter that rounds down: code c is c + ½ steps.
+
+    Such codes stand half a step too low. None where the scene states the converter.
+    """
+    readout = specified.scene.readout
+    if readout is None or readout.converter is not None:
+        return None
+    half = readout.lsb_volt / 2
+    ends = Characteristic(zero_volt=half, full_volt=readout.full_scale_volt + half)
+    kind = f"readout.converter.zero_volt near {half:.2g} (codes are rounded down)"
+    return _with_converter(specified, ends, kind, {"zero_volt": float(f"{half:.2g}")})
+
+
+def other_converters(specified: Rival, *, reversed_too: bool) -> Iterator[Rival]:
+    """Generate the specified circuit with converters of another range, where it states none.
+
+    An esp32 is tried for readings of 12 bits. An inverting amplifier is tried where readings may
+    fall with a load (`reversed_too`).
+    """
+    readout = specified.scene.readout
+    if readout is None or readout.converter is not None:
+        return
+    names: list[Known] = ["inverting amplifier"] if reversed_too else []
+    names += ["esp32"] if readout.adc_bits == ESP32_BITS else []
+    for name in names:
+        ends = known(name, readout.full_scale_volt)
+        yield _with_converter(specified, ends, f"readout.converter: {name}", name)
+
+
+def _with_converter(specified: Rival, ends: Characteristic, kind: str, entry: Any) -> Rival:
+    """Return the specified circuit whose codes stand for voltages of another range.
+
+    `entry` states the converter in a scene.
+    """
+    readout: Any = specified.scene.readout
+    circuit = _changed(readout, converter=ends)
+    codes = readout.steps_from_volt(readout.volt_from_recorded(specified.recorded))
+    return replace(
+        specified,
+        scene=replace(specified.scene, readout=circuit),
+        recorded=circuit.recorded_from_volt(circuit.volt_from_code(codes)),
+        kind=kind,
+        entries={"readout": {"converter": entry}},
+    )
+
+
+def _circuits_beside(readout: Readout, scene: Scene) -> Iterator[Any]:
+    """Generate the readout with lines read in parallel, then all variants of every kind."""
+    yield from _in_parallel(readout, scene)
+    for kind in members_of(AnyReadout):
+        yield from _variants(kind, readout)
+
+
+def _listed_by_columns(specified: Rival, readout: Readout) -> Iterator[Rival]:
+    """Generate the specified circuit with readings that a file lists column by column.
+
+    The scene's rows may be those of the file, too: the other side of its lines is driven then. None
+    are generated where a crossing has no reading, or where the order is the same.
+    """
+    scene = specified.scene
+    rows, columns = scene.panel.shape
+    if not scene.whole or scene.panel.modules is not None or min(rows, columns) == 1:
+        return
+    if rows == columns and _sides_alike(scene):
+        return
+    order = np.arange(rows * columns).reshape(columns, rows).T.ravel()
+    reordered = replace(specified, order=order)
+    sigma = None if specified.sigma is None else reordered.ordered(specified.sigma)
+    recorded = reordered.ordered(specified.recorded)
+    reordered = replace(reordered, recorded=recorded, sigma=sigma, kind=BY_COLUMNS)
+    yield reordered
+    side = getattr(readout, "driven", None)
+    if side is None:
+        return
+    kind = f"{BY_COLUMNS}, readout.driven: {opposite(side)}"
+    with suppress(ValueError):
+        exchanged = _changed(readout, driven=opposite(side))
+        yield replace(
+            reordered, scene=replace(scene, readout=exchanged, systematic=None), kind=kind
+        )
+
+
+def _sides_alike(scene: Scene) -> bool:
+    """Return whether rows and columns may be exchanged: the other order is a relabelling then."""
+    lists = isinstance(scene.series_resistance_ohm, SeriesPerLine)
+    grouped = getattr(scene.readout, "groups", None) is not None
+    return getattr(scene.readout, "driven", None) is None and not (
+        lists or grouped or scene.wiring is not None
+    )
+
+
+def _changed(circuit: Any, **settings: Any) -> Any:
+    """Return a circuit with other settings of its kind."""
+    return replace(circuit, **settings)
+
+
+def _in_parallel(specified: Readout, scene: Scene) -> Iterator[Any]:
+    """Generate the specified circuit with two and four multiplexers of sensed lines.
+
+    The multiplexers are in blocks of lines.
+    """
+    names = {setting.name for setting in fields(specified)}
+    if "groups" not in names or getattr(specified, "measured_across", "reference") == "sensor":
+        return
+    rows, columns = scene.panel.shape
+    sensed = rows if getattr(specified, "driven", "rows") == "columns" else columns
+    for count in PARALLEL:
+        size = -(-sensed // count)
+        blocks = tuple(
+            tuple(range(first, min(first + size, sensed))) for first in range(0, sensed, size)
+        )
+        if len(blocks) == count and size > 1:
+            # Lines in parallel have no one line that the idle ones could follow.
+            with suppress(ValueError):
+                yield _changed(specified, groups=blocks)
+
+
+@cache
+def _types_of(kind: type[Readout]) -> dict[str, Any]:
+    """Return the types of a kind's settings by their names."""
+    return get_type_hints(kind)
+
+
+def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
+    """Return the words that each literal setting of a kind may have.
+
+    The first setting is its name.
+    """
+    types = _types_of(kind)
+    names = [setting.name for setting in fields(kind)]
+    return {name: get_args(types[name]) for name in names if get_origin(types[name]) is Literal}
+
+
+def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
+    """Generate circuits of a kind, one for every choice of words.
+
+    The converter, the resistor and all other common settings are those of the specified circuit.
+    """
+    # Its presets are rivals of their own; what remains has lines that switches hold.
+    if kind is DrivenReadout:
+        yield from _held_at_ground(specified)
+        return
+    words = choices(kind)
+    types = _types_of(kind)
+    names = {setting.name for setting in fields(kind)} - {*words, "groups"}
+    shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
+    if "converter_volt" not in names:
+        shared["supply_volt"] = specified.full_scale_volt
+    resistor = _resistor_of(specified)
+    if resistor is not None:
+        for name in names.intersection(RESISTORS):
+            # the specified resistor takes the role of the kind's own; a list for lines becomes its
+            # mean where one is needed
+            shared[name] = float(np.mean(resistor)) if types[name] is float else resistor
+    for chosen in product(*words.values()):
+        with suppress(ValueError):  # potentials of the specified circuit that the kind cannot have
+            yield kind(**shared, **dict(zip(words, chosen, strict=True)))
+
+
+def _resistor_of(specified: Any) -> Any:
+    """Return the resistor that the converter reads across; None without one."""
+    resistors = (getattr(specified, name) for name in RESISTORS if hasattr(specified, name))
+    return next(resistors, None)
+
+
+def _held_at_ground(specified: Any) -> Iterator[DrivenReadout]:
+    """Generate circuits whose idle driven lines switches hold at ground.
+
+    Their idle sensed lines keep their load, are held at ground, or float.
+    """
+    resistor = _resistor_of(specified)
+    if resistor is None:
+        return
+    names = (
+        "supply_volt",
+        "adc_bits",
+        "readings",
+        "noise_lsb",
+        "floor_code",
+        "passes_volt",
+        "converter",
+        "drive_ohm",
+        "sense_ohm",
+    )
+    shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
+    sides: tuple[Side, ...] = ("rows", "columns")
+    for driven, idle_load in product(sides, (None, 0.0, inf)):
+        with suppress(ValueError):
+            yield DrivenReadout(
+                driven=driven, idle_ohm=0.0, load_ohm=resistor, idle_load_ohm=idle_load, **shared
+            )
+
+
+def _entries(circuit: Readout, specified: Readout) -> dict[str, Any]:
+    """Return the entries of a readout that state a circuit.
+
+    It is the single setting that differs from the specified one, or all its words.
+    """
+    groups = getattr(circuit, "groups", None)
+    specified_groups = getattr(specified, "groups", None)
+    if groups is not None and groups != specified_groups:
+        return {"groups": [list(group) for group in groups]}
+    ungrouped = {"groups": None} if specified_groups is not None and groups is None else {}
+    words = {name: getattr(circuit, name) for name in choices(type(circuit))}
+    if isinstance(circuit, DrivenReadout):
+        words |= {name: getattr(circuit, name) for name in ("idle_ohm", "idle_load_ohm")}
+    differ = [name for name, word in words.items() if getattr(specified, name, None) != word]
+    if ungrouped and not differ:
+        return ungrouped
+    if len(differ) == 1 and differ[0] in CALLED:
+        return {differ[0]: words[differ[0]], **ungrouped}
+    if type(circuit) is not type(specified):
+        words |= _own_resistor(circuit)
+    return {**words, **ungrouped}
+
+
+def _in_words(entries: Mapping[str, Any]) -> str:
+    """Return the name of the circuit that entries of a readout state."""
+    names = []
+    for name, value in entries.items():
+        if name == "groups" and value is None:
+            names.append("no readout.groups (lines read one after the other)")
+        elif name == "groups":
+            names.append(f"readout.groups: {value} (read in parallel)")
+        else:
+            names.append(f"readout.{name}: {f'{value:g}' if name in RESISTORS else value}")
+        if "kind" not in entries and name in CALLED:
+            names[-1] += f" ({CALLED[name]})"
+    return ", ".join(names)
+
+
+def _own_resistor(circuit: Readout) -> dict[str, float]:
+    """Return the key and the number of a circuit's resistor where it is not the kind's default."""
+    defaults = {setting.name: setting.default for setting in fields(circuit)}
+    for name in RESISTORS:
+        ohm = getattr(circuit, name, None)
+        if isinstance(ohm, float) and ohm != defaults[name]:
+            return {name: ohm}
+    return {}
+
+
+def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:
+    """Return ln of the apparent resistances.
+
+    NaN where the circuit does not fit the panel or cannot have the values.
+    """
+    with suppress(InputError, ValueError), np.errstate(all="ignore"):
+        circuit.check(replace(scene, readout=None, series_resistance_ohm=0.0, systematic=None))
+        return np.asarray(
+            np.log(circuit.apparent_resistance(circuit.from_recorded(recorded, scene)))
+        )
+    return np.full(recorded.shape, np.nan)
+
+
+def _sense(first: Array, second: Array) -> float:
+    """Return the sign of the covariance of two sets of log resistances.
+
+    The sign is positive if a load moves both in one direction. Values that are not finite are
+    ignored; without any other the result is 0.
+    """
+    finite = np.isfinite(first) & np.isfinite(second)
+    count = max(finite.sum(), 1)
+    first_deviation = first[finite] - first[finite].sum() / count
+    second_deviation = second[finite] - second[finite].sum() / count
+    return float(np.sum(first_deviation * second_deviation))
+
+
+@np.errstate(all="ignore")
+def changes_beyond_noise(scene: Scene, readings: Readings, role: NDArray[np.uint8]) -> Array:
+    """Return ln(R/R_unloaded) of the apparent resistances; 0 where insignificant.
+
+    Shape (measured frames, rows, columns).
+    """
+    unloaded = role == UNLOADED
+    measured = role == MEASURED
+    if not unloaded.any() or not measured.any() or readings.sigma is None:
+        return np.zeros((0, *scene.panel.shape))
+    resting = readings[unloaded].mean().value
+    values = readings[measured].plain_values
+    change = np.log(
+        scene.circuit.apparent_resistance(values) / scene.circuit.apparent_resistance(resting)
+    )
+    # a change counts if it exceeds six standard deviations of the reading and MIN_CHANGE
+    beyond = (np.abs(values - resting) > OUTLIER_THRESHOLD * readings.sigma[measured]) & (
+        np.abs(change) > MIN_CHANGE
+    )
+    return np.where(beyond, change, 0.0)
+
+
+def standing_frames(
+    readings: Readings, frame: int, candidates: NDArray[np.intp], noise: float
+) -> NDArray[np.intp]:
+    """Return the frames that are equal to one frame within their noise.
+
+    Their mean thus has less noise.
+
+    Parameters
+    ----------
+    readings : Readings
+        (frames, rows, columns).
+    frame : int
+        The number of the frame; it is always included.
+    candidates : integer array
+        Numbers of the frames that are compared with it.
+    noise : float
+        Factor on every σ.
+    """
+    plain = readings.plain & readings.plain[frame]
+    sigma = readings.known_sigma
+    spread = noise * np.hypot(sigma, sigma[frame])
+    # χ² of the difference of two frames, Σ (y − y₀)²/(σ² + σ₀²)
+    square = np.where(plain, (readings.value - readings.value[frame]) / spread, 0.0) ** 2
+    similar = (
+        chi_square_tail(square.sum(axis=(1, 2)), np.maximum(plain.sum(axis=(1, 2)), 1))
+        >= FALSE_ALARM_RATE
+    )
+    standing: NDArray[np.intp] = candidates[similar[candidates] | (candidates == frame)]
+    return standing

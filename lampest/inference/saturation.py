@@ -1,0 +1,251 @@
+"""Ends of the converter and of the stage before it, from channels that stand there.
+
+Where a stage before the converter saturates, significantly more channels end at one voltage than
+near it. The readings there are bounds, as at a rail. An open cell reads the potential in which its
+load ends: where several channels of the unloaded panel stand at one lowest code, this code stands
+for that potential.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
+from lampest.panel.panel import Array
+from lampest.panel.readouts.characteristic import Characteristic
+from lampest.panel.readouts.divider import Divider
+from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.sizes import ESTIMATED
+from lampest.posterior.interval import binomial_tail
+from lampest.recording.readings import Readings
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+
+# In widths within which voltages count as equal: least range of the channels; within a smaller one
+# all are alike.
+MIN_EXTENT = 10.0
+COMPARED_FRAMES = 8  # frames, about, in which the voltages of lines are compared
+MIN_OPEN = 6  # channels at the lowest code
+TOGETHER = 1.0  # steps within which they stand
+
+
+@dataclass(frozen=True)
+class Saturated:
+    """A voltage at which channels end.
+
+    Attributes
+    ----------
+    volt : float
+        Limit of the stage, V.
+    loaded, unloaded : int
+        Number of channels at the limit under load, and on the unloaded panel.
+    highest : bool
+        Whether the limit is the largest voltage that the stage passes, else the smallest.
+    """
+
+    volt: float
+    loaded: int
+    unloaded: int
+    highest: bool
+
+    @property
+    def sentence(self) -> str:
+        """The finding in words."""
+        channels = (
+            f"{self.loaded} loaded channels end"
+            if self.loaded
+            else f"{self.unloaded} unloaded channels stand"
+        )
+        also = (
+            f", {self.unloaded} of the unloaded panel too" if self.loaded and self.unloaded else ""
+        )
+        return (
+            f"{channels} at the same {self.volt:.3g} volt{also}, and what lies beyond is lost: "
+            "does a stage before the converter saturate there? "
+            "Then name it: readout: {passes_volt: estimated}"
+        )
+
+
+def saturated(recording: Recording) -> Saturated | None:
+    """Return the voltage at which several channels end.
+
+    None where there is none, or where the scene states one. Channels that moved under load are
+    tested by their largest or smallest voltage over the measured frames, all channels by their
+    unloaded voltage.
+    """
+    scene = recording.scene
+    unloaded = recording.role == UNLOADED
+    measured = recording.role == MEASURED
+    readout = scene.readout
+    if (
+        readout is None
+        or readout.passes_volt not in (None, ESTIMATED)
+        or scene.panel.modules is not None
+        or not unloaded.any()
+    ):
+        return None
+    width = NOISE_REACH * readout.sigma_volt()
+    volts = scene.circuit.volt_from_recorded(recording.recorded)
+    plain = Readings.of(scene, recording.recorded, recording.sigma).plain
+    plain &= _differ(volts, float(np.mean(width)))
+    for sign in (1.0, -1.0):
+        volt = np.where(plain, sign * volts, np.nan)
+        resting = np.fmax.reduce(volt[unloaded], axis=0)  # NaN where no reading is a value
+        most = np.fmax.reduce(volt[measured], axis=0) if measured.any() else resting
+        moved = np.nan_to_num(most - resting, nan=0.0) > OUTLIER_THRESHOLD * width
+        for channels, counted in ((most, moved), (resting, np.isfinite(resting))):
+            at_end = _channels_at_end(channels, counted, width)
+            if at_end is not None:
+                end = float(np.nanmax(channels, initial=-np.inf))
+                near_end = np.broadcast_to(at_end, volt.shape) & (end - volt <= 2 * width)
+                level = float(np.median(volt[near_end]))
+                at_rest = int((np.abs(resting - level) <= width).sum())
+                return Saturated(sign * level, int((at_end & moved).sum()), at_rest, sign > 0)
+    return None
+
+
+def _channels_at_end(
+    volt: Array, counted: NDArray[np.bool_], width: Array
+) -> NDArray[np.bool_] | None:
+    """Return the channels at the largest voltage; None unless significantly more are than near it.
+
+    Parameters
+    ----------
+    volt : array, shape (rows, columns)
+        Voltages of the channels; NaN where there is none.
+    counted : boolean array, shape (rows, columns)
+        Channels that are tested.
+    width : array
+        Width within which voltages count as equal, V.
+    """
+    end = float(np.nanmax(volt, initial=-np.inf))
+    extent = end - float(np.nanmin(volt, initial=end))
+    below = np.where(counted, end - volt, np.inf)
+    at_end = below <= width
+    lines = min(int(at_end.any(axis=axis).sum()) for axis in (0, 1))
+    near_end = int((below <= MIN_EXTENT * width).sum())
+    # Binomial test: if the other channels within MIN_EXTENT were evenly spread, each would lie
+    # within the first width with probability 1/MIN_EXTENT.
+    chance = binomial_tail(int(at_end.sum()) - 1, near_end - 1, 1 / MIN_EXTENT)
+    if extent > MIN_EXTENT * float(np.mean(width)) and lines > 1 and chance < SIGNIFICANCE:
+        return at_end
+    return None
+
+
+def with_saturated_stage(recording: Recording) -> Recording:
+    """Return the recording with a number for `passes_volt: estimated`.
+
+    None in its place where its frames show none.
+    """
+    recording, _ = with_converter_ends(recording)
+    readout = recording.scene.readout
+    if readout is None or readout.passes_volt != ESTIMATED:
+        return recording
+    stage = saturated(recording)
+    passes = None
+    if stage is not None:
+        least, most = readout.range_volt
+        bounds = (least, stage.volt) if stage.highest else (stage.volt, most)
+        passes = passed_range(bounds, readout.range_volt)
+    return replace(
+        recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=passes))
+    )
+
+
+def passed_range(
+    bounds: tuple[float, float], converted: tuple[float, float]
+) -> tuple[float, float] | None:
+    """Return the part of a range of voltages that is within a converter's; None if it is empty.
+
+    A stage is found from readings with noise, so that its limit may lie beyond the converter's.
+
+    Returns
+    -------
+    (lowest, highest) : tuple of float, or None
+        In volts.
+    """
+    low = max(bounds[0], converted[0])
+    high = min(bounds[1], converted[1])
+    return (low, high) if low < high else None
+
+
+def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
+    """Return the channels whose row and column differ from every earlier line of their side.
+
+    Shape (rows, columns). Lines that touch read equal voltages, which would be mistaken for a
+    limit.
+
+    Parameters
+    ----------
+    volt : array, shape (frames, rows, columns)
+    width : float
+        Width within which voltages count as equal, V.
+    """
+    differing = []
+    volt = volt[:: max(len(volt) // COMPARED_FRAMES, 1)]
+    for axis in (1, 2):
+        lines = np.moveaxis(volt, axis, 0).reshape(volt.shape[axis], -1)
+        with np.errstate(invalid="ignore"):
+            differs = [
+                np.any(np.abs(lines[:number] - line) > 2 * width, axis=1).all()
+                for number, line in enumerate(lines)
+            ]
+        differing.append(np.array(differs))
+    return np.asarray(differing[0][:, None] & differing[1])
+
+
+def with_converter_ends(
+    recording: Recording,
+) -> tuple[Recording, tuple[float, float] | None]:
+    """Replace `zero_volt: estimated` by a number.
+
+    Returns
+    -------
+    recording : Recording
+        With the estimate, or with the end of a scene without the key.
+    zero : (float, float) or None
+        The estimate and its standard deviation in volts; None where frames show none.
+    """
+    readout = recording.scene.readout
+    converter = None if readout is None else readout.converter
+    if readout is None or not isinstance(converter, Characteristic):
+        return recording, None
+    if converter.zero_volt != ESTIMATED:
+        return recording, None
+    zero = _zero_of_open_cells(recording)
+    ends = replace(converter, zero_volt=readout.zero_volt if zero is None else zero[0])
+    if zero is not None and converter.full_volt is None:
+        # An offset moves both ends
+        ends = replace(ends, full_volt=readout.full_scale_volt + zero[0])
+    known = replace(readout, converter=ends)
+    codes = readout.steps_from_volt(readout.volt_from_recorded(recording.recorded))
+    recorded = known.recorded_from_volt(known.volt_from_code(codes))
+    return replace(
+        recording, recorded=recorded, scene=replace(recording.scene, readout=known)
+    ), zero
+
+
+def _zero_of_open_cells(recording: Recording) -> tuple[float, float] | None:
+    """Return the voltage of code 0 and its standard deviation; None where no cell is open."""
+    readout = recording.scene.readout
+    unloaded = recording.role == UNLOADED
+    if readout is None or not unloaded.any() or readout.code_sign < 0:
+        return None
+    if isinstance(readout, DrivenCircuit) and not readout.mirrored:
+        at_open = readout.recorded_reference_volt
+    elif isinstance(readout, Divider) and readout.measured_across == "reference":
+        at_open = 0.0
+    else:
+        return None
+    volt = readout.volt_from_recorded(recording.recorded[unloaded])
+    codes = readout.steps_from_volt(volt)
+    channels = codes.mean(axis=0)
+    channels = channels[np.isfinite(channels)]
+    lowest = channels[channels <= channels.min(initial=np.inf) + TOGETHER]
+    if len(lowest) < MIN_OPEN or lowest.mean() < 0.5:  # those at the rail are bounds
+        return None
+    spread = max(float(lowest.std()), 0.1) / np.sqrt(len(lowest))
+    return (
+        at_open - readout.lsb_volt * float(lowest.mean()),
+        readout.lsb_volt * spread,
+    )

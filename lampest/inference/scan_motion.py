@@ -1,0 +1,346 @@
+"""Motion within a scan: loads that move while the readings of a frame are taken.
+
+The readings are taken one after the other. A reading is taken at its own delay from the middle of
+the frame, and the load has moved by then. The load displaces all readings of a frame along one
+known direction: the steps between frames, times each reading's delay, times the share of the time
+between frames that a scan takes. The readings are interpolated to the middle of the scan. Cells
+that no load touches determine the share: a wrong one makes them move. So do errors that a reading
+has in all frames, because a load changes their effect on the cells: the share is sought jointly
+with their size where that is unknown.
+
+The displacement has errors, too, where a load moves unevenly between two frames. The still cells
+then seem stillest at less than the scan's share, as the slope of a regression is attenuated by
+errors of its variable (Fuller, Measurement Error Models, 1987, section 1.1).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.inference.assumptions import ASSUMED
+from lampest.inference.cells_fit import CellsFit, fitted, well_determined
+from lampest.inference.changed_cells import MOVED_COST, mostly_still, usual_starts
+from lampest.inference.fitted_pair import FittedPair
+from lampest.panel.panel import Array
+from lampest.panel.readouts.readout import in_panel_order
+from lampest.panel.scene import Scene
+from lampest.panel.systematic import own_errors
+from lampest.posterior.reference import MAX_CELLS
+from lampest.recording.readings import Readings
+from lampest.recording.recording import MAX_NEIGHBOURS
+
+SHARES = np.linspace(0, 1, 6)  # of the time between frames that a scan takes
+# Sizes of each reading's own error that are tried beside a share, all equally probable.
+READING_ERRORS = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
+# Error of a value interpolated between two frames, over √(τ(1 − τ)) times the second difference of
+# the frames: 0.7 for a change at once, 0.2 to 0.4 for one that takes a frame or longer.
+INTERPOLATION_ERROR = 0.5
+
+
+class Share(NamedTuple):
+    """Share of the time between frames that a scan takes.
+
+    Attributes
+    ----------
+    mean, deviation : float
+        Share at which still cells are stillest, and its standard deviation as that of the scan.
+    reach : float
+        Mean of the share without attenuation: the interpolation is wrong over that time.
+    gain : float
+        Decrease of −2 ln evidence from no share to the best one.
+    """
+
+    mean: float
+    deviation: float
+    reach: float
+    gain: float = 0.0
+
+
+# Of a scan of which nothing is known: it may take the whole time, and readings stay as they are.
+UNKNOWN_SHARE = Share(mean=0.0, deviation=1.0, reach=0.0)
+
+
+def _steps(readings: Readings, measured: NDArray[np.intp]) -> Array:
+    """Return the steps of each reading from the previous and to the next measured frame.
+
+    Their shape is (2, frames, …). The first and the last frame have one neighbour, and its step
+    twice; frames that are not measured have 0.
+    """
+    steps = np.zeros((2, *readings.value.shape))
+    if len(measured) > 1:
+        step = np.diff(readings.value[measured], axis=0)
+        steps[:, measured] = np.concatenate([step[:1], step]), np.concatenate([step, step[-1:]])
+    return steps
+
+
+def _delays(scene: Scene, readings: Readings) -> Array:
+    """Return the delay τ of each reading from the middle of its frame, shape (1, …).
+
+    The unit is a period, if a scan takes the whole period.
+    """
+    channels = readings.value[0].size
+    # τ of channel k of n: (k + ½)/n − ½
+    late = (np.arange(channels) + 0.5) / channels - 0.5
+    return in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
+
+
+class Displacement(NamedTuple):
+    """Displacement of each reading by motion, if a scan takes the whole period.
+
+    Attributes
+    ----------
+    value : array
+        Displacement, in the shape and unit of the readings.
+    doubt : array
+        Its standard deviation beside noise.
+    weight : array
+        Share of the neighbouring frame in a reading less its displacement.
+    """
+
+    value: Array
+    doubt: Array
+    weight: Array
+
+    @property
+    def smooth(self) -> Array:
+        """Doubt of a motion without jumps: √(|τ|/(1 − |τ|)) times the doubt."""
+        return np.asarray(self.doubt * np.sqrt(self.weight / (1 - self.weight)))
+
+
+def displacement(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Displacement:
+    """Return the displacement of each reading by motion, if a scan takes the whole period.
+
+    A reading that was taken late is displaced by τ times the step from the previous frame, an early
+    one by τ times the step to the next frame: a reading less its displacement is between two
+    measured ones. The doubt is √(|τ|(1 − |τ|)) times the difference of both steps beyond its noise,
+    times INTERPOLATION_ERROR, and √2 times that of the nearest frame where a frame has one
+    neighbour. Readings that are no values, or whose neighbours in time are none, are not displaced;
+    their doubt is the larger step.
+    """
+    steps = _steps(readings, measured)
+    delay = _delays(scene, readings)
+    previous, following = steps * delay
+    displaced = np.where(delay > 0, previous, following)
+    between = np.sqrt(np.abs(delay) * (1 - np.abs(delay)))
+    noise = np.zeros(1) if readings.sigma is None else readings.sigma
+    # The difference of both steps is that of three frames, with the weights 1, −2 and 1.
+    beyond_noise = np.maximum((steps[1] - steps[0]) ** 2 - 6 * noise**2, 0.0)
+    doubt = INTERPOLATION_ERROR * between * np.sqrt(beyond_noise)
+    if len(measured) > 2:
+        doubt[measured[[0, -1]]] = np.sqrt(2) * doubt[measured[[1, -2]]]
+    plain = readings.plain[measured]
+    around = np.concatenate([plain[:1], plain, plain[-1:]])
+    interpolated = np.zeros(displaced.shape, dtype=bool)
+    if len(measured) > 2:
+        interpolated[measured] = around[:-2] & plain & around[2:]
+    larger_step = np.maximum(np.abs(previous), np.abs(following))
+    return Displacement(
+        np.where(interpolated, displaced, 0.0),
+        np.where(interpolated, doubt, larger_step),
+        np.where(interpolated, np.abs(delay), 0.0),
+    )
+
+
+def share_of_motion(
+    scene: Scene,
+    resting: Readings,
+    readings: Readings,
+    measured: NDArray[np.intp],
+    errors_tried: Sequence[float],
+) -> Share | None:
+    """Return the share of the time between frames that a scan takes.
+
+    None where it is unknown. A load that moves displaces all readings of a frame along one known
+    direction, by share · displacement. Cells that no load touches seem to move by K times as much,
+    K the inverse of the Jacobian. The evidence of the changes since rest is compared over SHARES,
+    all equally probable before, for the frames with the largest motion, and summed over sizes of
+    each reading's own error. The reach is the share over the reliability of the displacements, 1 −
+    Σ errors²/Σ displacements², at most the whole time.
+
+    Parameters
+    ----------
+    scene : Scene
+    resting : Readings
+        Mean of the unloaded frames, (rows, columns).
+    readings : Readings
+        All frames.
+    measured : array of int
+        Numbers of the measured frames.
+    errors_tried : sequence of float
+        Sizes of each reading's own error, the same in all frames: READING_ERRORS where it is
+        unknown, (0.0,) where the readings have none beside their σ.
+    """
+    inner = measured[1:-1]
+    if not len(inner) or readings.sigma is None or resting.sigma is None:
+        return None
+    if scene.panel.crossings > MAX_CELLS:
+        return None
+    moved = displacement(scene, readings, measured)
+    size = np.sqrt(np.mean((moved.value / readings.known_sigma) ** 2, axis=(1, 2)))
+    base = fitted(scene, resting, patient=True)
+    compared = list[_Frame]()
+    near = None
+    # Sums of squares in σ².
+    displacements = errors = 0.0
+    for frame in inner[np.argsort(-size[inner])][: 1 + MAX_NEIGHBOURS]:
+        fit = fitted(scene, readings[frame], near, patient=True)
+        if base is None or fit is None:
+            return None
+        near = fit.cells
+        of_frame = Displacement(*(part[frame] for part in moved))
+        frame_changes = _Frame.of((base, fit), of_frame, errors_tried)
+        if frame_changes.is_mostly_still and well_determined((base, fit)):
+            compared.append(frame_changes)
+            noise = readings.known_sigma[frame]
+            displacements += float(np.sum((of_frame.value / noise) ** 2))
+            errors += float(np.sum((of_frame.smooth / noise) ** 2))
+    if base is None or not compared:
+        return None
+    joint_costs = [
+        [_joint_cost([frame.explained[size, share] for frame in compared]) for share in SHARES]
+        for size in errors_tried
+    ]
+    costs = -2 * np.logaddexp.reduce(-np.array(joint_costs) / 2, axis=0)
+    odds = np.exp(-(costs - costs.min()) / 2)
+    odds /= odds.sum()
+    mean = float(odds @ SHARES)
+    # A share between two of those compared is known to a uniform distribution at best.
+    variance = max(float(odds @ SHARES**2) - mean**2, 0.0) + (SHARES[1] - SHARES[0]) ** 2 / 12
+    # Below the smallest share any share may be the whole time.
+    reliable = max(displacements - errors, SHARES[1] * displacements)
+    unattenuated = np.minimum(SHARES * displacements, SHARES[-1] * reliable)
+    reach = float(odds @ unattenuated) / reliable if reliable else mean
+    # The share of the scan is anywhere between both.
+    variance += (reach - mean) ** 2 / 3
+    return Share(mean, float(np.sqrt(variance)), reach, float(costs[0] - costs.min()))
+
+
+class _Explained(NamedTuple):
+    """Changes of a frame with a share of motion and a size of each reading's own error.
+
+    Attributes
+    ----------
+    cost : float
+        −2 ln evidence of the frame alone.
+    change : array, shape (cells,)
+        d.
+    noise : array, shape (cells, cells)
+        Covariance of d that no other frame shares, with the freedom of moved cells.
+    shared : array, shape (cells, n)
+        Columns of the errors that all frames share: of each reading, and of the unloaded panel.
+    beside : float
+        −2 ln of the prior of the moved cells, and of the Jacobian of the interpolation.
+    """
+
+    cost: float
+    change: Array
+    noise: Array
+    shared: Array
+    beside: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """A frame with each share and each size of errors.
+
+    Attributes
+    ----------
+    explained : mapping of (float, float) to _Explained
+        By size of errors and share.
+    is_mostly_still : bool
+        Whether most cells are still under the likeliest of them.
+    """
+
+    explained: Mapping[tuple[float, float], _Explained]
+    is_mostly_still: bool
+
+    @classmethod
+    def of(
+        cls, fits: tuple[CellsFit, CellsFit], displaced: Displacement, sizes: Sequence[float]
+    ) -> "_Frame":
+        """Return a frame.
+
+        A reading y less its displacement, z = (1 − w) y + w yₙ, is a mean with the neighbouring
+        frame. Its variance is σ²((1 − w)² + w²), and p(y) = (1 − w) p(z): without both, every mean
+        of frames would seem to be motion. Cells count as still without the doubt of the
+        interpolation: with it, everything may be still.
+
+        Parameters
+        ----------
+        fits : tuple of two CellsFit
+            The unloaded panel and the frame.
+        displaced : Displacement
+            That of the frame, (rows, columns).
+        sizes : sequence of float
+            Standard deviations of each reading's own error, relative.
+        """
+        resting, frame = fits
+        pair = FittedPair(fits)
+        changes = pair.with_columns(pair.columns(()))
+        by_motion = frame.response(displaced.value[None])[:, 0]
+        weight = displaced.weight.ravel()
+        noise = frame.readings.known_sigma.ravel()
+        # The evidence takes motion as smooth: a wider doubt would favour small shares.
+        smooth = displaced.smooth.ravel()
+        # A = K_f U_f − K_b U_b of errors of one, the same in both frames.
+        of_readings = frame.gain * own_errors(frame.readings.value, frame.scene, 1.0).ravel()
+        of_readings -= resting.gain * own_errors(resting.readings.value, resting.scene, 1.0).ravel()
+        of_unloaded = np.linalg.cholesky(
+            resting.covariance + ASSUMED.creep**2 * np.eye(len(weight))
+        )
+        explained = {}
+        exact = {}
+        starts = usual_starts(changes.change)
+        for share in SHARES:
+            # variance of the mean with the neighbouring frame, over that of the reading
+            remaining = (1 - share * weight) ** 2 + (share * weight) ** 2
+            averaged = frame.gain * (noise * np.sqrt(1 - remaining))
+            doubt = share * frame.gain * smooth
+            for size in sizes:
+                exact[size, share] = replace(
+                    changes,
+                    change=changes.change - share * by_motion,
+                    noise=changes.noise
+                    - averaged @ averaged.T
+                    + size**2 * of_readings @ of_readings.T,
+                )
+                doubted = replace(
+                    exact[size, share], noise=exact[size, share].noise + doubt @ doubt.T
+                )
+                cost, moved = doubted.selected(starts)
+                # Further searches begin at the moved cells of the share and size before.
+                starts = [moved]
+                # Moved cells are free, and take as many readings out of the density.
+                jacobian = -2 * (1 - np.mean(moved)) * np.sum(np.log(1 - share * weight))
+                shared = np.column_stack([size * of_readings, of_unloaded])
+                explained[size, share] = _Explained(
+                    cost + jacobian,
+                    doubted.change,
+                    doubted.covariance + np.diag(1.0 * moved) - shared @ shared.T,
+                    shared,
+                    MOVED_COST * int(moved.sum()) + jacobian,
+                )
+        likeliest = exact[min(explained, key=lambda key: explained[key].cost)]
+        moved = likeliest.selected(usual_starts(likeliest.change))[1]
+        return cls(explained, mostly_still(moved))
+
+
+def _joint_cost(frames: Sequence[_Explained]) -> float:
+    """Return −2 ln evidence of frames that share errors z ~ N(0, 1), d_f = B_f z + noise_f.
+
+    With the precision M = 1 + Σ B_fᵀ N_f⁻¹ B_f of z and v = Σ B_fᵀ N_f⁻¹ d_f it is Σ (d_fᵀ N_f⁻¹
+    d_f + ln|N_f|) + ln|M| − vᵀ M⁻¹ v.
+    """
+    cost = 0.0
+    precision = np.eye(frames[0].shared.shape[1])
+    pull = np.zeros(len(precision))
+    for frame in frames:
+        weighted = np.linalg.solve(frame.noise, np.column_stack([frame.shared, frame.change]))
+        precision += frame.shared.T @ weighted[:, :-1]
+        pull += frame.shared.T @ weighted[:, -1]
+        cost += float(frame.change @ weighted[:, -1] + np.linalg.slogdet(frame.noise)[1])
+        cost += frame.beside
+    return cost + float(np.linalg.slogdet(precision)[1] - pull @ np.linalg.solve(precision, pull))
