@@ -25,11 +25,11 @@ class Finding:
     what : str
         The finding, such as 'row 3 is dead'.
     evidence : str
-        What shows it.
+        The observation that shows it.
     addition : mapping
         Entries to merge into the scene; empty where no entry helps.
     remedy : str
-        What to do where no entry helps, such as an option of a command; ''.
+        An action where no entry helps, such as an option of a command; ''.
     """
 
     room: str

@@ -110,13 +110,13 @@ class Applications:
     def required(self, application: str, answer: str, because: str) -> Any:
         """Return an application's answer to a question of the core.
 
-        Raises InputError, which begins with what asks for it, without the application.
+        Raises InputError with the reason `because` if the application is not installed.
         """
         self.require(application, because)
         return self.provided(application, answer)
 
     def require(self, application: str, because: str) -> None:
-        """Raise InputError, which begins with what asks for it, without an application."""
+        """Raise InputError with the reason `because` if an application is not installed."""
         if application not in self.usable:
             raise InputError(f"{because}: the application '{application}' is not installed")
 

@@ -19,12 +19,12 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit
 from lampest.files.errors import BROKEN
 from lampest.files.levels import SIGNIFICANCE
-from lampest.inference.assumptions import UNKNOWN_SD
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
+from lampest.posterior.linear import UNKNOWN_SD
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
@@ -80,7 +80,7 @@ class CellsFit(SumOfSquares):
     measured : Readings
         (rows, columns).
     readings : Readings
-        The measured readings less what effects add to those of the network.
+        The measured readings less the contribution of effects.
     network : Network
         Network of the cells, without effects.
     effects : tuple of Effect
@@ -137,7 +137,7 @@ class CellsFit(SumOfSquares):
     def refitted(self, measured: Readings, effects: "tuple[Effect, ...]") -> "CellsFit | None":
         """Return the fit to other readings or effects, from these cells on.
 
-        None where no fit is found.
+        The result is None where no fit is found.
         """
         return fitted(self.scene, measured, self.cells, patient=True, effects=effects)
 
@@ -234,7 +234,7 @@ def fitted(
 ) -> CellsFit | None:
     """Return argmin Σ ((f(r) − y)/σ)² of one frame over r > 0.
 
-    None where the solver or arithmetic fails.
+    The result is None where the solver or arithmetic fails.
 
     Parameters
     ----------
@@ -247,8 +247,8 @@ def fitted(
         Whether every start is tried, and any misfit accepted. Otherwise few iterations are allowed,
         and a fit far from noise is given up.
     effects : sequence of Effect
-        Effects in the network beside its circuit. With effects the fit that the first loop reaches
-        is returned.
+        Effects in the network in addition to its circuit. With effects the fit that the first loop
+        reaches is returned.
     """
     with suppress(*BROKEN), np.errstate(all="ignore"):
         data = data_of_cells(scene, readings)

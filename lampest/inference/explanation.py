@@ -275,7 +275,7 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
     """Return the MAX_CANDIDATES best explanations by rivals, better ones than the scene's.
 
     Rivals whose inequalities the readings break are not fitted. A resistance in series only makes
-    these inequalities narrower, so that they are asked without one.
+    these inequalities narrower, so that they are tested without one.
     """
     change = changes_beyond_noise(frames.specified.scene, frames.specified.readings, frames.role)
     mostly_increases = bool(change.max(initial=0.0) > -change.min(initial=0.0))
@@ -389,7 +389,7 @@ def some_in_series(
     """Return a circuit's explanation with the best of SERIES_POINTS other resistances in series.
 
     Each fit begins at the cells of the one before, also where only the unloaded panel was
-    explained. None without any explanation.
+    explained. The result is None without any explanation.
 
     Parameters
     ----------
@@ -504,12 +504,12 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
 
 
 def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool:
-    """Return whether a memory of the converter may gain what it costs, by linear theory."""
+    """Return whether a memory of the converter may gain more than its cost, by linear theory."""
     return _may_gain(explanation, _response_to_memory(explanation, frames))
 
 
 def _may_gain(explanation: Explanation, response: Array | None) -> bool:
-    """Return whether a parameter may gain what it costs, by linear theory; True where unknown.
+    """Return whether a parameter may gain more than its cost, by linear theory; True if unknown.
 
     Parameters
     ----------

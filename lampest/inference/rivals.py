@@ -23,7 +23,7 @@ from lampest.files.levels import FALSE_ALARM_RATE, OUTLIER_THRESHOLD
 from lampest.files.typed import members_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import AnyReadout, Readout
-from lampest.panel.readouts.characteristic import Characteristic, Known, known
+from lampest.panel.readouts.converter import Characteristic, Known, known
 from lampest.panel.readouts.driven_readout import DrivenReadout
 from lampest.panel.readouts.lines import SeriesPerLine, Side, opposite
 from lampest.panel.scene import Scene
@@ -88,7 +88,7 @@ class Rival:
     def name(self) -> str:
         """Circuit in the words of a scene.
 
-        '' for the specified one, also with a number at its limit.
+        The value is '' for the specified one, also with a number at its limit.
         """
         if self.in_series is None or self.at_limit:
             return self.kind
@@ -99,7 +99,7 @@ class Rival:
     def addition(self) -> dict[str, Any]:
         """Entries that make the specified scene one of this circuit, numbers with two digits.
 
-        It is empty where the readings have another order, which no entry states.
+        No entry states another order of the readings: the mapping is then empty.
         """
         if self.order is not None:
             return {}
@@ -397,7 +397,8 @@ def _held_at_ground(specified: Any) -> Iterator[DrivenReadout]:
 def _entries(circuit: Readout, specified: Readout) -> dict[str, Any]:
     """Return the entries of a readout that state a circuit.
 
-    It is the single setting that differs from the specified one, or all its words.
+    The single setting that differs from the specified one is enough; otherwise all settings in
+    words are stated.
     """
     groups = getattr(circuit, "groups", None)
     specified_groups = getattr(specified, "groups", None)
@@ -445,7 +446,7 @@ def _own_resistor(circuit: Readout) -> dict[str, float]:
 def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:
     """Return ln of the apparent resistances.
 
-    NaN where the circuit does not fit the panel or cannot have the values.
+    The result is NaN where the circuit does not fit the panel or cannot have the values.
     """
     with suppress(InputError, ValueError), np.errstate(all="ignore"):
         circuit.check(replace(scene, readout=None, series_resistance_ohm=0.0, systematic=None))

@@ -400,9 +400,17 @@ class Scene(Configuration):
     def wiring(self) -> Wiring | None:
         """Wire, contacts and touching lines between terminals and cells.
 
-        None without any of them.
+        The value is None without any of them.
         """
         joined = () if self.faults is None else self.faults.joined(self.panel)
         lines = self.lines or Lines()
         wired = joined or lines.resist or self.contact_prior is not None
         return Wiring(lines, joined, self.contact_prior) if wired else None
+
+
+def specified(scene: Scene, key: str) -> Any:
+    """Return the entry of a scene at a dotted key; None where it is absent."""
+    entry: Any = scene
+    for part in key.split("."):
+        entry = None if isinstance(entry, str) else getattr(entry, part, None)
+    return entry

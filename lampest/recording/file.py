@@ -22,7 +22,7 @@ from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
 from lampest.files.process import check_memory
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts.characteristic import Characteristic
+from lampest.panel.readouts.converter import Characteristic
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import SERIES
 from lampest.recording.acquisition import (

@@ -34,13 +34,13 @@ from lampest.apps.recognition.watch_parts import Look, WatchSetup
 from lampest.apps.recognition.window import Window
 from lampest.inference import changed_cells, noise, outliers
 from lampest.inference.compared_frames import noise_factor
+from lampest.inference.effects.converter_ends import saturated
+from lampest.inference.effects.motion import displacement
 from lampest.inference.explanation import Explanation
 from lampest.inference.model_check import module_factors
 from lampest.inference.nuisances import CircuitEffects
 from lampest.inference.nuisances import candidates as possible_effects
 from lampest.inference.prepared import Prepared
-from lampest.inference.saturation import saturated
-from lampest.inference.scan_motion import displacement
 from lampest.inference.variance_components import noted_excess, repeated_scatter, scatter
 from lampest.panel.effects import LineLeak, LooseContact
 from lampest.panel.panel import EachModule, Modules

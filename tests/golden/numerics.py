@@ -27,13 +27,13 @@ from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
 from lampest.panel import least_squares
 from lampest.panel.trust_region import steihaug
-from lampest.posterior import certainty, covariance, interval, matrices, spectrum
+from lampest.posterior import certainty, covariance, interval, linear, spectrum
 from lampest.posterior.at_bounds import active_bounds
 from lampest.posterior.chain import Chain
+from lampest.posterior.covariance import DenseMemory
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.memory import DenseMemory, SampledMemory
 from lampest.posterior.reference import references
-from lampest.posterior.sampled import SampledErrors
+from lampest.posterior.sampled import SampledErrors, SampledMemory
 from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
 from lampest.solvers import bounds, by_ipopt, multistart, preconditioners
@@ -775,9 +775,9 @@ def of_posterior() -> Rows:
                 interval.student_two_sided(4.0),
                 interval.largest_of(np.array([0.0, 2.0, 4.0]), 20),
                 interval.largest_normal(20, 0.01),
-                matrices.positive_inverse(np.diag([2.0, 4.0])),
-                matrices.inverse_and_volume(np.array([[2.0, 0.5], [0.5, 1.0]])),
-                matrices.swept(np.array([[2.0, 1.0, 3.0], [1.0, 4.0, 5.0]]), 0),
+                linear.positive_inverse(np.diag([2.0, 4.0])),
+                linear.inverse_and_volume(np.array([[2.0, 0.5], [0.5, 1.0]])),
+                linear.swept(np.array([[2.0, 1.0, 3.0], [1.0, 4.0, 5.0]]), 0),
                 certainty.common_variance(np.arange(6.0).reshape(3, 2)),
                 certainty.Certainty(
                     np.array([3.0, 5.0]), *np.zeros((4, 2)), np.array([1.0, 5.0])

@@ -77,7 +77,7 @@ def large() -> Iterator[None]:
         solvers__hessian__MATRIX_CELLS=2,
         solvers__certificate__DENSE_CELLS=2,
         solvers__certificate__MAX_DENSE=2,
-        posterior__sampled__MAX_DENSE=2,
+        posterior__track__MAX_DENSE=2,
         posterior__linear__MAX_DENSE=2,
     ):
         yield
@@ -288,7 +288,7 @@ def parts_row() -> dict[str, Any]:
 def model_error_row() -> dict[str, Any]:
     """Readings that are off, each by its own factor, without still cells that would show it."""
     rows = {}
-    with limits(estimate__model_error__MIN_READINGS=20):
+    with limits(inference__model_error__MIN_READINGS=20):
         for error in (0.0, 0.2):
             recording = recorded(reading_error=error)
             noise = replace(Prepared(recording).frame_noise, possible_errors=None)

@@ -20,11 +20,12 @@ from lampest.apps.studies.study import read_settings
 from lampest.audit.effects import unnamed_effects
 from lampest.estimate.sequence import reconstruct
 from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, TWO_SIDED, UNUSUAL
-from lampest.inference import still_cells
 from lampest.inference.cells_fit import CellsFit
 from lampest.inference.compared_frames import noise_factor
+from lampest.inference.effects import static_errors
 from lampest.inference.outliers import detect_outliers, frozen_readings
 from lampest.inference.prepared import Prepared
+from lampest.inference.unloaded_cells import READING_ERRORS, unloaded_costs
 from lampest.inference.variance_components import Scatter, posterior_size, scatter
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
@@ -466,17 +467,17 @@ def test_an_error_of_readings_is_estimated_only_where_a_coarse_scan_shows_one(
 ) -> None:
     """Eleven values of the error cost a quarter of all."""
     scans: list[int] = []
-    costs_of = still_cells._unloaded_costs
+    costs_of = unloaded_costs
 
     def noted(scene: Scene, resting: Readings, fit: CellsFit | None, tried: Array) -> Array:
         scans.append(len(tried))
         return costs_of(scene, resting, fit, tried)
 
-    monkeypatch.setattr(still_cells, "_unloaded_costs", noted)
+    monkeypatch.setattr(static_errors, "unloaded_costs", noted)
     assert STATIC_LINE not in lines_of(recorded(9, scene_of(0.7)))
-    assert scans == [len(still_cells.COARSE)] == [11]
+    assert scans == [len(static_errors.COARSE)] == [11]
     assert STATIC_LINE in lines_of(recorded(9, scene_of(0.7), static=0.005))
-    assert scans[1:] == [11, len(still_cells.READING_ERRORS)]
+    assert scans[1:] == [11, len(READING_ERRORS)]
 
 
 def lines_of(recording: Recording) -> set[str]:

@@ -18,7 +18,7 @@ from lampest import (
     TwoPointReadout,
 )
 from lampest.files.levels import MIN_EVIDENCE_GAIN
-from lampest.inference.memory import estimated_memory, memory_gain
+from lampest.inference.effects.converter_memory import estimated_memory, memory_gain
 from lampest.inference.prepared import Prepared
 from lampest.inference.rivals import Rival
 from lampest.panel.readouts.readout import Readout, with_memory

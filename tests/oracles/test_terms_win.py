@@ -33,10 +33,9 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import Scene
-from lampest.posterior.covariance import DenseErrors
+from lampest.posterior.covariance import DenseErrors, DenseMemory
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.memory import DenseMemory, SampledMemory
-from lampest.posterior.sampled import SampledErrors
+from lampest.posterior.sampled import SampledErrors, SampledMemory
 from lampest.recording.shapes import OralDisc, Rod, Shape, SuctionCup
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton

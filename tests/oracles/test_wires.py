@@ -25,13 +25,12 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.panel.readouts.readout import with_memory, without_memory
+from lampest.panel.readouts.wired_network import WiredNetwork, wire_responses
 from lampest.panel.readouts.wiring import (
     ContactPrior,
     Contacts,
     Lines,
-    WiredNetwork,
     Wiring,
-    wire_responses,
 )
 from lampest.recording.readings import AT_LEAST, AT_MOST, Readings, touching_columns, touching_rows
 from lampest.recording.simulation.measure import true_contacts

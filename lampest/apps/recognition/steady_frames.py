@@ -76,8 +76,8 @@ class SteadyFrames(NamedTuple):
     def pulled(self, series: Array, axes: Array) -> tuple[float, ...]:
         """Return the times between which a series, (frames,), is at another level.
 
-        () where a wave alone explains it as well. Both ends of the best level, or one, are compared
-        beside the best wave.
+        The result is () where a wave alone explains it as well. Both ends of the best level, or
+        one, are compared together with the best wave.
 
         Parameters
         ----------

@@ -1,6 +1,6 @@
 """Numbers of lines: one for all lines of a side of the panel, or one for each.
 
-Also resistance in series with every line.
+The module has the resistance in series with every line, too.
 """
 
 from dataclasses import dataclass
@@ -132,7 +132,7 @@ def parallel(ohm: Array, shunt: float | None) -> Array:
 def load_share(load_ohm: PerLine, with_input: Array, load_volt: float | None) -> Array | None:
     """Return the share of a load's potential that the converter's input leaves, (sensed,).
 
-    None where the potential is ground.
+    The result is None where the potential is ground.
     """
     if load_volt is None:
         return None

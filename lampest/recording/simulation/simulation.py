@@ -1,6 +1,6 @@
 """Simulated recordings with their truth, and the files that define them.
 
-Loads on a panel and its electronics define a simulation. A file is YAML with an optional sweep.
+A simulation is defined by the panel, the electronics and the loads, in YAML with an optional sweep.
 A number may be given as `{uniform: [low, high]}`: it is drawn from a random stream of the seed and
 of its place in the file, so that other drawn numbers do not affect it. A recording contains the
 drawn numbers, in /entry/truth/simulation.
