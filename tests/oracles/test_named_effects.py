@@ -52,9 +52,9 @@ WEIGHTED = Misfit(weighting="noise")
 
 
 def standing_load(seed: int, **keys: object) -> Recording:
-    """A load with sharp edges on a mat with an outline.
+    """Return a recording of a load with sharp edges on a mat with an outline.
 
-    It stands from the first measured frame and sways by 2 %.
+    The load stands from the first measured frame and sways by 2 %.
     """
     rng = np.random.default_rng(seed)
     row, column = np.indices((ROWS, COLUMNS))

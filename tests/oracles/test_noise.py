@@ -67,9 +67,9 @@ USUAL_SERIES_OHM = 35
 def drawn(
     rng: np.random.Generator, frames: int, gain: float = 0.0, offset: float = 0.0, wave: float = 0.0
 ) -> Array:
-    """Deviations about their mean, in σ.
+    """Return deviations about their mean, in σ.
 
-    They are noise, a gain a frame, an offset a line, a wave that all lines share.
+    The deviations consist of noise, a gain a frame, an offset a line, and a wave on all lines.
     """
     loud = 3000.0
     noise = rng.standard_normal((frames, LINES, CHANNELS))
@@ -148,10 +148,7 @@ def test_loads_and_wrong_noise_cause_no_outliers() -> None:
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 1.3])
 def test_a_frozen_reading_is_named_and_treated_as_missing(factor: float) -> None:
-    """Under the load it would move the cells of its row and column by a tenth and more.
-
-    It would do so whatever its value is.
-    """
+    """Under the load a frozen value would move the cells of its lines by a tenth and more."""
     recording = Recording.load(Path(__file__).parents[2] / "data" / "lamprey_35mm.h5", slice(9))
     frozen = recording.recorded.copy()
     missing = recording.recorded.copy()
@@ -228,9 +225,9 @@ def recorded(
     frames: int = 8,
     unloaded: int = 5,
 ) -> Recording:
-    """Frames of a panel pressed on a few cells.
+    """Return frames of a panel pressed on a few cells.
 
-    They are means of 20 readings of 12 bits of a divider across 1000 ohm.
+    A divider across 1000 ohm takes the means of 20 readings of 12 bits.
 
     gain : of each frame. static : of each reading, the same in all frames. series : ohm beside the
         scene's.
