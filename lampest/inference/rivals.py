@@ -38,6 +38,17 @@ CALLED = {
     "polarity": "polarity reversed",
     "measured_across": "read across the other resistor",
 }
+# Keys that alone make a rival of the specified kind, and what they mean.
+OF_ONE_KEY = {
+    "groups": "read in parallel",
+    "driven_groups": "multiplexers of driven lines",
+    "load_volt": "loads end at half the supply",
+    "input_ohm": "of the converter",
+}
+SIDES: tuple[Side, ...] = ("rows", "columns")
+OF_STATES = ("idle_ohm", "idle_volt", "idle_load_ohm")  # that name a driven circuit
+INPUT_OHM = 1e5  # of a converter behind a divider of its module; those of chips are larger
+USUAL_BITS = (8, 10)  # of converters that are described with more: of an ATmega, and half of it
 ESP32_BITS = 12  # of the ADC of an ESP32 (its technical reference manual, chapter on the SAR ADC)
 BY_COLUMNS = "readings listed column by column (lampest import --transpose)"
 PARALLEL = (2, 4)  # multiplexers in parallel: 16 lines on two of eight or four of four channels
@@ -183,14 +194,15 @@ def rounded_down(specified: Rival) -> Rival | None:
     half = readout.lsb_volt / 2
     ends = Characteristic(zero_volt=half, full_volt=readout.full_scale_volt + half)
     kind = f"readout.converter.zero_volt near {half:.2g} (codes are rounded down)"
-    return _with_converter(specified, ends, kind)
+    return _with_converter(specified, kind, converter=ends)
 
 
 def other_converters(specified: Rival, *, reversed_too: bool) -> Iterator[Rival]:
-    """Generate the specified circuit with converters of another range, where it states none.
+    """Generate the specified circuit with converters of another range or of fewer bits.
 
-    Those of an esp32 have 12 bits. An inverting amplifier is tried where readings may fall with a
-    load (`reversed_too`).
+    None are generated where the scene states the converter. Those of an esp32 have 12 bits. An
+    inverting amplifier is tried where readings may fall with a load (`reversed_too`), and fewer
+    bits where no code lies beyond them.
     """
     readout = specified.scene.readout
     if readout is None or readout.converter is not None:
@@ -199,13 +211,17 @@ def other_converters(specified: Rival, *, reversed_too: bool) -> Iterator[Rival]
     names += ["esp32"] if readout.adc_bits == ESP32_BITS else []
     for name in names:
         ends = known(name, readout.full_scale_volt)
-        yield _with_converter(specified, ends, f"readout.converter: {name}")
+        yield _with_converter(specified, f"readout.converter: {name}", converter=ends)
+    codes = readout.steps_from_volt(readout.volt_from_recorded(specified.recorded))
+    for bits in USUAL_BITS:
+        if bits < readout.adc_bits and np.nanmax(codes, initial=0.0) <= 2**bits - 1:
+            yield _with_converter(specified, f"readout.adc_bits: {bits}", adc_bits=bits)
 
 
-def _with_converter(specified: Rival, ends: Characteristic, kind: str) -> Rival:
-    """Return the specified circuit whose codes stand for voltages of another range."""
+def _with_converter(specified: Rival, kind: str, **settings: Any) -> Rival:
+    """Return the specified circuit whose codes stand for other voltages."""
     readout: Any = specified.scene.readout
-    circuit = _changed(readout, converter=ends)
+    circuit = _changed(readout, **settings)
     codes = readout.steps_from_volt(readout.volt_from_recorded(specified.recorded))
     return replace(
         specified,
@@ -218,6 +234,7 @@ def _with_converter(specified: Rival, ends: Characteristic, kind: str) -> Rival:
 def _circuits_beside(readout: Readout, scene: Scene) -> Iterator[Any]:
     """Generate the readout with lines read in parallel, then all variants of every kind."""
     yield from _in_parallel(readout, scene)
+    yield from _with_potentials(readout, scene)
     for kind in members_of(AnyReadout):
         yield from _variants(kind, readout)
 
@@ -266,24 +283,69 @@ def _changed(circuit: Any, **settings: Any) -> Any:
 
 
 def _in_parallel(specified: Readout, scene: Scene) -> Iterator[Any]:
-    """Generate the specified circuit with two and four multiplexers of sensed lines.
-
-    The multiplexers are in blocks of lines.
-    """
-    names = {field.name for field in fields(specified)}
-    if "groups" not in names or getattr(specified, "measured_across", "reference") == "sensor":
+    """Generate the specified circuit with two and four multiplexers of sensed lines."""
+    if getattr(specified, "measured_across", "reference") == "sensor":
         return
-    rows, columns = scene.panel.shape
-    sensed = rows if getattr(specified, "driven", "rows") == "columns" else columns
+    yield from _with_groups(specified, scene, "groups", opposite(_driven_side(specified)))
+
+
+def _driven_side(circuit: Any) -> Side:
+    """Return the side whose lines a circuit drives: rows, where it does not say."""
+    side: Side = getattr(circuit, "driven", "rows")
+    return side
+
+
+def _with_groups(specified: Any, scene: Scene, key: str, side: Side) -> Iterator[Any]:
+    """Generate the specified circuit with two and four multiplexers of a side's lines.
+
+    Each multiplexer has a block of lines, or every second or fourth line.
+    """
+    if not hasattr(specified, key):
+        return
+    lines = range(scene.panel.shape[0 if side == "rows" else 1])
     for count in PARALLEL:
-        size = -(-sensed // count)
-        blocks = tuple(
-            tuple(range(first, min(first + size, sensed))) for first in range(0, sensed, size)
-        )
-        if len(blocks) == count and size > 1:
+        size = -(-len(lines) // count)
+        blocks = tuple(tuple(lines[first : first + size]) for first in lines[::size])
+        taken_in_turn = tuple(tuple(lines[first::count]) for first in range(count))
+        if len(blocks) != count or size == 1:
+            continue
+        for groups in (blocks, taken_in_turn):
             # Lines in parallel have no one line that the idle ones could follow.
             with suppress(ValueError):
-                yield _changed(specified, groups=blocks)
+                yield _changed(specified, **{key: groups})
+
+
+def _with_potentials(specified: Any, scene: Scene) -> Iterator[Any]:
+    """Generate circuits with potentials that people build.
+
+    Loads end at half the supply, multiplexers hold driven lines, idle lines follow the sensed one,
+    and a converter has an input resistance beside resistors to the supply.
+    """
+    if getattr(specified, "load_volt", 0.0) is None and specified.polarity == "up":
+        with suppress(ValueError):
+            yield _changed(specified, load_volt=specified.driving_volt / 2)
+    if getattr(specified, "driven_groups", 0) is None:
+        yield from _with_groups(specified, scene, "driven_groups", _driven_side(specified))
+    to_supply = getattr(specified, "polarity", "up") == "down"
+    across_sensor = getattr(specified, "measured_across", "reference") == "sensor"
+    if (to_supply or across_sensor) and getattr(specified, "input_ohm", 0.0) is None:
+        with suppress(ValueError):
+            yield _changed(specified, input_ohm=INPUT_OHM)
+    resistor = _resistor_of(specified)
+    if resistor is None:
+        return
+    shared = _shared(specified, "drive_ohm", "sense_ohm")
+    idle_ohm = shared.get("drive_ohm", 0.0)
+    for side in SIDES:
+        with suppress(ValueError):
+            yield DrivenReadout(
+                driven=side,
+                idle_ohm=idle_ohm,
+                idle_volt="follows",
+                load_ohm=resistor,
+                idle_load_ohm=inf,
+                **shared,
+            )
 
 
 @cache
@@ -334,6 +396,22 @@ def _resistor_of(specified: Any) -> Any:
     return next(resistors, None)
 
 
+def _shared(specified: Any, *names: str) -> dict[str, Any]:
+    """Return the converter's settings of a circuit, and further ones that it has."""
+    converter = (
+        "supply_volt",
+        "adc_bits",
+        "readings",
+        "noise_lsb",
+        "floor_code",
+        "passes_volt",
+        "converter",
+    )
+    return {
+        name: getattr(specified, name) for name in (*converter, *names) if hasattr(specified, name)
+    }
+
+
 def _held_at_ground(specified: Any) -> Iterator[DrivenReadout]:
     """Generate circuits whose idle driven lines switches hold at ground.
 
@@ -342,20 +420,8 @@ def _held_at_ground(specified: Any) -> Iterator[DrivenReadout]:
     resistor = _resistor_of(specified)
     if resistor is None:
         return
-    names = (
-        "supply_volt",
-        "adc_bits",
-        "readings",
-        "noise_lsb",
-        "floor_code",
-        "passes_volt",
-        "converter",
-        "drive_ohm",
-        "sense_ohm",
-    )
-    shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
-    sides: tuple[Side, ...] = ("rows", "columns")
-    for driven, idle_load in product(sides, (None, 0.0, inf)):
+    shared = _shared(specified, "drive_ohm", "sense_ohm")
+    for driven, idle_load in product(SIDES, (None, 0.0, inf)):
         with suppress(ValueError):
             yield DrivenReadout(
                 driven=driven, idle_ohm=0.0, load_ohm=resistor, idle_load_ohm=idle_load, **shared
@@ -367,24 +433,32 @@ def _kind(circuit: Readout, specified: Readout) -> str:
 
     It is the single setting that differs from the specified one, or all its words.
     """
-    groups = getattr(circuit, "groups", None)
-    if groups is not None and groups != getattr(specified, "groups", None):
-        return f"readout.groups: {[list(group) for group in groups]} (read in parallel)"
-    if (
-        groups is None
-        and getattr(specified, "groups", None) is not None
-        and type(circuit) is type(specified)
-    ):
-        return "no readout.groups (lines read one after the other)"
+    if type(circuit) is type(specified):
+        for key, reason in OF_ONE_KEY.items():
+            value = getattr(circuit, key, None)
+            if value == getattr(specified, key, None):
+                continue
+            if value is None:
+                return "no readout.groups (lines read one after the other)"
+            text = [list(group) for group in value] if isinstance(value, tuple) else f"{value:g}"
+            return f"readout.{key}: {text} ({reason})"
     words = {name: getattr(circuit, name) for name in choices(type(circuit))}
     if isinstance(circuit, DrivenReadout):
-        words |= {name: getattr(circuit, name) for name in ("idle_ohm", "idle_load_ohm")}
+        states = {name: getattr(circuit, name) for name in OF_STATES}
+        words |= {name: value for name, value in states.items() if value is not None}
     differ = [name for name, word in words.items() if getattr(specified, name, None) != word]
     if len(differ) == 1 and differ[0] in CALLED:
         return f"readout.{differ[0]}: {words[differ[0]]} ({CALLED[differ[0]]})"
     if type(circuit) is not type(specified):
         words |= _own_resistor(circuit)
-    return ", ".join(f"readout.{name}: {word}" for name, word in words.items())
+    return ", ".join(f"readout.{name}: {_number(word)}" for name, word in words.items())
+
+
+def _number(value: Any) -> str:
+    """Return a number or a word as a scene has it."""
+    if isinstance(value, float):
+        return ".inf" if np.isinf(value) else f"{value:g}"
+    return str(value)
 
 
 def _own_resistor(circuit: Readout) -> dict[str, object]:
