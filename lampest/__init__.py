@@ -80,7 +80,7 @@ def reconstruct(
 ) -> Reconstruction:
     """Estimate the cells of every measured frame.
 
-    They are r̂ = argmin Σ weight·loss(residual) within the bounds.
+    The estimate r̂ minimises Σ weight·loss(residual) within the bounds.
 
     Parameters
     ----------

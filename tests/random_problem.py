@@ -41,7 +41,6 @@ from lampest.panel.readouts.presets import (
 )
 from lampest.panel.scene import Scene
 from lampest.solvers.by_ipopt import Ipopt
-from lampest.solvers.convex import convex_cells
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.posed import Bounds
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -272,7 +271,7 @@ class RandomProblem:
                 self.scene.wiring,
                 EXCITATIONS["nodal"],
             )
-            solvers.append((nodal, [starts[1], np.log(convex_cells(data, None)).ravel()]))
+            solvers.append((nodal, [starts[1], np.log(data.start()).ravel()]))
         for solver, places in solvers:
             for place in places:
                 try:

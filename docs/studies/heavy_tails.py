@@ -18,11 +18,10 @@ from lampest.cost.terms import Gradient, LogRatio, Misfit, TotalVariation, Total
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import deciding_data
 from lampest.estimate.weights import with_chosen_weights
-from lampest.inference.compared_frames import baseline_readings, deciding_frames
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.recording.recording import Recording
+from lampest.recording.recording import Recording, baseline_readings, deciding_frames
 from lampest.solvers.multistart import best_solution
 
 FACTORS = 10.0 ** np.arange(-3.0, 2.1, 1 / 3)

@@ -23,8 +23,8 @@ from lampest.estimate.modules import begin_networks, network_scenes
 from lampest.estimate.sequence import deciding_data, first_stream
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import with_chosen_weights
-from lampest.inference.compared_frames import baseline_readings, deciding_frames
 from lampest.panel.panel import EachModule, Modules
+from lampest.recording.recording import baseline_readings, deciding_frames
 
 METHODS: dict[str, tuple[lampest.Term, ...]] = {
     "plain": (),

@@ -1,4 +1,4 @@
-"""What recordings say about scenes.
+"""Audit of scenes by their recordings.
 
-This is the verdict on the circuit, effects, the health of the panel, and advice.
+An audit has the verdict on the circuit, effects, the health of the panel, and advice.
 """

@@ -1,23 +1,23 @@
 """Effects that a recording shows and its scene does not name.
 
-Each comes with its evidence and the line to add. They are searched for on request, in finished
-readings. No estimate depends on them.
+Each effect comes with its evidence and the line to add. The search is made on request, in finished
+readings; no estimate depends on it.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.audit.finding import Finding
 from lampest.files.errors import BROKEN
-from lampest.files.levels import SIGNIFICANCE
+from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANCE
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.memory import estimated_memory, memory_gain
 from lampest.inference.noise import NoiseEstimate
-from lampest.inference.nuisances import MIN_EVIDENCE_GAIN
 from lampest.inference.prepared import Prepared
 from lampest.inference.resolve import specified
 from lampest.inference.saturation import saturated
@@ -109,7 +109,7 @@ def searched(evidence: Gathered) -> tuple[Finding, ...]:
 def effects_to_try(scene: Scene) -> tuple[Finding, ...]:
     """Return findings of errors that widen σ, which the scene does not name.
 
-    They are advised where readings have a misfit that nothing else explains.
+    The advice applies where readings have a misfit that nothing else explains.
     """
     sentences = {
         "systematic.reading_error": "each reading may be off, the same in all frames",
@@ -123,12 +123,11 @@ def effects_to_try(scene: Scene) -> tuple[Finding, ...]:
 
 
 def _finding(sentence: str, key: str, value: str) -> Finding:
-    """Return the finding of an effect with the line of its dotted key."""
-    *rooms, name = key.split(".")
-    line = f"{name}: {value}"
-    for room in reversed(rooms):
-        line = f"{room}: {{{line}}}"
-    return Finding("effects", sentence, "", line)
+    """Return the finding of an effect with the entry of its dotted key."""
+    addition: Any = value
+    for part in reversed(key.split(".")):
+        addition = {part: addition}
+    return Finding("effects", sentence, "", addition)
 
 
 def _saturation(evidence: Gathered) -> Iterator[Finding]:
@@ -167,9 +166,8 @@ def _besides(evidence: Gathered) -> Iterator[Finding]:
         and evidence.prepared.check.by_effect
         and evidence.names_none("leaks", "contacts")
     ):
-        key = "leaks" if "leak" in besides.name else "contacts"
         sentence = f"{besides.name} explains the readings better: {besides.reason}"
-        yield _finding(sentence, key, ESTIMATED)
+        yield Finding("effects", sentence, "", besides.addition)
     if besides.common_change and evidence.names_none("creep", "temperature", "film"):
         yield _finding(besides.common_change, "creep", ESTIMATED)
 
@@ -185,9 +183,8 @@ def _memory(evidence: Gathered) -> Iterator[Finding]:
     if not isinstance(estimate, str):
         share, deviation = estimate
         yield _finding(
-            f"the converter keeps {100 * share:.2g} +- {100 * deviation:.1g} % of the "
-            "channel before: so fewer "
-            "cells have moved under the load",
+            f"the converter keeps {100 * share:.2g} +- {100 * deviation:.1g} % "
+            "of the channel before: so fewer cells have moved under the load",
             "converter_memory",
             ESTIMATED,
         )
@@ -220,9 +217,8 @@ def _reading_error(evidence: Gathered) -> Iterator[Finding]:
     if error is not None:
         mean, deviation = error
         yield _finding(
-            f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, the same in "
-            "all frames: cells are "
-            "rougher than those of films",
+            f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, "
+            "the same in all frames: cells are rougher than those of films",
             "systematic.reading_error",
             ESTIMATED,
         )
@@ -242,9 +238,8 @@ def _motion(evidence: Gathered) -> Iterator[Finding]:
         share = share_of_motion(*compared, READING_ERRORS)
     if share is not None and share.gain > MIN_EVIDENCE_GAIN:
         yield _finding(
-            f"still cells seem to move with the load; a scan takes {share.mean:.2g} +- "
-            f"{share.deviation:.1g} of the time "
-            "between frames",
+            "still cells seem to move with the load; "
+            f"a scan takes {share.mean:.2g} +- {share.deviation:.1g} of the time between frames",
             "motion",
             ESTIMATED,
         )

@@ -1,12 +1,12 @@
-"""A finding in a recording, and the lines of a scene that follow from findings."""
+"""A finding in a recording, and the entries of a scene that follow from findings."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
-from lampest.files.document import parse_document, plain_content, to_yaml, validated
+from lampest.files.document import in_one_line, parse_document, plain_content, to_yaml, validated
 from lampest.files.errors import InputError
 from lampest.files.typed import members_of
 from lampest.panel.readouts import AnyReadout
@@ -15,7 +15,7 @@ from lampest.panel.scene import Scene
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that a recording shows, with its evidence and the line of the scene that says so.
+    """Something that a recording shows, with its evidence and the entries of a scene that say so.
 
     Attributes
     ----------
@@ -25,18 +25,23 @@ class Finding:
     what : str
         The finding, such as 'row 3 is dead'.
     evidence : str
-        What shows it.
-    line : str
-        YAML of the entries to add to the scene; '' where no entry helps.
+        The observation that shows it.
+    addition : mapping
+        Entries to merge into the scene; empty where no entry helps.
     remedy : str
-        What to do where no entry helps, such as an option of a command; ''.
+        An action where no entry helps, such as an option of a command; ''.
     """
 
     room: str
     what: str
     evidence: str
-    line: str = ""
+    addition: Mapping[str, Any] = field(default_factory=dict)
     remedy: str = ""
+
+    @property
+    def line(self) -> str:
+        """The entries as one line of YAML."""
+        return in_one_line(self.addition)
 
     @property
     def text(self) -> str:
@@ -51,12 +56,11 @@ class Finding:
         return text
 
 
-def with_line(scene: Scene, line: str) -> Scene:
-    """Return the scene with the entries of a line.
+def with_addition(scene: Scene, addition: Mapping[str, Any]) -> Scene:
+    """Return the scene with further entries.
 
     Raises InputError where the scene cannot have them.
     """
-    addition = parse_document(line, "the scene").content
     content = merged(_fitting(plain_content(scene), addition), addition)
     made: Scene = validated(parse_document(to_yaml(content), "the scene"), Scene)
     return replace(made, assumed=scene.assumed)
@@ -65,15 +69,23 @@ def with_line(scene: Scene, line: str) -> Scene:
 def with_lines(
     scene: Scene, findings: Iterable[Finding]
 ) -> tuple[Scene, tuple[str, ...], tuple[str, ...]]:
-    """Return the scene with the lines of findings, and the lines that it took.
+    """Return the scene with the lines of findings.
 
-    Also return sentences on those that it did not take.
+    Returns
+    -------
+    scene : Scene
+        The scene with all lines that fit it.
+    accepted : tuple of str
+        Lines that the scene took.
+    refused : tuple of str
+        Sentences on the other lines.
     """
     accepted = list[str]()
     refused = list[str]()
-    for line in dict.fromkeys(finding.line for finding in findings if finding.line):
+    additions = {finding.line: finding.addition for finding in findings if finding.addition}
+    for line, addition in additions.items():
         try:
-            changed = with_line(scene, line)
+            changed = with_addition(scene, addition)
         except InputError as error:
             refused.append(f"{line}: {str(error).partition(': ')[2]}")
             continue
@@ -101,7 +113,7 @@ def same_values(scene: Scene, changed: Scene) -> bool:
     return np.allclose(second.volt_from_recorded(first.recorded_from_volt(volt)), volt)
 
 
-def _fitting(content: dict[str, Any], addition: dict[str, Any]) -> dict[str, Any]:
+def _fitting(content: dict[str, Any], addition: Mapping[str, Any]) -> dict[str, Any]:
     """Return a scene's content without the entries that a readout of another kind does not have."""
     readout = content.get("readout")
     kind = addition.get("readout", {}).get("kind")

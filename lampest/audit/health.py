@@ -139,7 +139,7 @@ class _View:
     def volts(self) -> Array:
         """Voltages at the converter, (frames, rows, columns).
 
-        NaN where missing, garbled or not requested.
+        The value is NaN where missing, garbled or not requested.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             volts = self.scene.circuit.volt_from_recorded(self.recording.recorded)
@@ -213,7 +213,7 @@ def _dead_lines(view: _View) -> Iterator[Finding]:
                     "lines",
                     f"{name}{plural} dead: {numbers}",
                     "no reading of theirs shows a current in any frame, all others do",
-                    f"faults: {{dead_{name}s: {dead.tolist()}}}",
+                    {"faults": {f"dead_{name}s": dead.tolist()}},
                 )
 
 
@@ -237,7 +237,7 @@ def _touching_lines(view: _View) -> Iterator[Finding]:
                         "lines",
                         f"{name}s {', '.join(map(str, group))} are shorted",
                         "they read the same in every frame",
-                        f"faults: {{joined_{name}s: [{list(group)}]}}",
+                        {"faults": {f"joined_{name}s": [list(group)]}},
                     )
 
 
@@ -307,7 +307,7 @@ def _cells(view: _View) -> Iterator[Finding]:
 def _shorted_cells(view: _View) -> Iterator[Finding]:
     """Find cells whose readings are those of a short circuit in every frame.
 
-    These readings are also far from all others.
+    A finding requires readings that are far from all others.
     """
     cells = np.full(view.scene.panel.shape, view.usual_ohm)
     usual = middle(view.resting)
@@ -330,7 +330,7 @@ def _shorted_cells(view: _View) -> Iterator[Finding]:
             "cells",
             f"shorted cells: {', '.join(map(str, shorted))}",
             "the readings are those of a short circuit in every frame",
-            f"faults: {{shorted: {shorted}}}",
+            {"faults": {"shorted": shorted}},
         )
 
 
@@ -444,8 +444,8 @@ def _frames(view: _View) -> Iterator[Finding]:
 def repeated_frames(recording: Recording) -> NDArray[np.intp]:
     """Return the frames that equal the one before in every reading.
 
-    They are returned where noise changes some readings in nearly all others. Frames without a value
-    are no copies.
+    Frames count as repeated only where noise changes some readings in nearly all others. Frames
+    without a value are no copies.
     """
     value = recording.recorded[:, recording.scene.requested]
     compared = np.isfinite(value[1:]) & np.isfinite(value[:-1])

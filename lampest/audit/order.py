@@ -117,8 +117,8 @@ def order_findings(recording: Recording, volts: Array) -> Iterator[Finding]:
     least, best = min(candidates, key=lambda pair: pair[0])
     if least < MAX_RATIO * as_specified:
         evidence = (
-            f"changes are {as_specified / least:.2g} times smoother and better aligned with "
-            "the lines then"
+            f"changes are {as_specified / least:.2g} times smoother "
+            "and better aligned with the lines then"
         )
         yield Finding(
             "order",
@@ -142,7 +142,7 @@ def _changes(recording: Recording, volts: Array, unloaded: NDArray[np.bool_]) ->
 
 
 def interaction(change: Array) -> Array:
-    """Return what is left of images after the means of rows and columns, (frames, rows, columns).
+    """Return images less the means of rows and columns, (frames, rows, columns).
 
     Crosstalk changes whole rows and columns; this part is the load's own.
     """
@@ -153,8 +153,8 @@ def interaction(change: Array) -> Array:
 def disorder(change: Array) -> float:
     """Return how little images follow rows, columns and neighbours, for (frames, rows, columns).
 
-    It is the product of three measures: the roughness of the images, that of their interaction, and
-    the share of the interaction. Each is smaller in the panel's own order.
+    The disorder is the product of three measures: the roughness of the images, that of their
+    interaction, and the share of the interaction. Each is smaller in the panel's own order.
     """
     own = interaction(change)
     return roughness(change) * roughness(own) * float(np.sum(own**2) / np.sum(change**2))

@@ -83,7 +83,7 @@ def _fewer_bits(prepared: Prepared) -> Iterator[str]:
 def _many_zeros(prepared: Prepared) -> Iterator[str]:
     """Yield the doubt that readings of 0 are those of a dead zone, not of open cells.
 
-    It counts where they are so many that no cells are fitted.
+    The doubt arises where so many readings are 0 that no cells are fitted.
     """
     recording = prepared.recording
     readout = recording.scene.readout
@@ -95,8 +95,8 @@ def _many_zeros(prepared: Prepared) -> Iterator[str]:
     share = float(np.mean(codes[np.isfinite(codes)] < 0.5)) if np.isfinite(codes).any() else 0.0
     if share > MAX_ZEROS:
         yield (
-            f"{100 * share:.0f} % of the readings are 0: are these cells open, or does the "
-            "converter read nothing below some voltage (converter: esp32, or its zero_volt)?"
+            f"{100 * share:.0f} % of the readings are 0: are these cells open, or does "
+            "the converter read nothing below some voltage (converter: esp32, or its zero_volt)?"
         )
 
 
@@ -115,8 +115,8 @@ def _falling_codes(prepared: Prepared) -> Iterator[str]:
     change = changes_beyond_noise(recording.scene, prepared.cleaned.readings, recording.role)
     if (change > 0).any(axis=0).sum() >= MIN_RISEN and not (change < 0).any():
         yield (
-            "loads raise resistances only: do codes fall behind an inverting amplifier "
-            "(converter: inverting amplifier)?"
+            "loads raise resistances only: "
+            "do codes fall behind an inverting amplifier (converter: inverting amplifier)?"
         )
 
 
@@ -135,7 +135,6 @@ def _another_panel(prepared: Prepared) -> Iterator[str]:
     if len(panels) > 1 and panels[0][0] - panels[1][0] < CLEAR_LOG_ODDS:
         likely, second = (float(np.median(cells)) for _, cells in panels[:2])
         yield (
-            f"cells of about {likely:.2g} ohm and of about {second:.2g} ohm give these readings "
-            "alike, and the former are"
-            " taken: with a smaller drive_ohm they differ"
+            f"cells of about {likely:.2g} ohm and of about {second:.2g} ohm give "
+            "these readings alike, and the former are taken: with a smaller drive_ohm they differ"
         )

@@ -1,8 +1,9 @@
 """Widths of error bars by their causes.
 
 The errors of a cell's estimate without a penalty are K(U z + ε) to first order, with the gain K of
-the fit, errors z that all frames share and the noise ε. Each has a part of the variance. Those of a
-change ln(r/r0) are K_f(U_f z + ε_f) − K_b(U_b z + ε_b), of the frame f and the unloaded panel b.
+the fit, errors z that all frames share and the noise ε. Each has a part of the variance. The errors
+of a change ln(r/r0) are K_f(U_f z + ε_f) − K_b(U_b z + ε_b), of the frame f and the unloaded panel
+b.
 """
 
 from collections.abc import Mapping
@@ -59,8 +60,8 @@ class Width:
 def widths_of(prepared: Prepared) -> tuple[Width, ...]:
     """Return the widths of cells and of changes, as the strongest frame shows them.
 
-    Empty where the scene names no errors, or no fit has explained the frames, for modules, and for
-    panels too large for dense matrices.
+    The result is empty where the scene names no errors, or no fit has explained the frames, for
+    modules, and for panels too large for dense matrices.
 
     Parameters
     ----------
@@ -82,7 +83,7 @@ def widths_of(prepared: Prepared) -> tuple[Width, ...]:
 def simulated_widths(recording: Recording) -> tuple[Width, ...]:
     """Return the widths of a simulated recording, at its true cells in the first and last frame.
 
-    Empty without true cells, and for panels too large for dense matrices.
+    The result is empty without true cells, and for panels too large for dense matrices.
     """
     scene = recording.scene
     cells = recording.truth_cell_resistance

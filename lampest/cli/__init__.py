@@ -70,8 +70,8 @@ def main() -> None:
         if str(error) != NO_THREAD:
             raise
         warn(
-            "cannot start a further thread: this user's processes and threads are at their limit "
-            "(ulimit -u)"
+            "cannot start a further thread: "
+            "this user's processes and threads are at their limit (ulimit -u)"
         )
         sys.exit(WRONG_INPUT)
     except SystemExit as end:

@@ -54,8 +54,8 @@ def init(
     run = folder / RUN
     scene = folder / SCENE
     screen.say_text(
-        f"\nthe wiring that {scene} describes ({circuit.kind}); another one: lampest init "
-        "--readout CIRCUIT"
+        f"\nthe wiring that {scene} describes ({circuit.kind}); "
+        "another one: lampest init --readout CIRCUIT"
     )
     screen.say_text(circuit.sketch)
     screen.say(f"software: {circuit.software}")
@@ -63,8 +63,8 @@ def init(
         f"\nnow: lampest run {run}                    ({RECORDING}, simulated for this circuit)"
         f"\n     lampest plot results/{run.stem}/results.h5 --show change"
         f"\nthen, with the numbers of your circuit in {scene}:"
-        f"\n     lampest import YOURS.csv --scene {scene} --baseline 3 --out mine.h5, and mine.h5 "
-        f"in {run}"
+        f"\n     lampest import YOURS.csv --scene {scene} --baseline 3 --out mine.h5, "
+        f"and mine.h5 in {run}"
     )
 
 
@@ -132,8 +132,8 @@ def run(
         screen.warn(f"{name} failed: {sentence}")
     if report.lost:
         screen.warn(
-            f"{counted(report.not_run, 'case')} were not run: {report.lost}; repeat the command "
-            "to run them"
+            f"{counted(report.not_run, 'case')} were not run: {report.lost}; "
+            "repeat the command to run them"
         )
     if report.failed or report.not_run:
         raise typer.Exit(screen.SOME_FAILED)
@@ -156,9 +156,9 @@ def refuse_large(cases: "Sequence[Case]") -> None:
         seconds, size = case.estimator.effort(panels[case.path])
         if seconds > 120 or size > memory_limit():
             raise InputError(
-                f"{case.path}: {case.name} takes about {seconds / 60:.0f} min and {in_bytes(size)} "
-                "of memory for the "
-                "first frame; --yes solves it, and a formulation such as linearised takes less"
+                f"{case.path}: {case.name} takes about {seconds / 60:.0f} min "
+                f"and {in_bytes(size)} of memory for the first frame; "
+                "--yes solves it, and a formulation such as linearised takes less"
             )
 
 
@@ -206,6 +206,6 @@ def tare(file: Path, frames: Annotated[str, screen.option()], out: screen.NewFil
     )
     if change > MIN_CHANGE:
         screen.warn(
-            f"readings change by up to {100 * change:.1f} % within these frames; did a load come "
-            "or go?"
+            f"readings change by up to {100 * change:.1f} % within these frames; "
+            "did a load come or go?"
         )

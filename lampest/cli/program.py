@@ -26,8 +26,8 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
-    epilog="More: lampest show --help (cost terms, schema), lampest study --help (measurements of "
-    "lampest itself)",
+    epilog="More: lampest show --help (cost terms, schema), "
+    "lampest study --help (measurements of lampest itself)",
 )
 
 
@@ -86,7 +86,7 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
 def _renamed(old: str, new: str, flag: str, command: Callable[..., None]) -> Callable[..., None]:
     """Return a command under its name of the previous release, with a flag of the new one or ''.
 
-    It prints the new name and sets the flag in it.
+    The command prints its new name and sets the flag.
     """
 
     @wraps(command)
@@ -196,7 +196,7 @@ def _build() -> None:
 
 
 def program() -> Any:
-    """Return what runs the commands; its help names no type for options without a value."""
+    """Return the program of all commands; its help names no type for options without a value."""
     program = typer.main.get_command(app)
     waiting = [program]
     while waiting:

@@ -54,9 +54,9 @@ def positive(parameter: typer.CallbackParam, value: float | None) -> float | Non
 
 
 def option(text: str = "", *names: str, **further: Any) -> Any:
-    """Return an option that is called like its parameter unless names are given.
+    """Return an option with the name of its parameter, unless names are given.
 
-    Without a help text it has that of the command's docstring.
+    An option without a help text has that of the command's docstring.
     """
     return typer.Option(*names, help=text or None, **further)
 
@@ -86,9 +86,16 @@ def frames_of(text: str | None) -> range | None:
 
 
 def documented(command: Callable[..., None]) -> tuple[str, inspect.Signature]:
-    """Return the help of a command, and its signature with the help of its options.
+    """Return the help of a command from its docstring, and the signature for typer.
 
-    Both are from its docstring. Truth values become flags without a value.
+    Truth values become flags without a value.
+
+    Returns
+    -------
+    about : str
+        Docstring without its parameters.
+    signature : inspect.Signature
+        Signature of the command, each option with its help.
     """
     about, _, section = (inspect.getdoc(command) or "").partition("\n\nParameters\n----------\n")
     help_of = {

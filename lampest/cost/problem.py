@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from time import monotonic
@@ -14,7 +15,7 @@ from scipy import sparse
 
 from lampest.cost.cost import Cost
 from lampest.cost.given import Given
-from lampest.files.errors import brief
+from lampest.files.errors import BROKEN, brief
 from lampest.panel.compiled import Compiled, guarded, with_entries
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
@@ -168,6 +169,26 @@ class Data:
     def uniform_start(self) -> Array:
         """Uniform start, (frames, rows, columns) ohm; see `Readout.uniform_start`."""
         return self.readout.uniform_start(self.measured)
+
+    def start(self, near: Array | None = None) -> Array:
+        """Return the readout's start of every frame, (frames, rows, columns) ohm.
+
+        The start of two-point readings minimises a convex function of the cells whose gradient is
+        their misfit. `near` is an estimate of the same shape at which the computation begins, or
+        None. If the computation breaks down, the uniform start is returned.
+        """
+        places = [None] * len(self.measured) if near is None else list(near)
+        frames = zip(self.measured, self.upper, places, strict=True)
+        with suppress(*BROKEN):
+            return np.stack([self.readout.start(*frame) for frame in frames])
+        return self.uniform_start
+
+    def start_minimises(self, cost: Cost) -> bool:
+        """Return whether the readout's start minimises a cost.
+
+        The start minimises a cost of readings alone if the cells that reproduce them are unique.
+        """
+        return all(term.reads_measurement for term in cost.terms) and self.readout.unique
 
     @cached_property
     def log_bounds(self) -> tuple[Array, Array]:

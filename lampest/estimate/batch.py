@@ -1,6 +1,6 @@
 """Frames of many streams at once.
 
-They are taken in batches over a leading axis where possible, all others one by one.
+Frames that permit it are solved in batches over a leading axis, all others one by one.
 """
 
 import os
@@ -32,8 +32,6 @@ from lampest.solvers.solution import VERIFIED, Outcome, Solution, Status, soluti
 
 MIN_PANELS_PER_THREAD = 20  # with fewer panels in a thread, threads cost more than they save
 MAX_BLOCK_FRAMES = 40  # frames that are solved together: 50 MB of inverse Hessians at 20 × 20
-# Of a network: with more, inverse Hessians cost more than they save (docs/studies/speed.md).
-MAX_BLOCK_CELLS = 400
 # Mean of squared differences of two frames over σ²; with noise alone it is 2.
 MAX_NOISE_SQUARES = 4.0
 
@@ -123,22 +121,17 @@ def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Ste
     """Generate the stream after each of its next frames, with the frame's step.
 
     Up to MAX_BLOCK_FRAMES frames that are independent of each other are solved over a leading axis,
-    see `_solved_block`. Frames that the batch does not solve are pushed alone. Where no block is
-    possible, a single frame is pushed.
+    see `_solved_block`. Frames that the batch does not solve are pushed alone.
 
     Parameters
     ----------
     stream : Stream
+        One that takes blocks.
     readings : Readings
         The next frames, (frames, rows, columns).
     """
-    size = readings.value[0].size
-    count = 1
-    solved = dict[int, tuple[Stream, Step]]()
-    if size <= MAX_BLOCK_CELLS and not stream.first and stream.is_independent:
-        count = min(len(readings.value), MAX_BLOCK_FRAMES)
-    if count > 1:
-        solved = _solved_block(stream, readings[:count])
+    count = min(len(readings.value), MAX_BLOCK_FRAMES)
+    solved = _solved_block(stream, readings[:count])
     for number in range(count):
         stream, step = solved.get(number) or stream.push(readings[number])
         yield stream, step
@@ -167,16 +160,23 @@ def _solved_block(stream: Stream, readings: Readings) -> dict[int, tuple[Stream,
 
 
 def leading_frames(readings: Readings) -> tuple[list[int], list[int]]:
-    """Return the frames that lead, and the nearest leader of every frame, by number.
+    """Choose the frames that lead, and a leader for every frame.
 
     The first frame leads. Every further leader is the frame that differs most from those before it,
-    until √n of n frames lead, or no frame differs by more than noise.
-    Source: Gonzalez, Theor. Comput. Sci. 38, 293, 1985 (farthest-first traversal).
+    until √n of n frames lead, or no frame differs by more than noise. Source: Gonzalez, Theor.
+    Comput. Sci. 38, 293, 1985 (farthest-first traversal).
 
     Parameters
     ----------
     readings : Readings
         Frames, (frames, rows, columns).
+
+    Returns
+    -------
+    leaders : list of int
+        Numbers of the leading frames.
+    nearest : list of int
+        Number of the nearest leader of every frame.
     """
     count = len(readings.value)
     sigma = 1.0 if readings.sigma is None else readings.sigma
@@ -196,7 +196,7 @@ def leading_frames(readings: Readings) -> tuple[list[int], list[int]]:
 def solve_baselines(streams: Sequence[Stream | None]) -> list[Stream | None]:
     """Return every stream with its solved baseline.
 
-    It is solved with weights that streams of one group choose together.
+    The streams of one group choose the weights of the baselines together.
     """
     first = next(stream for stream in streams if stream is not None)
     resting = [first.resting if stream is None else stream.resting for stream in streams]
@@ -217,8 +217,8 @@ def _solved_together(
 ) -> dict[int, tuple[Stream, Step]]:
     """Return the streams after their frame and the frame's step by number.
 
-    They are those that batches can solve. Streams with the same cost are one batch; large batches
-    are split among threads.
+    Only streams that batches can solve are included. Streams with the same cost are one batch;
+    large batches are split among threads.
     """
     groups = dict[Hashable, list[int]]()
     batchable = dict[int, Stream]()
@@ -342,7 +342,7 @@ def _solved_batch(
 
 
 def _solution_of(ended: BatchOutcome, row: int, *, carried: Any) -> Solution:
-    """Return the solution of one stream of a batch, given what its method keeps."""
+    """Return the solution of one stream of a batch, given the state of its method."""
     points = ended.points
     at = points.at.some(row)
     gradient = points.gradient[row].reshape(at.cell_resistance.shape)

@@ -1,6 +1,6 @@
 """Estimation of contact resistances by variable projection.
 
-They are estimated together with the unloaded panel or the joint first pair.
+Contacts are estimated together with the unloaded panel or the joint first pair.
 
     minimise φ(u, c) + s² Σ ((c − mean)/sd)²   over u = log r and the contacts c
 
@@ -12,8 +12,8 @@ K of the cells
 
 S is the Schur complement of the cells; it is computed as a sum of squares to avoid cancellation.
 Later frames take c as known, with cov c as an error that all readings share. Plain least squares
-fits any contacts, so that they stay at their prior there.
-Source: Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973.
+fits any contacts, so that they stay at their prior there. Source: Golub & Pereyra, SIAM J. Numer.
+Anal. 10, 1973.
 """
 
 from collections.abc import Callable
@@ -115,9 +115,9 @@ def with_contacts(
     solved: Step,
     solve: Callable[[SequenceState, Readings, Array], Step],
 ) -> tuple[AnyState, Step]:
-    """Return the state with estimated contacts, and the step that was solved for them.
+    """Estimate the contacts of a state.
 
-    Both are unchanged where the scene names no contacts, or where the estimate has no error bars:
+    Nothing is estimated where the scene names no contacts, or where the estimate has no error bars:
     these determine how well the contacts are known.
 
     Parameters
@@ -129,6 +129,13 @@ def with_contacts(
         Solution with the contacts at the prior's mean.
     solve : callable
         Solves the readings for another state, from given cells on.
+
+    Returns
+    -------
+    state : SequenceState
+        State with the estimated contacts.
+    step : Step
+        Solution with these contacts.
     """
     prior = state.scene.contact_prior
     shape = state.scene.panel.shape

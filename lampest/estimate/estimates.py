@@ -12,10 +12,8 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.state import Step
 from lampest.files.applications import applications
 from lampest.files.levels import TWO_SIDED
-from lampest.inference.model_check import ModelCheck
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.prepared import Prepared
-from lampest.inference.warnings import unsolved
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wiring import Contacts
 from lampest.posterior.certainty import Certainty
@@ -23,6 +21,9 @@ from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.solvers.solution import Status
+
+if TYPE_CHECKING:
+    from lampest.inference.model_check import ModelCheck
 
 OVERRULED_MISFIT = 5.0  # times the noise: a penalty that the data choose leaves readings within it
 AT_RAILS = {  # in place of the solver's own sentence where readings are at or beyond a rail
@@ -208,8 +209,8 @@ class Estimates:
         solved = int(self.solved.sum())
         status = self.status[0]
         return (
-            f"{type(self).__name__}({self.recording.name}: {self.method}, "
-            f"{solved} of {len(self.steps)} frames solved, the first: {status})"
+            f"{type(self).__name__}({self.recording.name}: "
+            f"{self.method}, {solved} of {len(self.steps)} frames solved, the first: {status})"
         )
 
     @property
@@ -221,7 +222,7 @@ class Estimates:
     def measured(self) -> Array:
         """Readings in the readout's unit, less the series resistance, (frames, rows, columns).
 
-        NaN where missing.
+        The value is NaN where missing.
         """
         return self.readings.shown
 
@@ -229,7 +230,7 @@ class Estimates:
     def measured_baseline(self) -> Array:
         """Mean of the unloaded readings in the same unit, (rows, columns).
 
-        Without any, it is the first readable frame.
+        A recording without unloaded frames has its first readable frame instead.
         """
         return self.resting.shown
 
@@ -237,7 +238,7 @@ class Estimates:
     def sigma(self) -> Array | None:
         """Standard deviation of `measured`, infinite for bounds and missing readings.
 
-        None where unknown.
+        The value is None where unknown.
         """
         return self.readings.sigma_of_values
 
@@ -268,7 +269,7 @@ class Estimates:
     def status(self) -> tuple[str, ...]:
         """Outcome of each solve in a sentence, (frames,).
 
-        It names rails of the converter that leave cells open.
+        Rails of the converter that leave cells open are named.
         """
         readout = self.recording.scene.readout
         messages = []
@@ -358,8 +359,8 @@ class Estimates:
     def reading_sigma(self) -> Array | None:
         """Posterior predictive standard deviation of every reading, (frames, rows, columns).
 
-        It is in the readout's unit. It includes the errors of the cells, the noise and the model's
-        error, and exists for missing readings, too. None without error bars; NaN in a frame
+        The unit is that of the readout. The errors of the cells, the noise and the model's error
+        are included; missing readings have a value, too. None without error bars; NaN in a frame
         without.
         """
         deviation = [None if step.bars is None else step.bars.reading for step in self.steps]
@@ -395,36 +396,33 @@ class Estimates:
     def tared(self) -> tuple[str, ...] | None:
         """Reason for a new zero of pressures after each frame, (frames,).
 
-        It is '' without one, and None without `Estimator.tare`.
+        The reason is '' for a frame without a new zero. None without `Estimator.tare`.
         """
         return None if self._load is None or self.estimator.tare is None else self._load.tared
 
     @property
-    def model_check(self) -> ModelCheck:
+    def model_check(self) -> "ModelCheck":
         """The check whether the scene's circuit explains the recording's readings."""
         check = self.prepared.check
         number = self.prepared.recording.number
         if not self._is_part or number is None:
             return check
         message = (
-            f"; of a long recording {len(number)} frames between {number[0]} and "
-            f"{number[-1]} were asked"
+            f"; of a long recording {len(number)} frames between {number[0]} "
+            f"and {number[-1]} were asked"
         )
         return replace(check, sentence=check.sentence + message)
 
     @property
     def noise(self) -> NoiseEstimate:
-        """Noise of the recording's readings.
-
-        It includes the model's error where readings show one.
-        """
+        """Noise of the recording's readings, with the model's error where readings show one."""
         return self.prepared.noise
 
     @cached_property
     def checks(self) -> tuple[str, ...]:
         """Doubts about the estimates, one line each.
 
-        They are on failed frames, weights, roles and units, circuit, noise.
+        Doubts concern failed frames, weights, roles and units, circuit, and noise.
         """
         return (*self._own_doubts, *self.prepared.warnings)
 
@@ -436,7 +434,7 @@ class Estimates:
     @property
     def _own_doubts(self) -> tuple[str, ...]:
         """Doubts about these estimates alone: failed frames, and penalties that overrule data."""
-        failed = unsolved(self.solved, self.status)
+        failed = _unsolved(self.solved, self.status)
         return tuple(filter(None, (failed, self._overruled)))
 
     @property
@@ -464,16 +462,15 @@ class Estimates:
         )
         return (
             f"with the weight that was chosen for {terms} readings are missed by {factor:.2g} "
-            "times their noise in the "
-            "median frame: give a smaller weight, or leave the term out"
+            "times their noise in the median frame: give a smaller weight, or leave the term out"
         )
 
     @cached_property
     def film(self) -> Any:
         """Strengths of the film's memory, a `FilmKnown` of the application 'film'.
 
-        None where the scene names no film, or nothing has error bars. Strengths that the scene
-        leaves open are estimated from the frames after a load was taken off.
+        The value is None where the scene names no film, or nothing has error bars. Strengths that
+        the scene leaves open are estimated from the frames after a load was taken off.
         """
         film = self.recording.scene.film
         change_and_deviation = log_change(self)
@@ -486,7 +483,7 @@ class Estimates:
     def misfit(self) -> dict[str, Array]:
         """Misfit of every frame against its noise, see `frame_misfit`.
 
-        It is empty where the noise is unknown.
+        The dictionary is empty where the noise is unknown.
         """
         if self.sigma is None:
             return {}
@@ -524,8 +521,8 @@ class Estimates:
     def _load(self) -> Any:
         """Pressures with errors, a `Pressure` of the application 'film'.
 
-        None without error bars, because the uncertainty of r/r0 is then unknown, and without the
-        application.
+        The value is None without error bars, because the uncertainty of r/r0 is then unknown, and
+        without the application.
         """
         pressure_of = applications().provided("film", "pressures")
         if self._bars is None or pressure_of is None:
@@ -540,13 +537,14 @@ class Estimates:
 
 
 def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
-    """Return ln(r/r0) without the common change by temperature and creep, and its deviation.
+    """Return ln(r/r0) without the common change by temperature and creep.
 
-    None without error bars.
+    The result is None without error bars.
 
     Returns
     -------
     change, deviation : array, shape (frames, rows, columns)
+        ln(r/r0) and its standard deviation.
     """
     if estimates._bars is None:
         return None
@@ -555,3 +553,15 @@ def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
         width = np.log(estimates._bars["ratio_upper"]) - np.log(estimates._bars["ratio_lower"])
     change = np.log(estimates.cell_resistance / estimates.baseline_resistance)
     return change - estimates.recording.scene.common_change[0], width / (2 * TWO_SIDED)
+
+
+def _unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
+    """Return the number of unsolved frames with the reason of the first, in words.
+
+    The result is '' where there is none.
+    """
+    failed = int(np.sum(~solved))
+    if not failed:
+        return ""
+    count = "no frame is" if failed == len(solved) else f"{failed} of {len(solved)} frames are not"
+    return f"{count} solved: {status[int(np.argmin(solved))]}"

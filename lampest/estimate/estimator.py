@@ -76,8 +76,8 @@ class Estimator(Objective):
         self.method.check(self.terms)
         if self.weighs_previous and (self.error_bars is False or not self.method.optimum):
             raise InputError(
-                "arrival weighs frames by their error bars: it needs error_bars, and an optimum to "
-                "have them"
+                "arrival weighs frames by their error bars: "
+                "it needs error_bars, and an optimum to have them"
             )
         if self.automatic and self.auto_weight.per == "frame" and not self.method.optimum:
             raise InputError("auto_weight.per: frame needs a formulation that ends at an optimum")
@@ -105,10 +105,16 @@ class Estimator(Objective):
         return requested and self.method.optimum and readings.sigma is not None
 
     def effort(self, panel: Panel) -> tuple[float, float]:
-        """Return the approximate time (s) and memory (bytes) of a first frame with penalties.
+        """Return the approximate effort of a first frame with penalties, zero without penalties.
 
-        They are zeros without penalties. Calibrated on gradient penalties: 12 s and 275 MB at 100 ×
-        100 cells, 80 s and 787 MB at 280 × 280, on one core of 2026.
+        Calibrated on gradient penalties: 12 s and 275 MB at 100 × 100 cells, 80 s and 787 MB at 280
+        × 280, on one core of 2026.
+
+        Returns
+        -------
+        seconds : float
+        memory : float
+            In bytes.
         """
         module = panel if panel.modules is None else panel.modules.each
         penalised = self.method.optimum and any(not term.reads_measurement for term in self.terms)

@@ -43,6 +43,8 @@ def begin_stream(estimator: Estimator, scene: Scene, period: float, resting: Rea
 
     Raises InputError as `Stream.begin`, and as `network_scenes`.
     """
+    if scene.panel.modules is None:
+        return Stream.begin(estimator, scene, period, resting)
     pairs = zip(network_scenes(scene, estimator), network_readings(scene, resting), strict=True)
     return begin_networks(
         scene, [None if own is None else (estimator, own, part) for own, part in pairs], period
@@ -56,7 +58,7 @@ def begin_networks(
     period: float,
     noise: NoiseEstimate | None = None,
 ) -> Stream:
-    """Return the stream of a scene from those of its networks.
+    """Return the stream of a scene of modules from those of its networks.
 
     Parameters
     ----------
@@ -72,10 +74,9 @@ def begin_networks(
     Raises InputError as `Stream.begin`.
     """
     layout = scene.panel.modules
-    if layout is None or layout.coupled:
+    assert layout is not None
+    if layout.coupled:
         [(estimator, own, resting)] = filter(None, networks)
-        if layout is None:
-            return Stream.begin(estimator, own, period, resting, noise)
         return CoupledStream.begin(replace(estimator, error_bars=False), own, period, resting)
     noises = (None,) * layout.count if noise is None else noise.of_modules
     streams = list[Stream | None]()
@@ -106,8 +107,7 @@ def network_scenes(scene: Scene, estimator: Estimator) -> list[Scene | None]:
     Raises InputError as `_coupled_scene`.
     """
     layout = scene.panel.modules
-    if layout is None:
-        return [scene]
+    assert layout is not None
     if layout.coupled:
         return [_coupled_scene(scene, estimator)]
     return [
@@ -119,7 +119,8 @@ def network_scenes(scene: Scene, estimator: Estimator) -> list[Scene | None]:
 def network_readings(scene: Scene, readings: Readings) -> list[Readings]:
     """Return the readings of each network that is estimated on its own, dead modules included."""
     layout = scene.panel.modules
-    if layout is None or layout.coupled:
+    assert layout is not None
+    if layout.coupled:
         return [readings]
     return [readings.of_module(layout, number) for number in range(layout.count)]
 
@@ -127,7 +128,7 @@ def network_readings(scene: Scene, readings: Readings) -> list[Readings]:
 def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
     """Return the scene of the whole image.
 
-    It has a block diagonal network and places that include the seams.
+    The scene has a block diagonal network, and places that include the seams.
 
     Raises InputError where a module is wired or has no two-point readout, and where error bars are
     requested.
@@ -136,8 +137,8 @@ def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
     assert layout is not None
     if estimator.error_bars is True or estimator.weighs_previous:
         raise InputError(
-            "error_bars: estimates with terms over the seams of modules (panel.modules.coupled) "
-            "have none"
+            "error_bars: estimates with terms over the seams of modules "
+            "(panel.modules.coupled) have none"
         )
     for number, module in enumerate(scene.of_modules):
         if not isinstance(module.circuit, TwoPointReadout) or module.wiring is not None:
@@ -179,7 +180,7 @@ class CoupledStream(Stream):
     def baseline_resistance(self) -> Array:
         """Cells of the baseline, (rows, columns) ohm.
 
-        NaN where it is not solved, and in modules without a value.
+        Without a solved baseline, and in modules without a value, the value is NaN.
         """
         return np.where(self._unread(self.resting), np.nan, super().baseline_resistance)
 
@@ -269,14 +270,14 @@ class ModulesStream(Stream):
     def baseline_resistance(self) -> Array:
         """Cells of the baseline, (rows, columns) ohm.
 
-        NaN in dead modules and those without a solved baseline.
+        The value is NaN in dead modules and those without a solved baseline.
         """
         return np.asarray(_joined(self._layout, self.modules, "baseline_resistance", np.nan))
 
     def rested_whole(self) -> "ModulesStream":
         """Return the stream with the joined baselines of the modules.
 
-        It is unchanged where no module has one.
+        If no module has a baseline, the stream is unchanged.
         """
         steps = [None if module is None else module.baseline for module in self.modules]
         if not any(steps):
@@ -300,7 +301,7 @@ def _joined(
 ) -> Any:
     """Return the attribute `name` of the parts of all modules joined to one map of the image.
 
-    None without any.
+    The result is None without any.
 
     Parameters
     ----------
@@ -324,9 +325,9 @@ def _joined(
 
 
 def _joined_certainty(layout: Modules, parts: Sequence[Certainty | None]) -> Certainty | None:
-    """Return the joined error bars of all modules, infinite for modules without.
+    """Return the joined error bars of all modules; None where no module has any.
 
-    None where no module has any.
+    Modules without error bars have infinite ones.
     """
     unknown = {"deviation": np.inf, "below": np.inf, "above": np.inf}
     maps = [

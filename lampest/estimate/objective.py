@@ -137,7 +137,7 @@ class Objective:
     ) -> Self:
         """Return the objective with these weights of the terms, in their order.
 
-        It has `sigma` as `weight_sigma`, and `variance` as `prior_variance`.
+        `sigma` becomes its `weight_sigma`, and `variance` its `prior_variance`.
         """
         terms = zip(self.terms, weights, strict=True)
         return replace(

@@ -118,7 +118,7 @@ class OwnProgram(CasadiOwner):
     ) -> "OwnProgram":
         """Return the program with a constraint lower ≤ expression ≤ upper.
 
-        It is an equation if there is no upper limit.
+        Without an upper limit the constraint is the equation expression = lower.
 
         Raises InputError if the expression is no column, or no function of the unknowns.
         """
@@ -198,7 +198,7 @@ class OwnSolution(CasadiOwner):
     def cell_resistance_errors(self) -> Array:
         """Standard deviations of the cells, (frames, rows, columns) ohm; zero at a bound.
 
-        They have a meaning where the misfit is weighted by the noise.
+        The misfit must be weighted by the noise for them to have a meaning.
         """
         conductance = self.instance.scale / self.instance.cells_of(self.result)
         relative = self._deviations("conductance").reshape(self.instance.shape) / conductance
@@ -216,7 +216,7 @@ class OwnSolution(CasadiOwner):
     def optimality_error(self) -> float:
         """Largest of |x − Π(x − ∇ₓ(f + λᵀg))| and of the violation of the equations.
 
-        It is in the program's units. All derivatives are evaluated anew, outside of IPOPT.
+        The unit is that of the program. All derivatives are evaluated anew, outside of IPOPT.
         """
         gradient, jacobian, _ = self._derivatives
         x = self.result.unknown
@@ -378,8 +378,8 @@ def _checked_estimator(
     """
     if formulation not in EXCITATIONS:
         raise InputError(
-            f"formulation must be one of {', '.join(EXCITATIONS)} for an own program, not "
-            f"{formulation}"
+            f"formulation must be one of {', '.join(EXCITATIONS)} "
+            f"for an own program, not {formulation}"
         )
     if isinstance(terms, str) or not isinstance(terms, Sequence):
         raise InputError(f"terms must be a sequence of terms, not {terms!r}")

@@ -1,4 +1,4 @@
-"""Estimation of a whole recording, in one piece or in parts."""
+"""Estimation of a whole recording."""
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -9,32 +9,18 @@ from numpy.typing import NDArray
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import LogGradient, Misfit, Term
-from lampest.estimate.batch import push_block
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.modules import Network, begin_networks, network_readings, network_scenes
 from lampest.estimate.state import Step
-from lampest.estimate.stream import CarriedOver, Stream
-from lampest.estimate.usual_scale import with_usual_scale
+from lampest.estimate.stream import Stream, with_needed_priors
 from lampest.estimate.weights import converter_and_faults, strongest, with_chosen_weights
-from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.inference.compared_frames import baseline_readings, deciding_frames
 from lampest.inference.noise import NoiseEstimate
-from lampest.inference.outliers import WINDOW
 from lampest.inference.prepared import Prepared
-from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings, mean_change
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.stored import StoredRecording, first_unloaded, joined, measured_part
+from lampest.recording.recording import UNLOADED, Recording, baseline_readings, deciding_frames
 from lampest.solvers.solution import Status
-
-# Unloaded frames, and measured ones around the strongest, that represent a long recording; at most
-# those of a part.
-LEAD_FRAMES = 500
-OPENING_FRAMES = 10  # first measured frames that replace the unloaded ones where there are none
-
 
 # Recording of a network, its readings, and the unloaded ones.
 _Network = tuple[Recording, Readings, Readings]
@@ -115,7 +101,14 @@ class MeasuredPart:
             [int, int, Callable[[], Estimates] | None], None
         ] = lambda done, frames, so_far: None,
     ) -> tuple[Stream, Estimates]:
-        """Return the stream after these frames, and their estimates; see `reconstruct`."""
+        """Solve these frames; see `reconstruct`.
+
+        Returns
+        -------
+        stream : Stream
+            The stream after these frames.
+        estimates : Estimates
+        """
         readings = self.readings[self.frames]
         count = len(self.frames)
         method = stream.estimator.method
@@ -133,7 +126,7 @@ class MeasuredPart:
 
         verifies = stream.estimator.verify.chosen(readings, stream.resting) & method.optimum
         while len(steps) < count:
-            for after, step in push_block(stream, readings[len(steps) :]):
+            for after, step in next_steps(stream, readings[len(steps) :]):
                 number = len(steps)
                 if verifies[number] and not stream.modules and step.solution.solved:
                     after, step = method.verified(stream, readings[number], after, step)
@@ -163,6 +156,19 @@ class MeasuredPart:
         )
 
 
+def next_steps(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Step]]:
+    """Generate the stream after its next frame, or after each frame of a block, with the steps.
+
+    `readings` are the next frames, (frames, rows, columns).
+    """
+    if not stream.takes_blocks or len(readings.value) == 1:
+        yield stream.push(readings[0])
+        return
+    from lampest.estimate.batch import push_block  # for independent frames alone
+
+    yield from push_block(stream, readings)
+
+
 def first_stream(
     recording: Recording,
     readings: Readings,
@@ -187,8 +193,15 @@ def first_stream(
         Time between frames, s; by default that of the recording.
     """
     scene = recording.scene
-    layout = recording.scene.panel.modules
-    recordings = [recording] if layout is None or layout.coupled else recording.modules
+    period = frame_period(recording) if period is None else period
+    layout = scene.panel.modules
+    if layout is None:
+        resting = baseline_readings(recording, readings)
+        weighted = _weighted(estimator, [(recording, readings, resting)])
+        return Stream.begin(weighted, scene, period, resting, noise)
+    from lampest.estimate.modules import Network, begin_networks, network_readings, network_scenes
+
+    recordings = [recording] if layout.coupled else recording.modules
     parts = zip(
         network_scenes(scene, estimator), recordings, network_readings(scene, readings), strict=True
     )
@@ -209,16 +222,15 @@ def first_stream(
             continue
         part, _, resting = network
         begun.append((chosen[converter_and_faults(part.scene)], part.scene, resting))
-    return begin_networks(
-        scene, begun, frame_period(recording) if period is None else period, noise
-    )
+    return begin_networks(scene, begun, period, noise)
 
 
 def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     """Return the estimator with open weights from the deciding frames of similar networks.
 
-    It has the prior of `with_usual_scale`. Of a single network all frames of `deciding_frames`
-    count, of several the first. Without measured frames the weights are unchanged.
+    Weights have the priors of `with_needed_priors`. Of a single network all frames of
+    `deciding_frames` count, of several the first. Without measured frames the weights are
+    unchanged.
 
     Parameters
     ----------
@@ -226,7 +238,7 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     networks : sequence of (Recording, Readings, Readings)
     """
     part, _, resting = networks[0]
-    estimator = with_usual_scale(estimator, part.scene, resting)
+    estimator = with_needed_priors(estimator, part.scene, resting)
     if not estimator.automatic or estimator.auto_weight.per == "frame":
         return estimator
     count = 1 if len(networks) > 1 else None
@@ -246,7 +258,7 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
 def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:
     """Return the data from which weights are chosen.
 
-    They are one frame, with its baseline where terms compare the two.
+    The data are one frame, with its baseline where terms compare the two.
     """
     if not estimator.relative:
         return estimator.data(frame.alone(), Background(scene))
@@ -256,180 +268,3 @@ def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: 
 def frame_period(recording: Recording) -> float:
     """Return the median time between frames, s; infinite for a single frame."""
     return float(np.median(np.diff(recording.time))) if len(recording.time) > 1 else float("inf")
-
-
-# Number of the part, its estimates, memory for the next part.
-SolvedPart = tuple[int, Estimates, CarriedOver]
-
-
-@dataclass(frozen=True, eq=False)
-class Parts:
-    """A recording too long for memory, estimated part by part.
-
-    Each part is like a recording of its own. Baseline, noise, weights and the check of the circuit
-    are determined once, from a bounded sample: the first unloaded frames and the measured ones
-    around the strongest. Outliers are detected in every part. If estimates depend on no earlier
-    frame, the parts are independent, and each begins with the baseline. Otherwise the memory of
-    `CarriedOver` passes from part to part. The solver's caches are dropped between parts, so that a
-    run that is resumed from the disk gives the same numbers.
-
-    Attributes
-    ----------
-    stored : StoredRecording
-    lead : Recording
-        The first unloaded frames, or the first measured ones where there are none.
-    sample : Prepared
-        The lead and the frames around the strongest.
-    stream : Stream
-        The stream before the first frame.
-    """
-
-    stored: StoredRecording
-    lead: Recording
-    sample: Prepared
-    stream: Stream
-
-    @classmethod
-    def of(
-        cls,
-        stored: StoredRecording,
-        estimator: Estimator,
-        representative: tuple[Recording, Prepared],
-    ) -> "Parts":
-        """Return the parts of a stored recording.
-
-        Parameters
-        ----------
-        stored : StoredRecording
-        estimator : Estimator
-        representative : (Recording, Prepared)
-            Lead and sample, see `asked_frames`.
-
-        Raises InputError where the estimator needs all frames at once, or as `Stream.begin`.
-        """
-        check_by_parts(estimator, stored)
-        lead, sample = representative
-        noise = sample.noise
-        period = frame_period(stored.part(stored.blocks[0]))
-        stream = first_stream(sample.resolved, noise.readings, estimator, noise, period)
-        return cls(stored, lead, sample, stream)
-
-    @property
-    def independent(self) -> bool:
-        """Whether parts can be solved in any order."""
-        return self.stream.rested and not self.stream.estimator.uses_previous
-
-    def estimates(self, done: Callable[[int], CarriedOver | None]) -> Iterator[SolvedPart]:
-        """Solve every part that is not done, and generate its estimates.
-
-        Parameters
-        ----------
-        done : callable
-            Returns the memory after a part's last frame, given the part's number; None where it is
-            not done.
-        """
-        start = self.stream
-        stream = start
-        for number, frames in enumerate(self.stored.blocks):
-            carried = done(number)
-            part = self._part(frames) if carried is None or not start.rested else None
-            if carried is not None:
-                # a finished part: its memory continues the stream; a joint baseline is found again
-                # by its frames
-                start = start if part is None else self._with_baseline(start, part)
-                stream = start if self.independent else carried.onto(start)
-            elif part is not None:
-                stream, estimates = part.solve(stream)
-                yield number, estimates, CarriedOver.of(stream)
-                start = self.stream if self.independent else stream.restarted(self.stream)
-                stream = start
-
-    def _part(self, frames: range) -> MeasuredPart | None:
-        """Return the measured frames of a range, together with the lead.
-
-        None where no frame is measured.
-        """
-        part = measured_part(self.stored, frames, WINDOW)
-        if part is None:
-            return None
-        recording = joined((self.lead, part))
-        readings = Prepared(recording, self.sample.noise).noise.readings
-        recording = replace(recording, scene=self.stream.scene)
-        return MeasuredPart(recording, _own_frames(recording, frames), readings, self.sample)
-
-    def _with_baseline(self, begun: Stream, part: MeasuredPart) -> Stream:
-        """Return the stream with its baseline.
-
-        The part's frames are pushed until a joint baseline is solved.
-        """
-        for frame in part.frames if begun.estimator.joint_start else ():
-            begun, _ = begun.push(part.readings[int(frame)])
-            if begun.rested:
-                return begun.restarted(self.stream)
-        return begun
-
-
-def check_by_parts(estimator: Estimator, stored: StoredRecording) -> None:
-    """Raise InputError where all frames of a long recording are needed at once.
-
-    An estimator, or the pressures of a scene, may need them.
-    """
-    reasons = {
-        f"formulation: {estimator.method.kind} estimates all frames together": (
-            estimator.method.needs_all_frames
-        ),
-        "film: what it remembers is followed through all frames": stored.scene.film is not None,
-        "tare: zero is followed through all frames": estimator.tare is not None,
-    }
-    size = f"{stored.frames} frames of {stored.scene.panel.crossings} cells"
-    for reason, holds in reasons.items():
-        if holds:
-            raise InputError(
-                f"{reason}, and {size} are more than is held at once; split the recording"
-            )
-
-
-def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
-    """Return the lead and the prepared sample of a stored recording, see `Parts`.
-
-    Reads the whole recording once.
-
-    Raises InputError where no frame is measured.
-    """
-    lead = first_unloaded(stored, min(LEAD_FRAMES, stored.length))
-    if lead is None:
-        opening = stored.part(range(min(OPENING_FRAMES, stored.frames)))
-        lead = joined((opening,), opening.role == MEASURED)
-    resting = baseline_readings(lead, lead.readings())
-    candidates = list[tuple[float, int]]()
-    for frames in stored.blocks:
-        part = measured_part(stored, frames, WINDOW)
-        if part is None:
-            continue
-        recording = joined((lead, part))
-        cleaned = Prepared(recording).frame_noise.readings
-        places = _own_frames(recording, frames)
-        # the strongest frame of the part, by the change of its cleaned readings
-        change = mean_change(cleaned.plain_values[places], resting.value)
-        size: Array = np.where(cleaned.enough(stored.scene)[places], change, -1.0)
-        strongest_place = int(np.argmax(size))
-        assert recording.number is not None
-        number = int(recording.number[places[strongest_place]])
-        candidates.append((float(size[strongest_place]), number))
-    if not candidates:
-        raise InputError(f"{stored.path}: no frame is measured (role 1)")
-    number = max(candidates)[1]
-    around = stored.part(range(number, number + 1), min(LEAD_FRAMES // 2, stored.length))
-    return lead, Prepared(joined((lead, joined((around,), around.role == MEASURED))))
-
-
-def _own_frames(recording: Recording, frames: range) -> NDArray[np.intp]:
-    """Return the indices of a part's own measured frames.
-
-    Those of the lead and of the margins are not included.
-    """
-    number = recording.number
-    assert number is not None
-    return np.flatnonzero(
-        (number >= frames.start) & (number < frames.stop) & (recording.role == MEASURED)
-    )

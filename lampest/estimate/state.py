@@ -1,7 +1,7 @@
 """State of a sequence between frames, and the solve of a frame."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 
@@ -9,7 +9,6 @@ from lampest.cost.given import Background
 from lampest.estimate.objective import Objective
 from lampest.estimate.witness import Verification
 from lampest.files.errors import brief
-from lampest.inference.alike import PanelChoice
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
@@ -17,6 +16,9 @@ from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
 from lampest.solvers.solution import Solution, Status, blank
+
+if TYPE_CHECKING:
+    from lampest.inference.alike import PanelChoice
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,21 +82,21 @@ class Step:
     def estimate(self, frame: int) -> Array | None:
         """Return the cells (rows, columns) ohm of one of its frames.
 
-        None where the solve failed.
+        The result is None where the solve failed.
         """
         return self.solution.cell_resistance[frame] if self.solution.solved else None
 
     def bare(self) -> "Step":
         """Return the step without the parts from which error bars are computed.
 
-        These parts take much memory.
+        The omitted parts take much memory.
         """
         return replace(self, solution=replace(self.solution, at=None, dual=None, carried=None))
 
     def surroundings(self) -> LinearModel | None:
         """Return the linear model at a verified optimum, for error bars.
 
-        None where there is no such optimum.
+        The result is None where there is no such optimum.
         """
         at = self.solution.at
         dual = self.solution.dual
@@ -144,7 +146,7 @@ class SequenceState:
     track: Track | None = None
     first: bool = True
     frame_noise: FrameNoise | None = None
-    panels: PanelChoice | None = None
+    panels: "PanelChoice | None" = None
 
     @property
     def background(self) -> Background:

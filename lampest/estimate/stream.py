@@ -9,7 +9,6 @@ import numpy as np
 from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.state import SequenceState, Step
-from lampest.estimate.usual_scale import with_usual_scale
 from lampest.files.errors import InputError, brief, in_words
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.noise import NoiseEstimate
@@ -19,12 +18,14 @@ from lampest.panel.systematic import Shared
 from lampest.posterior.memory import DenseMemory, Memory, SampledMemory
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings, mean_change
-from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Status
 
 # Ratio to the change at which weights were last chosen: a load that settles does not trigger
 # another choice.
 MIN_INCREASE = 1.1
+# Of a network: with more, inverse Hessians of a block cost more than they save
+# (docs/studies/speed.md).
+MAX_BLOCK_CELLS = 400
 MODULE = "module_{:04d}_"  # before the names of a module's arrays
 
 
@@ -126,7 +127,7 @@ class Stream(SequenceState):
         """
         estimator.check(scene)
         _check_frame(resting, scene)
-        estimator = with_usual_scale(estimator, scene, resting)
+        estimator = with_needed_priors(estimator, scene, resting)
         hidden, frame = (None, None) if noise is None else (noise.possible_errors, noise.frame)
         track = (
             Track(Shared.of(scene, hidden), noise=frame)
@@ -183,6 +184,13 @@ class Stream(SequenceState):
         A frame that fails, or that has too few readings (`Readings.enough`), leaves the stream
         unchanged. Open weights are chosen again by a frame whose change from rest exceeds the
         largest one before by MIN_INCREASE. Raises InputError as `begin`.
+
+        Returns
+        -------
+        stream : Stream
+            The stream after the frame.
+        step : Step
+            Solution of the frame.
         """
         _check_frame(readings, self.scene)
         method = self.estimator.method
@@ -226,14 +234,17 @@ class Stream(SequenceState):
 
     @property
     def is_independent(self) -> bool:
-        """Whether estimates depend on no other measured frame.
-
-        It is also required that the projected Newton method computes them.
-        """
+        """Whether estimates depend on no other measured frame, and cells are the only unknowns."""
         estimator = self.estimator
         if self.modules or not self.rested or estimator.uses_previous or estimator.automatic:
             return False
-        return isinstance(estimator.problem(self.scene, 1, self.period), ProjectedNewton)
+        return estimator.problem(self.scene, 1, self.period).cells_alone
+
+    @property
+    def takes_blocks(self) -> bool:
+        """Whether several of the next frames may be solved over a leading axis."""
+        few = self.scene.panel.crossings <= MAX_BLOCK_CELLS
+        return few and not self.first and self.is_independent
 
     @property
     def chooses_weights(self) -> bool:
@@ -247,15 +258,29 @@ class Stream(SequenceState):
     def sequence(
         self, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple["Stream", list[Step]]:
-        """Return the stream after all measured frames of a recording, and their solves.
+        """Solve all measured frames of a recording, see `Method.sequence`.
 
-        See `Method.sequence`.
+        Returns
+        -------
+        stream : Stream
+            The stream after the last frame.
+        steps : list of Step
+            One step a frame.
         """
         return self.estimator.method.sequence(self, resting, readings, on_frame)
 
     def data_and_start(self, readings: Readings) -> tuple[Data, Array | None]:
         """Return the data of a frame's solve and its start, see `Method.data_and_start`."""
         return self.estimator.method.data_and_start(self, readings)
+
+
+def with_needed_priors(estimator: Estimator, scene: Scene, readings: Readings) -> Estimator:
+    """Return the estimator with priors of the scales that no reading of its circuit shows."""
+    if not scene.circuit.unseen_scales(*scene.panel.shape):
+        return estimator
+    from lampest.estimate.usual_scale import with_usual_scale
+
+    return with_usual_scale(estimator, scene, readings)
 
 
 def _check_frame(readings: Readings, scene: Scene) -> None:
@@ -267,8 +292,8 @@ def _check_frame(readings: Readings, scene: Scene) -> None:
             " × ".join(map(str, shape)) for shape in (readings.value.shape, scene.panel.shape)
         )
         raise InputError(
-            f"a stream takes one frame of {requested} readings, not {held}; of several, take one "
-            "or their mean()"
+            f"a stream takes one frame of {requested} readings, not {held}; "
+            "of several, take one or their mean()"
         )
 
 
@@ -276,9 +301,9 @@ def _check_frame(readings: Readings, scene: Scene) -> None:
 class CarriedOver:
     """Memory of a stream between two parts of a long recording.
 
-    It consists of arrays by name that can be written to a file. The initial stream, with scene,
-    estimator and baseline, is not included. The last estimate, its deviation and the memory of
-    error bars are; of a panel those of each module, with its number before the names.
+    The memory consists of arrays by name that can be written to a file: the last estimate, its
+    deviation and the memory of error bars; of a panel those of each module, with its number before
+    the names. The initial stream, with scene, estimator and baseline, is not included.
     """
 
     arrays: Mapping[str, Array]

@@ -42,7 +42,7 @@ class UsualScale(Term):
 
 
 def with_usual_scale(estimator: Estimator, scene: Scene, readings: Readings) -> Estimator:
-    """Return the estimator with the priors, where the circuit of a scene has unseen scales.
+    """Return the estimator with the priors, for a scene whose circuit has unseen scales.
 
     Methods that end at no optimum keep the scale of their start, and have none. Terms that compare
     frames take the place of the second prior.
@@ -55,10 +55,9 @@ def with_usual_scale(estimator: Estimator, scene: Scene, readings: Readings) -> 
     readings : Readings
         (…, rows, columns); their noise is the unit of a plain misfit.
     """
-    unseen = scene.circuit.unseen_scales(*scene.panel.shape)
     single = estimator.method.optimum and not estimator.method.needs_all_frames
     known = any(isinstance(term, UsualScale) for term in estimator.terms)
-    if not unseen or not single or known or readings.sigma is None:
+    if not single or known or readings.sigma is None:
         return estimator
     by_noise = any(getattr(term, "weighting", "plain") == "noise" for term in estimator.terms)
     sigma = readings.sigma[np.isfinite(readings.sigma)]

@@ -21,7 +21,6 @@ from lampest.cost.problem import NO_DUAL, Data
 from lampest.estimate.objective import Objective
 from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import MAD_TO_SIGMA
-from lampest.inference.compared_frames import MAX_NEIGHBOURS
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MAX_DENSE
@@ -36,9 +35,8 @@ from lampest.posterior.spectrum import (
     next_weights,
     settled_weights,
 )
-from lampest.solvers.convex import convex_cells
+from lampest.recording.recording import MAX_NEIGHBOURS
 from lampest.solvers.multistart import best_solution, evaluated
-from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
 # solves for one factor on σ; change of ln λ that changes no reported figure
@@ -86,13 +84,13 @@ def with_chosen_weights(
     cost = estimator.cost(scene, len(data.measured), partial=data.partial)
     similar = tuple(solve for solve in further if solve.partial == data.partial)
     search = WeightSearch(cost, (data, *similar), estimator.solver)
-    first = convex_cells(data, near) if near is None else near
+    first = data.start(near) if near is None else near
     small = data.measured[0].size <= MAX_CELLS and data.measured.size <= MAX_DENSE
     rule = estimator.auto_weight.rule or ("risk" if small else "evidence")
     if estimator.auto_weight.rule == "evidence" and not data.noise_known:
         raise InputError(
-            "auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the "
-            "recording"
+            "auto_weight.rule: evidence needs the noise: "
+            "a readout in the scene or sigma in the recording"
         )
     choose = search.by_evidence if rule == "evidence" else search.by_risk
     with np.errstate(all="ignore"):
@@ -102,8 +100,8 @@ def with_chosen_weights(
 def strongest(changes: Sequence[float]) -> list[int]:
     """Return the numbers of the networks that decide the weight of all.
 
-    They are in descending order of their change from rest. The weight of a single network scatters
-    with its noise, and hardly matters where nothing touches it.
+    The order is that of descending change from rest. The weight of a single network scatters with
+    its noise, and hardly matters where nothing touches it.
     """
     return sorted(range(len(changes)), key=lambda number: -changes[number])[: 1 + MAX_NEIGHBOURS]
 
@@ -111,7 +109,7 @@ def strongest(changes: Sequence[float]) -> list[int]:
 def converter_and_faults(scene: Scene) -> Hashable:
     """Return a key that is equal for networks with the same faults and converter.
 
-    These networks share one weight.
+    Networks of equal key share one weight.
     """
     circuit = scene.circuit
     return scene.faults, circuit.unit, circuit.adc_bits, circuit.readings, circuit.assumed_noise
@@ -219,9 +217,9 @@ class WeightSearch:
     def shown_variance(self) -> tuple[float, ...]:
         """Return the mean square of the residuals of each open term with an absolute loss.
 
-        It is that of the reference estimates, Σ (x̂² + diag(Z S Zᵀ)) over the residuals. The weight
-        of least risk does not tell it: an absolute loss may hold residuals that noise hides, or
-        that no one would miss. NaN of other terms.
+        For the reference estimates the mean square is Σ (x̂² + diag(Z S Zᵀ)) over the residuals.
+        The weight of least risk does not determine it: an absolute loss may hold residuals that
+        noise hides, or that no one would miss. NaN of other terms.
         """
         models = self.models(self.begun)
         variance = [np.nan] * len(self.cost.terms)
@@ -328,6 +326,8 @@ class WeightSearch:
 
     def _solved(self, weights: list[float], near: Array, scale: float) -> "EvidencePoint":
         """Return the estimate with these weights. Raises ArithmeticError where there is none."""
+        from lampest.solvers.projected_newton import ProjectedNewton  # for several open weights
+
         data = self.solves[0]
         solution = best_solution(ProjectedNewton(self.weighted(weights), self.settings), data, near)
         if solution.at is None or solution.dual is None:
@@ -368,7 +368,17 @@ class EvidencePoint:
 
     @cached_property
     def residuals(self) -> tuple[int, float, float]:
-        """Number n of data, degrees of freedom n − γ, and Σ x²/τ² from the median of |x|/τ."""
+        """Size of the residuals of the data.
+
+        Returns
+        -------
+        count : int
+            Number n of data.
+        freedom : float
+            Degrees of freedom n − γ.
+        squares : float
+            Σ x²/τ² from the median of |x|/τ.
+        """
         model = self.errors.model
         counted = model.data_curvature > 0
         penalties = np.unique(model.penalty_term)

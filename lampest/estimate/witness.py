@@ -1,7 +1,7 @@
 """A second witness of an estimate: the frame solved again by IPOPT on the nodal program.
 
-It is solved from another start. The witness sees the data of the frame and nothing of the first
-solve: neither its cells nor what it carries.
+The second solve has another start. The witness sees the data of the frame and nothing of the first
+solve: neither its cells nor its carried state.
 """
 
 from dataclasses import dataclass, replace
@@ -14,10 +14,8 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.files.levels import Witness
 from lampest.files.typed import Configuration
-from lampest.formulation.patterns import Nodal
 from lampest.panel.panel import Array
 from lampest.recording.readings import Readings, strongest_frame
-from lampest.solvers.by_ipopt import Ipopt
 from lampest.solvers.multistart import evaluated, scattered, solved_from
 from lampest.solvers.solution import Settings, Solution
 
@@ -106,6 +104,9 @@ def testimony(cost: Cost, data: Data, previous: Array | None, settings: Settings
         Start of the first solve, ohm; None where it began at equal cells.
     settings : Settings
     """
+    from lampest.formulation.patterns import Nodal
+    from lampest.solvers.by_ipopt import Ipopt
+
     solver = Ipopt(cost, settings, data.readout, data.wiring, Nodal())
     with np.errstate(all="ignore"):
         start = another_start(cost, data, previous)
@@ -115,8 +116,8 @@ def testimony(cost: Cost, data: Data, previous: Array | None, settings: Settings
 def another_start(cost: Cost, data: Data, previous: Array | None) -> Evaluation:
     """Return a start that the first solve did not have.
 
-    It has equal cells, or scattered ones after a start at equal cells. Where two panels read alike,
-    the equal cells lie on the branch of the first start.
+    The start has equal cells, or scattered ones after a start at equal cells. Where two panels read
+    alike, the equal cells lie on the branch of the first start.
     """
     if previous is None:
         return evaluated(cost, data, next(scattered(data)))

@@ -1,7 +1,6 @@
 """Applications of the core: folders of `lampest/apps`, and objects of installed packages.
 
-The core imports none of them. It asks an application by its name, and does without where it is not
-installed.
+The core imports no application. It asks an application by its name, and works without it.
 """
 
 import sys

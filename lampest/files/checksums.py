@@ -1,9 +1,9 @@
-"""Integrity of HDF5 files: SHA-256 digests of all values, beside HDF5's own checksums.
+"""Integrity of HDF5 files: SHA-256 digests of all values, in addition to HDF5's own checksums.
 
-HDF5's Fletcher sum of a chunk notices turned bits. That of zeros is zero, and it knows no position:
-a chunk that is zeroed, exchanged with another one, or taken from another file passes it. `seal`
-therefore writes the digest of every block of values, with the place of the block, beside its
-dataset, and the digest of all datasets beside the root.
+HDF5's Fletcher sum of a chunk notices turned bits. The sum of zeros is zero, and no sum depends on
+the position: a chunk that is zeroed, exchanged with another one, or taken from another file passes
+the test. `seal` therefore writes the digest of every block of values, with the place of the block,
+next to its dataset, and the digest of all datasets next to the root.
 
 A file whose writer was killed remains marked as being written (SWMR). HDF5 would open it as a
 growing file, and wait without end for a wrong checksum to be corrected. `Closed` presents such a
@@ -121,7 +121,7 @@ def attribute(node: Any, name: str, path: bytes = b".") -> NDArray[Any] | None:
 
 
 def set_digests(node: Any, values: Any, step: int) -> None:
-    """Write the digests of a dataset's values beside it, block by block.
+    """Write the digests of a dataset's values next to it, block by block.
 
     Parameters
     ----------

@@ -6,11 +6,11 @@ import io
 import json
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain, count
-from math import inf
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -398,7 +398,7 @@ def _possible_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> str:
 
 
 def _alternatives(node: Any, schema: Any) -> list[Any]:
-    """Return the schemas of which a value fulfils one, without references."""
+    """Return the alternative schemas of a value, without references."""
     while "$ref" in node:
         node = schema["$defs"][node["$ref"].rpartition("/")[2]]
     inner = node.get("anyOf", node.get("oneOf", ()))
@@ -512,6 +512,28 @@ def to_yaml(value: Any) -> str:
     writer.width = 4096
     writer.dump(plain_content(value), stream)
     return stream.getvalue()
+
+
+def in_one_line(content: Any) -> str:
+    """Return a mapping as one line of YAML, such as 'readout: {kind: grounded, sense: one}'."""
+    if not isinstance(content, Mapping):
+        return _scalar_or_list(content)
+    parts = []
+    for key, value in content.items():
+        text = in_one_line(value)
+        parts.append(f"{key}: {{{text}}}" if isinstance(value, Mapping) else f"{key}: {text}")
+    return ", ".join(parts)
+
+
+def _scalar_or_list(value: Any) -> str:
+    """Return a number, a word, nothing, or a list of them in YAML."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_scalar_or_list, value))}]"
+    if isinstance(value, float) and isfinite(value):
+        return f"{value:g}"
+    if isinstance(value, float):
+        return {inf: ".inf", -inf: "-.inf"}.get(value, ".nan")
+    return "null" if value is None else str(value)
 
 
 def plain_content(value: Any) -> Any:

@@ -1,7 +1,7 @@
 """HDF5 by lampest's conventions: atomic files, digests, fixed-length ASCII, units.
 
-The digests are of all values, the units of all datasets. Format v110 has checksums of all metadata,
-including small values. Larger values are in chunks with Fletcher-32 checksums. They are compressed
+All values have digests, and all datasets have units. Format v110 has checksums of all metadata,
+including small values. Larger values are in chunks with Fletcher-32 checksums, and are compressed
 unless they are many and their digits are noise. Each block of values has a digest
 (`checksums.seal`), which every reading function verifies.
 """

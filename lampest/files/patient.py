@@ -18,7 +18,7 @@ AHEAD = 2**20  # bytes that are reserved at once
 
 
 class PatientFile(io.RawIOBase):
-    """New file, to be given to HDF5, that keeps what the disk refuses.
+    """New file for HDF5 that keeps bytes that the disk refuses.
 
     Raises FileExistsError if the file exists, and OSError if it cannot be created.
 

@@ -287,9 +287,9 @@ def libraries_to_the_log() -> Iterator[None]:
 
 
 def logged_reason(error: BaseException, of: str) -> str:
-    """Return the message of an exception: its own if lampest raised it.
+    """Return the message of an exception that lampest raised, or a sentence on any other one.
 
-    Otherwise it is a sentence, with an entry in the log. `of` is the computation, for the log.
+    The log gets an entry on any other exception, with the computation `of`.
     """
     trace = error.__traceback__
     raised = ""

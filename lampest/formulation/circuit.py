@@ -149,18 +149,18 @@ class Circuit:
         return np.setdiff1d(np.arange(self.count), self.terminals[self.held])
 
     def potentials(self, lines: Nodes) -> Array:
-        """Return the given potentials: 1 V at held lines among the excited ones, 0 elsewhere.
+        """Return the given potentials of excited lines, (nodes, patterns).
 
-        Shape (nodes, patterns).
+        An excited line that is held has 1 V, all other nodes have 0.
         """
         volt = np.zeros((self.count, len(lines)))
         volt[self.terminals[lines], np.arange(len(lines))] = self.held[lines]
         return volt
 
     def currents(self, lines: Nodes) -> Array:
-        """Return the given currents: 1 A into lines that are excited and not held, 0 elsewhere.
+        """Return the given currents of excited lines, (nodes, patterns).
 
-        Shape (nodes, patterns).
+        An excited line that is not held has 1 A, all other nodes have 0.
         """
         into = np.zeros((self.count, len(lines)))
         into[self.terminals[lines], np.arange(len(lines))] = ~self.held[lines]

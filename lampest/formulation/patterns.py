@@ -306,10 +306,10 @@ def _reads_own(circuit: Circuit, readout: Readout) -> tuple[bool, bool]:
 def _at_ends(
     unknowns: _Unknowns, circuit: Circuit, symbols: ConductanceSymbols
 ) -> tuple[casadi.SX | None, casadi.SX]:
-    """Return v of all lines, (lines, 1), and the current balance while they are at their ends.
+    """Return the voltages v of all lines, and the current balance while they are at their ends.
 
-    v is the voltage of a line, or the current that a held line takes; see `DifferenceNetwork`. None
-    and no equation where lines have no potentials.
+    A line that is held has its current in v; see `DifferenceNetwork`. Lines without potentials have
+    neither v nor an equation.
     """
     if circuit.ends is None:
         return None, casadi.SX(0, 1)

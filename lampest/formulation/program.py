@@ -265,7 +265,7 @@ class Program(CasadiOwner):
     def with_reading(self, changed: Callable[[casadi.SX], Any]) -> "Program":
         """Return the program whose terms read changed(y) in place of y.
 
-        Shape (cells, frames), in the readout's unit.
+        Both readings have the shape (cells, frames) and the readout's unit.
 
         Raises
         ------

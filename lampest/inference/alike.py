@@ -84,13 +84,13 @@ class PanelChoice:
         cure = "with a smaller drive_ohm they differ"
         if self.other is None:
             return (
-                "between the unloaded and the loaded readings most cells have changed: other "
-                f"cells may give these readings; {cure}"
+                "between the unloaded and the loaded readings most cells have changed: "
+                f"other cells may give these readings; {cure}"
             )
         chosen, other = (float(np.median(cells)) for cells in (self.resting, self.other))
         return (
-            f"cells of about {chosen:.2g} ohm and of about {other:.2g} ohm give these readings "
-            f"alike, and the former are taken: {cure}"
+            f"cells of about {chosen:.2g} ohm and "
+            f"of about {other:.2g} ohm give these readings alike, and the former are taken: {cure}"
         )
 
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from lampest.cost.terms import Misfit
 from lampest.files.errors import BROKEN
 from lampest.files.levels import SIGNIFICANCE
 from lampest.inference.assumptions import UNKNOWN_SD
-from lampest.panel.effects import Effect, effect_on_readings, with_effects
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
@@ -27,11 +27,12 @@ from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
-from lampest.solvers.convex import convex_cells
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.posed import Bounds, cost_of_solve, data_of_solve
-from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
+
+if TYPE_CHECKING:
+    from lampest.panel.effects import Effect
 
 EXACT_CHI_SQUARE = 1e-2  # χ² so small that it changes no verdict
 # χ² of a circuit that only competes: the minimum is lower, but a fifth of the evidence that makes a
@@ -69,7 +70,7 @@ def data_of_cells(scene: Scene, readings: Readings) -> Data:
 class CellsFit(SumOfSquares):
     """Fit of the cells to one frame, as a sum of squares over log r.
 
-    It has no Jacobian on panels of more than MAX_CELLS.
+    Panels of more than MAX_CELLS have a fit without a Jacobian.
 
     Attributes
     ----------
@@ -77,7 +78,7 @@ class CellsFit(SumOfSquares):
     measured : Readings
         (rows, columns).
     readings : Readings
-        The measured readings less what effects add to those of the network.
+        The measured readings less the contribution of effects.
     network : Network
         Network of the cells, without effects.
     effects : tuple of Effect
@@ -89,7 +90,7 @@ class CellsFit(SumOfSquares):
     measured: Readings
     readings: Readings
     network: Network
-    effects: tuple[Effect, ...] = ()
+    effects: "tuple[Effect, ...]" = ()
     ridge: float = CELL_PRECISION
 
     @classmethod
@@ -99,12 +100,17 @@ class CellsFit(SumOfSquares):
         data: Data,
         measured: Readings,
         cells: Array,
-        effects: Sequence[Effect] = (),
+        effects: "Sequence[Effect]" = (),
     ) -> "CellsFit":
         """Return the fit of given cells, (rows, columns) ohm, to readings of a frame."""
         unaffected = data.network(0, cells)
-        network, added = with_effects(effects, scene, unaffected)
-        readings = replace(measured, value=measured.value - added)
+        network = unaffected
+        readings = measured
+        if effects:
+            from lampest.panel.effects import with_effects
+
+            network, added = with_effects(effects, scene, unaffected)
+            readings = replace(measured, value=measured.value - added)
         sigma = measured.known_sigma
         # (f(r) − y)/σ; 0 where nothing was read, or a bound is satisfied
         missed = (network.reading() - readings.value) / sigma
@@ -126,10 +132,10 @@ class CellsFit(SumOfSquares):
             effects=tuple(effects),
         )
 
-    def refitted(self, measured: Readings, effects: tuple[Effect, ...]) -> "CellsFit | None":
+    def refitted(self, measured: Readings, effects: "tuple[Effect, ...]") -> "CellsFit | None":
         """Return the fit to other readings or effects, from these cells on.
 
-        None where no fit is found.
+        The result is None where no fit is found.
         """
         return fitted(self.scene, measured, self.cells, patient=True, effects=effects)
 
@@ -186,18 +192,22 @@ class CellsFit(SumOfSquares):
     @cached_property
     def offset(self) -> Array:
         """Change of readings by all effects together, (rows, columns), in the readout's unit."""
+        from lampest.panel.effects import effect_on_readings
+
         return effect_on_readings(self.effects, self.scene, self.network)
 
-    def more(self, effect: Effect) -> Array:
+    def more(self, effect: "Effect") -> Array:
         """Return the further change of the readings by an additional effect, (rows, columns)."""
+        from lampest.panel.effects import effect_on_readings
+
         return effect_on_readings((*self.effects, effect), self.scene, self.network) - self.offset
 
     @property
     def amplification(self) -> Array:
         """Factor of the readings' noise once the effects are taken off, (rows, columns).
 
-        It is the standard deviation of the readings that the cells would give without effects, in
-        units of σ.
+        The factor is the standard deviation of the readings that the cells would give without
+        effects, in units of σ.
         """
         dry = self.network.sensitivity() / self.readings.known_sigma.reshape(-1, 1)
         # diag(J₀ P J₀ᵀ), with J₀ the Jacobian over σ without effects and P the covariance of the
@@ -218,11 +228,11 @@ def fitted(
     near: Array | None = None,
     *,
     patient: bool = False,
-    effects: Sequence[Effect] = (),
+    effects: "Sequence[Effect]" = (),
 ) -> CellsFit | None:
     """Return argmin Σ ((f(r) − y)/σ)² of one frame over r > 0.
 
-    None where the solver or arithmetic fails.
+    The result is None where the solver or arithmetic fails.
 
     Parameters
     ----------
@@ -235,13 +245,13 @@ def fitted(
         Whether every start is tried, and any misfit accepted. Otherwise few iterations are allowed,
         and a fit far from noise is given up.
     effects : sequence of Effect
-        Effects in the network beside its circuit. With effects the fit that the first loop reaches
-        is returned.
+        Effects in the network in addition to its circuit. With effects the fit that the first loop
+        reaches is returned.
     """
     with suppress(*BROKEN), np.errstate(all="ignore"):
         data = data_of_cells(scene, readings)
         data = replace(data, lower=MIN_CELL_FACTOR * data.lower)
-        start = convex_cells(data, None)[0] if near is None else near
+        start = data.start()[0] if near is None else near
         # The Levenberg-Marquardt method suffices where cells explain the readings exactly, which is
         # usual.
         fit = _levenberg_marquardt_fit(scene, data, readings, start, effects)
@@ -253,6 +263,8 @@ def fitted(
             return None
         # Elsewhere cells stand at the boundary r = 0, and the solver of the estimates finds the
         # minimum.
+        from lampest.solvers.projected_newton import ProjectedNewton
+
         cost = cost_of_solve(LEAST_SQUARES, scene, partial=data.partial)
         if patient:
             solver = ProjectedNewton(cost, Settings())
@@ -266,7 +278,7 @@ def fitted(
 
 
 def _levenberg_marquardt_fit(
-    scene: Scene, data: Data, readings: Readings, start: Array, effects: Sequence[Effect]
+    scene: Scene, data: Data, readings: Readings, start: Array, effects: "Sequence[Effect]"
 ) -> CellsFit:
     """Return the fit that the Levenberg-Marquardt method reaches from a start.
 

@@ -86,13 +86,29 @@ class Changes:
 
     @cached_property
     def inverse_and_volume(self) -> tuple[Array, float]:
-        """C⁻¹ (n, n) and ln |C⁻¹|."""
+        """Inverse of the covariance, and its determinant.
+
+        Returns
+        -------
+        precision : array, shape (n, n)
+            C⁻¹.
+        volume : float
+            ln |C⁻¹|.
+        """
         return inverse_and_volume(self.covariance)
 
     def selected(
         self, starts: Sequence[Chosen], loaded: Chosen | None = None
     ) -> tuple[float, Chosen]:
-        """Return −2 ln evidence and the moved cells (n,), see `select_changed`."""
+        """Select the moved cells, see `select_changed`.
+
+        Returns
+        -------
+        score : float
+            −2 ln evidence.
+        moved : boolean array, shape (n,)
+            The moved cells.
+        """
         precision, volume = self.inverse_and_volume
         slope = precision @ self.change
         lost, moved = select_changed(slope, precision, starts, loaded)
@@ -113,9 +129,12 @@ class Changes:
         return chosen.misfit + float(np.linalg.slogdet(chosen.covariance)[1])
 
     def posterior(self, still: Chosen) -> tuple[Array, Array]:
-        """Return mean and covariance of z given the changes d_s of the still cells.
+        """Return the posterior of z given the changes d_s of the still cells.
 
-        They are (errors,) and (errors, errors).
+        Returns
+        -------
+        mean : array, shape (errors,)
+        covariance : array, shape (errors, errors)
         """
         part = self.columns[still]
         # mean A_sᵀ C_ss⁻¹ d_s, covariance 1 − A_sᵀ C_ss⁻¹ A_s
@@ -126,7 +145,7 @@ class Changes:
 def usual_starts(change: Array) -> list[Chosen]:
     """Return the sets of moved cells that a search begins with.
 
-    They are none, all, and the half that changed most.
+    The sets are none, all, and the half that changed most.
     """
     deviation = np.abs(change - np.median(change))
     return [
@@ -209,12 +228,11 @@ def _exchange_cells(
 
 
 def scores_with_errors(change: Array, precision: Array, columns: Array) -> Array:
-    """Return −2 ln evidence with one further error, (errors,).
+    """Return −2 ln evidence with one further error, for each of several errors, (errors,).
 
-    It is returned separately for each of several errors. The change of still cells is d = a θ +
-    noise with θ ~ N(0, 1): the precision P becomes P − P a aᵀ P/(1 + aᵀ P a). Compared with no
-    error, −2 ln evidence has ln(1 + aᵀ P a) more. The selection of moved cells is greedy: cells are
-    only added.
+    The change of still cells is d = a θ + noise with θ ~ N(0, 1): the precision P becomes P − P a
+    aᵀ P/(1 + aᵀ P a). Compared with no error, −2 ln evidence has ln(1 + aᵀ P a) more. The selection
+    of moved cells is greedy: cells are only added.
 
     Parameters
     ----------

@@ -1,6 +1,4 @@
-"""Frames that decide for a recording: the unloaded panel, and the most strongly loaded frames.
-
-They choose weights, and a circuit has to explain them.
+"""Frames that a circuit has to explain: the unloaded panel, and the most strongly loaded frames.
 
 Of the frames with the strongest change, those that are equal within their noise are averaged.
 Outliers and readings whose noise is not Gaussian do not count. `broken_law` tests the circuit's
@@ -20,40 +18,8 @@ from lampest.inference.rivals import Rival, standing_frames
 from lampest.inference.variance_components import noted_excess
 from lampest.panel.panel import Array
 from lampest.posterior.interval import largest_of
-from lampest.recording.readings import Readings, mean_change, strongest_frame
+from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-
-MAX_NEIGHBOURS = 2  # frames or networks that decide with the strongest one
-
-
-def baseline_readings(recording: Recording, readings: Readings) -> Readings:
-    """Return the mean of the unloaded frames.
-
-    Without any, or where too little of them was read, the first frame of which enough was read.
-    """
-    unloaded = np.flatnonzero(recording.role == UNLOADED)
-    mean = readings[unloaded if len(unloaded) else [0]].mean()
-    usable = np.flatnonzero(readings.enough(recording.scene))
-    return mean if mean.enough(recording.scene) or not len(usable) else readings[usable[:1]].mean()
-
-
-def deciding_frames(
-    recording: Recording, readings: Readings, resting: Readings
-) -> NDArray[np.intp]:
-    """Return the measured frame that differs most from rest, and frames that decide with it.
-
-    These are spread evenly over the frames that differ half as far from rest. Frames without enough
-    readings are left out.
-    """
-    frames = recording.measured_frames()
-    frames = frames[readings.enough(recording.scene)[frames]]
-    if not len(frames):
-        return frames
-    change = mean_change(readings.plain_values, resting.value)
-    strongest = strongest_frame(readings.plain_values, resting.value, frames)
-    loaded = frames[(change[frames] >= change[strongest] / 2) & (frames != strongest)]
-    spread = np.linspace(0, len(loaded) - 1, MAX_NEIGHBOURS if len(loaded) else 0)
-    return np.append(strongest, loaded[np.unique(spread.round().astype(int))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +40,7 @@ class ComparedFrames:
         Numbers of all frames as sentences state them.
     named_errors : array, shape (frames, rows, columns), or None
         Standard deviations of the errors that the scene names beside noise: of each reading, of
-        motion. Those of n unloaded frames are √n times the error of their mean.
+        motion. The errors of n unloaded frames are √n times the error of their mean.
     """
 
     specified: Rival
@@ -89,7 +55,7 @@ class ComparedFrames:
     def of(cls, recording: Recording, outliers: NDArray[np.bool_]) -> Self:
         """Return the frames of a recording whose noise is known.
 
-        Without an unloaded frame the first is used.
+        A recording without an unloaded frame has its first frame instead.
         """
         role = recording.role
         specified = Rival(
@@ -146,7 +112,7 @@ class ComparedFrames:
     def panels(self) -> PanelChoice | None:
         """Panels of the frames under the scene's circuit, where several give their readings.
 
-        None where one does, and without a loaded frame.
+        The value is None where only one panel does, and without a loaded frame.
         """
         scene = self.specified.scene
         if not scene.circuit.several_panels or scene.wiring is not None or not len(self.standing):
@@ -178,7 +144,7 @@ def noise_factor(resting: Readings) -> float:
 def broken_law(rival: Rival, frames: ComparedFrames) -> str:
     """Return the circuit's inequality that the readings violate significantly, in words.
 
-    It is '' where there is none.
+    The text is '' where none is violated.
     """
     readings = rival.readings
     sigma = replace(
@@ -190,16 +156,16 @@ def broken_law(rival: Rival, frames: ComparedFrames) -> str:
         if largest_of(test.excess[frame], test.count * len(test.excess)) < SIGNIFICANCE:
             beyond = f"{test.excess[frame]:.3g} times its noise"
             return (
-                f"readings of frame {frames.named[frame]} break a law of the circuit by "
-                f"{beyond}: {test.law}"
+                f"readings of frame {frames.named[frame]} break a law "
+                f"of the circuit by {beyond}: {test.law}"
             )
     return below_series(rival, frames)
 
 
 def below_series(rival: Rival, frames: ComparedFrames) -> str:
-    """Return the reading that lies significantly below its series resistance, in words.
+    """Return a sentence on the reading that lies significantly below its series resistance.
 
-    It is '' where there is none.
+    The sentence is '' where no reading does.
     """
     scene = rival.scene
     readings = rival.readings
@@ -213,7 +179,7 @@ def below_series(rival: Rival, frames: ComparedFrames) -> str:
     place = np.unravel_index(np.argmax(excess), excess.shape)
     frame, row, column = place
     return (
-        f"the reading of row {row}, column {column} in frame {frames.named[frame]} lies "
-        f"{-remaining[place]:.3g} ohm "
-        f"below its series resistance, {excess[place]:.3g} times its noise"
+        f"the reading of row {row}, column {column} in frame {frames.named[frame]} "
+        f"lies {-remaining[place]:.3g} ohm below its series resistance, "
+        f"{excess[place]:.3g} times its noise"
     )

@@ -16,11 +16,12 @@ import numpy as np
 import scipy
 
 from lampest.files.errors import BROKEN, InputError
+from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.cells_fit import SMALL_CHI_SQUARE, CellsFit, fitted, well_determined
 from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
 from lampest.inference.compared_frames import ComparedFrames, broken_law
 from lampest.inference.fitted_pair import FittedPair
-from lampest.inference.nuisances import MAX_CANDIDATES, MIN_EVIDENCE_GAIN, BetterExplanation
+from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation
 from lampest.inference.rivals import (
     Rival,
     changes_beyond_noise,
@@ -178,9 +179,9 @@ def _fits(
 def better_rival(frames: ComparedFrames, specified: Explanation | None) -> BetterExplanation:
     """Return the rival that explains the readings better than the scene's circuit.
 
-    It explains them where the scene's circuit does not, or better by MIN_EVIDENCE_GAIN. Rivals
-    under which most cells have moved do not count, because the still cells cannot be identified
-    then.
+    A better rival explains them where the scene's circuit does not, or gains more than
+    MIN_EVIDENCE_GAIN. Rivals under which most cells have moved do not count, because the still
+    cells cannot be identified then.
 
     Parameters
     ----------
@@ -213,7 +214,7 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
     """Return the MAX_CANDIDATES best explanations by rivals, better ones than the scene's.
 
     Rivals whose inequalities the readings break are not fitted. A resistance in series only makes
-    these inequalities narrower, so that they are asked without one.
+    these inequalities narrower, so that they are tested without one.
     """
     change = changes_beyond_noise(frames.specified.scene, frames.specified.readings, frames.role)
     mostly_increases = bool(change.max(initial=0.0) > -change.min(initial=0.0))
@@ -291,7 +292,7 @@ def _compared(
 ) -> BetterExplanation:
     """Return the best candidate as better, as nearly as good, or as neither."""
     if specified is None or best.pair is None:
-        return BetterExplanation(best.rival.name)
+        return BetterExplanation(best.rival.name, addition=best.rival.addition)
     gain = (specified.beyond_noise - best.beyond_noise) / best.pair.excess
     if specified.pair is None or gain <= DOUBTFUL_GAIN or not best.pair.moved.any():
         return BetterExplanation()
@@ -304,7 +305,13 @@ def _compared(
         return BetterExplanation(nearly=best.rival.name if doubtful else "")
     moved = int(best.pair.moved.sum())
     moved_as_specified = int(specified.pair.moved.sum())
-    return BetterExplanation(best.rival.name, frames.loaded, moved, moved_as_specified)
+    return BetterExplanation(
+        best.rival.name,
+        frames.loaded,
+        moved,
+        moved_as_specified,
+        addition=best.rival.addition,
+    )
 
 
 def some_in_series(
@@ -315,7 +322,7 @@ def some_in_series(
 ) -> Explanation | None:
     """Return a circuit's explanation with the best of SERIES_POINTS other resistances in series.
 
-    Each fit begins at the cells of the one before. None without any.
+    A fit begins at the cells of the one before. The result is None without any fit.
     """
     most = most_in_series(rival, frames)
     best = None
@@ -369,8 +376,8 @@ class _ParameterSearch:
 def with_series(explanation: Explanation, frames: ComparedFrames) -> Explanation:
     """Return a circuit's explanation with the most probable or the given resistance in series.
 
-    It is searched for about the best of SERIES_POINTS, and about the given one only where a change
-    of it may gain by linear theory.
+    The search is made about the best of SERIES_POINTS, and about the given resistance only where a
+    change of it may gain by linear theory.
     """
     rival = explanation.rival
     most = most_in_series(rival, frames)
@@ -398,7 +405,8 @@ def with_series(explanation: Explanation, frames: ComparedFrames) -> Explanation
 def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> Explanation:
     """Return a circuit's explanation with the most probable or the given converter memory.
 
-    A scene that states a memory keeps it. It is searched for where it may gain by linear theory.
+    A scene that states a memory keeps it. Other memories are searched for where they may gain by
+    linear theory.
     """
     rival = explanation.rival
     if rival.scene.converter_memory is not None or rival.scene.readout is None:
@@ -415,12 +423,12 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
 
 
 def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool:
-    """Return whether a memory of the converter may gain what it costs, by linear theory."""
+    """Return whether a memory of the converter may gain more than its cost, by linear theory."""
     return _may_gain(explanation, _response_to_memory(explanation, frames))
 
 
 def _may_gain(explanation: Explanation, response: Array | None) -> bool:
-    """Return whether a parameter may gain what it costs, by linear theory; True where unknown.
+    """Return whether a parameter may gain more than its cost, by linear theory; True if unknown.
 
     Parameters
     ----------
@@ -465,7 +473,7 @@ def _without_series(rival: Rival) -> Rival:
 def most_in_series(rival: Rival, frames: ComparedFrames) -> float:
     """Return the largest resistance in series that the readings allow, ohm.
 
-    It is 0 where none is possible or known.
+    The result is 0 where no such resistance is possible or known.
     """
     if not rival.scene.circuit.series_name or len(frames.standing) == 0:
         return 0.0

@@ -132,7 +132,7 @@ class FittedPair:
     def effects(self) -> tuple[Effect, ...]:
         """Effects in the network of the frame.
 
-        Those that are constant are in that of the unloaded panel, too.
+        Constant effects are also in the network of the unloaded panel.
         """
         return self.frames[1].effects
 
@@ -154,7 +154,7 @@ class FittedPair:
     def covariance(self) -> Array:
         """Covariance Σ of d where no load is, (cells, cells).
 
-        It is without effects and without a common change.
+        Effects and a common change are not included.
         """
         # Σ = P_b + P_f + creep² 1 + spread² channels channelsᵀ; the spread is the scene's, or else
         # one multiplexer's
@@ -229,10 +229,10 @@ class FittedPair:
         return self.evidence.moved.reshape(self.shape)
 
     def scores_with(self, effects: Sequence[Effect], candidates: Array) -> Array:
-        """Return −2 ln evidence with each candidate alone beside further sizes of effects, (n,).
+        """Return −2 ln evidence with further sizes of effects and one candidate, for each, (n,).
 
-        It approximates the score of `explained`: cells are only added to the moved ones, never
-        removed.
+        The result approximates the score of `explained`: cells are only added to the moved ones,
+        never removed.
 
         Parameters
         ----------
@@ -247,7 +247,7 @@ class FittedPair:
     def density(self) -> float:
         """−2 ln density of the frame's readings given the unloaded ones.
 
-        It holds up to a constant common to all circuits. The densities of circuits are comparable
+        A constant common to all circuits is left out. The densities of circuits are comparable
         because the Jacobian of the readings is included: a circuit whose readings hardly depend on
         the cells gains nothing by it.
         """
@@ -276,10 +276,10 @@ class FittedPair:
         return score - min(changes.part(~moved).misfit, int((~moved).sum()))
 
     def gain_apart(self, better: "FittedPair") -> float:
-        """Return the gain of another explanation in −2 ln evidence.
+        """Return the gain of another explanation in −2 ln evidence, apart from its moved cells.
 
-        It is computed by cells that touch none of its moved cells. The skirt of a load looks like
-        another circuit or an effect, so its cells do not count; 0 without two others.
+        Only cells that touch none of its moved cells count, because the skirt of a load looks like
+        another circuit or an effect. The gain is 0 with fewer than two such cells.
         """
         distant = ~touching(better.moved[None]).ravel()
         if distant.sum() < 2:
@@ -295,8 +295,8 @@ class FittedPair:
     def _stepped(self, effects: Sequence[Effect], step: Array) -> "FittedPair | None":
         """Return the pair after a step of the effects' sizes.
 
-        None where no cells explain the readings then. Sizes of effects that cannot be negative,
-        such as leaks, are clipped at 0.
+        The result is None where no cells explain the readings then. Sizes of effects that cannot be
+        negative, such as leaks, are clipped at 0.
 
         Parameters
         ----------
@@ -363,8 +363,8 @@ class FittedPair:
     def frame_like(self, readings: Readings, near: CellsFit) -> CellsFit | None:
         """Return the fit of another frame with these effects; None where no cells explain it.
 
-        The sizes of effects since the unloaded frames are estimated anew. They are 0 where the
-        frame is no more probable with them.
+        The sizes of effects since the unloaded frames are estimated anew, and are 0 where the frame
+        is no more probable with them.
 
         Parameters
         ----------

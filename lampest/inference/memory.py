@@ -1,7 +1,7 @@
-"""Estimation of the share of the channel before that a converter keeps.
+"""Estimation of a converter's memory, its share of the previous channel's voltage.
 
-It is estimated from the unloaded panel and a loaded frame. With a wrong share every change of a
-cell appears in the next channel, too, so that more cells seem to have moved. The evidence of the
+The estimate follows from the unloaded panel and a loaded frame. With a wrong share every change of
+a cell appears in the next channel, too, so that more cells seem to have moved. The evidence of the
 pair of frames (`lampest.inference.fitted_pair`) is compared over MEMORIES, all equally probable
 before, relative to the misfit of still cells. Nothing is determined where most cells moved: any
 share then explains them.
@@ -26,9 +26,13 @@ MAX_DEVIATION = 0.05  # of the share: with more, the recording does not determin
 
 
 def estimated_memory(recording: Recording) -> tuple[float, float] | str:
-    """Return the share and its standard deviation, or why the recording cannot determine it.
+    """Estimate the converter's memory of a recording.
 
-    The reason is in words.
+    Returns
+    -------
+    (share, sd) : tuple of float, or str
+        The share and its standard deviation, or a sentence that says why the recording cannot
+        determine it.
     """
     unloaded = recording.role == UNLOADED
     measured = np.flatnonzero(recording.role == MEASURED)
@@ -68,9 +72,10 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
 def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
     """Return the decrease of −2 ln evidence by the best of the memories TRIED against none.
 
-    It is relative to the misfit of still cells, which errors that the scene does not name increase.
-    The edge of a load looks like a memory: the result is 0 unless cells that touch no moved ones
-    show the memory, too. It is also 0 where linear theory promises no gain, and no share is tried.
+    The decrease is relative to the misfit of still cells, which errors that the scene does not name
+    increase. The edge of a load looks like a memory: the result is 0 unless cells that touch no
+    moved ones show the memory, too. Where linear theory promises no gain, no share is tried, and
+    the result is 0.
 
     Parameters
     ----------
@@ -111,7 +116,7 @@ def _explanations(
 def _cost(explanation: Explanation | None) -> float:
     """Return −2 ln density of the loaded frames given the unloaded ones.
 
-    It is infinite without an explanation.
+    Without an explanation the cost is infinite.
     """
     if explanation is None or explanation.pair is None:
         return np.inf
@@ -125,9 +130,14 @@ def _cost(explanation: Explanation | None) -> float:
 def with_estimated_memory(
     recording: Recording,
 ) -> tuple[Recording, tuple[float, float] | str]:
-    """Return the recording with a number for `converter_memory: estimated`.
+    """Replace `converter_memory: estimated` by a number.
 
-    Also return the estimate or the reason for none.
+    Returns
+    -------
+    recording : Recording
+        With the estimated share in its scene, or with none.
+    estimate : (float, float) or str
+        As `estimated_memory` returns it.
     """
     estimate = estimated_memory(recording)
     share = None if isinstance(estimate, str) else estimate[0]

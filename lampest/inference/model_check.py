@@ -6,28 +6,29 @@ the circuit, explain them with a larger evidence (`lampest.inference.explanation
 sentence. Panels of modules have one from the modules whose readings change most.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from lampest.files.applications import applications
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
-from lampest.inference.compared_frames import (
-    MAX_NEIGHBOURS,
-    ComparedFrames,
-    baseline_readings,
-    below_series,
-    broken_law,
-)
+from lampest.inference.compared_frames import ComparedFrames, below_series, broken_law
 from lampest.inference.explanation import Explanation, better_rival
 from lampest.inference.fitted_pair import FittedPair
 from lampest.inference.nuisances import BetterExplanation, CircuitEffects, find_effects
 from lampest.panel.effects import EFFECTS, Effect
 from lampest.panel.panel import Modules
 from lampest.recording.readings import mean_change
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.recording import (
+    MAX_NEIGHBOURS,
+    MEASURED,
+    UNLOADED,
+    Recording,
+    baseline_readings,
+)
 
 EXPLAINED = "the circuit explains its readings"
 # Deviation of ln of a module's median reading at rest from the other modules: none of 1,640
@@ -60,6 +61,8 @@ class ModelCheck:
         Whether `better` names effects beside the circuit.
     loaded_at_rest : bool
         Whether a load may lie on the unloaded panel.
+    addition : mapping
+        Entries of a scene that state `better`; empty where none do.
     doubts : tuple of str
         Reasons why a circuit that explains the readings is not certain.
 
@@ -75,12 +78,13 @@ class ModelCheck:
     by_effect: bool = False
     loaded_at_rest: bool = False
     doubts: tuple[str, ...] = ()
+    addition: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def mark(self) -> str:
         """The verdict: 'yes', 'no', or 'doubtful'.
 
-        It is 'doubtful' where the circuit was not checked or something speaks against it.
+        A circuit is 'doubtful' where it was not checked, or where something speaks against it.
         """
         if self.explains is False:
             return "no"
@@ -99,7 +103,7 @@ class ModelCheck:
 
 @dataclass(frozen=True, eq=False)
 class Question(ComparedFrames):
-    """Whether the scene's circuit explains these frames, and what else explains them."""
+    """Whether the scene's circuit, or another explanation, agrees with these frames."""
 
     @cached_property
     def _shares(self) -> tuple[float, float]:
@@ -114,7 +118,7 @@ class Question(ComparedFrames):
     def explanation(self) -> "Explanation | None":
         """Cells that explain these frames.
 
-        None without a fit, or with more than MAX_MISSING bounds.
+        The value is None without a fit, or with more than MAX_MISSING bounds.
         """
         return Explanation.of(self.specified, self, patient=True) if self._few_bounds else None
 
@@ -122,17 +126,14 @@ class Question(ComparedFrames):
     def fault(self) -> str:
         """The reason why the circuit cannot have made the readings, in words.
 
-        It is '' where there is none.
+        The text is '' where no reason is known.
         """
         unexplained = "" if self.explanation is None else _unexplained(self.explanation, self)
         return unexplained or broken_law(self.specified, self)
 
     @cached_property
     def below(self) -> str:
-        """The reading that lies significantly below its series resistance, in words.
-
-        It is '' where there is none.
-        """
+        """A sentence on the reading that lies significantly below its series resistance, or ''."""
         return below_series(self.specified, self)
 
     @property
@@ -161,6 +162,7 @@ class Question(ComparedFrames):
             besides.common_change,
             bool(best.name) and best is besides,
             besides.loaded_at_rest,
+            addition=best.addition,
         )
         doubts = []
         if noise > 1:
@@ -181,8 +183,8 @@ class Question(ComparedFrames):
                 noise=self.widening,
             )
         lawful = (
-            f"no readings break a law of the circuit; {100 * self._shares[0]:.0f} % of them "
-            "are bounds"
+            "no readings break a law of the circuit; "
+            f"{100 * self._shares[0]:.0f} % of them are bounds"
         )
         return ModelCheck(explains=True, sentence=lawful).with_doubts("no cells were fitted")
 
@@ -201,8 +203,8 @@ class Question(ComparedFrames):
         """Return the verdict in words: the fault, the best alternative, or neither."""
         if not self._complete:
             return (
-                f"{self.fault or EXPLAINED}; other circuits were not tried, too many readings "
-                "are missing or bounds"
+                f"{self.fault or EXPLAINED}; "
+                "other circuits were not tried, too many readings are missing or bounds"
             )
         if self.fault:
             alternative = "no other circuit that was tried gives them"
@@ -216,7 +218,7 @@ class Question(ComparedFrames):
     def effects(self, kinds: Sequence[type[Effect]] = EFFECTS) -> CircuitEffects:
         """Return the effects beside the circuit.
 
-        They are from the frames that changed most and from the last frame.
+        The evidence is taken from the frames that changed most and from the last frame.
         """
         scene = self.specified.scene
         explanation = self.explanation
@@ -273,11 +275,20 @@ def check_of_modules(
     )
     if len(checks) < layout.count:
         sentence += f"; {len(checks)} of {layout.count} modules were checked, those that move most"
-    better = next((check.better for check in agreeing.values() if check.better), "")
+    better = next((check for check in agreeing.values() if check.better), None)
     loaded = any(check.loaded_at_rest for check in checks.values())
     doubts = tuple(dict.fromkeys(doubt for check in agreeing.values() for doubt in check.doubts))
     noise = max(check.noise for check in checks.values())
-    return ModelCheck(verdict, sentence, better, noise, loaded_at_rest=loaded, doubts=doubts)
+    return ModelCheck(
+        verdict,
+        sentence,
+        "" if better is None else better.better,
+        noise,
+        by_effect=better is not None and better.by_effect,
+        loaded_at_rest=loaded,
+        doubts=doubts,
+        addition={} if better is None else better.addition,
+    )
 
 
 def _joint_verdict(verdicts: Sequence[bool | None]) -> bool | None:
@@ -333,8 +344,7 @@ def _unexplained(explanation: "Explanation", question: Question) -> str:
     columns = squares.sum(axis=0)
     name, lines = ("row", rows) if rows.max() >= columns.max() else ("column", columns)
     return (
-        f"no cells give the readings of {place}: chi square is {fit.chi_square:.3g} where some "
-        f"{fit.degrees:.3g} "
-        f"would be noise, {name} {np.argmax(lines)} holds {100 * lines.max() / squares.sum():.0f} "
-        "% of it"
+        f"no cells give the readings of {place}: "
+        f"chi square is {fit.chi_square:.3g} where some {fit.degrees:.3g} would be noise, "
+        f"{name} {np.argmax(lines)} holds {100 * lines.max() / squares.sum():.0f} % of it"
     )

@@ -15,18 +15,16 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import LogGradient, Misfit, RelativeChange, Term
-from lampest.files.levels import TWO_SIDED
+from lampest.files.levels import MIN_EVIDENCE_GAIN, TWO_SIDED
 from lampest.inference.cells_fit import CellsFit, fitted
-from lampest.inference.compared_frames import baseline_readings, deciding_frames
 from lampest.inference.noise import NoiseEstimate
-from lampest.inference.nuisances import MIN_EVIDENCE_GAIN
 from lampest.inference.variance_components import MIN_EXCESS
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.posterior.interval import LEVEL, student_two_sided
 from lampest.posterior.reference import MAX_CELLS, MODEL, ErrorScale, references
 from lampest.recording.readings import Readings
-from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.recording import UNLOADED, Recording, baseline_readings, deciding_frames
 from lampest.solvers.posed import Bounds, cost_of_solve, data_of_solve
 
 KEY = "systematic.model_error"
@@ -37,8 +35,8 @@ MIN_READINGS = 100
 def error_factor(scale: ErrorScale) -> float:
     """Return the factor on σ with which 95 % of the residuals lie within 1.96 σ.
 
-    It is 1 without strong evidence. An error of all readings shows in the scale of Student's t, an
-    error of few readings in the tail.
+    Without strong evidence the factor is 1. An error of all readings shows in the scale of
+    Student's t, an error of few readings in the tail.
     """
     # In −2 ln evidence, mouths at their limits gain 23 at most where nothing is wrong; static
     # errors of 7 % gain 76.
@@ -78,13 +76,13 @@ def with_model_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimat
 
 
 def broken_laws(readings: Readings, recording: Recording) -> float:
-    """Return the factor on σ with which 95 % of the readings lie within 1.96 σ.
+    """Return the factor on σ with which any cells explain 95 % of the readings within 1.96 σ.
 
-    They lie within 1.96 σ of what any cells can give. As many cells as readings follow nearly all
-    of them, so a reading that they miss breaks a law of the circuit. An error of the mean of n
-    unloaded frames counts as that of a frame, with its σ. Of loaded frames the median counts: a
-    single garbled one is no error of the model; neither is one that a brief fit does not come near,
-    of which the check of the circuit speaks. 1 without unloaded frames.
+    As many cells as readings follow nearly all of them, so a reading that they miss breaks a law of
+    the circuit. An error of the mean of n unloaded frames counts as that of a frame, with its σ. Of
+    loaded frames the median counts: a single garbled one is no error of the model; neither is one
+    that a brief fit does not come near, of which the check of the circuit speaks. 1 without
+    unloaded frames.
     """
     scene = recording.scene
     unloaded = recording.role == UNLOADED
@@ -98,9 +96,9 @@ def broken_laws(readings: Readings, recording: Recording) -> float:
 
 
 def _excess(fit: CellsFit | None) -> float:
-    """Return the excess of the 95 % point of a fit's squared residuals over that of noise.
+    """Return the excess of the 95 % point of a fit's squared residuals over that of noise, in σ².
 
-    It is in σ², and 0 without a fit.
+    Without a fit the excess is 0.
     """
     if fit is None:
         return 0.0
@@ -111,11 +109,11 @@ def _excess(fit: CellsFit | None) -> float:
 
 
 def heavy_tails(readings: Readings, recording: Recording) -> float:
-    """Return the factor on σ that the residuals of loaded frames show.
+    """Return the factor on σ that the residuals of loaded frames show in two models of the cells.
 
-    They show it under both descriptions of the cells. Each description mistakes unexpected cells
-    for errors of the readings, so an error is accepted only if both need one. The larger size is
-    taken: errors that stay constant from frame to frame hardly show in changes.
+    Each model mistakes unexpected cells for errors of the readings, so an error is accepted only if
+    both need one. The larger size is taken: errors that stay constant from frame to frame hardly
+    show in changes.
     """
     factors = list[float]()
     for solves, cost in _judges(recording, readings):

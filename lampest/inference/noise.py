@@ -8,15 +8,13 @@ sentence for each number and contradiction.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import SIGNIFICANCE
-from lampest.inference.alike import PanelChoice
-from lampest.inference.nuisances import CircuitEffects, remaining_errors, without_effects_of
 from lampest.inference.outliers import MAX_SHARE, MIN_FRAMES
-from lampest.inference.scan_motion import Share, displacement
 from lampest.inference.variance_components import (
     MIN_EXCESS,
     NO_RIPPLE,
@@ -36,6 +34,11 @@ from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 
+if TYPE_CHECKING:
+    from lampest.inference.alike import PanelChoice
+    from lampest.inference.nuisances import CircuitEffects
+    from lampest.inference.scan_motion import Share
+
 # Unloaded frames from which noise is estimated if the scene does not specify it.
 MIN_UNLOADED_FRAMES = 5
 MIN_REQUESTED_FRAMES = 2  # where the scene calls it `estimated`: two frames show a scatter
@@ -44,6 +47,7 @@ MIN_MEDIAN_NOISE = 0.5
 
 # Errors that the readings of a frame share, in the summary.
 SHARED = ("{:.2g} % gain", "{:.2g} LSB along a scan", "{:.2g} LSB of a line")
+MOVED = "readings at rest move together from frame to frame by {:.2g} %, as in moving water"
 BROKE_DOWN = "arithmetic broke down over its readings"  # why a number is undetermined
 
 
@@ -92,12 +96,12 @@ class NoiseEstimate:
     sigma_factor: float = 1.0
     frame: FrameNoise | None = None
     possible_errors: Possible | None = None
-    motion: Share | None = None
+    motion: "Share | None" = None
     of_modules: tuple["NoiseEstimate | None", ...] = ()
-    corrected_effects: CircuitEffects | None = None
+    corrected_effects: "CircuitEffects | None" = None
     model_factor: float = 1.0
     estimated: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    panels: PanelChoice | None = None
+    panels: "PanelChoice | None" = None
 
     @property
     def sentence(self) -> str:
@@ -108,7 +112,7 @@ class NoiseEstimate:
     def reading_error(self) -> float:
         """Standard deviation of ln of a factor on each reading that is constant in time.
 
-        0 where none is observed.
+        The value is 0 where none is observed.
         """
         if self.possible_errors is None:
             return 0.0
@@ -116,18 +120,19 @@ class NoiseEstimate:
 
     @property
     def error_in_sigma(self) -> float:
-        """Part of `reading_error` that σ of the readings includes.
-
-        It is a fraction of the reading.
-        """
+        """Part of `reading_error` that σ of the readings includes, as a fraction of the reading."""
         return 0.0 if self.possible_errors is None else self.possible_errors.in_sigma
 
     @property
     def shared_sizes(self) -> tuple[float, float, float]:
-        """Standard deviations of a frame's gain and of its ripple.
+        """Standard deviations of the errors that the readings of a frame share.
 
-        They are those of the gain, %, of the ripple common to all lines and of each line's own,
-        LSB.
+        Returns
+        -------
+        gain : float
+            In percent.
+        common_ripple, line_ripple : float
+            Ripple common to all lines, and each line's own, in LSB.
         """
         if self.frame is None:
             return 0.0, 0.0, 0.0
@@ -174,7 +179,7 @@ class NoiseEstimate:
     def undetermined(self, key: str, reason: str) -> "NoiseEstimate":
         """Return the noise with a sentence on a number that the recording cannot determine.
 
-        The sentence says why, and what to record.
+        The sentence states the reason, and the frames to record.
         """
         return self.with_warnings(
             f"{key}: estimated, but this recording cannot determine it: {reason}"
@@ -189,11 +194,11 @@ class NoiseEstimate:
         return replace(self, readings=replace(self.readings, sigma=sigma))
 
     def with_motion(
-        self, scene: Scene, measured: NDArray[np.intp], share: Share
+        self, scene: Scene, measured: NDArray[np.intp], share: "Share"
     ) -> "NoiseEstimate":
         """Return the noise with readings that are interpolated to the middle of their scan.
 
-        Their σ contains what the interpolation leaves.
+        Their σ contains the error of the interpolation.
 
         Parameters
         ----------
@@ -203,6 +208,8 @@ class NoiseEstimate:
         share : Share
             Share of the time between frames that a scan takes.
         """
+        from lampest.inference.scan_motion import displacement  # for this effect alone
+
         readings = self.readings
         displaced, doubt, weight = displacement(scene, readings, measured)
         noise = readings.known_sigma**2
@@ -215,11 +222,13 @@ class NoiseEstimate:
 
 
 def without_effects(
-    noise: NoiseEstimate, recording: Recording, besides: CircuitEffects | None
+    noise: NoiseEstimate, recording: Recording, besides: "CircuitEffects | None"
 ) -> NoiseEstimate:
     """Return the noise with the effects of leaks and contacts taken off the readings."""
     if besides is None or besides.pair is None:
         return noise
+    from lampest.inference.nuisances import remaining_errors, without_effects_of
+
     unloaded = recording.role == UNLOADED
     frame = noise.frame or FrameNoise(
         recording.scene, int(unloaded.sum()), 0.0, NO_RIPPLE, NO_RIPPLE
@@ -277,7 +286,13 @@ def estimate_noise(
     if readout is not None and requested:
         size = shown_noise(readout, ratio)[0]
         noise = noise.determined("readout.noise_lsb", (size, size / precision))
-    return _with_estimated_frame_noise(noise, recording, parts)
+    noise = _with_estimated_frame_noise(noise, recording, parts)
+    if not parts.motion.size:
+        return noise
+    none = np.zeros((len(parts.common_ripple), 0))
+    frame = noise.frame or FrameNoise(scene, unloaded, 0.0, none, none)
+    moved = MOVED.format(100 * float(np.hypot.reduce(parts.motion)))
+    return replace(noise, frame=replace(frame, motion=parts.motion)).with_warnings(moved)
 
 
 def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
@@ -300,7 +315,8 @@ def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
 def _contradiction_in_words(readout: Readout | None, ratio: float, unloaded: int) -> str:
     """Return the sentence on noise of `ratio` times the specified one.
 
-    '' where both are equal in two digits. `unloaded` is the number of unloaded frames.
+    The result is '' where both are equal in two digits. `unloaded` is the number of unloaded
+    frames.
     """
     where = "unloaded frames" if unloaded > 1 else "readings at rest from frame to frame"
     if readout is None:
@@ -330,7 +346,7 @@ def _with_estimated_frame_noise(
 ) -> NoiseEstimate:
     """Return the noise with the gain and the ripple that the scene calls `estimated`.
 
-    They are determined from the unloaded frames.
+    The unloaded frames determine both.
     """
     scene = recording.scene
     unloaded = int((recording.role == UNLOADED).sum())
@@ -385,16 +401,16 @@ def _outlier_messages(
     replaced = int((outliers & ~impossible).sum())
     if replaced:
         message = (
-            f"{replaced} of {outliers.size} readings are outliers of one frame, replaced by "
-            "their neighbours in time"
+            f"{replaced} of {outliers.size} readings are outliers of one frame, "
+            "replaced by their neighbours in time"
         )
         rest_shows_rate = resting.sum() >= MIN_FRAMES and cleaned.sigma is not None
         rate = float((outliers[resting] if rest_shows_rate else outliers).mean())
         # Beyond MAX_SHARE neighbours in time are outliers, too, and replace them badly.
         if rate > MAX_SHARE:
             message += (
-                f"; at {100 * rate:.2g} % there are more that nobody sees, and error bars do not "
-                "cover them"
+                f"; at {100 * rate:.2g} % there are more that nobody sees, "
+                "and error bars do not cover them"
             )
         messages.append(message)
     return tuple(messages)
@@ -403,8 +419,8 @@ def _outlier_messages(
 def _scatter_of(recording: Recording, cleaned: Readings) -> Scatter | None:
     """Return the scatter of the unloaded frames, or of readings at rest without these.
 
-    None where neither shows it. A scatter at rest below MIN_MEDIAN_NOISE of a converter is not
-    used.
+    The result is None where neither shows it. A scatter at rest below MIN_MEDIAN_NOISE of a
+    converter is not used.
     """
     resting = recording.role == UNLOADED
     readout = recording.scene.readout

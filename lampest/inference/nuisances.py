@@ -5,26 +5,23 @@ best ones then enter the network itself. An effect is named if the evidence gain
 MIN_EVIDENCE_GAIN. Readings can be corrected for the effects that were found.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.levels import SIGNIFICANT
+from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANT
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
 from lampest.inference.fitted_pair import FittedPair, without_late
 from lampest.panel.effects import EFFECTS, Effect, LooseContact
 from lampest.panel.panel import Array
+from lampest.panel.sizes import ESTIMATED
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MIN_CHANGE
 
-# In −2 ln evidence, of another circuit, an effect or an error of the model. 430 recordings with the
-# right circuit gain 32 at most, and nearly all less than 15; of 500 others two gain more
-# (docs/theory/model_check.md). By an error of the model mouths at their limits gain 23 where
-# nothing is wrong, and 76 where readings are off by 7 % each.
-MIN_EVIDENCE_GAIN = 36.0
 # Rivals or effects that are solved exactly, the best ones of linear theory; effects at a time.
 MAX_CANDIDATES = 3
 # Fewer moved cells that an effect must bring: a converter's nonlinearity moves one.
@@ -35,9 +32,7 @@ MIN_REMAINING = 0.1  # of a reading: the lower limit of a corrected reading
 
 @dataclass(frozen=True, eq=False)
 class BetterExplanation:
-    """A better explanation of the readings than the scene's circuit.
-
-    It is another circuit, or an effect beside it.
+    """Another circuit, or an effect besides the scene's, that explains the readings better.
 
     Attributes
     ----------
@@ -53,6 +48,8 @@ class BetterExplanation:
         noise.
     nearly : str
         A circuit in words that explains the readings better, but not significantly; ''.
+    addition : mapping
+        Entries of a scene that state the circuit or the effects; empty where none do.
     """
 
     name: str = ""
@@ -61,6 +58,7 @@ class BetterExplanation:
     count_as_specified: int = 0
     fits_noise: bool = True
     nearly: str = ""
+    addition: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def reason(self) -> str:
@@ -74,7 +72,7 @@ class BetterExplanation:
 def candidates(shape: tuple[int, ...], kinds: Sequence[type[Effect]] = EFFECTS) -> list[Effect]:
     """Return all effects that are tried on a panel.
 
-    Those since the unloaded frames come first, then the constant ones.
+    Effects since the unloaded frames come first, then the constant ones.
     """
     rows, columns = shape
     return [
@@ -146,7 +144,12 @@ def find_effects(
         counts = (int(grown.moved.sum()), int(pair.moved.sum()))
         taken_off = bool(certain.effects) and fits_noise
         besides = CircuitEffects(
-            names, name, *counts, fits_noise, pair=certain if taken_off else None
+            names,
+            name,
+            *counts,
+            fits_noise,
+            addition={effect.key: ESTIMATED for effect in grown.effects},
+            pair=certain if taken_off else None,
         )
     return besides if besides.name else replace(besides, common_change=common)
 
@@ -156,7 +159,7 @@ def _with_added_effects(
 ) -> tuple[FittedPair, FittedPair]:
     """Add effects to a pair one by one, while each gains evidence and spares moved cells.
 
-    Each has to gain MIN_EVIDENCE_GAIN and to spare MIN_SPARED_CELLS moved cells.
+    An effect has to gain MIN_EVIDENCE_GAIN and to spare MIN_SPARED_CELLS moved cells.
 
     Returns
     -------
@@ -188,10 +191,7 @@ def _with_added_effects(
 
 
 def _with_one_more_effect(pair: FittedPair, kinds: Sequence[type[Effect]]) -> Iterator[FittedPair]:
-    """Generate the pairs with one more effect.
-
-    They are those of the MAX_CANDIDATES best effects of linear theory.
-    """
+    """Generate the pairs with one more effect, the best MAX_CANDIDATES effects of linear theory."""
     effects = candidates(pair.shape, kinds)
     scores = pair.scores_with(pair.effects, pair.columns(effects))
     for number in np.argsort(scores)[:MAX_CANDIDATES]:
@@ -205,7 +205,7 @@ def _with_one_more_effect(pair: FittedPair, kinds: Sequence[type[Effect]]) -> It
 def _common_change_in_words(pair: FittedPair) -> str:
     """Return the common change of all cells that no load touches, in words.
 
-    It is '' where that may be chance, or a load's rim.
+    The text is '' for a change that may be chance, or a load's rim.
     """
     change, sd = (
         float(ASSUMED.common_change * part[0]) for part in (pair.evidence.size, pair.evidence.sd)
@@ -214,8 +214,7 @@ def _common_change_in_words(pair: FittedPair) -> str:
         return ""
     return (
         f"cells that nobody touched changed together by {100 * change:+.2g} +- {100 * sd:.1g} %: "
-        "creep, temperature or "
-        "the supply"
+        "creep, temperature or the supply"
     )
 
 
@@ -256,12 +255,10 @@ def without_effects_of(
 def remaining_errors(pair: FittedPair) -> Array:
     """Return the change of the readings by one posterior standard deviation of each effect.
 
-    It is a fraction of the readings.
-
     Returns
     -------
     array, shape (2, effects, rows, columns)
-        Of the unloaded panel, then of the frame.
+        Fractions of the readings of the unloaded panel, then of the frame.
     """
     sd = pair.explained(pair.columns(pair.effects)).sd[1:]
     errors = np.zeros((2, len(sd), *pair.shape))

@@ -260,7 +260,7 @@ def _alone_in_time(
 ) -> NDArray[np.bool_]:
     """Return whether a reading deviates from both neighbouring frames.
 
-    It has to deviate by more than these differ from each other. Otherwise the reading may be the
+    An outlier deviates by more than these differ from each other. Otherwise the reading may be the
     last one before a load arrives, or belong to its step. The unloaded panel precedes the first
     measured frame. The last frame, without a successor, is never excluded.
 
@@ -294,12 +294,11 @@ def _replaced(
 
 @dataclass(frozen=True, eq=False)
 class FramesBefore:
-    """Last frames of a stream, for the detection of outliers online.
+    """Last frames of a stream, WINDOW at most, for the detection of outliers online.
 
-    They are at most WINDOW, with the newest last. Where lines are connected by cells alone, a touch
-    of one cell changes its row and column, and an outlier can be distinguished from it by previous
-    frames alone. Where a reading depends on its own cell only, it cannot, and the readings stay
-    unchanged.
+    The newest frame comes last. Where lines are connected by cells alone, a touch of one cell
+    changes its row and column, and previous frames alone distinguish an outlier from it. Where a
+    reading depends on its own cell only, they cannot, and the readings stay unchanged.
     """
 
     frames: tuple[Readings, ...] = ()
@@ -311,7 +310,7 @@ class FramesBefore:
     def without_outliers(
         self, readings: Readings, scene: Scene, resting: Readings, baseline: Array
     ) -> tuple[Readings, int]:
-        """Return a frame with outliers replaced by their predictions, and the number of outliers.
+        """Replace the outliers of a frame by their predictions.
 
         Parameters
         ----------
@@ -322,6 +321,13 @@ class FramesBefore:
             Unloaded readings, (rows, columns).
         baseline : array, shape (rows, columns)
             Cells of the unloaded panel, ohm; NaN where unknown.
+
+        Returns
+        -------
+        readings : Readings
+            The frame without outliers.
+        count : int
+            Number of outliers.
         """
         impossible = impossible_readings(scene.circuit, readings.alone())[0]
         count = int(impossible.sum())
@@ -353,8 +359,8 @@ def _from_window(
 ) -> Expected:
     """Return the prediction of frames first + place from the other frames of their window.
 
-    Each is predicted from the other frames of the window that begins at `first`. The neighbours are
-    gathered as (width − 1, frames, ...), with their offsets (width − 1, frames).
+    The window of a prediction begins at `first`. The neighbours are gathered as (width − 1, frames,
+    ...), with their offsets (width − 1, frames).
     """
     width = min(len(value), WINDOW + 1)
     within = first[:, None] + np.arange(width)
@@ -368,7 +374,7 @@ def _is_usual(
 ) -> NDArray[np.bool_]:
     """Return whether the error of a prediction is usual for this reading.
 
-    It is judged given the reading's errors in windows near by.
+    The reading's errors in windows near by are the measure.
 
     Parameters
     ----------
@@ -479,10 +485,9 @@ def _beside(values: Array) -> Array:
 
 
 def _pair_scale(value: Array, sigma: Array) -> float:
-    """Return the ratio of the noise to σ.
+    """Return the ratio of the noise to σ; NaN for a single frame.
 
-    It is determined from the median size of differences between successive frames. It is NaN
-    without differences.
+    The median size of differences between successive frames determines the ratio.
 
     Parameters
     ----------

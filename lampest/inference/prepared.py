@@ -1,39 +1,46 @@
 """Preparation of a recording: readings, noise, effects, check of the circuit and warnings.
 
-Each is determined once.
+Every quantity is determined once.
 """
 
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import BROKEN, InputError, in_words
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.inference.alike import PanelChoice
-from lampest.inference.model_check import EXPLAINED, ModelCheck, Question, check_of_modules
-from lampest.inference.module_noise import noise_of_modules
 from lampest.inference.noise import NoiseEstimate, estimate_noise
-from lampest.inference.nuisances import CircuitEffects
 from lampest.inference.outliers import (
     frozen_readings,
     impossible_readings,
     without_outliers,
     without_readings,
 )
-from lampest.inference.resolve import resolved, resolved_scene, with_resolved_electronics
-from lampest.inference.saturation import with_saturated_stage
-from lampest.inference.warnings import warnings_of
-from lampest.panel.effects import EFFECTS, Effect
+from lampest.inference.resolve import (
+    PASSES,
+    ZERO,
+    resolved,
+    resolved_scene,
+    specified,
+    with_resolved_electronics,
+)
 from lampest.panel.panel import Array, Modules
 from lampest.panel.sizes import ESTIMATED
 from lampest.panel.systematic import unobservable_numbers
 from lampest.recording.garbled import GarbledLines, garbled_lines, garbled_sentence, readings_of
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
+
+if TYPE_CHECKING:
+    from lampest.inference.alike import PanelChoice
+    from lampest.inference.model_check import ModelCheck, Question
+    from lampest.inference.nuisances import CircuitEffects
+    from lampest.panel.effects import Effect
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +100,8 @@ class Prepared:
         if isinstance(recording, Recording):
             return cls(recording)
         raise InputError(
-            "recording must be a Recording, such as Recording.load('mine.h5'), not "
-            f"{in_words(recording)}"
+            "recording must be a Recording, "
+            f"such as Recording.load('mine.h5'), not {in_words(recording)}"
         )
 
     @property
@@ -119,7 +126,11 @@ class Prepared:
     @cached_property
     def cleaned(self) -> Cleaned:
         """The readings of a single network without outliers."""
-        recording = with_saturated_stage(self.recording)
+        recording = self.recording
+        if ESTIMATED in (specified(recording.scene, PASSES), specified(recording.scene, ZERO)):
+            from lampest.inference.saturation import with_saturated_stage  # for these keys alone
+
+            recording = with_saturated_stage(recording)
         memory: tuple[float, float] | str | None = None
         if recording.scene.converter_memory == ESTIMATED:
             from lampest.inference.memory import with_estimated_memory  # for this key alone
@@ -142,6 +153,8 @@ class Prepared:
         """Noise of the frames, estimated from unloaded frames and from neighbours in time."""
         if self.layout is not None:
             estimates = [None if module is None else module.frame_noise for module in self.modules]
+            from lampest.inference.module_noise import noise_of_modules
+
             return noise_of_modules(self.recording, self.layout, estimates)
         noise = estimate_noise(self.cleaned.recording, self.cleaned.outliers, self.cleaned.readings)
         noise = with_resolved_electronics(
@@ -150,35 +163,41 @@ class Prepared:
         places = [f"row {row}, column {column}" for row, column in np.argwhere(self.cleaned.frozen)]
         if places:
             noise = noise.with_warnings(
-                f"one value in all frames at {' and at '.join(places)}, while noise changes the "
-                "other readings: left out"
+                f"one value in all frames at {' and at '.join(places)}, "
+                "while noise changes the other readings: left out"
             )
         return noise.with_warnings(garbled_sentence(self.cleaned.garbled))
 
     @cached_property
     @ONE_BLAS_THREAD
-    def question(self) -> Question:
+    def question(self) -> "Question":
         """Frames of a single network that its circuit has to explain.
 
         Raises the errors of `BROKEN`.
         """
+        from lampest.inference.model_check import Question  # for a check alone
+
         return Question.of(self.cleaned.recording, self.cleaned.outliers)
 
     @cached_property
-    def effects(self) -> CircuitEffects:
+    def effects(self) -> "CircuitEffects":
         """Effects beside the circuit of a single network, of all kinds."""
+        from lampest.panel.effects import EFFECTS
+
         return self.effects_of(EFFECTS)
 
     @ONE_BLAS_THREAD
-    def effects_of(self, kinds: Sequence[type[Effect]]) -> CircuitEffects:
+    def effects_of(self, kinds: "Sequence[type[Effect]]") -> "CircuitEffects":
         """Return the effects beside the circuit of a single network, of some kinds."""
+        from lampest.inference.nuisances import CircuitEffects
+
         with suppress(*BROKEN), np.errstate(all="ignore"):
             if self.cleaned.readings.sigma is not None:
                 return self.question.effects(kinds)
         return CircuitEffects()
 
     @cached_property
-    def check(self) -> ModelCheck:
+    def check(self) -> "ModelCheck":
         """Check of the circuit.
 
         Its sentence names the numbers of the circuit that no frame can determine.
@@ -203,8 +222,10 @@ class Prepared:
 
     @cached_property
     @ONE_BLAS_THREAD
-    def _check(self) -> ModelCheck:
+    def _check(self) -> "ModelCheck":
         """The check without the numbers that no frame can determine."""
+        from lampest.inference.model_check import ModelCheck, check_of_modules
+
         if self.layout is not None:
             living = {
                 number: module for number, module in enumerate(self.modules) if module is not None
@@ -230,11 +251,12 @@ class Prepared:
             None, "the circuit was not checked: arithmetic broke down over its readings"
         )
 
-    def _with_named_errors(self, check: ModelCheck) -> ModelCheck:
+    def _with_named_errors(self, check: "ModelCheck") -> "ModelCheck":
         """Return the check of a circuit with the errors that the scene names beside noise.
 
-        It is doubtful where the recording determines their size, because such errors may also hide
-        a wrong circuit. Errors of readings beyond LARGEST_READING_ERROR are those of another one.
+        The circuit is doubtful where the recording determines their size, because such errors may
+        also hide a wrong circuit. Errors of readings beyond LARGEST_READING_ERROR are those of
+        another one.
         """
         size, _ = self.noise.estimated.get("systematic.reading_error", (0.0, 0.0))
         if self._named_errors is None or size > LARGEST_READING_ERROR:
@@ -242,7 +264,8 @@ class Prepared:
         question = replace(self.question, named_errors=self._named_errors)
         if question.fault:
             return check
-        from lampest.panel.estimated import estimated_lines  # for a sentence of the check alone
+        from lampest.inference.model_check import EXPLAINED
+        from lampest.panel.estimated import estimated_lines
 
         sizes = {
             key: size
@@ -278,6 +301,8 @@ class Prepared:
         """
         if self.layout is not None:
             estimates = [None if module is None else module.noise for module in self.modules]
+            from lampest.inference.module_noise import noise_of_modules
+
             return noise_of_modules(self.recording, self.layout, estimates)
         noise = resolved(
             self.frame_noise, self.cleaned.recording, self.whole_recording, self.effects_of
@@ -286,7 +311,7 @@ class Prepared:
 
     @cached_property
     @ONE_BLAS_THREAD
-    def panels(self) -> PanelChoice | None:
+    def panels(self) -> "PanelChoice | None":
         """Cells of a single network, where several panels read alike; None elsewhere.
 
         A part of a longer recording has those of the whole.
@@ -300,18 +325,19 @@ class Prepared:
 
     @cached_property
     def resolved(self) -> Recording:
-        """Recording with the numbers that its scene calls `estimated`.
-
-        It has them as far as it determines them.
-        """
+        """Recording with numbers where its scene says `estimated`, as far as it has them."""
         return replace(self.recording, scene=resolved_scene(self.recording.scene, self.noise))
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """Contradictions of the scene and pitfalls, one line each."""
+        from lampest.inference.warnings import warnings_of
+
         return warnings_of(self.recording, self.noise, self.check)
 
     @cached_property
     def warnings_without_check(self) -> tuple[str, ...]:
         """The warnings that need no check of the circuit, one line each."""
+        from lampest.inference.warnings import warnings_of
+
         return warnings_of(self.recording, self.noise, None)

@@ -1,30 +1,22 @@
 """Resolution of a scene: the numbers that it calls `estimated`, determined once from the recording.
 
-Each effect is an entry of one table: its keys, and how the recording determines them. What an entry
-returns holds the numbers with their standard deviations, and readings with the corresponding σ.
-Where the recording cannot determine a number, a warning says why and what to record, and the prior
-stays.
+Each effect is an entry of one table: its keys, and how the recording determines them. The result of
+an entry has the numbers with their standard deviations, and readings with the corresponding σ.
+Where the recording cannot determine a number, a warning states the reason and the frames to record,
+and the prior stays.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lampest.files.errors import BROKEN
 from lampest.inference.assumptions import ASSUMED
-from lampest.inference.cells_fit import fitted
-from lampest.inference.changed_cells import mostly_still
-from lampest.inference.fitted_pair import FittedPair
 from lampest.inference.model_error import scaled, with_model_error
 from lampest.inference.noise import BROKE_DOWN, NoiseEstimate, without_effects
-from lampest.inference.nuisances import CircuitEffects
-from lampest.inference.saturation import ZERO, passed_range, with_converter_ends
-from lampest.inference.scan_motion import READING_ERRORS, UNKNOWN_SHARE, Share, share_of_motion
-from lampest.inference.still_cells import shared_errors
-from lampest.panel.effects import Effect, LineLeak, LooseContact
 from lampest.panel.panel import as_panels_have
 from lampest.panel.readouts.characteristic import MAX_VOLT
 from lampest.panel.scene import Scene
@@ -41,8 +33,15 @@ from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-BESIDES: dict[str, type[Effect]] = {"leaks": LineLeak, "contacts": LooseContact}
-Effects = Callable[[tuple[type[Effect], ...]], CircuitEffects]
+if TYPE_CHECKING:
+    from lampest.inference.nuisances import CircuitEffects
+    from lampest.panel.effects import Effect
+
+# Effects beside the circuit, found when first called, of some kinds.
+Effects = Callable[[tuple[type["Effect"], ...]], "CircuitEffects"]
+BESIDES = ("leaks", "contacts")
+PASSES = "readout.passes_volt"
+ZERO = "readout.converter.zero_volt"
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,10 @@ def _besides(noise: NoiseEstimate, recording: Recording, effects: Effects) -> No
     requested = [key for key in BESIDES if specified(recording.scene, key) == ESTIMATED]
     if not requested:
         return noise
-    besides = effects(tuple(BESIDES[key] for key in requested))
+    from lampest.panel.effects import LineLeak, LooseContact
+
+    kinds: dict[str, type[Effect]] = {"leaks": LineLeak, "contacts": LooseContact}
+    besides = effects(tuple(kinds[key] for key in requested))
     pair = besides.pair
     if pair is None:
         reason = "untouched cells show none"
@@ -92,7 +94,7 @@ def _besides(noise: NoiseEstimate, recording: Recording, effects: Effects) -> No
         )
     noise = without_effects(noise, recording, besides).with_warnings(besides.corrections)
     deviations = pair.explained(pair.columns(pair.effects)).sd[1:]
-    for key, kind in BESIDES.items():
+    for key, kind in kinds.items():
         for effect, deviation in zip(pair.effects, deviations, strict=True):
             if isinstance(effect, kind):
                 name = f"{key} of {effect.where(recording.scene.panel.rows)}"
@@ -108,6 +110,13 @@ def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
     share = scene.motion
     if readings.sigma is None or share is None or len(measured) < 2:
         return noise
+    from lampest.inference.scan_motion import (
+        READING_ERRORS,
+        UNKNOWN_SHARE,
+        Share,
+        share_of_motion,
+    )
+
     if share != ESTIMATED:
         number = Share(mean=float(share), deviation=0.0, reach=float(share))
         return noise.with_motion(scene, measured, number) if share else noise
@@ -121,9 +130,9 @@ def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
     if size is None:
         return noise.with_motion(scene, measured, UNKNOWN_SHARE).undetermined(
             "motion",
-            "no frame has still cells beside a load that moves. Error bars allow for any share of "
-            "the time between frames; give the share, or record five unloaded frames and a load "
-            "that leaves most cells free",
+            "no frame has still cells beside a load that moves. "
+            "Error bars allow for any share of the time between frames; "
+            "give the share, or record five unloaded frames and a load that leaves most cells free",
         )
     noise = noise.with_motion(scene, measured, size)
     return noise.determined("motion", (size.mean, size.deviation))
@@ -147,6 +156,8 @@ def _shared(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
         for name in requested:
             noise = noise.undetermined(f"systematic.{name}", "record five or more unloaded frames")
         return noise
+    from lampest.inference.still_cells import shared_errors
+
     resting = readings[unloaded].mean()
     loaded = None
     if len(measured):
@@ -183,7 +194,7 @@ def _with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEsti
 def _creep(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
     """Determine the change of all cells alike since the unloaded frames.
 
-    It is determined from the cells that no load touches.
+    The cells that no load touches determine it.
     """
     scene = recording.scene
     readings = noise.readings
@@ -197,6 +208,10 @@ def _creep(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Nois
         )
     if scene.panel.crossings > MAX_CELLS:
         return noise.undetermined("creep", f"the panel has more than {MAX_CELLS} cells")
+    from lampest.inference.cells_fit import fitted
+    from lampest.inference.changed_cells import mostly_still
+    from lampest.inference.fitted_pair import FittedPair
+
     resting = readings[unloaded].mean()
     base = fitted(scene, resting, patient=True)
     last = fitted(scene, readings[int(measured[-1])], patient=True)
@@ -223,13 +238,12 @@ def _model(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Nois
 
 # In the order in which they are resolved: each sees the readings without the effects before it.
 ENTRIES = (
-    Entry(("leaks", "contacts"), _besides),
+    Entry(BESIDES, _besides),
     Entry(("motion",), _motion),
     Entry(tuple(f"systematic.{error.setting}" for error in SHARED_ERRORS), _shared),
     Entry(("creep",), _creep),
     Entry(("systematic.model_error",), _model, always=True),
 )
-PASSES = "readout.passes_volt"
 # Resolved with the frames' noise.
 FRAME_KEYS = ("readout.noise_lsb", PASSES, ZERO, "converter_memory", "gain", "ripple")
 
@@ -240,9 +254,9 @@ def with_resolved_electronics(
     cleaned: Recording,
     memory: tuple[float, float] | str | None,
 ) -> NoiseEstimate:
-    """Return the noise with what was determined before any reading was taken.
+    """Return the noise with the electronics that were determined before the readings were.
 
-    That is a saturated stage, and converter memory.
+    The electronics are a saturated stage, and converter memory.
 
     Parameters
     ----------
@@ -253,6 +267,8 @@ def with_resolved_electronics(
         Estimate of `converter_memory`, or why there is none; None where the scene calls for none.
     """
     if specified(recording.scene, ZERO) == ESTIMATED:
+        from lampest.inference.saturation import with_converter_ends
+
         _, zero = with_converter_ends(recording)
         if zero is None:
             noise = noise.undetermined(
@@ -278,7 +294,7 @@ def resolved(
 ) -> NoiseEstimate:
     """Return the noise of a single network with all effects that its scene names.
 
-    It is returned with the model's error, too.
+    The model's error is included.
 
     Parameters
     ----------
@@ -320,11 +336,10 @@ def _as_the_whole(
 
 
 def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
-    """Return the scene with numbers in place of `estimated`.
+    """Return the scene with numbers in place of `estimated`, as far as the recording has them.
 
-    It has them as far as the recording determines them. An error that it cannot determine has its
-    prior, any other effect is absent. A number that the scene's key does not allow is the nearest
-    allowed one.
+    An error that the recording cannot determine has its prior, any other effect is absent. A number
+    that the scene's key does not allow is the nearest allowed one.
     """
     keys = [*chain.from_iterable(entry.keys for entry in ENTRIES), *FRAME_KEYS]
     requested = [key for key in keys if specified(scene, key) == ESTIMATED]
@@ -351,6 +366,8 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
     if specified(scene, PASSES) == ESTIMATED:
         passes = None
         if PASSES in estimated:
+            from lampest.inference.saturation import passed_range
+
             passes = passed_range(estimated[PASSES], readout.range_volt)
         readout = replace(readout, passes_volt=passes)
     if specified(scene, ZERO) == ESTIMATED:

@@ -7,9 +7,9 @@ converter's voltages: where the scene's circuit has computed resistances from th
 is inverted.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property
 from itertools import product
 from math import inf
@@ -45,8 +45,8 @@ OF_ONE_KEY = {
     "load_volt": "loads end at half the supply",
     "input_ohm": "of the converter",
 }
-SIDES: tuple[Side, ...] = ("rows", "columns")
 OF_STATES = ("idle_ohm", "idle_volt", "idle_load_ohm")  # that name a driven circuit
+SIDES: tuple[Side, ...] = ("rows", "columns")
 INPUT_OHM = 1e5  # of a converter behind a divider of its module; those of chips are larger
 USUAL_BITS = (8, 10)  # of converters that are described with more: of an ATmega, and half of it
 ESP32_BITS = 12  # of the ADC of an ESP32 (its technical reference manual, chapter on the SAR ADC)
@@ -74,6 +74,9 @@ class Rival:
         the readout.
     kind : str
         The kind in words; '' for the specified circuit.
+    entries : mapping
+        Entries of a scene by which it differs from the specified one, without a resistance in
+        series and the order of the readings.
     in_series : float or None
         The tried resistance in series, ohm; None: that of the scene.
     at_limit : bool
@@ -87,6 +90,7 @@ class Rival:
     recorded: Array
     sigma: Array | None
     kind: str = ""
+    entries: Mapping[str, Any] = field(default_factory=dict)
     in_series: float | None = None
     at_limit: bool = False
     order: NDArray[np.intp] | None = None
@@ -95,12 +99,31 @@ class Rival:
     def name(self) -> str:
         """Circuit in the words of a scene.
 
-        '' for the specified one, also with a number at its limit.
+        The value is '' for the specified one, also with a number at its limit.
         """
         if self.in_series is None or self.at_limit:
             return self.kind
         series = f"{self.scene.circuit.series_name} near {float(f'{self.in_series:.2g}'):g}"
         return f"{self.kind}, {series}" if self.kind else series
+
+    @property
+    def addition(self) -> dict[str, Any]:
+        """Entries that make the specified scene one of this circuit, numbers with two digits.
+
+        It is empty where the readings have another order, which no entry states.
+        """
+        if self.order is not None:
+            return {}
+        entries = dict(self.entries)
+        circuit = self.scene.circuit
+        if self.in_series is not None and not self.at_limit:
+            series: dict[str, Any] = {circuit.series_name: float(f"{self.in_series:.2g}")}
+            entries |= (
+                series
+                if circuit.in_series
+                else {"readout": {**entries.get("readout", {}), **series}}
+            )
+        return entries
 
     @property
     def ohm(self) -> float:
@@ -110,8 +133,12 @@ class Rival:
     def with_memory(self, fraction: float) -> "Rival":
         """Return the rival with a converter that keeps a fraction of the channel before."""
         named = f"converter_memory near {fraction:.2g}"
-        kind = f"{self.kind}, {named}" if self.kind else named
-        return replace(self, scene=replace(self.scene, converter_memory=fraction), kind=kind)
+        return replace(
+            self,
+            scene=replace(self.scene, converter_memory=fraction),
+            kind=f"{self.kind}, {named}" if self.kind else named,
+            entries={**self.entries, "converter_memory": float(f"{fraction:.2g}")},
+        )
 
     def ordered(self, values: Array) -> Array:
         """Return values of recorded readings (…, rows, columns) in the order of this rival."""
@@ -179,7 +206,8 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
             alike = type(circuit) is type(readout) and circuit.in_series
             series = scene.series_resistance_ohm if alike else 0.0
             rival = replace(scene, readout=circuit, series_resistance_ohm=series, systematic=None)
-            yield Rival(rival, values, sigma, _kind(circuit, readout))
+            entries = _entries(circuit, readout)
+            yield Rival(rival, values, sigma, _in_words(entries), {"readout": entries})
     yield from _listed_by_columns(specified, readout)
 
 
@@ -194,14 +222,15 @@ def rounded_down(specified: Rival) -> Rival | None:
     half = readout.lsb_volt / 2
     ends = Characteristic(zero_volt=half, full_volt=readout.full_scale_volt + half)
     kind = f"readout.converter.zero_volt near {half:.2g} (codes are rounded down)"
-    return _with_converter(specified, kind, converter=ends)
+    entry = {"converter": {"zero_volt": float(f"{half:.2g}")}}
+    return _with_converter(specified, kind, entry, converter=ends)
 
 
 def other_converters(specified: Rival, *, reversed_too: bool) -> Iterator[Rival]:
     """Generate the specified circuit with converters of another range or of fewer bits.
 
-    None are generated where the scene states the converter. Those of an esp32 have 12 bits. An
-    inverting amplifier is tried where readings may fall with a load (`reversed_too`), and fewer
+    None are generated where the scene states the converter. An esp32 is tried for readings of 12
+    bits, an inverting amplifier where readings may fall with a load (`reversed_too`), and fewer
     bits where no code lies beyond them.
     """
     readout = specified.scene.readout
@@ -211,15 +240,22 @@ def other_converters(specified: Rival, *, reversed_too: bool) -> Iterator[Rival]
     names += ["esp32"] if readout.adc_bits == ESP32_BITS else []
     for name in names:
         ends = known(name, readout.full_scale_volt)
-        yield _with_converter(specified, f"readout.converter: {name}", converter=ends)
+        kind = f"readout.converter: {name}"
+        yield _with_converter(specified, kind, {"converter": name}, converter=ends)
     codes = readout.steps_from_volt(readout.volt_from_recorded(specified.recorded))
     for bits in USUAL_BITS:
-        if bits < readout.adc_bits and np.nanmax(codes, initial=0.0) <= 2**bits - 1:
-            yield _with_converter(specified, f"readout.adc_bits: {bits}", adc_bits=bits)
+        if bits < readout.adc_bits and np.max(codes, where=np.isfinite(codes), initial=0) < 2**bits:
+            kind = f"readout.adc_bits: {bits}"
+            yield _with_converter(specified, kind, {"adc_bits": bits}, adc_bits=bits)
 
 
-def _with_converter(specified: Rival, kind: str, **settings: Any) -> Rival:
-    """Return the specified circuit whose codes stand for other voltages."""
+def _with_converter(
+    specified: Rival, kind: str, entry: Mapping[str, Any], **settings: Any
+) -> Rival:
+    """Return the specified circuit whose codes stand for other voltages.
+
+    `entry` states the settings of its converter in a scene.
+    """
     readout: Any = specified.scene.readout
     circuit = _changed(readout, **settings)
     codes = readout.steps_from_volt(readout.volt_from_recorded(specified.recorded))
@@ -228,6 +264,7 @@ def _with_converter(specified: Rival, kind: str, **settings: Any) -> Rival:
         scene=replace(specified.scene, readout=circuit),
         recorded=circuit.recorded_from_volt(circuit.volt_from_code(codes)),
         kind=kind,
+        entries={"readout": entry},
     )
 
 
@@ -334,7 +371,7 @@ def _with_potentials(specified: Any, scene: Scene) -> Iterator[Any]:
     resistor = _resistor_of(specified)
     if resistor is None:
         return
-    shared = _shared(specified, "drive_ohm", "sense_ohm")
+    shared = _shared(specified)
     idle_ohm = shared.get("drive_ohm", 0.0)
     for side in SIDES:
         with suppress(ValueError):
@@ -360,7 +397,7 @@ def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
     The first setting is its name.
     """
     types = _types_of(kind)
-    names = [field.name for field in fields(kind)]
+    names = [setting.name for setting in fields(kind)]
     return {name: get_args(types[name]) for name in names if get_origin(types[name]) is Literal}
 
 
@@ -375,7 +412,7 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
         return
     words = choices(kind)
     types = _types_of(kind)
-    names = {field.name for field in fields(kind)} - {*words, "groups"}
+    names = {setting.name for setting in fields(kind)} - {*words, "groups"}
     shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
     if "converter_volt" not in names:
         shared["supply_volt"] = specified.full_scale_volt
@@ -396,22 +433,6 @@ def _resistor_of(specified: Any) -> Any:
     return next(resistors, None)
 
 
-def _shared(specified: Any, *names: str) -> dict[str, Any]:
-    """Return the converter's settings of a circuit, and further ones that it has."""
-    converter = (
-        "supply_volt",
-        "adc_bits",
-        "readings",
-        "noise_lsb",
-        "floor_code",
-        "passes_volt",
-        "converter",
-    )
-    return {
-        name: getattr(specified, name) for name in (*converter, *names) if hasattr(specified, name)
-    }
-
-
 def _held_at_ground(specified: Any) -> Iterator[DrivenReadout]:
     """Generate circuits whose idle driven lines switches hold at ground.
 
@@ -420,61 +441,88 @@ def _held_at_ground(specified: Any) -> Iterator[DrivenReadout]:
     resistor = _resistor_of(specified)
     if resistor is None:
         return
-    shared = _shared(specified, "drive_ohm", "sense_ohm")
     for driven, idle_load in product(SIDES, (None, 0.0, inf)):
         with suppress(ValueError):
             yield DrivenReadout(
-                driven=driven, idle_ohm=0.0, load_ohm=resistor, idle_load_ohm=idle_load, **shared
+                driven=driven,
+                idle_ohm=0.0,
+                load_ohm=resistor,
+                idle_load_ohm=idle_load,
+                **_shared(specified),
             )
 
 
-def _kind(circuit: Readout, specified: Readout) -> str:
-    """Return the name of a circuit.
+def _shared(specified: Any) -> dict[str, Any]:
+    """Return the converter's settings and the channels of a circuit, as far as it has them."""
+    names = (
+        "supply_volt",
+        "adc_bits",
+        "readings",
+        "noise_lsb",
+        "floor_code",
+        "passes_volt",
+        "converter",
+        "drive_ohm",
+        "sense_ohm",
+    )
+    return {name: getattr(specified, name) for name in names if hasattr(specified, name)}
+
+
+def _entries(circuit: Readout, specified: Readout) -> dict[str, Any]:
+    """Return the entries of a readout that state a circuit.
 
     It is the single setting that differs from the specified one, or all its words.
     """
-    if type(circuit) is type(specified):
-        for key, reason in OF_ONE_KEY.items():
-            value = getattr(circuit, key, None)
-            if value == getattr(specified, key, None):
-                continue
-            if value is None:
-                return "no readout.groups (lines read one after the other)"
-            text = [list(group) for group in value] if isinstance(value, tuple) else f"{value:g}"
-            return f"readout.{key}: {text} ({reason})"
+    groups = getattr(circuit, "groups", None)
+    specified_groups = getattr(specified, "groups", None)
+    for name in OF_ONE_KEY:
+        value = getattr(circuit, name, None)
+        if type(circuit) is type(specified) and value not in (None, getattr(specified, name)):
+            return {name: [list(group) for group in value] if "groups" in name else value}
+    ungrouped = {"groups": None} if specified_groups is not None and groups is None else {}
     words = {name: getattr(circuit, name) for name in choices(type(circuit))}
     if isinstance(circuit, DrivenReadout):
         states = {name: getattr(circuit, name) for name in OF_STATES}
         words |= {name: value for name, value in states.items() if value is not None}
     differ = [name for name, word in words.items() if getattr(specified, name, None) != word]
+    if ungrouped and not differ:
+        return ungrouped
     if len(differ) == 1 and differ[0] in CALLED:
-        return f"readout.{differ[0]}: {words[differ[0]]} ({CALLED[differ[0]]})"
+        return {differ[0]: words[differ[0]], **ungrouped}
     if type(circuit) is not type(specified):
         words |= _own_resistor(circuit)
-    return ", ".join(f"readout.{name}: {_number(word)}" for name, word in words.items())
+    return {**words, **ungrouped}
 
 
-def _number(value: Any) -> str:
-    """Return a number or a word as a scene has it."""
-    if isinstance(value, float):
-        return ".inf" if np.isinf(value) else f"{value:g}"
-    return str(value)
+def _in_words(entries: Mapping[str, Any]) -> str:
+    """Return the name of the circuit that entries of a readout state."""
+    names = []
+    for name, value in entries.items():
+        if name == "groups" and value is None:
+            names.append("no readout.groups (lines read one after the other)")
+        else:
+            text = f"{value:g}" if isinstance(value, float) else str(value)
+            reason = f" ({OF_ONE_KEY[name]})" if name in OF_ONE_KEY else ""
+            names.append(f"readout.{name}: {text}{reason}")
+        if "kind" not in entries and name in CALLED:
+            names[-1] += f" ({CALLED[name]})"
+    return ", ".join(names)
 
 
-def _own_resistor(circuit: Readout) -> dict[str, object]:
+def _own_resistor(circuit: Readout) -> dict[str, float]:
     """Return the key and the number of a circuit's resistor where it is not the kind's default."""
-    defaults = {field.name: field.default for field in fields(circuit)}
+    defaults = {setting.name: setting.default for setting in fields(circuit)}
     for name in RESISTORS:
         ohm = getattr(circuit, name, None)
         if isinstance(ohm, float) and ohm != defaults[name]:
-            return {name: f"{ohm:g}"}
+            return {name: ohm}
     return {}
 
 
 def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:
     """Return ln of the apparent resistances.
 
-    NaN where the circuit does not fit the panel or cannot have the values.
+    The result is NaN where the circuit does not fit the panel or cannot have the values.
     """
     with suppress(InputError, ValueError), np.errstate(all="ignore"):
         circuit.check(replace(scene, readout=None, series_resistance_ohm=0.0, systematic=None))
@@ -487,8 +535,8 @@ def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:
 def _sense(first: Array, second: Array) -> float:
     """Return the sign of the covariance of two sets of log resistances.
 
-    It is positive if a load moves both in one direction. Values that are not finite are ignored;
-    without any other the result is 0.
+    The sign is positive if a load moves both in one direction. Values that are not finite are
+    ignored; without any other the result is 0.
     """
     finite = np.isfinite(first) & np.isfinite(second)
     count = max(finite.sum(), 1)

@@ -25,7 +25,6 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 # all are alike.
 MIN_EXTENT = 10.0
 COMPARED_FRAMES = 8  # frames, about, in which the voltages of lines are compared
-ZERO = "readout.converter.zero_volt"
 MIN_OPEN = 6  # channels at the lowest code
 TOGETHER = 1.0  # steps within which they stand
 
@@ -62,17 +61,17 @@ class Saturated:
         )
         return (
             f"{channels} at the same {self.volt:.3g} volt{also}, and what lies beyond is lost: "
-            "does a stage before the converter saturate there? Then name it: readout: "
-            "{passes_volt: estimated}"
+            "does a stage before the converter saturate there? "
+            "Then name it: readout: {passes_volt: estimated}"
         )
 
 
 def saturated(recording: Recording) -> Saturated | None:
     """Return the voltage at which several channels end.
 
-    None where there is none, or where the scene states one. Channels that moved under load are
-    tested by their largest or smallest voltage over the measured frames, all channels by their
-    unloaded voltage.
+    The result is None where there is none, or where the scene states one. Channels that moved under
+    load are tested by their largest or smallest voltage over the measured frames, all channels by
+    their unloaded voltage.
     """
     scene = recording.scene
     unloaded = recording.role == UNLOADED
@@ -136,7 +135,7 @@ def _channels_at_end(
 def with_saturated_stage(recording: Recording) -> Recording:
     """Return the recording with a number for `passes_volt: estimated`.
 
-    None in its place where its frames show none.
+    If frames show no saturated stage, the scene states None instead.
     """
     recording, _ = with_converter_ends(recording)
     readout = recording.scene.readout
@@ -156,9 +155,14 @@ def with_saturated_stage(recording: Recording) -> Recording:
 def passed_range(
     bounds: tuple[float, float], converted: tuple[float, float]
 ) -> tuple[float, float] | None:
-    """Return the part of a range of voltages that is within a converter's, V; None if it is empty.
+    """Return the part of a range of voltages that is within a converter's; None if it is empty.
 
     A stage is found from readings with noise, so that its limit may lie beyond the converter's.
+
+    Returns
+    -------
+    (lowest, highest) : tuple of float, or None
+        In volts.
     """
     low = max(bounds[0], converted[0])
     high = min(bounds[1], converted[1])
@@ -193,9 +197,14 @@ def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
 def with_converter_ends(
     recording: Recording,
 ) -> tuple[Recording, tuple[float, float] | None]:
-    """Return the recording with a number for `zero_volt: estimated`, and this number with its sd.
+    """Replace `zero_volt: estimated` by a number.
 
-    None where its frames show none; the end of the scene without the key is taken then.
+    Returns
+    -------
+    recording : Recording
+        With the estimate, or with the end of a scene without the key.
+    zero : (float, float) or None
+        The estimate and its standard deviation in volts; None where frames show none.
     """
     readout = recording.scene.readout
     converter = None if readout is None else readout.converter

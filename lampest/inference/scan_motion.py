@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted, well_determined
 from lampest.inference.changed_cells import MOVED_COST, mostly_still, usual_starts
-from lampest.inference.compared_frames import MAX_NEIGHBOURS
 from lampest.inference.fitted_pair import FittedPair
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_panel_order
@@ -31,6 +30,7 @@ from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
+from lampest.recording.recording import MAX_NEIGHBOURS
 
 SHARES = np.linspace(0, 1, 6)  # of the time between frames that a scan takes
 # Sizes of each reading's own error that are tried beside a share, all equally probable.
@@ -77,9 +77,9 @@ def _steps(readings: Readings, measured: NDArray[np.intp]) -> Array:
 
 
 def _delays(scene: Scene, readings: Readings) -> Array:
-    """Return τ of each reading, shape (1, …).
+    """Return the delay τ of each reading from the middle of its frame, shape (1, …).
 
-    It is the delay from the middle of its frame, in periods, if a scan takes the whole period.
+    The unit is a period, if a scan takes the whole period.
     """
     channels = readings.value[0].size
     # τ of channel k of n: (k + ½)/n − ½
@@ -153,12 +153,12 @@ def share_of_motion(
 ) -> Share | None:
     """Return the share of the time between frames that a scan takes.
 
-    None where it is unknown. A load that moves displaces all readings of a frame along one known
-    direction, by share · displacement. Cells that no load touches seem to move by K times as much,
-    K the inverse of the Jacobian. The evidence of the changes since rest is compared over SHARES,
-    all equally probable before, for the frames with the largest motion, and summed over sizes of
-    each reading's own error. The reach is the share over the reliability of the displacements, 1 −
-    Σ errors²/Σ displacements², at most the whole time.
+    The result is None where it is unknown. A load that moves displaces all readings of a frame
+    along one known direction, by share · displacement. Cells that no load touches seem to move by K
+    times as much, K the inverse of the Jacobian. The evidence of the changes since rest is compared
+    over SHARES, all equally probable before, for the frames with the largest motion, and summed
+    over sizes of each reading's own error. The reach is the share over the reliability of the
+    displacements, 1 − Σ errors²/Σ displacements², at most the whole time.
 
     Parameters
     ----------

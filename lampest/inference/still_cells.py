@@ -1,7 +1,7 @@
-"""Estimation of errors that all frames share.
+"""Estimation of shared errors from the apparent motion of cells without a load.
 
-They are estimated from the apparent motion of cells that nobody touched. Errors z ~ N(0, 1) that
-the unloaded panel b and a frame f share change the estimated log cells by a z, with
+Errors z ~ N(0, 1) that the unloaded panel b and a frame f share change the estimated log cells by a
+z, with
 
     a = K_f U_f − K_b U_b,
 
@@ -94,11 +94,10 @@ class SharedErrors:
 def shared_errors(
     scene: Scene, resting: Readings, loaded: Readings | None, noise: FrameNoise | None
 ) -> SharedErrors:
-    """Return the errors that a scene calls `estimated`.
+    """Return the errors that a scene calls `estimated`, from the unloaded panel and a loaded frame.
 
-    They are as the unloaded panel and one loaded frame show them. One frame is enough: frames that
-    are nearly equal count once, or the edges of a load that stands would look like an error that
-    all frames share.
+    One frame is enough: frames that are nearly equal count once, or the edges of a load that stands
+    would look like an error that all frames share.
 
     Parameters
     ----------
@@ -137,7 +136,7 @@ def shared_errors(
 def significant_reading_error(
     scene: Scene, resting: Readings, loaded: Readings | None, noise: FrameNoise | None
 ) -> tuple[float, float] | None:
-    """Return each reading's own error and its standard deviation; None where it is insignificant.
+    """Return the size of each reading's own error; None where it is insignificant.
 
     Every fourth value of e comes first. The others are tried where one of these is more probable
     than none.
@@ -148,6 +147,11 @@ def significant_reading_error(
         Calls the error `estimated`.
     resting, loaded, noise
         As those of `shared_errors`.
+
+    Returns
+    -------
+    (size, sd) : tuple of float, or None
+        Standard deviation of log(recorded), and that of the estimate.
     """
     if resting.sigma is None or resting.value.size > MAX_CELLS:
         return None
@@ -207,7 +211,7 @@ def _own_errors(odds: Array, prior: Systematic) -> SharedErrors:
 def _undetermined(errors: SharedErrors, reason: str, scene: Scene) -> SharedErrors:
     """Return the errors with the reason why the common ones keep their prior.
 
-    It is '' where the scene calls no common error `estimated`.
+    The reason is '' where the scene calls no common error `estimated`.
     """
     common_requested = bool(set(estimated_errors(scene)) - {READING_ERROR.setting})
     return replace(errors, undetermined=reason if common_requested else "")
@@ -376,9 +380,7 @@ def _with_frame_noise(
 def _posterior_sizes(
     moves: SharedChanges, second: Array, covariance: Array, prior: Systematic
 ) -> dict[str, tuple[float, float]]:
-    """Return the size of each estimated error and its standard deviation.
-
-    They are given by the field of `Systematic`.
+    """Return the size and standard deviation of each estimated error by its field of `Systematic`.
 
     Parameters
     ----------
@@ -429,7 +431,7 @@ def _still(changes: Changes, begun: Chosen | None = None) -> tuple[float, Chosen
 def _smooth_loads(shape: tuple[int, ...]) -> Array:
     """Return the covariance (cells, cells) of changes in the skirt of a load of unit size.
 
-    It is exp(−distance²/(2 ℓ²)).
+    The covariance is exp(−distance²/(2 ℓ²)).
     """
     row, column = (index.ravel() for index in np.indices(shape))
     square = (row[:, None] - row) ** 2 + (column[:, None] - column) ** 2
@@ -439,9 +441,9 @@ def _smooth_loads(shape: tuple[int, ...]) -> Array:
 def _error_costs(scene: Scene, moves: SharedChanges | None, numbers: NDArray[np.intp]) -> Array:
     """Return −2 ln evidence of READING_ERRORS by the changes to a loaded frame, (errors,).
 
-    It is averaged over SKIRTS, which are equally probable: skirts of loads are no errors of the
-    readings. Each search begins with the still cells of the error before, because these change
-    little. Beyond LINEAR_LIMIT the last value holds.
+    The evidence is averaged over SKIRTS, which are equally probable: skirts of loads are no errors
+    of the readings. Each search begins with the still cells of the error before, because these
+    change little. Beyond LINEAR_LIMIT the last value holds.
 
     Parameters
     ----------
@@ -475,7 +477,7 @@ def _odds(costs: Array) -> Array:
 def _root_mean_square(odds: Array) -> float:
     """Return √E[e²] by the probabilities of READING_ERRORS.
 
-    It exceeds the most probable e where e is uncertain.
+    The root exceeds the most probable e where e is uncertain.
     """
     return float(np.sqrt(odds @ np.square(READING_ERRORS)))
 
@@ -483,7 +485,7 @@ def _root_mean_square(odds: Array) -> float:
 def _median(odds: Array) -> float:
     """Return the median of e by the probabilities of READING_ERRORS.
 
-    0 where none is more probable than any.
+    The result is 0 where none is more probable than any.
     """
     return float(np.interp(0.5, np.cumsum(odds), READING_ERRORS))
 
@@ -495,10 +497,10 @@ def _moments(odds: Array) -> tuple[float, float]:
 
 
 def _steadied(scene: Scene, fit: CellsFit, near: Array) -> CellsFit:
-    """Return the fit with the cells that did not clearly move set to the unloaded ones.
+    """Return the fit with still cells at their unloaded values, and with their model readings.
 
-    It has their model readings, too. The linearisation of frames and unloaded panel then agrees for
-    still cells, whatever the noise.
+    A cell is still unless it clearly moved. The linearisation of frames and unloaded panel then
+    agrees for still cells, whatever the noise.
 
     Parameters
     ----------
@@ -522,9 +524,9 @@ def _steadied(scene: Scene, fit: CellsFit, near: Array) -> CellsFit:
 def _unloaded_costs(scene: Scene, resting: Readings, fit: CellsFit | None, tried: Array) -> Array:
     """Return −2 ln likelihood of errors of the readings, up to a constant, (errors,).
 
-    It holds if the unloaded cells are log r ~ N(μ, s²). The readings are linearised at the most
-    probable log cells u, with t = y − f(u) + J u. Let τ² = σ² + (e y')², where y' is the derivative
-    of a reading with respect to the logarithm of its recorded value, and A = J/τ, A Aᵀ = QΛQᵀ:
+    The unloaded cells are log r ~ N(μ, s²). The readings are linearised at the most probable log
+    cells u, with t = y − f(u) + J u. Let τ² = σ² + (e y')², where y' is the derivative of a reading
+    with respect to the logarithm of its recorded value, and A = J/τ, A Aᵀ = QΛQᵀ:
 
         −2 log p(y | e, s) = Σ a²/v − (Σ a b/v)²/Σ(b²/v) + Σ log v + log Σ(b²/v) + Σ log τ²,
         v = 1 + s²λ,
@@ -610,7 +612,7 @@ def _most_probable(
 ) -> tuple[Array, Array]:
     """Return the most probable log cells u and the Jacobian J of the readings there.
 
-    They minimise Σ ((f(u) − y)/τ)² + Σ (u − mean u)²/s².
+    The minimum is that of Σ ((f(u) − y)/τ)² + Σ (u − mean u)²/s².
 
     Parameters
     ----------

@@ -1,8 +1,9 @@
-"""Variance components of repeated frames: each reading's own noise, a frame's gain, ripple.
+"""Variance components of repeated frames: each reading's own noise, gain, ripple, motion.
 
 The deviation of a reading from its mean over frames is, in units of the specified σ,
 
     deviation = gain of the frame · voltage
+                + motion of all cells and its gradients · reading
                 + ripple common to all lines + ripple of the line + own noise.
 
 The size of a gain and of a ripple has a posterior, whose mean square is the variance of the
@@ -10,11 +11,15 @@ component. Only where χ² of a ripple's deviations against the noise has a tail
 SIGNIFICANCE its covariance between channels is estimated: that of its deviations less the noise's,
 times ν/(ν − 2), the variance of Student's t with ν degrees.
 
+Motion is that of water, whose pressure changes all cells. It is a component, whatever the scene
+says, where the F test of its patterns has a tail probability below SIGNIFICANCE and the remaining
+noise is smaller by MIN_EXCESS.
+
 Where no frame is unloaded, second differences of successive frames show the noise of readings at
 rest.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,7 +27,8 @@ from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
 from lampest.inference.outliers import QUIET_SHARE
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_scan_lines
-from lampest.posterior.interval import chi_square_tail
+from lampest.posterior.frame_noise import motion_patterns
+from lampest.posterior.interval import chi_square_tail, variance_ratio_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 
@@ -67,6 +73,8 @@ class Scatter:
         Standard deviations of the gain, and of the ripple that all lines share, in units of σ.
     gain_tail, ripple_tail : float
         Probabilities of gains, and of a common ripple, as large in noise alone.
+    motion : array, shape (3,) or (0,)
+        Sizes of the patterns of motion, as fractions of the readings; none where insignificant.
     """
 
     own: float
@@ -78,12 +86,13 @@ class Scatter:
     ripple_sd: float = 0.0
     gain_tail: float = 1.0
     ripple_tail: float = 1.0
+    motion: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def noted_excess(chi_square: float, degrees: float) -> float:
     """Return √(χ²/degrees), the factor of the noise over the specified one.
 
-    1 where it is insignificant or small.
+    The result is 1 where it is insignificant or small.
     """
     factor = float(np.sqrt(chi_square / degrees)) if degrees else 1.0
     noted = factor >= MIN_EXCESS and chi_square_tail(chi_square, degrees) < SIGNIFICANCE
@@ -93,8 +102,8 @@ def noted_excess(chi_square: float, degrees: float) -> float:
 def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
     """Return the variance components of the unloaded frames.
 
-    None where no reading is a value in two of them. Without a readout in the scene the voltages are
-    unknown, and the gain multiplies the readings themselves.
+    The result is None where no reading is a value in two of them. Without a readout in the scene
+    the voltages are unknown, and the gain multiplies the readings themselves.
     """
     circuit = recording.scene.circuit
     scene = recording.scene
@@ -112,23 +121,28 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
         loudness = np.asarray(volt / np.broadcast_to(scene.readout.sigma_volt(), volt.shape))
     deviation = in_scan_lines(circuit, deviation)
     loudness = in_scan_lines(circuit, loudness)
+    patterns = None
+    if circuit.unit == "ohm":
+        usual = middle / np.exp(np.log(resting.known_sigma).mean(axis=0))
+        patterns = in_scan_lines(circuit, motion_patterns(middle.shape) * usual)
     return scatter(
         deviation,
         loudness,
         len(value) - 1,
         gain=scene.gain is not None,
         ripple=scene.ripple is not None,
+        patterns=patterns,
     )
 
 
 def repeated_scatter(measured: Readings) -> Scatter | None:
     """Return the noise from second differences of successive frames.
 
-    None without three frames or without rest. Of three successive frames the second difference (y₀
-    − 2 y₁ + y₂)/(√6 σ) has unit variance, also during uniform motion. Its median over the readings
-    is that of the readings at rest, and only the quietest quarter of the triples counts. Where
-    first differences, divided by √2 σ, are larger by MIN_EXCESS, motion remains and the scatter is
-    only an upper bound: it is then not taken for noise above the specified one.
+    The result is None without three frames or without rest. Of three successive frames the second
+    difference (y₀ − 2 y₁ + y₂)/(√6 σ) has unit variance, also during uniform motion. Its median
+    over the readings is that of the readings at rest, and only the quietest quarter of the triples
+    counts. Where first differences, divided by √2 σ, are larger by MIN_EXCESS, motion remains and
+    the scatter is only an upper bound: it is then not taken for noise above the specified one.
     """
     value = measured.plain_values
     sigma = measured.known_sigma[1:-1]
@@ -152,11 +166,17 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
 
 
 def scatter(
-    deviation: Array, loudness: Array, repeats: int, *, gain: bool = True, ripple: bool = True
+    deviation: Array,
+    loudness: Array,
+    repeats: int,
+    *,
+    gain: bool = True,
+    ripple: bool = True,
+    patterns: Array | None = None,
 ) -> Scatter:
     """Return the variance components of deviations from the mean over frames.
 
-    All is noise without `gain`, `ripple`.
+    If neither `gain` nor `ripple` is requested, all variance is noise.
 
     Parameters
     ----------
@@ -166,6 +186,8 @@ def scatter(
         Response to a gain of 1, in units of σ.
     repeats : int
         Degrees of freedom of each channel, frames − 1.
+    patterns : array, shape (n, lines, channels), optional
+        Responses to a motion of 1, in units of σ.
     """
     read = ~np.isnan(deviation)
     lines, channels = deviation.shape[1:]
@@ -177,7 +199,16 @@ def scatter(
     # Gain of each frame by least squares, Σ deviation · loudness / Σ loudness², (frames,); then the
     # mean over lines, (frames, channels).
     gains = has_gain * (np.nan_to_num(deviation) * loudness).sum(axis=(1, 2)) / squared_loudness
-    remaining = np.where(read, deviation - gains[:, None, None] * loudness, 0.0)
+    of_gains = gains[:, None, None] * loudness
+    if patterns is not None:
+        # Of gain and common motion, which resemble each other, the one that explains more is first.
+        by_motion, by_gain = (_explained(deviation, one) for one in (patterns[0], loudness))
+        first = of_gains if by_gain >= by_motion else np.zeros_like(of_gains)
+        motion, still = _motion(deviation - first, patterns, repeats)
+        if motion.size:
+            parts = scatter(still + first, loudness, repeats, gain=gain, ripple=ripple)
+            return replace(parts, motion=motion)
+    remaining = np.where(read, deviation - of_gains, 0.0)
     common = has_common_ripple * remaining.sum(axis=1) / np.maximum(read.sum(axis=1), 1)
     # Missing readings reduce the degrees of freedom in proportion to their share.
     share = float(read.mean())
@@ -215,6 +246,52 @@ def scatter(
         gain_tail=gain_tail,
         ripple_tail=ripple_tail,
     )
+
+
+def _explained(deviation: Array, pattern: Array) -> float:
+    """Return the squares of deviations (frames, lines, channels) that a pattern explains."""
+    read = ~np.isnan(deviation)
+    along = (np.nan_to_num(deviation) * pattern).sum(axis=(1, 2))
+    return float((along**2 / np.maximum((read * pattern**2).sum(axis=(1, 2)), TINY)).sum())
+
+
+def _motion(deviation: Array, patterns: Array, repeats: int) -> tuple[Array, Array]:
+    """Return the sizes of motion, (n,), or none where it is insignificant, and what remains.
+
+    The amplitudes of each frame are those of least squares. With few frames √E[s²] of a size's
+    posterior is larger than its root mean square.
+
+    Parameters
+    ----------
+    deviation : array, shape (frames, lines, channels)
+        In units of σ; NaN for missing readings.
+    patterns : array, shape (n, lines, channels)
+    repeats : int
+        Degrees of freedom of each channel, frames − 1.
+    """
+    read = ~np.isnan(deviation)
+    normal = np.einsum("ilc,jlc,flc->fij", patterns, patterns, read)
+    inverse = np.linalg.pinv(normal, hermitian=True)
+    amplitudes = np.einsum("fij,jlc,flc->fi", inverse, patterns, np.nan_to_num(deviation))
+    still = deviation - np.tensordot(amplitudes, patterns, 1)
+    seen = np.flatnonzero(np.any(patterns, axis=(1, 2)))
+    moved_freedom = len(seen) * repeats
+    freedom = repeats * int(np.any(read, axis=0).sum()) * float(read.mean()) - moved_freedom
+    squares, remaining = (float(np.nansum(values**2)) for values in (deviation, still))
+    none = np.zeros(0)
+    if freedom <= 0:
+        return none, deviation
+    noise = max(remaining / freedom, TINY)
+    ratio = max(squares - remaining, 0.0) / moved_freedom / noise
+    excess = squares / (freedom + moved_freedom) / noise
+    if excess < MIN_EXCESS**2 or variance_ratio_tail(ratio, moved_freedom, freedom) >= SIGNIFICANCE:
+        return none, deviation
+    sizes = np.zeros(len(patterns))
+    for number in seen:
+        variance = noise * float(inverse[:, number, number].mean())
+        square = float((amplitudes[:, number] ** 2).sum())
+        sizes[number] = np.hypot(*posterior_size(square, repeats, variance))
+    return sizes, still
 
 
 def _gain(gains: Array, repeats: int, variances: Array) -> tuple[float, float, float]:
@@ -271,13 +348,18 @@ def _common_ripple(common: Array, repeats: int, variance: float) -> tuple[Array,
 
 
 def posterior_size(squares: float, freedom: float, variance: float) -> tuple[float, float]:
-    """Return the posterior mean and standard deviation of the size s of an effect beside noise.
+    """Return the posterior of the size s of an effect beside noise.
 
     Σ x² of n samples x ~ N(0, s² + v) is `squares`; n is `freedom`, v `variance`. The prior is p(s)
     ~ 1/(s² + v), so that the mean is unbiased for every n where an effect exceeds the noise of its
     samples: for v → 0
 
         E[s | x] = √(Σ x²/2) Γ(n/2)/Γ((n + 1)/2),   E[√(Σ x²)] = √2 s Γ((n + 1)/2)/Γ(n/2).
+
+    Returns
+    -------
+    mean, sd : float
+        Posterior mean and standard deviation, in the unit of the samples.
     """
     rms = np.sqrt(max(squares / freedom, variance, TINY))
     noise = max(variance, (rms * MIN_NOISE_SHARE) ** 2)
@@ -292,13 +374,11 @@ def posterior_size(squares: float, freedom: float, variance: float) -> tuple[flo
 
 
 def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:
-    """Return the eigenvalues (channels,) of a sample covariance shrunk to their mean.
-
-    Its degrees of freedom are returned, too.
+    """Return the eigenvalues (channels,) of a shrunk sample covariance, and its degrees of freedom.
 
     Oracle-approximating shrinkage, (1 − ρ) S + ρ (tr S/p) 1, so that directions without a sample
-    have a variance, too.
-    Source: Chen, Wiesel, Eldar and Hero, IEEE Trans. Signal Processing 58(10), 2010.
+    have a variance, too. Source: Chen, Wiesel, Eldar and Hero, IEEE Trans. Signal Processing
+    58(10), 2010.
     """
     channels = len(sizes)
     total = float(sizes.sum())

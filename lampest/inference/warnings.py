@@ -16,8 +16,8 @@ MIN_CHANNELS = 5  # channels with less load than unloaded; fewer may be single o
 # Steps of the converter: a reading closer to a rail is known to 6 % at best.
 MIN_STEPS_FROM_RAIL = 16
 MODULE_HINT = (
-    "is its reference, series resistance or film another one? The scene's `modules` says "
-    "what a module has of its own"
+    "is its reference, series resistance or film another one? "
+    "The scene's `modules` says what a module has of its own"
 )
 # Above or below the specified noise: more is a wrong unit, not a badly specified converter.
 MAX_NOISE_FACTOR = 10.0
@@ -61,18 +61,6 @@ def warnings_of(
     return tuple(filter(None, (*of_readings, loaded, circuit, corrections, *of_noise)))
 
 
-def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
-    """Return the number of unsolved frames with the reason of the first, in words.
-
-    '' where there is none.
-    """
-    failed = int(np.sum(~solved))
-    if not failed:
-        return ""
-    count = "no frame is" if failed == len(solved) else f"{failed} of {len(solved)} frames are not"
-    return f"{count} solved: {status[int(np.argmin(solved))]}"
-
-
 def _roles(role: NDArray[np.uint8]) -> str:
     """Return a warning of too few unloaded frames; ''."""
     unloaded = int((role == UNLOADED).sum())
@@ -90,8 +78,8 @@ def _times(recording: Recording) -> str:
         equal = (np.flatnonzero(steps == 0) + 1).tolist()
         named = f"{'frame' if len(equal) == 1 else 'frames'} {first_and_more(equal, 4)}"
         return (
-            f"{len(equal)} of {len(recording.time)} frames have the time of the frame before: "
-            f"{named}"
+            f"{len(equal)} of {len(recording.time)} frames have the time "
+            f"of the frame before: {named}"
         )
     foreign = recording.acquisition is None and recording.simulation is None
     if not (foreign and steps.size and np.median(steps) >= 10 and np.all(recording.time % 1 == 0)):
@@ -115,10 +103,9 @@ def _unit(recording: Recording, readings: Readings) -> str:
     if steps >= MIN_STEPS_FROM_RAIL:
         return ""
     return (
-        f"no reading, in the median {np.nanmedian(recorded):.3g} {circuit.unit}, is more than "
-        f"{max(steps, 0.0):.2g} "
-        f"steps of the converter from a rail: are readings in {circuit.unit}, and is the scene's "
-        "readout right?"
+        f"no reading, in the median {np.nanmedian(recorded):.3g} {circuit.unit}, "
+        f"is more than {max(steps, 0.0):.2g} steps of the converter from a rail: "
+        f"are readings in {circuit.unit}, and is the scene's readout right?"
     )
 
 
@@ -155,23 +142,22 @@ def _scatter(recording: Recording, noise: NoiseEstimate) -> str:
         return ""
     return (
         f"readings at rest scatter {noise.factor:.2g} times as much as the scene's converter does: "
-        "are units, "
-        "readout.noise_lsb and readout.readings right, and is no frame a copy?"
+        "are units, readout.noise_lsb and readout.readings right, and is no frame a copy?"
     )
 
 
 def _less_load(recording: Recording, readings: Readings) -> str:
     """Return a warning if all changes are reductions of load, otherwise ''.
 
-    It is that of a load at rest, or of a reversed circuit.
+    The cause is a load at rest, or a reversed circuit.
     """
     circuit = recording.scene.circuit
     change = changes_beyond_noise(recording.scene, readings, recording.role)
     if (change > 0).any(axis=0).sum() < MIN_CHANNELS or (change < 0).any():
         return ""
     message = (
-        "readings only ever show less load than the unloaded frames: did something lie on "
-        "the panel then"
+        "readings only ever show less load than the unloaded frames: "
+        "did something lie on the panel then"
     )
     for name, words in choices(type(circuit)).items():
         if name in ("polarity", "measured_across"):

@@ -32,6 +32,8 @@ class Effect(ABC):
         Whether it began after the unloaded frames.
     size : float
         Size in the unit of `prior`.
+    key : str
+        The key of a scene that states it.
     prior : float
         Standard deviation of the size.
     positive : bool
@@ -41,6 +43,7 @@ class Effect(ABC):
     lines: tuple[int, ...]
     since: bool = False
     size: float = 0.0
+    key: ClassVar[str]
     prior: ClassVar[float]
     positive: ClassVar[bool] = False
 
@@ -77,6 +80,7 @@ class Effect(ABC):
 class LineLeak(Effect):
     """Leak from each of the lines to the next one, such as water, in siemens."""
 
+    key = "leaks"
     prior = 1 / 10e3
     positive = True
 
@@ -101,6 +105,7 @@ class LineLeak(Effect):
 class LooseContact(Effect):
     """Additional resistance at the contact of a line, such as that of a loose one, in ohm."""
 
+    key = "contacts"
     prior = 100.0
 
     @classmethod
@@ -110,8 +115,8 @@ class LooseContact(Effect):
     def sentence(self, rows: int) -> str:
         more = "more" if self.size > 0 else "less"
         return (
-            f"{float(f'{abs(self.size):.2g}'):g} ohm {more} at the contact of "
-            f"{self.where(rows)}{self._since}"
+            f"{float(f'{abs(self.size):.2g}'):g} ohm {more} "
+            f"at the contact of {self.where(rows)}{self._since}"
         )
 
     def added(self, scene: Scene, network: Network) -> Array:

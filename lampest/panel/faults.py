@@ -73,8 +73,8 @@ class Faults(Configuration):
         lines = self.dead_rows or self.dead_columns or self.joined_rows or self.joined_columns
         if layout is not None and lines:
             raise ValueError(
-                "faults: every module has lines of its own; name those under modules: [{at: ..., "
-                "faults: ...}]"
+                "faults: every module has lines of its own; "
+                "name those under modules: [{at: ..., faults: ...}]"
             )
         for place in self.dead_modules:
             if layout is None or not (
@@ -112,7 +112,7 @@ class Faults(Configuration):
     ) -> "Faults | None":
         """Return the faults of one module by its own rows and columns, with its `module_faults`.
 
-        None without any.
+        The result is None without any.
         """
         rows, columns = layout.cells(number)
         module_faults = module_faults or Faults()

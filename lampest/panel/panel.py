@@ -1,7 +1,4 @@
-"""Panel: cells at crossings of rows and columns, their positions and neighbours.
-
-Also finite differences over them.
-"""
+"""Panel: cells at crossings of rows and columns, their positions, neighbours and differences."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -247,7 +244,7 @@ class Panel(Configuration):
     def places_mm(self) -> Array:
         """Positions x and y of every cell in mm, (2, rows, columns).
 
-        NaN at crossings without a cell.
+        The value is NaN at crossings without a cell.
         """
         if self.cells is None:
             return np.stack(np.meshgrid(*self.centres_mm()))
@@ -260,7 +257,7 @@ class Panel(Configuration):
     def heights_mm(self) -> Array | None:
         """Position z of every cell in mm, (rows, columns); None for a panel on a plane.
 
-        NaN at crossings without a cell.
+        The value is NaN at crossings without a cell.
         """
         if self.cells is None or len(self.cells[0]) < 5:
             return None
@@ -324,8 +321,8 @@ def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
 def connected_parts(conducting: NDArray[np.bool_]) -> NDArray[np.intp] | None:
     """Return the number of the connected part of each line, (lines,).
 
-    None if the cells connect all lines. `conducting`, (rows, columns), states which crossings
-    conduct.
+    The result is None if the cells connect all lines. `conducting`, (rows, columns), states which
+    crossings conduct.
     """
     if conducting.all():
         return None

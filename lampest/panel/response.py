@@ -98,7 +98,7 @@ class Response(Configuration):
     def curve_sd(self, pressure: ArrayLike) -> Array:
         """Return the relative standard deviation of ln f(p) that all cells share, any shape.
 
-        0 for an exact curve.
+        The result is 0 for an exact curve.
         """
         return np.zeros(np.shape(pressure))
 

@@ -400,7 +400,7 @@ class Scene(Configuration):
     def wiring(self) -> Wiring | None:
         """Wire, contacts and touching lines between terminals and cells.
 
-        None without any of them.
+        The value is None without any of them.
         """
         joined = () if self.faults is None else self.faults.joined(self.panel)
         lines = self.lines or Lines()

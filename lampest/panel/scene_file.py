@@ -56,8 +56,7 @@ def scene_text(scene: Scene) -> str:
         kind = getattr(scene.readout, "kind", type(scene.readout).__name__)
         warnings.warn(
             f"readout.kind {kind} is not among the readouts of lampest or of an installed package: "
-            "this file can be "
-            "read again once it is (docs/howto/adding.md)",
+            "this file can be read again once it is (docs/howto/adding.md)",
             stacklevel=2,
         )
     return to_yaml(scene)

@@ -116,13 +116,12 @@ def unobservable_numbers(scene: Scene, of_changes: float | None = None) -> str:
     remaining = ""
     if of_changes is not None:
         remaining = (
-            f"; at these ends changes of loaded cells are off by {100 * of_changes:.2g} % in the "
-            "median"
+            "; at these ends changes of loaded cells "
+            f"are off by {100 * of_changes:.2g} % in the median"
         )
     return (
         f"no frame shows the numbers with which all cells scale, assumed {named}{remaining}; "
-        "lampest calibrate "
-        "measures them"
+        "lampest calibrate measures them"
     )
 
 
@@ -309,7 +308,7 @@ class Shared:
     def beyond(self, known: "Shared | None") -> "Shared | None":
         """Return the errors that remain if a method has unknowns for the errors `known`.
 
-        None if none remain.
+        The result is None if none remain.
         """
         if self.systematic is None:
             return None

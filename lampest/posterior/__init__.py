@@ -1,4 +1,4 @@
 """Uncertainty of an estimate.
 
-It consists of errors of log r due to the noise of the readings and the bias of the penalties.
+Errors of log r are due to the noise of the readings and to the bias of the penalties.
 """

@@ -1,6 +1,6 @@
 """Effect of errors that estimates share on cells at a bound, and the intervals of such cells.
 
-At a bound the error is not Gaussian: the distance of the cell from its bound has a normal
+The error of a cell at a bound is not Gaussian: the distance of the cell from its bound has a normal
 distribution that is truncated at 0. An error of all readings may move a cell off its bound; the
 cell then counts as free.
 """

@@ -16,7 +16,7 @@ from lampest.posterior.linear import LinearModel
 class Certainty:
     """Certainty of log r, or of a change of it.
 
-    All arrays are of one shape such as (frames, rows, columns).
+    All arrays have one shape, such as (frames, rows, columns).
 
     Attributes
     ----------
@@ -53,9 +53,9 @@ class Certainty:
     ) -> "Certainty":
         """Return the certainty of an estimate.
 
-        It is two-sided for free cells, one-sided at active bounds. Two-sided intervals end at most
-        the noise of the reading below the lower bound. They are open above if they reach the upper
-        bound.
+        Intervals are two-sided for free cells, and one-sided at active bounds. Two-sided intervals
+        end at most the noise of the reading below the lower bound, and are open above if they reach
+        the upper bound.
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class Certainty:
     ) -> "Certainty":
         """Return the certainty of the change from a baseline.
 
-        It is √(a² + b² − 2·shared) of deviations and of ends.
+        Deviations a, b and the ends of intervals are combined by √(a² + b² − 2·shared).
 
         Parameters
         ----------
@@ -148,10 +148,7 @@ class Certainty:
         return replace(wider, deviation=deviation, common=common)
 
     def reaching(self, cells: NDArray[np.intp], below: Array, above: Array) -> "Certainty":
-        """Return the certainty with intervals of single cells (numbers) extended.
-
-        They are extended to at least `below` and `above`.
-        """
+        """Return the certainty with the intervals of `cells` at least `below` and `above`."""
         lower = self.below.copy()
         upper = self.above.copy()
         lower.flat[cells] = np.maximum(lower.flat[cells], below)
@@ -161,7 +158,7 @@ class Certainty:
     def by_conductance(self) -> "Certainty":
         """Return the certainty with `above` at least −log(1 − above).
 
-        This is the extent if the conductance falls linearly.
+        The interval has this extent if the conductance falls linearly.
         """
         with np.errstate(divide="ignore"):
             return replace(
@@ -174,10 +171,10 @@ class Certainty:
 
 
 def common_variance(answer: Array) -> Array:
-    """Return the variance due to the common part of independent errors, (…, cells).
+    """Return the variance Σ max(a² − (a − ā)², 0) due to the common part of errors, (…, cells).
 
-    It is Σ max(a² − (a − ā)², 0). `answer` is the effect a of each of n errors on log r, (…, cells,
-    n). The common part ā is its median over the cells; a − ā is each cell's own part.
+    `answer` is the effect a of each of n independent errors on log r, (…, cells, n). The common
+    part ā is the median of a over the cells; a − ā is each cell's own part.
     """
     individual = answer - np.median(answer, axis=-2, keepdims=True)
     return np.asarray(np.maximum(answer**2 - individual**2, 0.0).sum(axis=-1))

@@ -1,12 +1,10 @@
-"""Block tridiagonal system with a border.
-
-It is that of consecutive frames, each tied to its neighbours, and shared unknowns.
+"""Block tridiagonal system with a border: frames tied to their neighbours, and shared unknowns.
 
 H has the blocks A_t (cells, cells) of the frames, with the ties already on their diagonals; the
 diagonal blocks −Λ_t between the frames t and t + 1; B between frames and border; and C of the
-border. It is solved by Gaussian elimination in both directions. With S_1 = A_1, S_{t+1} = A_{t+1} −
-Λ_t S_t⁻¹ Λ_t and K_t = S_t⁻¹ Λ_t, the diagonal blocks of the inverse are P_t = S_t⁻¹ + K_t P_{t+1}
-K_tᵀ.
+border. Gaussian elimination in both directions solves the system. With S_1 = A_1, S_{t+1} = A_{t+1}
+− Λ_t S_t⁻¹ Λ_t and K_t = S_t⁻¹ Λ_t, the diagonal blocks of the inverse are P_t = S_t⁻¹ + K_t
+P_{t+1} K_tᵀ.
 Source: Rauch, Tung & Striebel, AIAA Journal 3, 1965, in the form of Meurant, SIAM J. Matrix Anal.
 Appl. 13, 1992.
 """
@@ -70,10 +68,7 @@ class Chain:
 
     @cached_property
     def _follow(self) -> Array:
-        """E = H⁻¹ B of the frames alone, (frames, cells, n).
-
-        It is the response of the frames to the border.
-        """
+        """Response E = H⁻¹ B of the frames alone to the border, (frames, cells, n)."""
         return self._solved(self.border)
 
     @cached_property
@@ -89,9 +84,9 @@ class Chain:
         return positive_inverse(self._border_precision)
 
     def learned(self, count: int) -> Array:
-        """Return the precision of the border's first `count` unknowns, (count, count).
+        """Return the precision that the frames give the border's first unknowns, (count, count).
 
-        It is the precision due to the frames alone. Their prior variance is one.
+        The prior variance of these unknowns is one, and their prior precision is subtracted.
         """
         return np.asarray(positive_inverse(self.border_covariance[:count, :count]) - np.eye(count))
 
@@ -116,9 +111,19 @@ class Chain:
         return replace(self, corner=corner)
 
     def solve(self, right: Array, border: Array) -> tuple[Array, Array]:
-        """Return H⁻¹ x for the frames' part and the border's part of x.
+        """Return H⁻¹ x.
 
-        The frames' part is (frames, cells, m), the border's part (n, m).
+        Parameters
+        ----------
+        right : array, shape (frames, cells, m)
+            Part of x for the frames.
+        border : array, shape (n, m)
+            Part of x for the border.
+
+        Returns
+        -------
+        of_frames : array, shape (frames, cells, m)
+        of_border : array, shape (n, m)
         """
         unbordered = self._solved(right)
         moved = self.border_covariance @ (
@@ -174,7 +179,7 @@ class Chain:
     def since(self, first: int) -> Array:
         """Return the covariance of a frame with itself and all later ones, cell by cell.
 
-        Shape (frames − first, cells).
+        The shape is (frames − first, cells).
         """
         across = np.eye(self.own.shape[1])
         covariances = [np.diag(self.blocks[first])]

@@ -208,7 +208,7 @@ class DenseErrors:
     def memory(self) -> Memory:
         """Return the errors of the last frame and of the baseline for the next frame.
 
-        Of two frames that are solved together the first is the baseline.
+        The baseline is the first of two frames that are solved together.
         """
         size = self.model.at.cell_resistance[0].size
         if len(self.model.at.cell_resistance) == 2:
@@ -226,7 +226,7 @@ class DenseErrors:
     def resolution(self) -> Array:
         """Diagonal of the averaging kernel ∂(estimate)/∂(cells), (free,).
 
-        It is that of K J. With absolute losses, the estimate moves along `LinearModel.plateaus`
+        The kernel is K J. With absolute losses, the estimate moves along `LinearModel.plateaus`
         alone, and a loss of constant slope does not hold it.
         """
         model = self.model
@@ -274,8 +274,9 @@ class DenseErrors:
     def reading_deviation(self) -> Array:
         """Return the standard deviation √diag(F S Fᵀ) of the modelled readings f(r̂).
 
-        Shape (frames, rows, columns). F = ∂f/∂u, and S excludes the errors of earlier frames. For
-        measured readings S is approximated by s² A⁻¹; only for missing ones it is computed.
+        The shape is (frames, rows, columns). F is ∂f/∂u, and S excludes the errors of earlier
+        frames. For measured readings S is approximated by s² A⁻¹; only for missing ones it is
+        computed.
         """
         model = self.model
         slopes = self._readings_by_cells[:, model.free]
@@ -291,10 +292,7 @@ class DenseErrors:
 
     @property
     def shared_variance(self) -> Array:
-        """Part of the variance that moves all cells of a frame alike, (free,).
-
-        It is due to shared random errors V.
-        """
+        """Part of the variance that moves all cells of a frame alike, (free,); the effect of V."""
         frames = self.model.free // self.model.at.cell_resistance[0].size
         common = np.zeros(len(frames))
         if self.drawn is None:
@@ -333,7 +331,7 @@ class DenseErrors:
     def released(self, cells: NDArray[np.intp]) -> Array:
         """Return the variance of log r of cells (numbers) at a bound.
 
-        Each is released alone among the free cells.
+        Each cell is released from its bound alone, and joins the free cells.
         """
         model = self.model
         chosen = (cells, np.arange(len(cells)))

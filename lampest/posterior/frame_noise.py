@@ -3,7 +3,7 @@
 The error of a frame's readings is noise + V·z with standard normal z, independent for each frame.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import linalg
@@ -11,6 +11,23 @@ from scipy import linalg
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_panel_order
 from lampest.panel.scene import Scene
+
+
+def motion_patterns(shape: tuple[int, ...]) -> Array:
+    """Return the patterns in which moving water changes ln r of all cells, (3, rows, columns).
+
+    They are 1, and the place across the columns and across the rows, from −1 to 1. A change of ln r
+    that all cells share changes ln of each two-point resistance as much; of a gradient, the
+    readings show a smaller one.
+    """
+    rows, columns = (np.linspace(-1, 1, size) if size > 1 else np.zeros(1) for size in shape)
+    return np.stack([np.ones(shape), *np.broadcast_arrays(columns, rows[:, None])])
+
+
+def motion_columns(measured: Array, motion: Array) -> Array:
+    """Return the changes of readings (rows, columns) by motion of three sizes, (cells, 3)."""
+    moved = motion[:, None, None] * motion_patterns(measured.shape) * measured
+    return np.asarray(moved.reshape(len(moved), -1).T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +45,9 @@ class FrameNoise:
     common_ripple, line_ripple : array, shape (channels of a scanned line, n)
         Ripple common to all lines, and of each line alone, in volt; see
         `lampest.inference.variance_components`.
+    motion : array, shape (3,) or (0,)
+        Relative standard deviations of the readings in the patterns of `motion_patterns`; of
+        circuits that read resistances.
     effect_errors : array, shape (2, n, rows, columns), or None
         Remaining errors of corrected effects, one standard deviation each, as fractions of the
         readings: in the unloaded panel, and in frames.
@@ -38,6 +58,7 @@ class FrameNoise:
     gain: float
     common_ripple: Array
     line_ripple: Array
+    motion: Array = field(default_factory=lambda: np.zeros(0), kw_only=True)
     effect_errors: Array | None = None
 
     def columns(self, measured: Array, *, baseline: bool) -> Array:
@@ -59,7 +80,7 @@ class FrameNoise:
     def _of_frame(self, measured: Array) -> Array:
         """Return V, (cells, n), for one frame's readings (rows, columns).
 
-        It is computed by central differences of the readout.
+        The columns of V are central differences of the readout.
         """
         circuit = self.scene.circuit
         volt = circuit.volt_from_recorded(circuit.to_recorded(measured, self.scene))
@@ -72,12 +93,15 @@ class FrameNoise:
             circuit.from_recorded(circuit.recorded_from_volt(volt + sign * changes), self.scene)
             for sign in (1, -1)
         ]
-        return np.asarray((ends[0] - ends[1]).reshape(len(changes), -1).T / 2)
+        columns = np.asarray((ends[0] - ends[1]).reshape(len(changes), -1).T / 2)
+        if not self.motion.size:
+            return columns
+        return np.column_stack([columns, motion_columns(measured, self.motion)])
 
     def _patterns(self, shape: tuple[int, ...]) -> Array:
         """Return the patterns of ripple in volt, (n, rows, columns).
 
-        They are those common to all lines, then those of each line alone.
+        Patterns that are common to all lines precede those of each line alone.
         """
         lines, channels = shape[::-1] if self.scene.circuit.by_columns else shape
         common = np.repeat(self.common_ripple.T[:, None, :], lines, axis=1)

@@ -5,7 +5,17 @@ The intervals are two-sided or truncated at a bound.
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import bdtrc, gammaincc, gammaincinv, log_ndtr, ndtr, ndtri, ndtri_exp, stdtrit
+from scipy.special import (
+    bdtrc,
+    fdtrc,
+    gammaincc,
+    gammaincinv,
+    log_ndtr,
+    ndtr,
+    ndtri,
+    ndtri_exp,
+    stdtrit,
+)
 
 from lampest.panel.panel import Array
 
@@ -15,10 +25,14 @@ MAX_DEVIATIONS = 50.0
 
 
 def one_sided(slope: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
-    """Return standard deviation and 95 % quantile of t ≥ 0.
+    """Return standard deviation and 95 % quantile of a truncated normal variable t ≥ 0.
 
-    The density of t is ∝ exp(−slope·t − t²/(2·variance)), slope ≥ 0. This is a normal distribution
-    with mean −slope·variance, truncated at 0. Any shape.
+    The density of t is ∝ exp(−slope·t − t²/(2·variance)), slope ≥ 0: that of a normal distribution
+    with mean −slope·variance, truncated at 0.
+
+    Returns
+    -------
+    deviation, quantile : array, shape of the arguments
     """
     slope = np.asarray(slope, dtype=float)
     variance = np.asarray(variance, dtype=float)
@@ -39,8 +53,16 @@ def one_sided(slope: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
 
 
 def chi_square_tail(chi_square: ArrayLike, degrees: ArrayLike) -> Array:
-    """Return P(χ² ≥ chi_square) for positive, possibly fractional degrees of freedom. Any shape."""
+    """Return P(χ² ≥ chi_square) for positive, possibly fractional degrees of freedom.
+
+    The arguments may have any shape.
+    """
     return np.asarray(gammaincc(np.asarray(degrees) / 2, np.asarray(chi_square) / 2))
+
+
+def variance_ratio_tail(ratio: float, upper: float, lower: float) -> float:
+    """Return P(F ≥ ratio) for mean squares with `upper` and `lower` degrees of freedom."""
+    return float(fdtrc(upper, lower, ratio))
 
 
 def chi_square_median(degrees: float) -> float:
@@ -62,9 +84,9 @@ def student_two_sided(degrees: float) -> float:
 
 
 def largest_of(excess: ArrayLike, count: int) -> Array:
-    """Return an upper bound of P(max of `count` standard normal numbers ≥ excess).
+    """Return Bonferroni's bound of P(max of `count` standard normal numbers ≥ excess).
 
-    It is by Bonferroni. Any shape.
+    The bound is an upper one, of the shape of `excess`.
     """
     return np.asarray(np.minimum(count * ndtr(-np.asarray(excess, dtype=float)), 1.0))
 
@@ -72,6 +94,6 @@ def largest_of(excess: ArrayLike, count: int) -> Array:
 def largest_normal(count: int, chance: float) -> float:
     """Return the size that max |x| of `count` numbers exceeds with probability ≤ `chance`.
 
-    The numbers are standard normal. By Bonferroni's inequality.
+    The numbers are standard normal. The size is Bonferroni's bound.
     """
     return float(-ndtri(chance / (2 * count)))

@@ -85,10 +85,7 @@ class LinearModel:
         return np.flatnonzero(~(self.at_lower | self.at_upper | self.fixed))
 
     def over_all(self, values: Array) -> Array:
-        """Return values (free, …) of the free cells over all cells, (cells, …).
-
-        They are zeros elsewhere.
-        """
+        """Return values (free, …) of the free cells over all cells, (cells, …), zero elsewhere."""
         full = np.zeros((self.at.cell_resistance.size, *values.shape[1:]))
         full[self.free] = values
         return full
@@ -138,10 +135,7 @@ class LinearModel:
         return self._of_rows(0.0)
 
     def _of_rows(self, own_error: Array | float) -> Array:
-        """Return the standard deviations of the data, (data rows,).
-
-        They are those with a further error of each reading.
-        """
+        """Return deviations of the data with a further error of each reading, (data rows,)."""
         noise = self.at.data.deviation if self.deviation is None else self.deviation
         return np.asarray(np.sqrt(_squares(self.through) @ np.hypot(noise, own_error).ravel() ** 2))
 
@@ -188,10 +182,10 @@ class LinearModel:
     def plateaus(self) -> sparse.csc_array:
         """Orthonormal changes of log r that keep residuals of absolute losses at 0, sparse.
 
-        Shape (cells, plateaus). Cells whose residual is 0 against a reference are in none. Cells
-        whose differences are 0 are one. Their number is that of the degrees of freedom of such an
-        estimate (Zou, Hastie & Tibshirani, Ann. Stat. 35, 2007; Tibshirani & Taylor, Ann. Stat. 40,
-        2012).
+        The shape is (cells, plateaus). Cells whose residual is 0 against a reference belong to no
+        plateau. Cells whose differences are 0 form one plateau. The number of plateaus is that of
+        the degrees of freedom of such an estimate (Zou, Hastie & Tibshirani, Ann. Stat. 35, 2007;
+        Tibshirani & Taylor, Ann. Stat. 40, 2012).
         """
         cells = self.at.cell_resistance.size
         pinned = self.absolute & (np.abs(self.penalty) < PINNED)
@@ -223,8 +217,8 @@ class LinearModel:
     def penalty_curvature(self) -> Array:
         """Curvature ω of the penalties, (penalty rows,).
 
-        It is s² over the variance of the residuals where the data show it: an absolute loss with
-        the weight of least risk holds more residuals at 0 than are 0.
+        Where the data show the variance of residuals, ω is s² over this variance: an absolute loss
+        with the weight of least risk holds more residuals at 0 than are 0.
         """
         curvature = self.penalty_curvature_for(self.at.weights)
         for number, variance in self._shown_variances():
@@ -293,9 +287,9 @@ class LinearModel:
 
     @cached_property
     def known_jacobians(self) -> tuple[sparse.csc_array, ...]:
-        """Z₀, derivatives ∂x/∂u₀ of the penalties, sparse (penalty rows, cells).
+        """Z₀, derivatives ∂x/∂u₀ of the penalties, sparse (penalty rows, cells), for two u₀.
 
-        u₀ = log r of the previous frame (0) and of the baseline (1).
+        The cells u₀ are log r of the previous frame (0) and of the baseline (1).
         """
         inputs = self.at.data.given
         jacobians = list[sparse.csc_array]()
@@ -317,8 +311,8 @@ class LinearModel:
     def known_share(self, variance: Array | None) -> Array:
         """Return B, the previous frame's share of every penalty row's variance, (penalty rows,).
 
-        It is zero for terms that do not weigh the previous frame's error. `variance` is that of the
-        previous frame's log r, (cells,), or None.
+        The share is zero for terms that do not weigh the previous frame's error. `variance` is that
+        of the previous frame's log r, (cells,), or None.
         """
         weighing = [
             number for number, term in enumerate(self.at.cost.terms) if term.weighs_previous
@@ -334,7 +328,8 @@ def curved_rows(
 ) -> Iterator[tuple[int, Loss, NDArray[np.bool_]]]:
     """Yield (number, loss, boolean rows) of every term whose loss is not squared.
 
-    There ω is not the weight alone. `term` contains the number of the term of every row.
+    The curvature ω of such rows is not the weight alone. `term` contains the number of the term of
+    every row.
     """
     for number, part in enumerate(cost.terms):
         rows = term == number
@@ -351,7 +346,7 @@ def _squares(rows: sparse.csc_array) -> sparse.csc_array:
 def rank(cost: Cost) -> int:
     """Return the rank of the Jacobian of all penalties at random cells, without regard to bounds.
 
-    For large panels full rank is returned, which penalties nearly have.
+    Penalties of large panels nearly have full rank, which is returned for them.
     """
     function = residuals(cost).penalties.functions["cell_resistance"]
     count, cells = function.structure.shape

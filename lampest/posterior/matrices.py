@@ -1,6 +1,6 @@
 """Inverses of symmetric positive definite matrices by LAPACK, and the sweep operator.
 
-Their rounding errors and their failures are handled here once, for posterior covariances, normal
+The functions treat rounding errors and failures in one place for posterior covariances, normal
 matrices and evidences alike.
 """
 
@@ -19,7 +19,17 @@ def positive_inverse(matrix: Array) -> Array:
 
 
 def inverse_and_volume(matrix: Array) -> tuple[Array, float]:
-    """Return (A⁻¹, log det A⁻¹) from the upper triangle of A. Raises as `positive_inverse`."""
+    """Return the inverse of a matrix A from its upper triangle, and its volume.
+
+    Raises as `positive_inverse`.
+
+    Returns
+    -------
+    inverse : array, shape of A
+        A⁻¹.
+    log_volume : float
+        log det A⁻¹.
+    """
     factor, failed = lapack.dpotrf(matrix)
     inverse, broken = lapack.dpotri(factor)
     if failed or broken or not np.all(np.isfinite(inverse)):

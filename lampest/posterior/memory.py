@@ -1,8 +1,8 @@
-"""Memory of error bars, which the next frame inherits.
+"""Memory of error bars: errors of the last estimate and of the baseline for the next frame.
 
-It contains errors of the last estimate and of the baseline. Terms that compare a frame with the
-previous one, or with the unloaded panel, carry the errors of these estimates into the next one.
-Small panels keep their covariance as a matrix, large ones keep samples of the errors.
+Terms that compare a frame with the previous one, or with the unloaded panel, carry the errors of
+these estimates into the next one. Small panels keep their covariance as a matrix, large ones keep
+samples of the errors.
 """
 
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from lampest.panel.panel import Array
 class DenseMemory:
     """Errors of log r of the last estimate and of the baseline, as matrices.
 
-    They are for the error bars of the next frame.
+    The error bars of the next frame depend on these errors.
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
 """Reference estimate: joint estimate of cells and of the readings' error scale.
 
-Both have heavy-tailed priors.
+The readings' errors and the steps between neighbouring cells have heavy-tailed priors.
 
     y_i = f_i(u) + s σ_i e_i,    (u_b − u_a)/d_ab = τ z_ab
 
@@ -122,7 +122,7 @@ class Reference:
 class ErrorScale:
     """Scale s of the readings' errors relative to their noise.
 
-    It is relative to the readings where the noise is unknown.
+    If the noise is unknown, the scale is relative to the readings.
 
     Attributes
     ----------
@@ -268,7 +268,7 @@ class _Weights:
 
 @dataclass(frozen=True, eq=False)
 class _Expectation:
-    """Normal distribution N(û, S) of log r for given weights, and what follows from it.
+    """Normal distribution N(û, S) of log r for given weights, and quantities derived from it.
 
     Attributes
     ----------
@@ -393,10 +393,7 @@ class ReferenceFit:
 
     @cached_property
     def sigma(self) -> Array:
-        """Standard deviations σ of the readings, flat.
-
-        They are the readings themselves if the noise is unknown.
-        """
+        """Standard deviations σ of the readings, flat; the readings if the noise is unknown."""
         sigma = self.data.deviation if self.data.noise_known else np.abs(self.data.measured)
         return np.asarray(sigma[self.frame]).ravel()
 
@@ -448,9 +445,9 @@ class ReferenceFit:
         return fit
 
     def expected(self, square: float) -> "ReferenceFit":
-        """Return the fit with weights and τ² updated about u, and the resulting step.
+        """Return the fit with the next step, after expectation–maximisation about u.
 
-        They are updated by expectation–maximisation.
+        The expectation–maximisation updates the weights and τ².
         """
         rows = np.flatnonzero(self.counted)
         jacobian = (self.network.sensitivity() / self.sigma[:, None])[np.ix_(rows, self.cells)]
@@ -584,7 +581,7 @@ class ReferenceFit:
     def moved(self, square: float) -> "ReferenceFit | None":
         """Return the fit after the largest tried share of the step that does not raise the cost.
 
-        None if none.
+        Returns None if every share raises the cost.
         """
         lower, upper = (np.ravel(bound[self.frame]) for bound in self.data.log_bounds)
         change = np.zeros(len(self.position))
@@ -623,9 +620,9 @@ class ReferenceFit:
 
 
 def _tails(squares: Array, variance: float) -> float:
-    """Return −2 log of Student's density for squared residuals and s² = `variance`.
+    """Return −2 log of Student's density, without constants and log s², for squared residuals.
 
-    It is without constants and log s².
+    `variance` is s².
     """
     return float(
         (MODEL.degrees_of_freedom + 1)

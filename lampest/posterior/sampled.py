@@ -4,9 +4,9 @@ With the symbols of `lampest.posterior.covariance`, a sample of the error of an 
 
     ε = A⁻¹ (Jᵀ Ω (τ z₁ + V z₃) + s Zᵀ √((C − B) Ω) z₂ + P z₄ − M ε₀)
 
-with standard normal z. It costs one solve by conjugate gradients. Its covariance is S but for the
-prior term ε s⁴. Standard deviations from n samples scatter by 1/√(2n). `errors_of` chooses between
-matrices and samples.
+with standard normal z. A sample costs one solve by conjugate gradients. The covariance of samples
+is S but for the prior term ε s⁴. Standard deviations from n samples scatter by 1/√(2n). `errors_of`
+chooses between matrices and samples.
 """
 
 from collections.abc import Callable
@@ -90,10 +90,7 @@ class SampledErrors(DenseErrors):
         return product, TwoLevel.of(self._curvature, ridge).over(chosen, model.at.cell_resistance)
 
     def determined(self, term: int) -> float:
-        """Return γ of a term from probes.
-
-        Each term has an equal share of the rank of all penalties.
-        """
+        """Return γ of a term from probes; all terms have equal shares of the penalties' rank."""
         rank_of_penalties = min(rank(self.model.at.cost.unweighted), len(self.model.free))
         return rank_of_penalties / len(np.unique(self.model.penalty_term)) - self.used(term)
 
@@ -107,7 +104,7 @@ class SampledErrors(DenseErrors):
     def draws(self) -> Array:
         """Changes Z δ of the penalties for random δ ~ N(0, s² A⁻¹) of the free cells.
 
-        Shape (penalty rows, probes).
+        The shape is (penalty rows, probes).
         """
         model = self.model
         random = np.random.default_rng(1)
@@ -157,7 +154,7 @@ class SampledErrors(DenseErrors):
     def resolution(self) -> Array:
         """Diagonal of the averaging kernel, clipped because samples scatter, (free,).
 
-        It is 0 to 1, and with absolute losses at most one share of a plateau.
+        The range is 0 to 1, and to at most one share of a plateau with absolute losses.
         """
         plateaus = self.model.plateaus[self.model.free]
         return np.clip(1 - self._samples[1], 0, plateaus.power(2).sum(axis=1))
@@ -165,7 +162,7 @@ class SampledErrors(DenseErrors):
     def reading_deviation(self) -> Array:
         """Return the standard deviation of the modelled readings over the samples.
 
-        Shape (frames, rows, columns).
+        The shape is (frames, rows, columns).
         """
         squares = np.zeros(self.model.at.cell_resistance.shape)
         for sample in self._samples[0]:

@@ -146,9 +146,9 @@ class Spectrum:
     def risk(self, weight: float) -> float:
         """Return the expected squared error E Σ (log r̂ − log r)².
 
-        It is that for a truth near the point of linearisation. ‖T f (b_o + λ d)‖² + tr cov(T f q₀)
-        + tr cov(T (1 − f) T⁻¹ u): the squared bias of the penalties, the variance due to noise, and
-        the bias due to the uncertainty of the point of linearisation.
+        The truth lies near the point of linearisation. The error is ‖T f (b_o + λ d)‖² + tr cov(T f
+        q₀) + tr cov(T (1 − f) T⁻¹ u): the squared bias of the penalties, the variance due to noise,
+        and the bias due to the uncertainty of the point of linearisation.
         """
         remaining = 1 / (1 + weight * self.stiffness)
         pulled = np.where(
@@ -182,10 +182,7 @@ class Spectrum:
 
     @property
     def extent(self) -> tuple[float, float]:
-        """Logarithms of the smallest and the largest λ that affect the determined directions.
-
-        These are the directions that the data determine.
-        """
+        """Logarithms of the least and the largest λ that affect directions the data determine."""
         stiffness = self.stiffness[self.determined]
         effective = stiffness[stiffness > NEGLIGIBLE * stiffness.max()]
         smallest = -float(np.log(EXTENT_FACTOR * effective.max()))
@@ -272,8 +269,8 @@ def settled_weights(
 ) -> list[float]:
     """Return the weights at the fixed point while the estimate follows them, by matrices.
 
-    It follows them within the linear model. One round is a step of the fixed point at the estimate
-    itself, as that of `next_weights`.
+    The estimate follows the weights within the linear model. One round is a step of the fixed point
+    at the estimate itself, as that of `next_weights`.
     """
     errors = DenseErrors(model)
     weights = list(model.at.weights)

@@ -1,6 +1,4 @@
-"""Error bars along a sequence.
-
-They are those of every frame, of its change from the baseline, and around missing readings.
+"""Error bars along a sequence: of every frame, of its change, and around missing readings.
 
 Intervals of cells around one whose reading is missing are profiles: the paths of all cells while
 that one is moved to either end of its interval. Without a penalty, `stand_in` replaces the missing
@@ -71,9 +69,7 @@ class Bars:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """State of the error bars along a sequence.
-
-    It is the errors of earlier frames that those of later ones depend on.
+    """State of the error bars along a sequence: errors on which those of later frames depend.
 
     Attributes
     ----------
@@ -116,11 +112,15 @@ class Track:
         )
 
     def advanced(self, model: LinearModel) -> tuple["Track", Bars]:
-        """Return the track and the bars after a frame.
-
-        Or after baseline and first frame that are solved together.
+        """Return the track after a frame, or after a baseline and a first frame solved together.
 
         Raises numpy.linalg.LinAlgError if the cost is flat.
+
+        Returns
+        -------
+        track : Track
+        bars : Bars
+            Error bars of the frame.
         """
         shape = model.at.cell_resistance[0].shape
         joint = len(model.at.cell_resistance) == 2
@@ -220,8 +220,6 @@ def beyond_tangents(
 ) -> tuple[Array, Array]:
     """Return the increase of the squared extents of intervals below and above by profiles.
 
-    Each has shape (rows, columns).
-
     Parameters
     ----------
     model : LinearModel
@@ -233,6 +231,11 @@ def beyond_tangents(
     moved : callable or None
         Readings → change of log r (rows, columns), NaN if the solve fails. None if a penalty
         determines the cells.
+
+    Returns
+    -------
+    below, above : array, shape (rows, columns)
+        Increase of the squared extent of log r.
     """
     errors = errors_of(model, None)
     size = readings.value.size
@@ -261,10 +264,7 @@ def beyond_tangents(
 
 
 def tangent(errors: DenseErrors, cell: int) -> Array:
-    """Return the change of log r of all cells if a free cell moves to its upper end.
-
-    It is in linear approximation.
-    """
+    """Return the change of log r of all cells if a free cell moves to its upper end, linearised."""
     place = int(np.searchsorted(errors.model.free, cell))
     # A⁻¹ e_c/(A⁻¹)_cc·1.96·σ_c
     column = errors.inverse[:, place]

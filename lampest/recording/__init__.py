@@ -1,4 +1,1 @@
-"""Recordings: their files, imports, boards and simulations.
-
-Also their conversion to readings of a network.
-"""
+"""Recordings: files, imports, boards, simulations, and conversion to readings of a network."""

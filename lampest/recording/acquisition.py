@@ -322,7 +322,7 @@ def blocks(frames: int, crossings: int) -> Iterator[slice]:
 def recorded_of_sums(scene: Scene, sums: NDArray[Any], readings: int) -> Array:
     """Return recorded values of sums of codes by the readout of each module.
 
-    The sums have shape (…, rows, columns). NaN for NO_SUM.
+    The sums have the shape (…, rows, columns); the value of NO_SUM is NaN.
     """
     layout = scene.panel.modules
     if layout is None:

@@ -179,8 +179,8 @@ def create_frames_group(
 def coordinates(panel: Panel) -> dict[str, tuple[tuple[str, ...], NDArray[Any], str, str]]:
     """Return (axes, values, unit, long name) of the coordinates row, column, y, x and z, by name.
 
-    y depends on the row and x on the column. Of listed cells both, and z in space, depend on the
-    cell, with NaN without a cell.
+    The coordinate y depends on the row and x on the column. For listed cells x, y, and z in space,
+    depend on the cell, and are NaN without a cell.
     """
     lines = zip(("row", "column"), map(np.arange, panel.shape), strict=True)
     axes = {line: ((line,), number, "1", f"{line} line") for line, number in lines}

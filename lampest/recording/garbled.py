@@ -142,7 +142,7 @@ def _signal(recording: Recording) -> Array:
 def _expected(values: Array) -> tuple[Array, Array]:
     """Return the median of the neighbours of each frame and their scatter.
 
-    Shape (frames, rows, columns).
+    Both arrays have the shape (frames, rows, columns).
     """
     frames = np.arange(len(values))
     width = 2 * WINDOW + 1

@@ -24,9 +24,9 @@ OPEN_CELLS = (
 
 
 def processing_of(codes: Array, resting: NDArray[np.bool_], present: NDArray[np.bool_]) -> str:
-    """Return what firmware did to readings, as a sentence that says what to change.
+    """Return a sentence on the processing of readings by firmware, and on the remedy.
 
-    '' where nothing is seen.
+    The sentence is '' if no processing is evident.
 
     Parameters
     ----------

@@ -33,9 +33,9 @@ def stand_in(value: Array, known: NDArray[np.bool_]) -> Array:
 def stand_in_spread(value: Array, known: NDArray[np.bool_]) -> Array:
     """Return the standard deviation of log(stand_in) for one frame, (rows, columns).
 
-    1 if nothing is known. It is determined by cross-validation, leaving out one diagonal after the
-    other: the rms error, or more if that does not cover 95 % of the errors. For a line without any
-    known reading the variance of the other lines' effects is added.
+    Cross-validation, which leaves out one diagonal after the other, gives the rms error, or more if
+    this does not cover 95 % of the errors. For a line without any known reading the variance of the
+    other lines' effects is added. The deviation is 1 if nothing is known.
     """
     if not known.any():
         return np.ones(known.shape)
@@ -85,7 +85,7 @@ def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
 def median(values: Array, axis: int = 0) -> Array:
     """Return medians along an axis, which is kept, without NaN.
 
-    NaN where all values are. Faster than nanmedian.
+    The median of NaN alone is NaN. The function is faster than nanmedian.
     """
     # NaN last
     ordered = np.sort(values, axis=axis)
@@ -388,10 +388,7 @@ def check_sigma(scene: Scene, recorded: Array, sigma: Array | None, where: str =
 
 
 def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:
-    """Return σ of every reading of the network from the given one, or from the readout's.
-
-    None if unknown.
-    """
+    """Return σ of the network's readings from the given one, or from the readout's, or None."""
     if sigma is not None:
         return scene.circuit.sigma_of_reading(recorded, np.broadcast_to(sigma, recorded.shape))
     if scene.readout is None:

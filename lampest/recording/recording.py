@@ -18,7 +18,7 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FILE_ATTRIBUTES, Acquisition, group_of, stored_fields
 from lampest.recording.file import create_frames_group, read_frames, recording_file
-from lampest.recording.readings import Readings, check_sigma
+from lampest.recording.readings import Readings, check_sigma, mean_change, strongest_frame
 from lampest.recording.unit import check_unit, recorded_values
 
 UNLOADED = 0
@@ -33,6 +33,7 @@ UNEVENLY = (
 )
 # Least relative change of readings or cells by a load or a common error, far above drift.
 MIN_CHANGE = 0.01
+MAX_NEIGHBOURS = 2  # frames or networks that decide with the strongest one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -350,6 +351,13 @@ class Recording(Validated):
 
         If the recording has unloaded frames, the map shows the change against them.
 
+        Parameters
+        ----------
+        frame : int, optional
+            By default that of the strongest change, or the first.
+        ax, figsize, vmin, vmax
+            As for `Reconstruction.plot`.
+
         Raises
         ------
         InputError
@@ -433,6 +441,36 @@ class Recording(Validated):
         if len(frames) == 0:
             raise InputError(f"{self.name}: {self._group}/role has no measured frame (role 1)")
         return frames
+
+
+def baseline_readings(recording: Recording, readings: Readings) -> Readings:
+    """Return the mean of the unloaded frames.
+
+    Without any, or where too little of them was read, the first frame of which enough was read.
+    """
+    unloaded = np.flatnonzero(recording.role == UNLOADED)
+    mean = readings[unloaded if len(unloaded) else [0]].mean()
+    usable = np.flatnonzero(readings.enough(recording.scene))
+    return mean if mean.enough(recording.scene) or not len(usable) else readings[usable[:1]].mean()
+
+
+def deciding_frames(
+    recording: Recording, readings: Readings, resting: Readings
+) -> NDArray[np.intp]:
+    """Return the measured frame that differs most from rest, and frames that decide with it.
+
+    The further frames are spread evenly over those that differ half as far from rest. Frames
+    without enough readings are left out.
+    """
+    frames = recording.measured_frames()
+    frames = frames[readings.enough(recording.scene)[frames]]
+    if not len(frames):
+        return frames
+    change = mean_change(readings.plain_values, resting.value)
+    strongest = strongest_frame(readings.plain_values, resting.value, frames)
+    loaded = frames[(change[frames] >= change[strongest] / 2) & (frames != strongest)]
+    spread = np.linspace(0, len(loaded) - 1, MAX_NEIGHBOURS if len(loaded) else 0)
+    return np.append(strongest, loaded[np.unique(spread.round().astype(int))])
 
 
 def _scene_of(scene: Scene | str | Path | None) -> Scene | None:

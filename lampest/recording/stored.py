@@ -153,10 +153,7 @@ def joined(parts: Sequence[Recording], chosen: NDArray[Any] | None = None) -> Re
 
 
 def first_unloaded(stored: StoredRecording, most: int) -> Recording | None:
-    """Return at most `most` unloaded frames from the beginning of a recording.
-
-    None if there is none.
-    """
+    """Return at most `most` unloaded frames from the beginning of a recording, or None."""
     numbers = np.flatnonzero(stored.role == UNLOADED)[:most]
     parts = (stored.part(frames) for frames in stored.blocks if np.isin(numbers, frames).any())
     chosen = [
@@ -166,9 +163,9 @@ def first_unloaded(stored: StoredRecording, most: int) -> Recording | None:
 
 
 def measured_part(stored: StoredRecording, frames: range, beside: int) -> Recording | None:
-    """Return the measured frames of a range, and of `beside` frames on either side.
+    """Return the measured frames of a range, and of `beside` frames on either side, or None.
 
-    None if the range has none.
+    The function returns None if no frame of the range is measured.
     """
     part = stored.part(frames, beside)
     assert part.number is not None

@@ -49,10 +49,10 @@ def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
 def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source: object) -> Array:
     """Return values converted from their unit to the readout's recorded quantity.
 
-    Shape (frames, rows, columns). NaN is kept. Codes and voltages at a rail, infinite resistances
-    and those of zero remain bounds. Raises InputError with the place (frame, row, column) of an
-    impossible value, or with the source if most readings are at the rail of a shorted cell: unit or
-    range are probably wrong.
+    Values have the shape (frames, rows, columns). NaN is kept. Codes and voltages at a rail,
+    infinite resistances and those of zero remain bounds. Raises InputError with the place (frame,
+    row, column) of an impossible value, or with the source if most readings are at the rail of a
+    shorted cell: unit or range are probably wrong.
     """
     scaled = values * FACTORS[unit]
     readout = scene.readout

@@ -1,6 +1,6 @@
 """Comparison tables of recordings and estimators.
 
-They compare solve time, data error, cell error, published figures.
+Tables compare solve times, data errors, cell errors, and published figures.
 """
 
 import csv
@@ -37,22 +37,21 @@ MIN_DIFFERENCE = 1e-3  # percent or ms: less is rounding
 MAX_SHOWN = 6  # recordings, estimators of them, and contacts that are shown in full
 STEPS = {"all": "", "initial": " first", "following": " later"}
 NOTES = {  # explanations of headers that begin with the key
-    "verified by IPOPT": "verified by IPOPT: frames solved again on the nodal program from another "
-    "start "
-    "(the strongest of a recording by default, `verify`): largest difference of ln r between both "
-    "estimates",
-    "solved": "solved: frames at a verified local optimum, the best of all starts; approximate "
-    "formulations: all "
-    "frames with an estimate",
-    "data error [%]": "data error: |model − measured| / measured, mean ± standard deviation over "
-    "all readings",
-    "cell error [%]": "cell error: |estimate − truth| / truth of the cells, median / 95th "
-    "percentile",
-    "own / common": "own / common sd: median standard deviations of each cell's own error / of the "
-    "error common to all",
+    "verified by IPOPT": "verified by IPOPT: "
+    "frames solved again on the nodal program from another start "
+    "(the strongest of a recording by default, `verify`): "
+    "largest difference of ln r between both estimates",
+    "solved": "solved: frames at a verified local optimum, the best of all starts; "
+    "approximate formulations: all frames with an estimate",
+    "data error [%]": "data error: "
+    "|model − measured| / measured, mean ± standard deviation over all readings",
+    "cell error [%]": "cell error: "
+    "|estimate − truth| / truth of the cells, median / 95th percentile",
+    "own / common": "own / common sd: "
+    "median standard deviations of each cell's own error / of the error common to all",
     "pressure sd": "pressure sd: the same of the pressures of pressed cells, own / common",
-    "first": "first, later: the first frame, estimated jointly with the baseline as in the paper; "
-    "the frames after it",
+    "first": "first, later: "
+    "the first frame, estimated jointly with the baseline as in the paper; the frames after it",
     "published": "published: of another recording and computer, as the run's file quotes it",
 }
 
@@ -85,6 +84,14 @@ class _Template(Formatter):
     def get_field(
         self, field_name: str, args: Sequence[Any], kwargs: Mapping[str, Any]
     ) -> tuple[Any, str]:
+        """Return the value of a field, and the field's name.
+
+        Returns
+        -------
+        value : object
+        field_name : str
+            The whole name, including dots and brackets, which `Formatter` would resolve.
+        """
         return kwargs[field_name], field_name
 
     def format_field(self, value: Any, format_spec: str) -> str:
@@ -121,7 +128,7 @@ STATISTICS: dict[str, Callable[[Array], float | None]] = {
 def statistics(values: Array | None, header: str, *names: str) -> dict[str, float | None]:
     """Map headers such as 'time {} [s]' to statistics of the finite values.
 
-    None if there are no such values.
+    A statistic without values is None.
     """
     known = np.zeros(0) if values is None else values[np.isfinite(values)]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -139,7 +146,7 @@ def relative_error(values: Array, reference: Array) -> Array:
 def data_error(case: CaseResult) -> Array:
     """Return 100·|model − measured|/measured, (frames, rows, columns) percent.
 
-    NaN where a reading is no value.
+    The error of a reading that is no value is NaN.
     """
     return np.where(case.valued, relative_error(case.reading_model, case.measured), np.nan)
 
@@ -147,7 +154,7 @@ def data_error(case: CaseResult) -> Array:
 def weighted_residual(case: CaseResult) -> Array:
     """Return (model − measured)/σ, (frames, rows, columns).
 
-    NaN where a reading is no value, and without σ.
+    The residual of a reading that is no value or has no σ is NaN.
     """
     sigma = np.nan if case.sigma is None else case.sigma
     return np.where(case.valued, (case.reading_model - case.measured) / sigma, np.nan)
@@ -230,10 +237,7 @@ def figures_of(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
 
 
 def _solver_of(case: CaseResult, good: NDArray[np.bool_]) -> str:
-    """Return the solver of the solved frames.
-
-    It is with the number of frames of each where there are several.
-    """
+    """Return the solver of the solved frames, or each of several with its number of frames."""
     names = (
         ()
         if case.solver is None
@@ -319,7 +323,7 @@ def write_rows(stream: TextIO, rows: Iterable[Iterable[object]]) -> None:
 def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
     """Write all figures of the rows as CSV with units in the headers.
 
-    They have full precision, and are empty where there is none.
+    Figures have full precision; missing figures are empty.
 
     Raises InputError where the place cannot be written.
     """
@@ -350,7 +354,7 @@ def swept_keys(rows: Iterable[Row]) -> tuple[str, ...]:
 def comparison(*paths: str | Path) -> "DataFrame":
     """Return the table of `lampest compare` as a pandas.DataFrame.
 
-    It has a column for each swept key.
+    Each swept key has a column of its own.
 
     Raises InputError where a results file cannot be read, or pandas is not installed.
 
@@ -387,7 +391,7 @@ def screen_blocks(rows: Sequence[Row], *, published: bool = False) -> list[Table
 def _with_swept(columns: Columns, rows: Sequence[Row]) -> Columns:
     """Return the columns of rows, or of groups of them, with one for each swept key.
 
-    These come after the estimator.
+    The columns of swept keys follow the estimator's.
     """
     first, *remaining = columns.items()
     return dict(
@@ -402,7 +406,7 @@ def _with_swept(columns: Columns, rows: Sequence[Row]) -> Columns:
 def _swept_text(key: str, rows: Row | Sequence[Row]) -> str:
     """Return the value that a sweep gave a key in a row or in a group of rows, as text.
 
-    '' where it gave none.
+    Returns '' for a key that was not swept.
     """
     row = rows if isinstance(rows, Mapping) else rows[0]
     value = row["swept"].get(key, "")
@@ -479,8 +483,8 @@ COLUMNS: Columns = {
     "verified by IPOPT": "{verified by IPOPT}",
     "data error [%]": lambda row: _plus_minus(row, "data error {} [%]"),
     "cell error [%]": "{cell error median [%]:digits} / {cell error 95th percentile [%]:digits}",
-    "own / common sd [%]": "{own standard deviation median [%]:digits} / {common standard "
-    "deviation median [%]:digits}",
+    "own / common sd [%]": "{own standard deviation median [%]:digits} / "
+    "{common standard deviation median [%]:digits}",
     "pressure sd [kPa]": "{own standard deviation of pressed cells median [kPa]:digits} / "
     "{common standard deviation of pressed cells median [kPa]:digits}",
 }

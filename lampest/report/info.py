@@ -46,22 +46,22 @@ READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
 SEALED = "as written: {bytes} bytes in {datasets} datasets agree with their checksums"
 Sentence = tuple[str, object]  # heading, text
 UNSEALED = (
-    "readable, but without checksums: written by an older version or another program, or "
-    "never closed"
+    "readable, but without checksums: "
+    "written by an older version or another program, or never closed"
 )
 WEAK = (
-    "readable; its checksums notice turned bits, but neither zeroed nor exchanged values (no "
-    "digests: {paths})"
+    "readable; its checksums notice turned bits, but neither zeroed nor exchanged values "
+    "(no digests: {paths})"
 )
 
 
 def describe(path: str | Path) -> Iterator[str]:
     """Yield the description of a file line by line.
 
-    Format, frames, panel, scene, times, roles, range of readings, and the strongest change. The
-    verdict on a recording's circuit comes last, because nothing else waits for it.
+    The lines state format, frames, panel, scene, times, roles, range of readings, and the strongest
+    change. The verdict on a recording's circuit comes last, because nothing else waits for it.
 
-    Of a file that exceeds the memory, all frames are counted and the first ones are described.
+    All frames of a file that exceeds the memory are counted, and the first ones are described.
     Raises InputError for a damaged file and for one that is neither a recording nor results.
     """
     path = Path(path)
@@ -112,15 +112,15 @@ def _frames(role: NDArray[np.uint8], time: Array) -> Iterator[Sentence]:
     measured = int(np.sum(role == MEASURED))
     yield (
         "frames",
-        f"{len(role)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} "
-        "s",
+        f"{len(role)}: {unloaded} unloaded, {measured} measured; "
+        f"{time.min():g} to {time.max():g} s",
     )
 
 
 def _recording_lines(recording: Recording, kept: "RecordingCheck | None") -> Iterator[str]:
-    """Yield what a recording holds, the map of its strongest change, and the verdict.
+    """Yield the content of a recording, the map of its strongest change, and the verdict.
 
-    `kept` is the check that a run has kept; None: it is computed.
+    `kept` is the check that a run has kept; without one it is computed.
     """
     # With all of the estimate, which results do without.
     from lampest.audit.advice import Audit
@@ -173,7 +173,7 @@ def _health(audit: "Audit") -> Iterator[Sentence]:
 
 
 def _estimated(audit: "Audit") -> Iterator[Sentence]:
-    """Yield what firmware did to the readings, and the numbers that the scene calls estimated."""
+    """Yield sentences on processing by firmware, and on the numbers that the scene estimates."""
     recording = audit.prepared.recording
     if (reason := _processing(recording)) and recording.scene.baseline is None:
         yield "warning", f"these are no readings as the converter gives them: {reason}"
@@ -198,9 +198,7 @@ def _verdict(audit: "Audit", kept: "RecordingCheck | None") -> Iterator[Sentence
 
 
 def apply_advice(path: str | Path) -> list[str]:
-    """Write the lines of a recording's advice into its scene.
-
-    Return what was done in sentences.
+    """Write the lines of a recording's advice into its scene, and return sentences on the changes.
 
     Raises InputError where the file is no recording that fits into memory.
     """
@@ -232,10 +230,7 @@ def apply_advice(path: str | Path) -> list[str]:
 
 
 def _processing(recording: Recording) -> str:
-    """Return what firmware did to the recorded readings.
-
-    '' where nothing is seen. See `processing_of`.
-    """
+    """Return a sentence on the firmware's processing of recorded readings; see `processing_of`."""
     readout = recording.scene.readout
     panel = recording.scene.panel
     if readout is None or readout.floor_code is not None:
@@ -311,24 +306,24 @@ def _results_lines(results: Results) -> list[str]:
         place = strongest_index([case])
         where = f"frame {case.frame[place]} at {case.time[place]:g} s"
         lines.append(
-            f"cells of {case.recording} × {case.estimator} in {where}, change against "
-            f"{reference_words(case)}:"
+            f"cells of {case.recording} × {case.estimator} in {where}, "
+            f"change against {reference_words(case)}:"
         )
         lines += shaded_map(case.relative_change[place])
     return lines
 
 
 def _measurement_lines(case: CaseResult) -> list[str]:
-    """Return what all cases of a recording share in words."""
+    """Return the data that all cases of a recording share, in words."""
     scene = case.scene
     frames, rows, columns = case.measured.shape
     truth = "not in" if case.truth is None else "in"
     taken_off = ", series resistance taken off" if scene.circuit.unit == "ohm" else ""
     values = spanned(as_recorded(case.measured, scene), scene.circuit.unit)
     headline = (
-        f"recording {case.recording}: {frames} frames, {case.time.min():g} to "
-        f"{case.time.max():g} s, {rows} rows × {columns} columns, pitch "
-        f"{scene.panel.pitch_mm:g} mm, truth {truth} the file"
+        f"recording {case.recording}: {frames} frames, "
+        f"{case.time.min():g} to {case.time.max():g} s, {rows} rows × {columns} columns, "
+        f"pitch {scene.panel.pitch_mm:g} mm, truth {truth} the file"
     )
     missing = np.isnan(case.measured) & scene.requested
     # results of older versions do not say what are bounds
@@ -374,10 +369,7 @@ def _starts(case: CaseResult) -> str:
 
 
 def _holes(recording: Recording) -> Iterator[str]:
-    """Yield sentences on missing and bounded readings, and on their consequences.
-
-    Those of faulty cells are excepted.
-    """
+    """Yield sentences on missing and bounded readings of sound cells, and consequences."""
     readings = recording.readings()
     scene = recording.scene
     yield holes_sentence(readings.missing(scene), readings.bounds)
@@ -385,8 +377,8 @@ def _holes(recording: Recording) -> Iterator[str]:
     unloaded = recording.role == UNLOADED
     if not np.all(estimable):
         yield (
-            f"{int(np.sum(~estimable))} of {len(estimable)} frames have too few values to be "
-            "estimated"
+            f"{int(np.sum(~estimable))} of {len(estimable)} frames "
+            "have too few values to be estimated"
         )
     if np.any(unloaded) and np.any(estimable) and not readings[unloaded].mean().enough(scene):
         yield "the unloaded frames have too few values: the first frame with enough stands for them"
@@ -395,7 +387,7 @@ def _holes(recording: Recording) -> Iterator[str]:
 def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str:
     """Return a sentence on missing readings and readings at a rail.
 
-    It is such as `12 readings missing (0.4 %), 30 at a rail, ... (1 %), in 7 of 40 frames`.
+    An example is `12 readings missing (0.4 %), 30 at a rail, ... (1 %), in 7 of 40 frames`.
 
     missing, bounds : (frames, rows, columns). Lines without readings are named. Empty if every
         reading is a value.
@@ -504,11 +496,16 @@ def _room() -> int:
 def _fitted(
     labels: Sequence[str], lines: Sequence[Sequence[str]], width: int, shape: tuple[int, ...]
 ) -> tuple[list[str], list[str]]:
-    """Return lines of texts behind their labels, as far as they fit the screen.
+    """Return lines of texts with their labels, and a remark, as far as the screen has room.
 
-    A remark on what does not is returned as well.
+    `shape` is the shape of the whole map.
 
-    shape : of the whole map.
+    Returns
+    -------
+    drawn : list of str
+        One line for each label.
+    remark : list of str
+        A sentence if the map has more rows or columns than are drawn, else nothing.
     """
     label_width = max(map(len, labels))
     rows = min(shape[0], MAX_ROWS)

@@ -1,6 +1,6 @@
 """Estimates for notebooks: with plots, files, labelled arrays and tables.
 
-Whoever asks for cells loads none of these: each method imports what it needs.
+Each method imports the libraries that it needs; access to the cells loads none.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -37,8 +37,8 @@ class Reconstruction(Estimates):
     `_lower` and `_upper`. `status` is the outcome of each solve.
 
     Methods take `name`, the name of the estimator in files and plots (by default its terms, `misfit
-    + gradient`), and `columns`, your own columns. They raise InputError for an unfit name and for
-    values that do not fit their column.
+    + gradient`), and `columns`, your own columns. Methods raise InputError for an unfit name and
+    for values that do not fit their column.
 
     >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
@@ -79,10 +79,7 @@ class Reconstruction(Estimates):
 
     @property
     def model_check(self) -> "ModelCheck":
-        """The verdict on the scene's circuit: 'yes', 'doubtful' or 'no'.
-
-        It comes with all that speaks against the circuit.
-        """
+        """Verdict on the circuit, 'yes', 'doubtful' or 'no', with the evidence against it."""
         from lampest.audit.verdict import verdict
 
         return verdict(super().model_check, self.prepared)
@@ -91,7 +88,7 @@ class Reconstruction(Estimates):
     def advice(self) -> tuple[str, ...]:
         """Suggestions of the recording beyond its scene, with evidence and the line to add.
 
-        They are computed when asked.
+        The first access computes the suggestions.
 
         >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
         >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)

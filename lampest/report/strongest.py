@@ -19,7 +19,7 @@ def percent_change(resistance: Array, baseline: Array) -> Array:
 def as_recorded(value: Array, scene: Scene) -> Array:
     """Return readings of the network as the converter recorded them.
 
-    With pull-ups, they are supply less load voltage.
+    Readings with pull-ups are the supply less the load voltage.
     """
     return scene.circuit.to_recorded(value, scene) if scene.circuit.mirrored else value
 
@@ -27,9 +27,9 @@ def as_recorded(value: Array, scene: Scene) -> Array:
 def apparent_change(value: Array, baseline: Array, scene: Scene) -> Array:
     """Return the change of each cell by its own reading alone, in percent of its resistance.
 
-    It is the change of the reading where that is a resistance. Of a reading in volt it is the
-    change of the cell that would give the reading if it were alone. Measured and estimated changes
-    then have one scale and one sign.
+    A reading in ohm changes like the cell. For a reading in volt, the change is that of the cell
+    that would give the reading if it were alone. Measured and estimated changes then have one scale
+    and one sign.
 
     Parameters
     ----------
@@ -75,10 +75,10 @@ def furthest(value: Array, resting: Array) -> int:
 def likely_change(value: Array, resting: Array) -> Array:
     """Approximate ln(r/r₀) by K·(x̄/K + a/M + b/N + w/2).
 
-    Here x = ln(y/y₀) = x̄ + a + b + w, and K = M + N − 1. This inverts the derivative of the
-    two-point resistances of a uniform panel, for which mean, row effects, column effects and
-    residuals are eigenvectors. Unlike readings, it also responds to suction within a pressed rim.
-    It is used to select frames only.
+    The logarithm x = ln(y/y₀) = x̄ + a + b + w is the sum of mean, row effects, column effects and
+    residuals, and K = M + N − 1. The formula inverts the derivative of the two-point resistances of
+    a uniform panel, of which these parts are eigenvectors. Unlike readings, the result also
+    responds to suction within a pressed rim. It is used to select frames only.
 
     Parameters
     ----------
@@ -102,8 +102,15 @@ def likely_change(value: Array, resting: Array) -> Array:
 def strongest_readings(recording: Recording) -> tuple[int, Array] | None:
     """Return the strongest frame and the change of its readings.
 
-    The change is in percent of the mean unloaded ones. Frames with garbled lines are not
-    considered. None without unloaded frames or without measured ones.
+    Frames with garbled lines are not considered. Returns None without unloaded frames or without
+    measured ones.
+
+    Returns
+    -------
+    frame : int
+        Number of the frame.
+    change : array, shape (rows, columns)
+        Change in percent of the mean unloaded readings.
     """
     garbled = readings_of(garbled_lines(recording), recording)
     unloaded = recording.role == UNLOADED

@@ -13,10 +13,7 @@ def listed(names: Sequence[str]) -> str:
 
 
 def no_formula(value: object) -> object:
-    """Return the value, with a leading apostrophe where it would be a formula.
-
-    This concerns texts that spreadsheets would evaluate as formulas.
-    """
+    """Return a value, with a leading apostrophe if a spreadsheet would evaluate it as a formula."""
     if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")):
         return f"'{value}"
     return value
@@ -25,7 +22,7 @@ def no_formula(value: object) -> object:
 def digits(value: float, count: int = 3, like: float | None = None) -> str:
     """Format a number with `count` significant digits, such as '0.0012', '3,050'.
 
-    It is without an exponent if possible.
+    Numbers from 10⁻⁴ to 10⁶ have no exponent.
 
     like : a number that gets `count` digits; the value then has the same decimals.
     """

@@ -20,7 +20,8 @@ from typing import Literal
 
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.sequence import Parts, asked_frames, reconstruct
+from lampest.estimate.parts import Parts, asked_frames
+from lampest.estimate.sequence import reconstruct
 from lampest.estimate.stream import CarriedOver
 from lampest.files import hdf5
 from lampest.files.errors import InputError
@@ -43,7 +44,6 @@ from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor, LostError, Pairs
 from lampest.runs.filling import case_result
 from lampest.runs.results import (
-    PublishedFigures,
     join_case,
     read_case_scene,
     stored_cases,
@@ -239,7 +239,8 @@ def run_batch(
                         unfinished = sum(check is None for check in checked.values())
                         on_checks(len(to_check) - unfinished, len(to_check))
                     elif isinstance(outcome, BaseException):
-                        failed.append(_failure(task, outcome))
+                        name = f"{task.case.recording} × {task.case.name}"
+                        failed.append((name, logged_reason(outcome, name)))
                     else:
                         finished[task.file] = outcome
         except LostError as error:
@@ -247,7 +248,10 @@ def run_batch(
         finally:
             finished |= _results([task for task in tasks if task.file not in finished])
             cases = _with_checks(_with_unfinished(tasks, finished), checked, run.check)
-            aside = _write_all(folder / RESULTS, cases, run.published)
+            aside = None
+            if cases:
+                aside = _put_aside(folder / RESULTS, cases)
+                write_results(folder / RESULTS, cases, run.published)
             _clear(folder, tasks, fresh=False)
         not_run = len(tasks) - len(finished) - len(failed) if lost else 0
         return Report(
@@ -310,25 +314,6 @@ def _unchecked(checked: Mapping[str, RecordingCheck | BaseException | None]) -> 
         if isinstance(outcome, BaseException) and not isinstance(outcome, InputError):
             reason = logged_reason(outcome, recording)
             yield f"{recording}: the circuit was not checked: {reason}"
-
-
-def _write_all(
-    path: Path,
-    cases: Sequence[StoredCase],
-    published: Mapping[str, PublishedFigures] | None,
-) -> Path | None:
-    """Write the results of all cases, if any; return the new name of a file of other cases."""
-    if not cases:
-        return None
-    aside = _put_aside(path, cases)
-    write_results(path, cases, published)
-    return aside
-
-
-def _failure(task: Task, error: BaseException) -> tuple[str, str]:
-    """Return the name of a case that failed, and the reason."""
-    name = f"{task.case.recording} × {task.case.name}"
-    return name, logged_reason(error, name)
 
 
 def _different_lines(
@@ -452,10 +437,7 @@ def solve_case(task: Task) -> StoredCase:
 
 
 def solve_long(task: Task, stored: StoredRecording) -> StoredCase:
-    """Solve a case part by part, and write its result atomically.
-
-    It begins with the first unfinished part.
-    """
+    """Solve a case part by part from its first unfinished part, and write its result atomically."""
     solved = list[int]()
     stored_parts = set(task.whole_parts)
     if task.case.estimator.uses_previous or not set(stored.measured_blocks) <= stored_parts:
@@ -508,10 +490,7 @@ def read_carried(path: Path) -> CarriedOver:
 
 
 def _kept_frames(task: Task) -> Callable[[int, int, Callable[[], Estimates] | None], None]:
-    """Return a function that counts the finished frames of a case.
-
-    At intervals it writes their estimates.
-    """
+    """Return a function that counts the finished frames of a case and writes them at intervals."""
     counted = written = time.monotonic()
     pause = EVERY_SECONDS
 
@@ -564,7 +543,7 @@ def exclusive(folder: Path) -> Iterator[None]:
 def _clear(folder: Path, tasks: Sequence[Task], *, fresh: bool) -> None:
     """Remove unfinished files of these tasks that killed processes left.
 
-    With `fresh`, the results of these tasks are removed, too.
+    The flag `fresh` also removes the results of these tasks.
     """
     wholes = {RESULTS, *(task.file.name for task in tasks)}
     for unfinished in (*folder.glob(".*.part"), *(folder / CASES).glob(".*.part")):

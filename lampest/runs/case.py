@@ -172,7 +172,7 @@ class CaseResult(Content):
     def local_optima(self) -> tuple[int, int, int] | None:
         """Number of frames at a local optimum, and least and largest number of their starts.
 
-        None if unknown.
+        The value is None if the numbers of starts are unknown, or no frame is at an optimum.
         """
         optima = np.array([status.startswith(("optimum", "an optimum,")) for status in self.status])
         if self.starts is None or not optima.any():
@@ -199,9 +199,14 @@ class CaseResult(Content):
         return f"{message}; of pressures: {words.format(*map(np.median, parts), unit='kPa')}"
 
     def pressed_errors(self, chosen: NDArray[np.bool_]) -> tuple[Array, Array] | None:
-        """Return own and common standard deviations of pressure in kPa.
+        """Return standard deviations of the pressures of cells that are pressed in chosen frames.
 
-        They are those of the pressed cells in some frames.
+        Returns None if the case has no pressures.
+
+        Returns
+        -------
+        own, common : array, shape (values,)
+            Standard deviations of each cell's own error, and of the common error, kPa.
         """
         if self.pressing is None or self.pressure_own is None or self.pressure_common is None:
             return None
@@ -254,7 +259,7 @@ class CaseResult(Content):
     def to_dataframe(self, columns: Sequence[Column] = ()) -> DataFrame:
         """Return a long pandas.DataFrame with a line for every cell of every frame.
 
-        Its columns are time, frame, row, column and those of the case; values of frames and of
+        The columns are time, frame, row, column and those of the case; values of frames and of
         cells are repeated. Units are in `attrs["units"]`. Raises InputError as `to_xarray`.
         """
         held = self.long_columns(columns)
@@ -289,8 +294,8 @@ class CaseResult(Content):
         for name in self.extra:
             if name not in {column.name for column in table}:
                 raise InputError(
-                    f"{self.recording} × {self.estimator}: no column says what the extra '{name}' "
-                    "is"
+                    f"{self.recording} × {self.estimator}: "
+                    f"no column says what the extra '{name}' is"
                 )
         return table
 
@@ -383,19 +388,18 @@ class StoredCase:
 def check_name(name: str, noun: str) -> None:
     """Raise InputError unless `name` can name a group.
 
-    Such a name is printable ASCII without '/', trimmed, not reserved.
+    A name is printable ASCII without '/', trimmed, and not reserved.
     """
     fit = name.isascii() and name.isprintable() and "/" not in name and name == name.strip()
     if not fit or name in ("", ".", "..") or len(name) > 200:
         raise InputError(
-            f"{name[:200]!r} cannot name this {noun}: 1 to 200 printable ASCII characters without "
-            "'/' "
-            "or blanks at the ends are needed, other than '.' and '..'"
+            f"{name[:200]!r} cannot name this {noun}: 1 to 200 printable ASCII characters "
+            "without '/' or blanks at the ends are needed, other than '.' and '..'"
         )
     if (noun, name) == ("estimator", SHARED):
         raise InputError(
-            f"an estimator cannot be called '{SHARED}': results keep the measurement under that "
-            "name"
+            f"an estimator cannot be called '{SHARED}': "
+            "results keep the measurement under that name"
         )
 
 

@@ -1,7 +1,7 @@
 """Check of a recording's circuit, as a case of its own that all estimators of the recording share.
 
-No estimate waits for it. Its outcome is kept beside the cases and written into the results of every
-estimator. A recording that has not changed is not checked again.
+No estimate waits for the check. The cases' folder keeps its outcome, and the results of every
+estimator contain it. A recording that has not changed is not checked again.
 """
 
 import json

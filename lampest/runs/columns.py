@@ -54,10 +54,7 @@ def possible(values: Array, solved: NDArray[np.bool_]) -> str | None:
 def _check(
     sentence: str, right: Callable[[Array, NDArray[np.bool_]], Any], *, physical: bool = True
 ) -> Check:
-    """Return a check of values.
-
-    They must be possible, too, where they are measured or comparable.
-    """
+    """Return a check of values, which must also be possible if they are physical."""
 
     def fault(values: Any, solved: NDArray[np.bool_]) -> str | None:
         beyond = possible(values, solved) if physical else None
@@ -137,19 +134,19 @@ class Column(Validated):
     def __post_init__(self) -> None:
         if not (self.path.isidentifier() and self.path.isascii()) or self.path in RESERVED:
             raise InputError(
-                f"{self.path!r} cannot name a column: a word of ASCII letters is needed, none of "
-                f"{RESERVED}"
+                f"{self.path!r} cannot name a column: "
+                f"a word of ASCII letters is needed, none of {RESERVED}"
             )
         if self.axes not in (MAPS, CELLS, FRAMES):
             raise InputError(
-                f"the column {self.name} cannot lie along {self.axes}: only {MAPS}, {CELLS} or "
-                f"{FRAMES}"
+                f"the column {self.name} cannot lie along {self.axes}: "
+                f"only {MAPS}, {CELLS} or {FRAMES}"
             )
         for _, word in self.flags:
             if not (word.isidentifier() and word.isascii()):
                 raise InputError(
-                    f"the column {self.name} says {word!r} of a value; a word of ASCII letters is "
-                    "needed"
+                    f"the column {self.name} says {word!r} of a value; "
+                    "a word of ASCII letters is needed"
                 )
 
     @property
@@ -159,10 +156,7 @@ class Column(Validated):
 
     @property
     def label(self) -> str:
-        """Name in labelled arrays, tables and exports.
-
-        It is that of the dataset, except for measurements.
-        """
+        """Name in labelled arrays, tables and exports: the dataset's, but `name` if shared."""
         return self.name if self.shared else self.path
 
     def of(self, readout: Readout) -> Column:

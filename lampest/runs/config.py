@@ -14,7 +14,7 @@ from lampest.cost.terms import AnyTerm, Term, term_types
 from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
 from lampest.estimate.objective import Tare
-from lampest.estimate.sequence import check_by_parts
+from lampest.estimate.parts import check_by_parts
 from lampest.estimate.witness import Verify
 from lampest.files import sweep
 from lampest.files.document import (

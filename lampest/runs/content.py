@@ -85,8 +85,8 @@ def _share(words: str, units: str = "1") -> Any:
 def _attribute(name: str, source: str = "", default: Any = "", value: Any = None) -> Any:
     """Return a field that is an attribute of the estimator's group.
 
-    It is omitted in the file at its default. Its value is that of estimates: a function of them, or
-    the dotted name of an attribute.
+    The file omits an attribute that has its default. Its value is that of estimates: a function of
+    them, or the dotted name of an attribute.
     """
     return field(
         default=default,
@@ -107,7 +107,7 @@ def _of_solutions(name: str) -> Callable[[Estimates], Array]:
 def _of_witness(name: str, absent: float) -> Callable[[Estimates], Array | None]:
     """Return a function that stacks a field of the verifications, shape (frames,).
 
-    None where no frame was verified.
+    The function returns None if no frame was verified.
     """
 
     def values(done: Estimates) -> Array | None:
@@ -119,19 +119,19 @@ def _of_witness(name: str, absent: float) -> Callable[[Estimates], Array | None]
 
 
 def _frame_numbers(done: Estimates) -> NDArray[np.intp]:
-    """Return indices into the recording, of which only a part may have been read."""
+    """Return indices into the recording, which may have been read in part."""
     return done.frame if done.recording.number is None else done.recording.number[done.frame]
 
 
 def _unloaded_frames(done: Estimates) -> int:
-    """Return the number of frames of which the baseline is the mean; 0 where none is unloaded."""
+    """Return the number of unloaded frames, whose mean is the baseline."""
     return int(np.sum(done.recording.role == UNLOADED))
 
 
 def _truth(done: Estimates) -> Array | None:
     """Return true cells, (frames, rows, columns) ohm, or None.
 
-    NaN where the scene has no intact cell.
+    Places without an intact cell are NaN.
     """
     cells = done.recording.truth_cell_resistance
     return (
@@ -142,7 +142,7 @@ def _truth(done: Estimates) -> Array | None:
 def _truth_baseline(done: Estimates) -> Array | None:
     """Return the mean of true unloaded cells, (rows, columns) ohm, or None.
 
-    NaN without an intact cell.
+    Places without an intact cell are NaN.
     """
     cells = done.recording.truth_cell_resistance
     unloaded = done.recording.role == UNLOADED
@@ -179,10 +179,7 @@ def _weights(done: Estimates) -> dict[str, Array]:
 
 
 def _chosen(done: Estimates) -> dict[str, Array]:
-    """Map terms with weights chosen by the data to the deviation of ln λ in every frame.
-
-    It is the standard deviation.
-    """
+    """Map terms with weights chosen by the data to the deviations of ln λ, one for each frame."""
     size = len(done.estimator.terms)
     by_term = _of_terms(
         done, [np.array(step.weight_sigma or [np.nan] * size) for step in done.steps]
@@ -191,9 +188,9 @@ def _chosen(done: Estimates) -> dict[str, Array]:
 
 
 def _contacts(done: Estimates) -> dict[str, Array]:
-    """Return contact resistances of the lines and their standard deviations.
+    """Return contact resistances of the lines and their standard deviations, equal in all frames.
 
-    They are equal in all frames; empty if unknown.
+    The mapping is empty if contact resistances are unknown.
     """
     if done.contacts is None:
         return {}

@@ -41,9 +41,9 @@ class WorkerDiedError(RuntimeError):
 class Worker:
     """Fresh process that answers one task after the other.
 
-    It ignores Ctrl-C, and is killed at the end. Parent and process share a pipe and nothing else:
-    no thread, queue or semaphore that could fail by itself. Only the process holds the pipe's other
-    end, so that its death ends every reading.
+    The process ignores Ctrl-C, and is killed at the end. Parent and process share a pipe and
+    nothing else: no thread, queue or semaphore that could fail by itself. Only the process holds
+    the pipe's other end, so that its death ends every reading.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ class Worker:
     @property
     def ready(self) -> bool:
         """Whether `answer` returns, or raises, without waiting for the task."""
-        return self.pipe.poll() or not self._alive
+        return self.pipe.poll() or self.process is None or not self.process.is_alive()
 
     def answer(self) -> Any:
         """Wait for the result of the task, or the exception that it raised, and return it.
@@ -121,10 +121,6 @@ class Worker:
             return pickle.loads(self.pipe.recv_bytes())
         except (EOFError, OSError) as error:
             raise WorkerDiedError("a worker process has died") from error
-
-    @property
-    def _alive(self) -> bool:
-        return self.process is not None and self.process.is_alive()
 
     def kill(self) -> None:
         """Kill the process."""
@@ -187,10 +183,7 @@ def _end_with_parent() -> None:
 
 
 def _answer(task: bytes) -> bytes:
-    """Return the pickled result or the pickled exception.
-
-    For an exception that cannot be pickled, its text is returned.
-    """
+    """Return the pickled result or exception; the text of an exception that cannot be pickled."""
     try:
         with libraries_to_the_log():
             function, argument = pickle.loads(task)
@@ -213,8 +206,8 @@ LIVENESS_SECONDS = 1.0  # between questions whether processes live
 MAX_TRIES = 4
 DIED = f"its process died {MAX_TRIES} times"
 HUNG = (
-    "a frame went on far beyond solver.time_limit_s, in a step that nothing interrupts, so that "
-    "its process was ended"
+    "a frame went on far beyond solver.time_limit_s, in a step that nothing interrupts, "
+    "so that its process was ended"
 )
 MIN_TASKS = 12  # fewer tasks of half a second end before processes have started
 # A Dask worker receives one task at a time where there are many.
@@ -320,7 +313,7 @@ class Processes(Executor):
 class Tls(Configuration):
     """Files for the mutual authentication of a cluster.
 
-    Without them, anybody who reaches a scheduler can run code.
+    A scheduler without authentication runs the code of anybody who reaches it.
 
     Parameters
     ----------
@@ -375,8 +368,8 @@ class Dask(Executor):
         check_ranges(self, 1, 10_000, "workers")
         if sum(part is not None for part in (self.workers, self.address, self.scheduler_file)) > 1:
             raise ValueError(
-                "address names a cluster that runs, and so does scheduler_file: one of them, "
-                "without workers"
+                "address names a cluster that runs, and so does scheduler_file: "
+                "one of them, without workers"
             )
         check_not_negative(self, "wait_s")
 
@@ -392,13 +385,13 @@ class Dask(Executor):
         """Raise InputError if the extra is not installed or encryption does not fit the address."""
         if self.address is not None and (self.tls is not None) != self.address.startswith("tls://"):
             raise InputError(
-                "executor: tls goes with an address that begins with tls://, and such an address "
-                "with tls"
+                "executor: tls goes with an address that begins with tls://, "
+                "and such an address with tls"
             )
         if self.tls is not None and not (self.address or self.scheduler_file):
             raise InputError(
-                "executor: workers of this machine listen on its loopback address alone, without "
-                "tls"
+                "executor: workers of this machine listen on its loopback address alone, "
+                "without tls"
             )
         _library("distributed")
 
@@ -450,14 +443,14 @@ class Dask(Executor):
                 client.wait_for_workers(1, timeout=self.wait_s)
             except (OSError, TimeoutError) as error:
                 raise InputError(
-                    f"executor: no Dask scheduler with workers answers at {place} within "
-                    f"{self.wait_s:g} s"
+                    f"executor: no Dask scheduler with workers answers at {place} "
+                    f"within {self.wait_s:g} s"
                 ) from error
             for worker, threads in client.nthreads().items():
                 if threads != 1:
                     raise InputError(
-                        f"executor: the worker {worker} has {threads} threads; start it with "
-                        "--nthreads 1"
+                        f"executor: the worker {worker} has {threads} threads; "
+                        "start it with --nthreads 1"
                     )
             yield client
             if place is None:

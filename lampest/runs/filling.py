@@ -1,6 +1,6 @@
 """Conversion of estimates to the content of a results file.
 
-Also the conversion of its attributes to the noise of frames.
+The module also converts attributes of the file to the noise of frames.
 """
 
 import hashlib
@@ -24,12 +24,14 @@ from lampest.runs.config import Case, hash_of
 from lampest.runs.content import Content
 
 LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
-# Stored name → attribute of `FrameNoise`: two numbers, and two patterns in volt.
+# Stored name → attribute of `FrameNoise`: two numbers, two patterns in volt, and
+# fractions of the readings.
 NOISE = {
     "gain": "gain",
     "unloaded": "unloaded",
     "together": "common_ripple",
     "apart": "line_ripple",
+    "motion": "motion",
 }
 
 
@@ -118,10 +120,7 @@ def library_versions(*further: str) -> dict[str, str]:
 
 
 def _arrays_of(noise: FrameNoise | None) -> dict[str, Array]:
-    """Return the numbers and the patterns in volt of a frame's noise by name.
-
-    Empty without noise.
-    """
+    """Return the numbers and the patterns in volt of a frame's noise by name, if any."""
     parts = {} if noise is None else {name: getattr(noise, part) for name, part in NOISE.items()}
     return {
         name: np.array(part, dtype=float, order="C")
@@ -139,16 +138,25 @@ def frame_noise_of(arrays: Mapping[str, Array], scene: Scene) -> FrameNoise | No
         return None
     channels = scene.panel.shape[0 if scene.circuit.by_columns else 1]
     none = np.zeros((channels, 0))
-    complete = {"gain": np.nan, "unloaded": np.nan, "together": none, "apart": none, **arrays}
+    still = {"together": none, "apart": none, "motion": np.zeros(0)}
+    complete = {"gain": np.nan, "unloaded": np.nan, **still, **arrays}
     parts = [np.asarray(complete[name]) for name in NOISE]
-    gain, unloaded, *roots = parts
+    gain, unloaded, *roots, motion = parts
     if any(array.dtype.kind not in "iuf" or not np.isfinite(array).all() for array in parts):
         raise ValueError("frame_gain and what belongs to it must be finite numbers")
     if gain.shape or unloaded.shape or gain < 0 or unloaded < 1:
         raise ValueError("frame_gain must not be negative, frame_unloaded at least 1")
     if any(root.ndim != 2 or len(root) != channels for root in roots):
         raise ValueError(
-            f"frame_together and frame_apart must have {channels} rows, one for each channel of a "
-            "line"
+            f"frame_together and frame_apart must have {channels} rows, "
+            "one for each channel of a line"
         )
-    return FrameNoise(scene, int(unloaded), float(gain), *(root.astype(float) for root in roots))
+    if motion.shape not in ((0,), (3,)):
+        raise ValueError("frame_motion must have three numbers")
+    return FrameNoise(
+        scene,
+        int(unloaded),
+        float(gain),
+        *(root.astype(float) for root in roots),
+        motion=motion.astype(float),
+    )

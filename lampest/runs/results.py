@@ -42,9 +42,9 @@ POSITIONS = "y x"  # attribute `coordinates` of the CF conventions, which xarray
 
 @dataclass(frozen=True)
 class StepFigures(Configuration):
-    """Published figures of some steps.
+    """Published figures of some steps: solve time in s and data error in percent.
 
-    They are mean and standard deviation of solve time (s) and of data error (percent).
+    Each figure is a mean and a standard deviation.
 
     Raises ValueError for negative and infinite figures.
 
@@ -65,7 +65,8 @@ class StepFigures(Configuration):
 class PublishedFigures(Configuration):
     """Published figures of an estimator.
 
-    They are over all steps, or separately for a joint first step and the following ones.
+    One set of figures is over all steps, or two sets are over a joint first step and the following
+    ones.
 
     >>> lampest.PublishedFigures(all=lampest.StepFigures(time_s=16.45)).all.time_s
     16.45
@@ -109,10 +110,7 @@ class Results:
         return tuple(dict.fromkeys(case.estimator for case in self.cases))
 
     def label(self, case: CaseResult) -> str:
-        """Return the estimator's name.
-
-        It is `LSR-CR, paper's lambda` with published figures and fixed weights.
-        """
+        """Return the estimator's name, as `LSR-CR, paper's lambda` for published, fixed weights."""
         chosen = "weight: auto" in case.case_yaml or not case.weights.keys() - {"misfit"}
         return (
             case.estimator
@@ -123,7 +121,7 @@ class Results:
     def named(self, field: Literal["recording", "estimator"], names: Collection[str]) -> "Results":
         """Return the results of these recordings or estimators in the order of the file.
 
-        All if none is named.
+        No names stand for all.
 
         Raises InputError for an unknown name.
         """
@@ -238,9 +236,8 @@ def _check_together(cases: Sequence[CaseResult], columns: Sequence[Column]) -> N
                 ours, theirs, equal_nan=numeric
             ):
                 raise InputError(
-                    f"{case.estimator} and {first.estimator} were given different recordings of "
-                    "the name "
-                    f"{case.recording} ({name} differs)"
+                    f"{case.estimator} and {first.estimator} were given different recordings "
+                    f"of the name {case.recording} ({name} differs)"
                 )
 
 
@@ -304,8 +301,9 @@ def _copy_case(group: h5py.Group, case: StoredCase, *, with_measurement: bool) -
             for name in sorted(first.keys() | ours.keys()):
                 if first.get(name) != ours.get(name):
                     raise InputError(
-                        f"{case.estimator} and an estimator before it were given different "
-                        f"recordings of the name {case.recording} ({name} differs)"
+                        f"{case.estimator} and an estimator before it "
+                        "were given different recordings "
+                        f"of the name {case.recording} ({name} differs)"
                     )
         copy_group(held[case.estimator], group, case.estimator)
 
@@ -487,8 +485,8 @@ def _read_recording(
     maps = len(estimators) * sum(column.axes == MAPS for column in of_cases)
     if maps * len(range(shape[0])[part]) * prod(shape[1:]) > hdf5.MAX_VALUES:
         raise InputError(
-            f"{file.filename}: /entry/{name} claims more than {hdf5.MAX_VALUES} values, which are "
-            "not read at once; "
+            f"{file.filename}: /entry/{name} claims more than {hdf5.MAX_VALUES} values, "
+            "which are not read at once; "
             f"of its {shape[0]} frames --frames 0:1000 names some"
         )
     sizes = dict(zip(MAPS, shape, strict=True))

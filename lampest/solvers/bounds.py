@@ -1,8 +1,7 @@
-"""Bounds of cells: active set and projected steps.
+"""Bounds of cells: active set, projected steps, and bounds that leave readings unexplained.
 
-Also whether bounds prevent cells from explaining readings. The multiplier of an active bound is the
-remaining gradient. Source: Nocedal & Wright, Numerical Optimization, 2006, section 12.3
-(multipliers as sensitivities).
+The multiplier of an active bound is the remaining gradient.
+Source: Nocedal & Wright, Numerical Optimization, 2006, section 12.3 (multipliers as sensitivities).
 """
 
 import numpy as np
@@ -44,7 +43,7 @@ def within_bounds(at: Evaluation, free: NDArray[np.intp], step: Array) -> Array:
 def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
     """Return a point of lower cost forward or backward along a direction (cells,) of u.
 
-    None if none is found.
+    Returns None if neither side has such a point.
     """
     least = _certain_cost(at) - MIN_DECREASE_SHARE * at.cost_scale
     size = float(np.abs(along).max(initial=0.0)) or 1.0
@@ -67,7 +66,7 @@ def _certain_cost(at: Evaluation) -> float:
 def moved_by(at: Evaluation, step: Array) -> Evaluation | None:
     """Return the evaluation after a step of u (flat), clipped to the bounds.
 
-    None if its network cannot be solved.
+    Returns None if the network cannot be solved there.
     """
     cells = np.exp(at.position + step.reshape(at.position.shape))
     try:

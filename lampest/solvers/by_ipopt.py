@@ -8,6 +8,7 @@ previous frame.
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import log
+from typing import ClassVar
 
 import numpy as np
 
@@ -57,6 +58,8 @@ class Ipopt(Solver):
     multipliers : Multipliers or None
         Those of the frame before.
     """
+
+    cells_alone: ClassVar[bool] = False
 
     readout: Readout
     wiring: Wiring | None

@@ -173,12 +173,11 @@ def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) 
 
 
 def _of_reproduced(hessian: Hessian) -> Certificate | None:
-    """Return the certificate of plain least squares whose readings are all reproduced.
+    """Return the certificate of plain least squares whose readings are all reproduced, or None.
 
-    None in other cases. The cost then is nearly zero, its least value, and the Newton step is s =
-    −J⁻¹ e with the relative residuals e of the readings. J alone keeps digits that H = JᵀWJ loses.
-    If the noise is not known, the certificate also holds where cells within MAX_DISTANCE reproduce
-    all readings.
+    The cost then is nearly zero, its least value, and the Newton step is s = −J⁻¹ e with the
+    relative residuals e of the readings. J alone keeps digits that H = JᵀWJ loses. If the noise is
+    not known, the certificate also holds where cells within MAX_DISTANCE reproduce all readings.
     """
     if not all(term.reads_measurement for term in hessian.at.cost.terms) or not hessian.only_data:
         return None

@@ -189,9 +189,9 @@ class Hessian:
     def reading_weight(self) -> Array:
         """Weights W of the readings in the Gauss–Newton matrix, (frames, rows, columns).
 
-        W = max(∂²φ/∂y², 0) for squared losses and ρ'(x)/x·(∂x/∂y)² for all others. The latter are
-        the weights of iteratively reweighted least squares. They are positive even where ρ'' is
-        negative, beyond a loss's corner.
+        W = max(∂²φ/∂y², 0) for squared losses and ρ'(x)/x·(∂x/∂y)² for all others. The latter, the
+        weights of iteratively reweighted least squares, are positive even beyond a loss's corner,
+        where ρ'' is negative.
         """
         weight = np.maximum(self.curvature, 0.0)
         if not all(term.loss.squared for term in self.at.cost.terms if term.reads_measurement):

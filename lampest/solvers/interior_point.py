@@ -1,10 +1,10 @@
 """Log-barrier interior-point method with potentials eliminated.
 
 The method minimises φ(g) − μ Σ log(g − g_low) − μ Σ log(g_high − g) over the conductances g for
-decreasing μ, by Newton's method with the multipliers of the bounds as further unknowns. It serves
-twice: a start far from the optimum of a cost with several minima follows its central path, which
-ends in lower minima than steps straight down; and plain least squares of a large panel, where many
-cells end at a bound, take a tenth of the products.
+decreasing μ, by Newton's method with the multipliers of the bounds as further unknowns. A start far
+from the optimum of a cost with several minima follows the central path of the method, which ends in
+lower minima than steps straight down. Plain least squares of a large panel, where many cells end at
+a bound, take a tenth of the products.
 Source: Nocedal & Wright, Numerical Optimization, 2006, sections 19.2 and 19.3.
 """
 
@@ -42,9 +42,6 @@ class InteriorPoint:
         directions of nearly no curvature cause.
     max_steps, max_halvings : int
         Maximum number of steps of the method, and of halvings of one step.
-    start_tolerance : float
-        Projected gradient, relative to the cost's scale, below which the method does not begin.
-        Frames in sequence begin at 0.05, frames that are solved again at their tolerance.
     max_barrier_share : float
         Share of the cost due to the bounds at which the method ends; the last steps are left to
         Newton's method.
@@ -56,7 +53,6 @@ class InteriorPoint:
     min_step: float = 0.03
     max_steps: int = 90
     max_halvings: int = 12
-    start_tolerance: float = 1e-3
     max_barrier_share: float = 1e-8
 
 
@@ -85,34 +81,6 @@ def central_path(start: Evaluation, max_steps: int | None = None) -> tuple[Evalu
         steps = steps + 1
     bounded = barrier.put_at_bounds()
     return (bounded if bounded.objective < start.objective else start), steps
-
-
-def has_central_path(start: Evaluation) -> bool:
-    """Return whether the method applies: bounds are finite, and no loss is absolute."""
-    data = start.data
-    return bool(np.all(np.isfinite([1 / data.lower, data.upper]))) and not len(start.cost.slope)
-
-
-def crowds_bounds(start: Evaluation) -> bool:
-    """Return whether the cost is plain least squares of a large frame with crowded bounds.
-
-    The frame then has more cells at a bound than lines.
-    """
-    hessian = Hessian(start, Smoothing.start(start))
-    data = start.data
-    cells = start.cell_resistance
-    if (
-        hessian.dense
-        or not hessian.only_data
-        or not all(term.loss.squared for term in start.cost.terms)
-    ):
-        return False
-    # 1/(1/r) and exp(log r) of a bound differ from it in their last bits.
-    at_bound = np.isclose(cells, data.lower, rtol=1e-12, atol=0) | np.isclose(
-        cells, data.upper, rtol=1e-12, atol=0
-    )
-    crowded = np.sum(at_bound & (data.lower < data.upper)) > sum(cells.shape[1:])
-    return bool(crowded and has_central_path(start) and hessian.residual > METHOD.start_tolerance)
 
 
 def reach(distances: Array, change: Array) -> float:

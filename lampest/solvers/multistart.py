@@ -20,8 +20,6 @@ from lampest.files.errors import BROKEN
 from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.certificate import MIN_COST_SHARE
-from lampest.solvers.convex import convex_cells, convex_is_the_answer
-from lampest.solvers.relaxation import relaxed_starts
 from lampest.solvers.solution import MAX_STARTS, Outcome, Solution, Solver, Status, check, failure
 
 # Starts of a frame whose first solve met negative curvature: as many as there are kinds of starts.
@@ -143,6 +141,8 @@ def _places(solver: Solver, data: Data, previous: Array | None) -> Iterator[Arra
     cost = solver.cost
     usual = starts(cost, data, previous)
     if not cost.convex_losses:
+        from lampest.solvers.relaxation import relaxed_starts  # for such losses alone
+
         first = next(usual)
         yield first
         yield from relaxed_starts(solver.continued(None), evaluated(cost, data, first))
@@ -212,8 +212,8 @@ def starts(cost: Cost, data: Data, previous: Array | None) -> Iterator[Array]:
     method.
     """
     yield data.uniform_start if previous is None else previous
-    if not convex_is_the_answer(cost, data):
-        yield convex_cells(data, None)
+    if not data.start_minimises(cost):
+        yield data.start()
     if previous is not None:
         yield data.uniform_start
 

@@ -263,9 +263,10 @@ class CoarseLines:
 
     @classmethod
     def of(cls, local: sparse.csr_array, along: Array, blocks: LineBlocks) -> "CoarseLines | None":
-        """Return the coarse space, or None.
+        """Return the coarse space, or None if it does not repay its cost.
 
-        None if three quarters of the lines add less than T + diag(c) has along them.
+        The cost is not repaid if three quarters of the lines add less than T + diag(c) has along
+        them.
         """
         if not len(along):
             return None

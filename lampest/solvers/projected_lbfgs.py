@@ -16,12 +16,12 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.solvers.acceptance import decreases_enough
 from lampest.solvers.bounds import MILLIONTH
 from lampest.solvers.certificate import clear_of_rounding
 from lampest.solvers.direction import conductance_change, log_resistance_change
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky
+from lampest.solvers.progress import decreases_enough
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings
 from lampest.solvers.steps import STEPS
@@ -232,7 +232,7 @@ def _last_steps(
 ) -> tuple[Array, Mask, Mask]:
     """Return the Newton steps of panels, and which of the `near` ones are settled or stuck.
 
-    Panels whose gradient is small are near an optimum. They are settled if M shows a minimum and
+    Panels whose gradient is small are near an optimum. A panel is settled if M shows a minimum and
     the step is short, and stuck if ∇²φ is not positive definite. M is renewed, in place, where it
     does not show a minimum.
     """
@@ -286,10 +286,7 @@ class Secants:
         return Secants((*self.pairs, (step, change, size))[-self.most :])
 
     def direction(self, points: Hessian, inverses: InverseHessians, panels: Numbers) -> Array:
-        """Return −H ∇φ over the free cells by the two-loop recursion.
-
-        Here H = M⁻¹ corrected by the secants.
-        """
+        """Return −H ∇φ over the free cells, H = M⁻¹ corrected by the secants in two loops."""
         slope = np.where(points.free, points.gradient, 0.0)
         shares = list[Array]()
         for step, change, size in reversed(self.pairs):

@@ -15,21 +15,19 @@ import numpy as np
 
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.trust_region import SUFFICIENT_DECREASE, SubproblemStep
-from lampest.solvers.acceptance import sufficient_decrease
-from lampest.solvers.convex import by_convex_program
 from lampest.solvers.direction import (
     ActiveSet,
     QuadraticModel,
     hold_beyond_bounds,
     newton_direction,
 )
-from lampest.solvers.interior_point import central_path, crowds_bounds, has_central_path
+from lampest.solvers.hessian import Hessian
 from lampest.solvers.iterate import Iterate
 from lampest.solvers.preconditioners import Preconditioner, gauss_newton_factor
+from lampest.solvers.progress import History, late_or_stalled, sufficient_decrease
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Solver, Status
 from lampest.solvers.steps import STEPS
-from lampest.solvers.termination import History, late_or_stalled
 
 
 @dataclass(frozen=True)
@@ -101,9 +99,13 @@ class ProjectedNewton(Solver):
 
         A failed solve does not raise; the outcome's status states the failure.
         """
-        start = by_convex_program(start)
+        if start.data.start_minimises(start.cost):
+            cells = start.data.start(start.cell_resistance)
+            start = start.elsewhere(np.clip(cells, start.data.lower, start.data.upper))
         iteration = 0
         if (self.from_afar and has_central_path(start)) or crowds_bounds(start):
+            from lampest.solvers.interior_point import central_path  # for such a start alone
+
             start, iteration = central_path(start, self.settings.max_iterations)
         iterate = Iterate.of(start, Smoothing.start(start), self.preconditioner)
         history = list[tuple[float, float]]()
@@ -157,6 +159,34 @@ class ProjectedNewton(Solver):
             return point, trial
         point = point.certified()
         return point, point.below_saddle
+
+
+def has_central_path(start: Evaluation) -> bool:
+    """Return whether a start has a central path: bounds are finite, and no loss is absolute."""
+    data = start.data
+    return bool(np.all(np.isfinite([1 / data.lower, data.upper]))) and not len(start.cost.slope)
+
+
+def crowds_bounds(start: Evaluation) -> bool:
+    """Return whether the cost is plain least squares of a large frame with crowded bounds.
+
+    The frame then has more cells at a bound than lines.
+    """
+    hessian = Hessian(start, Smoothing.start(start))
+    data = start.data
+    cells = start.cell_resistance
+    if (
+        hessian.dense
+        or not hessian.only_data
+        or not all(term.loss.squared for term in start.cost.terms)
+    ):
+        return False
+    # 1/(1/r) and exp(log r) of a bound differ from it in their last bits.
+    at_bound = np.isclose(cells, data.lower, rtol=1e-12, atol=0) | np.isclose(
+        cells, data.upper, rtol=1e-12, atol=0
+    )
+    crowded = np.sum(at_bound & (data.lower < data.upper)) > sum(cells.shape[1:])
+    return bool(crowded and has_central_path(start) and hessian.residual > STEPS.path_tolerance)
 
 
 def descent_step(point: Iterate, parts: NewtonParts = NewtonParts()) -> Iterate | None:
@@ -215,9 +245,9 @@ def _next_point(
     *,
     convex: bool,
 ) -> Iterate:
-    """Return an accepted trial with what the next iteration takes over from its point.
+    """Return an accepted trial with the preconditioner and the certificate of its predecessor.
 
-    The preconditioner is kept unless conjugate gradients took too many products.
+    Both are left out if conjugate gradients took too many products.
     """
     hessian = point.hessian
     worn = direction.products > STEPS.max_reuse_products[hessian.dense]

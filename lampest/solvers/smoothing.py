@@ -40,7 +40,7 @@ class Smoothing:
     def stiffness(self, residual: Array) -> Array:
         """Return (1 − z·x/√(x² + β²))/√(x² + β²), the second derivative of the smoothed loss.
 
-        The duals z count as unknowns beside x.
+        The derivative is that of a system with the duals z as further unknowns.
         """
         size = np.sqrt(residual**2 + self.width**2)
         stiffness: Array = (1 - self.dual * residual / size) / size

@@ -197,7 +197,7 @@ class Outcome:
 class Solution:
     """Checked estimate of one solve.
 
-    NaN unless it is an optimum, or an approximation that was requested.
+    Arrays are NaN unless the estimate is an optimum, or an approximation that was requested.
 
     Attributes
     ----------
@@ -280,10 +280,14 @@ class Solver(ABC):
         Cost that is minimised.
     settings : Settings
         Tolerance and limits of a solve.
+    cells_alone : bool
+        Whether cells are the only unknowns: potentials are eliminated, and a solve holds its start.
 
     >>> sorted(name for name in vars(lampest.Solver) if not name.startswith("_"))
-    ['cold', 'continued', 'name', 'prepare', 'solve']
+    ['cells_alone', 'cold', 'continued', 'name', 'prepare', 'solve']
     """
+
+    cells_alone: ClassVar[bool] = True
 
     cost: Cost
     settings: Settings
@@ -478,10 +482,7 @@ def failure(cost: Cost, data: Data, status: Status, residual: float, outcome: Ou
 
 
 def blank(shape: tuple[int, ...], terms: int, status: Status) -> Solution:
-    """Return a solution of NaN with a status where nothing was solved.
-
-    Shape (frames, rows, columns).
-    """
+    """Return a solution of NaN, (frames, rows, columns), with the status of a failed solve."""
     unknown = np.full(shape, np.nan)
     flags = np.zeros(shape, dtype=bool)
     return Solution(

@@ -39,6 +39,10 @@ class Steps:
         Cost, relative to the cost's scale, below which the smoothing need not become finer.
     min_damping, next_damping, max_damping : float
         μ of Levenberg's step: first value, least value of a second try, and largest value.
+    path_tolerance : float
+        Projected gradient, relative to the cost's scale, below which a start does not follow the
+        central path. Frames in sequence begin at 0.05, frames that are solved again at their
+        tolerance.
     window : int
         Iterations after which a solve counts as stalled; well-posed frames end within 15
         iterations.
@@ -61,6 +65,7 @@ class Steps:
     min_damping: float = 1e-15
     next_damping: float = 1e-4
     max_damping: float = 1e3
+    path_tolerance: float = 1e-3
     window: int = 20
     min_decrease: float = 1e-8
     min_reduction: float = 0.1

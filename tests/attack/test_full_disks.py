@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from promises import promise
 from wild_board import hundred_a_second, wild_board
 
 from lampest import InputError, Recording
@@ -111,6 +112,7 @@ def test_a_full_disk_ends_the_command_with_one_sentence_and_whole_frames(tmp_pat
     assert check_frames(out, int(kept[1].replace(",", ""))).acquisition.event_label == ("no space",)
 
 
+@promise("apps/board/board: A disk that is full, or fails, costs no frame for 10 s")
 def test_frames_wait_for_a_disk_that_is_full_for_a_moment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

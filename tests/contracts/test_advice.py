@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from promises import promise
 
 import lampest
 
@@ -57,6 +58,9 @@ def test_a_clean_recording_has_no_advice(tmp_path: Path, lampest: Command) -> No
     )
 
 
+@promise(
+    "theory/model_check: `lampest info FILE --apply` writes the lines into the recording's scene"
+)
 @pytest.mark.parametrize(
     ("readout", "dead_row", "words"),
     [

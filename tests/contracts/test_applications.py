@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from promises import promise
 
 ROOT = Path(__file__).parents[2]
 APPS = ROOT / "lampest" / "apps"
@@ -181,6 +182,7 @@ def check(gone: set[str], words: dict[str, list[str]], said: dict[str, str]) -> 
             assert said[use].count("\n") <= 1 and "Error(" not in said[use]
 
 
+@promise("howto/adding/application: works without each of them")
 def test_the_core_runs_without_any_application_and_names_the_missing_one(
     copied: Copy, tmp_path: Path
 ) -> None:

@@ -173,7 +173,9 @@ def test_an_installation_takes_as_much_room_as_the_readme_says() -> None:
 def test_the_help_of_init_lists_the_twelve_circuits_of_the_readme(
     lampest: Command, tmp_path: Path
 ) -> None:
-    assert "`lampest init --help` lists\n   twelve circuits" in (ROOT / "README.md").read_text()
+    assert "`lampest init --help` lists twelve circuits" in " ".join(
+        (ROOT / "README.md").read_text().split()
+    )
     shown = " ".join(re.findall(r"[\w,]+", lampest("init", "--help").out))
     listed = re.search(r"Your circuit (.+?) default", shown)
     assert listed is not None

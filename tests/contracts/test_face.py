@@ -18,6 +18,7 @@ import h5py
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from promises import promise
 
 import lampest
 from lampest import (
@@ -259,6 +260,7 @@ def test_saved_results_equal_the_arrays(estimate: Reconstruction, tmp_path: Path
     assert (restored.case_id, restored.case_yaml) == (case.case_id, case.case_yaml)
 
 
+@promise("faq: Without noise there are no error bars.")
 def test_estimates_without_noise_have_no_error_bars(lamprey: Recording) -> None:
     silent = replace(lamprey, scene=replace(lamprey.scene, readout=None))
     bare = lampest.reconstruct(
@@ -377,6 +379,7 @@ def few_frames() -> Recording:
     )
 
 
+@promise("overview: Their weights are `auto` by default: the data choose them.")
 def test_the_automatic_weight_is_better_than_the_papers_weight(few_frames: Recording) -> None:
     errors = {}
     for name, penalty in (("default", Gradient()), ("paper", Gradient(weight=1e-3))):

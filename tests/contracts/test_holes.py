@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
+from promises import promise
 
 import lampest
 from lampest import Faults, Panel, Simulation, simulate
@@ -50,6 +51,7 @@ def recorded(path: Path, values: np.ndarray) -> Path:
     return path
 
 
+@promise("howto/readings: **Recordings that cannot be read** fail their own cases only")
 def test_a_batch_skips_only_the_truncated_file(tmp_path: Path, lampest: Command) -> None:
     values = healthy(2)
     values[2, 0, 1] = np.nan

@@ -21,6 +21,7 @@ from contracts.imports import (
     lines,
     names,
 )
+from promises import promise
 
 from lampest import LoadedColumnsReadout, TwoPointReadout
 
@@ -880,6 +881,7 @@ SENTENCE = "'drop' is unknown; there are mark, skip-frame, refuse"
 refuse("another word for missing", lines(FRAMES), SENTENCE, missing="drop", absent="m.csv")
 
 
+@promise("README: reads tables, serial logs, Excel")
 @pytest.mark.parametrize("file", TABLES.values(), ids=TABLES)
 def test_a_table_is_imported_with_its_frames_times_and_notes(
     file: SimpleNamespace, tmp_path: Path

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from fuzz.batches import Batch, session
+from promises import promise
 from support import until
 
 from lampest import CaseResult, read_results, read_run, term_types
@@ -106,6 +107,7 @@ def test_changed_cases_are_solved_again(disk: SimpleNamespace, lampest: Command)
         )
 
 
+@promise("overview: A failed frame is NaN with a sentence.")
 def test_a_failed_frame_holds_nan_and_stops_nothing(
     disk: SimpleNamespace, lampest: Command
 ) -> None:
@@ -134,6 +136,7 @@ def test_a_failed_frame_holds_nan_and_stops_nothing(
         assert np.all(np.isnan(values))
 
 
+@promise("howto/batches: A second run in the same folder at the same time is refused.")
 def test_a_folder_admits_one_run_at_a_time(disk: SimpleNamespace, lampest: Command) -> None:
     out = disk.folder / "out"
     out.mkdir()

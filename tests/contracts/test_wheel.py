@@ -17,6 +17,7 @@ from zipfile import ZipFile
 import h5py
 import pytest
 from packaging.requirements import Requirement
+from promises import promise
 from supply import LICENCES, audit_verdict, locked, plain
 
 from lampest import InputError, datasets, read_run
@@ -35,6 +36,10 @@ def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@promise(
+    "README: This writes a simulated recording and a run file into the current folder, "
+    "reconstructs the cells and draws them"
+)
 @pytest.mark.slow
 def test_three_commands_lead_from_the_wheel_to_a_picture(dist: Path, tmp_path: Path) -> None:
     (wheel,) = dist.glob("*.whl")

@@ -33,7 +33,7 @@ from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import Look, WatchSetup
 from lampest.apps.recognition.window import Window
 from lampest.inference import changed_cells, noise, outliers
-from lampest.inference.compared_frames import baseline_readings, deciding_frames, noise_factor
+from lampest.inference.compared_frames import noise_factor
 from lampest.inference.explanation import Explanation
 from lampest.inference.model_check import module_factors
 from lampest.inference.nuisances import CircuitEffects
@@ -45,6 +45,7 @@ from lampest.inference.variance_components import noted_excess, repeated_scatter
 from lampest.panel.effects import LineLeak, LooseContact
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.scene import OwnOfModule
+from lampest.recording.recording import baseline_readings, deciding_frames
 
 # Preparation
 

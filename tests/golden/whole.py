@@ -49,10 +49,9 @@ from lampest.runs import batch
 from lampest.runs.case import ATTRIBUTES, COLUMNS, REQUIRED, all_columns
 from lampest.runs.columns import FRAMES, Column
 from lampest.runs.executors import Serial
-from lampest.solvers import interior_point
+from lampest.solvers import interior_point, projected_newton
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.certificate import certificate
-from lampest.solvers.convex import convex_cells
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.smoothing import Smoothing
 
@@ -131,9 +130,7 @@ def noisy_start(seed: int) -> problem.Evaluation:
     value = np.maximum(exact * (1 + 3 * rng.standard_normal(PANEL.shape)), 10.0)[None]
     estimator = Estimator((lp.Misfit(),), "reduced")
     data = estimator.data(lp.Readings.of(scene, value, 3 * exact[None]), Background(scene))
-    return problem.Evaluation.at(
-        estimator.cost(scene, 1, partial=data.partial), data, convex_cells(data, None)
-    )
+    return problem.Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, data.start())
 
 
 def barrier_row() -> Any:
@@ -179,7 +176,7 @@ def barrier_row() -> Any:
             )
         ]
         return {
-            "crowded": [interior_point.crowds_bounds(at) for at in (begin, start, *points)],
+            "crowded": [projected_newton.crowds_bounds(at) for at in (begin, start, *points)],
             "steps": steps,
             "cells": end.cell_resistance,
             "objective": end.objective,

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from promises import promise
 
 import lampest
 from lampest import Array, LoadedColumnsReadout, Panel, Scene, TwoPointReadout, two_point_resistance
@@ -29,6 +30,7 @@ def relative_slopes(cells: Array) -> Array:
     return np.asarray(network.sensitivity() / network.reading().reshape(-1, 1))
 
 
+@promise("theory/circuit: A reading never falls when a cell's resistance rises (Rayleigh).")
 @pytest.mark.parametrize("shape", SHAPES)
 def test_no_two_point_reading_falls_when_a_cell_rises(shape: tuple[int, int]) -> None:
     """Whether by little, by a factor of a thousand, or to an open cell."""
@@ -41,6 +43,7 @@ def test_no_two_point_reading_falls_when_a_cell_rises(shape: tuple[int, int]) ->
             assert np.all(two_point_resistance(risen) >= readings * (1 - 1e-12))
 
 
+@promise("theory/circuit: A reading is never larger than its own cell: R ≤ r.")
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_two_point_reading_is_at_most_its_own_cell(shape: tuple[int, int]) -> None:
     for spread in (0.0, 1.0, 4.0):
@@ -67,6 +70,7 @@ def test_readings_of_a_uniform_panel_are_the_stated_share_of_its_cells(
     assert shape != (10, 10) or share == pytest.approx(0.19)
 
 
+@promise("README: Crosstalk amplifies noise by up to (M + N − 1)/2 on a uniform panel")
 @pytest.mark.parametrize("shape", SHAPES[1:])
 def test_errors_of_a_uniform_panel_grow_by_at_most_half_the_number_of_lines(
     shape: tuple[int, int],
@@ -118,6 +122,10 @@ def test_the_misfit_alone_has_no_bias_and_a_penalty_has() -> None:
     assert np.sqrt(np.mean(scores["smooth"] ** 2)) > 10
 
 
+@promise(
+    "README: A pull-up of 20 kΩ that the scene calls 35 kΩ makes every cell too large by about "
+    "1.75, and no warning appears."
+)
 @pytest.mark.slow
 def test_a_wrong_pull_up_scales_cells_without_a_warning_and_leaves_changes() -> None:
     """20 kilo-ohm that the scene calls 35, as in the README: cells are 1.75 times too large."""

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from promises import promise
 
 import lampest
 from lampest import Cells, Panel, Scene, Simulation
@@ -193,6 +194,7 @@ def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
     )
 
 
+@promise("howto/outlines: They are not estimated, and their resistance in results is NaN.")
 @pytest.mark.parametrize("outline", ["glove", "ring"])
 def test_results_and_pictures_have_the_outline_of_the_panel(outline: str, tmp_path: Path) -> None:
     """Results are written, read and drawn; an absent crossing has no number."""

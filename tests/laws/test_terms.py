@@ -12,6 +12,7 @@ import pytest
 from golden.numerics import LOSSES as UNION_LOSSES
 from golden.numerics import options
 from numpy.testing import assert_allclose, assert_array_equal
+from promises import promise
 from scipy.stats import t
 
 from lampest import Array, Panel, TwoPointReadout, two_point_resistance
@@ -141,6 +142,7 @@ def test_only_data_terms_read_the_measurement(term: type[Term], words: dict[str,
     assert term.reads_measurement == (not unchanged)
 
 
+@promise("README: CasADi states this program with exact derivatives")
 @pytest.mark.parametrize("frames", [1, 2])
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
 @pytest.mark.parametrize(("term", "words"), VARIANTS)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from promises import promise
 
 from lampest import (
     Estimator,
@@ -93,6 +94,7 @@ def sensitivity(cells: Array) -> Array:
     return np.array(columns).T
 
 
+@promise("theory/posterior: The covariance is the Gauss–Newton Laplace approximation")
 @pytest.mark.parametrize("weight", [0.0, 1e-9])
 def test_the_covariance_is_that_of_laplace(weight: float) -> None:
     cells = panel_cells()
@@ -177,6 +179,7 @@ def certainties(
         yield error, DenseErrors(model).certainty, free.reshape(cells.shape)
 
 
+@promise("README: adds error bars")
 @pytest.mark.slow
 @pytest.mark.parametrize("weighting", ["plain", "noise"])
 def test_intervals_contain_the_truth_at_their_stated_rate(weighting: str) -> None:

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from promises import promise
 from scipy.linalg import lapack
 from scipy.optimize import brentq
 
@@ -122,6 +123,9 @@ def solution_of(
     return Stream.begin(estimator, scene, 1.0, Readings.of(scene, recorded)).baseline.solution
 
 
+@promise(
+    "theory/inverse_problem: Sixteen extreme panels without noise return to 10⁻⁶ in every reading"
+)
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "auto"])
 @pytest.mark.parametrize("name", EXTREME_PANELS)
 def test_estimates_of_extreme_panels_meet_every_reading(name: str, formulation: str) -> None:
@@ -209,6 +213,7 @@ def verified(point: Evaluation) -> Solution:
     return check(point, Outcome(point.cell_resistance, np.zeros(0), Status.OPTIMUM, 1))
 
 
+@promise("README: It verifies every estimate")
 @pytest.mark.parametrize("relative_error", [1e-1, 1e-3, 1e-4])
 @pytest.mark.parametrize("number", range(16))
 def test_wrong_small_cells_are_never_verified(number: int, relative_error: float) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from contracts.extensions import Divider
 from numpy.testing import assert_allclose
+from promises import promise
 from scipy.optimize import brentq
 
 import lampest
@@ -741,6 +742,7 @@ def test_starts_of_random_circuits_equal_their_cells() -> None:
     assert wrong < MAX_WRONG * circuits
 
 
+@promise('theory/circuit: the verdict is "doubtful" and names both panels')
 def test_a_second_panel_with_equal_readings_is_reported_as_a_doubt() -> None:
     """The unloaded readings of cells of 1 kilo-ohm are those of cells of 7 kilo-ohm.
 

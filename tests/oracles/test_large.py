@@ -37,7 +37,6 @@ from lampest.estimate.sequence import reconstruct
 from lampest.panel.readouts import TwoPointReadout, floating
 from lampest.panel.readouts.floating import Stencil
 from lampest.solvers import hessian, interior_point, projected_newton
-from lampest.solvers.convex import convex_cells
 from lampest.solvers.interior_point import METHOD, Barrier, central_path
 from lampest.solvers.multistart import solved_from
 from tests.estimates import recording_of
@@ -133,9 +132,7 @@ def crowded(noise: float, seed: int, shape: tuple[int, int] = (6, 7)) -> Evaluat
     value = np.maximum(exact * (1 + noise * generator.standard_normal(shape)), 10)[None]
     estimator = Estimator((Misfit(),), formulation="reduced")
     data = estimator.data(Readings.of(scene, value, noise * exact[None]), Background(scene))
-    return Evaluation.at(
-        estimator.cost(scene, 1, partial=data.partial), data, convex_cells(data, None)
-    )
+    return Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, data.start())
 
 
 @pytest.mark.usefixtures("by_products")

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from promises import promise
 
 import lampest
 from docs.studies.model_check import named, sound, wrong
@@ -103,6 +104,7 @@ def test_a_right_circuit_is_not_called_wrong(seed: int) -> None:
 
 
 # Loads that show it: a rod that halves nine cells leaves a series resistance of 140 ohm undecided.
+@promise("README: lampest checks the circuit and names a likelier one.")
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 4])
 def test_a_wrong_circuit_is_rejected_and_the_right_one_named(seed: int) -> None:

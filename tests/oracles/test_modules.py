@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
+from promises import promise
 
 import lampest
 from lampest import InputError, LogGradient, Recording, Rod, Stream, TwoPointReadout
@@ -86,6 +87,7 @@ def test_impossible_modules_give_one_sentence(keys: str, sentence: str) -> None:
     assert sentence in str(error.value)
 
 
+@promise("howto/modules: Every module is estimated as if it stood alone")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "penalty", [None, lampest.Gradient(weight=1e-7), lampest.RelativeChange(weight=1e-3)]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from promises import promise
 
 import lampest
 from docs.studies.effects import figures
@@ -84,6 +85,7 @@ def test_edges_of_a_standing_load_are_not_taken_for_reading_errors(
     assert np.nanmedian(error) < MAX_ERROR and np.nanquantile(error, 0.95) < 2.5 * MAX_ERROR
 
 
+@promise("README: An effect that the scene does not name is not modelled.")
 def test_an_effect_without_an_entry_in_the_scene_is_not_estimated(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from promises import promise
 
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
@@ -182,6 +183,7 @@ def test_readings_repeated_by_a_coarse_converter_are_not_frozen(noise: float) ->
     assert flagged == 0
 
 
+@promise("faq: Outliers of a single frame are replaced.")
 def test_outliers_are_detected_under_a_breathing_load() -> None:
     """Readings go by ten to forty σ from frame to frame.
 
@@ -315,6 +317,7 @@ def test_noise_specified_wrong_by_a_factor_of_twelve_is_measured(
     assert unloaded or not any("unloaded frames scatter" in line for line in estimate.checks)
 
 
+@promise("README: Error bars cover the effects that the scene names")
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_error_bars_cover_a_specified_or_estimated_gain_of_each_frame(seed: int) -> None:
     assert min(coverage_of(recorded(seed, scene_of(0.7, gain=0.004), gain=0.004))) > MIN_COVERAGE

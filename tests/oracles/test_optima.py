@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from promises import promise
 
 from lampest import (
     Array,
@@ -94,6 +95,7 @@ def test_a_loss_with_a_corner_starts_at_the_optimum_of_squares(seed: int) -> Non
     assert estimate.steps[2].solution.objective <= least * (1 + 1e-9)
 
 
+@promise("theory/inverse_problem: A cell at that bound carries the flag `open_cell`")
 @pytest.mark.parametrize("formulation", ["per_pixel", "nodal", "reduced", "auto"])
 def test_a_cell_without_a_finite_optimum_ends_at_the_resolution(formulation: Any) -> None:
     """Plain least squares with 3 % noise.

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from netlist import impedance_of
 from numpy.testing import assert_allclose
+from promises import promise
 
 import lampest
 from lampest import Array
@@ -92,6 +93,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
     return iterations
 
 
+@promise("README: and IPOPT solves it")
 @pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
 @pytest.mark.parametrize("method", METHODS)
 def test_ipopt_alone_solves_every_frame_in_its_own_iterations(
@@ -133,6 +135,7 @@ def test_a_solver_that_returns_its_start_is_not_verified(
     assert not any(step.solution.solved for step in estimate.steps)
 
 
+@promise("README: has a faster way to the same optimum")
 @pytest.mark.parametrize("wires", WIRES)
 @pytest.mark.parametrize("readout", READOUTS)
 @pytest.mark.parametrize("shape", [(4, 5), (6, 3)])

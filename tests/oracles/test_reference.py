@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from promises import promise
 
 import lampest
 from lampest import (
@@ -224,6 +225,7 @@ def test_a_missing_reading_has_a_wider_interval_that_holds_it() -> None:
     )
 
 
+@promise("howto/weights: Error bars include this uncertainty.")
 def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
     """The bars of the same weight, given as a number, are smaller.
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from promises import promise
 
 from lampest import (
     Array,
@@ -85,6 +86,7 @@ def change(values: Array) -> Array:
     return 100 * (values[10] / values[:3].mean(axis=0) - 1)
 
 
+@promise("README: each from the file of the same name in `configs/`, and contain their truth.")
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_shipped_file_equals_its_simulation(name: str) -> None:
     ((output, simulation),) = read_simulations(ROOT / "configs" / f"{name}.yaml")

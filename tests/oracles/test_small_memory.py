@@ -17,9 +17,8 @@ from lampest import (
     Scene,
     TwoPointReadout,
 )
-from lampest.audit.advice import entry_line
+from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.memory import estimated_memory, memory_gain
-from lampest.inference.nuisances import MIN_EVIDENCE_GAIN
 from lampest.inference.prepared import Prepared
 from lampest.inference.rivals import Rival
 from lampest.panel.readouts.readout import Readout, with_memory
@@ -110,20 +109,6 @@ def test_the_edge_of_a_load_is_not_taken_for_memory() -> None:
         )
     readout = GroundedReadout(load_ohm=1000, drive_ohm=50, **CONVERTER)
     assert gain_of(recording_of(readout, cells, 0.0, generator)) < MIN_EVIDENCE_GAIN
-
-
-@pytest.mark.parametrize(
-    ("name", "line"),
-    [
-        ("converter_memory near 0.08", "converter_memory: 0.08"),
-        (
-            "readout.groups: [[0, 1], [2, 3]] (read in parallel)",
-            "readout: {groups: [[0, 1], [2, 3]]}",
-        ),
-    ],
-)
-def test_the_advised_line_is_valid_in_the_scene(name: str, line: str) -> None:
-    assert entry_line(name) == line
 
 
 @pytest.mark.parametrize("seed", [0, 3, 7])

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from promises import promise
 from scipy.optimize import minimize
 
 from lampest import Estimates, Faults, InputError, Recording, Rod, Scene, Squared, Status, read_run
@@ -404,6 +405,7 @@ def test_the_converter_memory_is_kept_per_channel(readout: Readout) -> None:
     assert_allclose(with_memory(readout, MEMORY_FRACTION, volt[None])[0], expected, rtol=ROUNDING)
 
 
+@promise("howto/devices: lampest inverts the equation exactly")
 @each_converter
 def test_the_converter_memory_is_corrected_exactly_with_its_noise(readout: Readout) -> None:
     volt = volts(readout, (3, 5, 4))

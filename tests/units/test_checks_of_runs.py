@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from promises import promise
 
 import lampest
 from lampest.apps.recognition.detect.detection import answer_recording, detect_recording
@@ -154,6 +155,7 @@ def described(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     return describe("mine.h5")
 
 
+@promise("theory/model_check: their answer comes first")
 def test_info_prints_its_answer_before_the_verdict(described: Iterator[str]) -> None:
     lines: list[str] = []
     with pytest.raises(AssertionError, match="checked"):

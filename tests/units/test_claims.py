@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from promises import promise
 
 import lampest
 from lampest import (
@@ -111,6 +112,7 @@ def test_another_preconditioner_gives_the_same_cells(monkeypatch: pytest.MonkeyP
     assert_allclose(changed.cell_resistance, usual.cell_resistance, rtol=1e-6)
 
 
+@promise("apps/calibration/calibrate_loads: The curve is therefore always monotone.")
 def test_a_calibrated_curve_falls_whatever_the_cells_answer() -> None:
     rng = np.random.default_rng(2)
     pressure = np.tile([[0.5], [2.0], [8.0], [20.0], [30.0]], (1, 12))
@@ -214,6 +216,7 @@ def test_a_run_of_unreadable_recordings_solves_nothing(tmp_path: Path, lampest: 
     assert not (tmp_path / "out").exists()
 
 
+@promise("apps/foreign/import: `1/2/2025` is refused where day and month cannot be distinguished.")
 def test_an_import_refuses_a_date_whose_day_may_be_its_month(tmp_path: Path) -> None:
     path = tmp_path / "m.csv"
     path.write_text("time,r0c0,r0c1\n1/2/2025 12:00,500,600\n1/3/2025 12:00,510,620\n")
@@ -388,6 +391,7 @@ def test_ipopt_solves_readings_of_parallel_multiplexers_and_of_any_circuit(
     assert_allclose(cells[formulation], cells["reduced"], rtol=1e-5)
 
 
+@promise("howto/python: A frame can therefore be tried and discarded.")
 def test_a_frame_can_be_tried_and_discarded() -> None:
     """The term carries the frame before on, so a frame that stayed would show."""
     scene = Scene(Panel(4, 5), TwoPointReadout(**NOISE))

@@ -6,6 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from promises import promise
 
 import lampest
 from lampest import (
@@ -43,6 +44,7 @@ def test_transitions_are_those_of_the_data_sheet() -> None:
     assert converter.volt_from_code(np.array([0.0, 512.0])).tolist() == [0.0, 2.5]
 
 
+@promise("howto/readouts: Code c stands for c steps")
 def test_codes_of_a_rounding_converter_leave_cells_unbiased() -> None:
     rng = np.random.default_rng(3)
     cells = 3000 * np.exp(0.3 * rng.standard_normal((1, 8, 8)))

@@ -23,6 +23,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from promises import promise
 
 from lampest import CaseResult, InputError, read_results
 from lampest.files import process
@@ -78,6 +79,10 @@ def test_ctrl_c_during_a_hand_over_leaves_no_busy_worker(monkeypatch: pytest.Mon
     assert held and not multiprocessing.active_children()
 
 
+@promise(
+    "howto/batches: The results are identical bytes wherever they are computed, except for "
+    "solve times."
+)
 @pytest.mark.slow
 @pytest.mark.parametrize("executor", EXECUTORS[1:], ids=NAMES[1:])
 def test_results_equal_those_of_serial_even_if_a_worker_dies(

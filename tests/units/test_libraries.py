@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from promises import promise
 
 import lampest
 from lampest.apps.recognition.commands import _tell
@@ -75,6 +76,7 @@ def test_every_optional_library_has_its_pip_name() -> None:
     assert not {module for module in imported() if PACKAGES.get(module, module) not in known}
 
 
+@promise("faq: without one, the command that needs it names the extra")
 def test_the_error_of_a_missing_library_names_its_extra_unlike_own_modules() -> None:
     for library, groups, brings in (
         ("serial", (), "pyserial"),

@@ -16,12 +16,13 @@ import h5py
 import numpy as np
 import pytest
 from fuzz.batches import content, same
+from promises import promise
 from unclosed import unclosed_recording
 
 import lampest
 from lampest import Array, InputError, Recording, read_results, read_run
 from lampest.apps.board.journal import repair
-from lampest.estimate.sequence import Parts, asked_frames
+from lampest.estimate.parts import Parts, asked_frames
 from lampest.files import hdf5
 from lampest.recording import stored
 from lampest.report.info import checked_sentence
@@ -231,6 +232,7 @@ def test_a_parts_folder_that_links_elsewhere_is_left_unchanged(
     assert [file.read_text() for file in elsewhere.iterdir()] == ["mine"]
 
 
+@promise("howto/batches: Memory does not grow with the number of frames")
 @pytest.mark.slow
 @pytest.mark.skipif(
     not Path("/proc/self/status").exists(), reason="the system tells no peak of a process alone"

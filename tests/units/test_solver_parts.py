@@ -12,7 +12,6 @@ import lampest
 from lampest.cost.given import Background
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.trust_region import SUFFICIENT_DECREASE, SubproblemStep
-from lampest.solvers.acceptance import decreases_enough
 from lampest.solvers.bounds import MIN_DECREASE_SHARE
 from lampest.solvers.direction import (
     ActiveSet,
@@ -25,11 +24,11 @@ from lampest.solvers.direction import (
 )
 from lampest.solvers.iterate import Iterate
 from lampest.solvers.multistart import evaluated
+from lampest.solvers.progress import History, decreases_enough, late_or_stalled, stalled
 from lampest.solvers.projected_newton import NewtonParts, ProjectedNewton
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status
 from lampest.solvers.steps import STEPS
-from lampest.solvers.termination import History, late_or_stalled, stalled
 
 SAME_MINIMUM = 1e-6  # relative; solves end at gradients below 1e-8 of the cost
 OHM = 1000.0

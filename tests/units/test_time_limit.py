@@ -12,6 +12,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from promises import promise
 
 import lampest
 from lampest import Estimator, Panel, Scene, Stream, TwoPointReadout
@@ -144,6 +145,7 @@ def recorded(frames: int = 4) -> Any:
     return readout.to_recorded(readout.exact_reading(cells), SCENE)
 
 
+@promise("howto/batches: A frame that takes longer ends with NaN and the status")
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_a_frame_not_solved_in_time_holds_nan_and_a_status(formulation: Any) -> None:
     estimator = Estimator(

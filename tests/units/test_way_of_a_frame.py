@@ -65,7 +65,7 @@ found = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise"), lampe
 assert found.cell_resistance_errors is not None and found.relative_change.shape
 print(*[name for name in sys.modules if name.startswith("lampest.")])
 """
-MAX_LOADED = 145  # modules of a first reconstruction
+MAX_LOADED = 99  # modules of a first reconstruction
 MAX_PASSED = 48  # files whose functions a frame calls
 
 

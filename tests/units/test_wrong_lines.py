@@ -1,43 +1,98 @@
 """Lines of advice that would do harm: other meanings of values, orders that are a relabelling."""
 
-import numpy as np
+from math import inf
+from typing import Any
 
-from lampest import DrivenReadout, GroundedReadout, Panel, Scene, TwoPointReadout
-from lampest.audit.finding import Finding, with_lines
+import numpy as np
+import pytest
+
+from lampest import (
+    DrivenReadout,
+    GroundedReadout,
+    LoadedColumnsReadout,
+    Panel,
+    Readout,
+    Scene,
+    TwoPointReadout,
+)
+from lampest.audit.finding import Finding, with_addition, with_lines
+from lampest.files.document import in_one_line, parse_document
 from lampest.inference.rivals import BY_COLUMNS, Rival, rivals_of
 
-KIND = "readout: {kind: grounded, driven: rows, sense: one, load_ohm: 2000}"
-SERIES = "series_resistance_ohm: 2140"
+KIND = {"readout": {"kind": "grounded", "driven": "rows", "sense": "one", "load_ohm": 2000}}
+SERIES = {"series_resistance_ohm": 2140}
 
 
-def finding(line: str) -> Finding:
-    return Finding("circuit", "another circuit", "", line)
+def finding(addition: dict[str, Any]) -> Finding:
+    return Finding("circuit", "another circuit", "", addition)
 
 
 def test_a_line_that_changes_what_values_mean_is_refused() -> None:
     scene = Scene(Panel(8, 8), TwoPointReadout(reference_ohm=2000.0))
     changed, accepted, refused = with_lines(scene, [finding(KIND), finding(SERIES)])
-    assert accepted == (SERIES,) and changed.series_resistance_ohm == 2140
+    assert accepted == ("series_resistance_ohm: 2140",) and changed.series_resistance_ohm == 2140
     assert len(refused) == 1 and "in ohm, would mean something else" in refused[0]
 
 
 def test_another_reference_changes_what_resistances_mean() -> None:
     scene = Scene(Panel(8, 8), TwoPointReadout(reference_ohm=2000.0))
-    _, accepted, refused = with_lines(scene, [finding("readout: {reference_ohm: 1000}")])
+    _, accepted, refused = with_lines(scene, [finding({"readout": {"reference_ohm": 1000}})])
     assert not accepted and refused
 
 
 def test_a_circuit_of_the_same_voltages_is_written() -> None:
     scene = Scene(Panel(8, 8), GroundedReadout())
+    addition = {"readout": {"kind": "driven", "idle_ohm": 0, "load_ohm": 2000}}
+    changed, accepted, _ = with_lines(scene, [finding(addition)])
     line = "readout: {kind: driven, idle_ohm: 0, load_ohm: 2000}"
-    changed, accepted, _ = with_lines(scene, [finding(line)])
     assert accepted == (line,) and isinstance(changed.readout, DrivenReadout)
 
 
-def kinds(scene: Scene) -> list[str]:
+def rivals(scene: Scene) -> list[Rival]:
     recorded = 1000 * np.exp(0.3 * np.random.default_rng(1).normal(size=(2, *scene.panel.shape)))
-    rival = Rival(scene, recorded, np.ones_like(recorded))
-    return [other.kind for other in rivals_of(rival)]
+    return list(rivals_of(Rival(scene, recorded, np.ones_like(recorded))))
+
+
+def kinds(scene: Scene) -> list[str]:
+    return [rival.kind for rival in rivals(scene)]
+
+
+@pytest.mark.parametrize(
+    "readout",
+    [
+        TwoPointReadout(reference_ohm=2000.0),
+        GroundedReadout(load_ohm=1500.0),
+        LoadedColumnsReadout(load_ohm=3000.0, groups=((0, 1), (2, 3))),
+    ],
+    ids=lambda readout: readout.kind,
+)
+def test_the_entries_of_a_rival_make_its_circuit(readout: Readout) -> None:
+    scene = Scene(Panel(4, 4), readout)
+    for rival in rivals(scene):
+        if rival.order is not None:
+            continue
+        numbered = rival.with_memory(0.0812)
+        numbered = numbered.with_series(141.3) if rival.scene.circuit.in_series else numbered
+        made = with_addition(scene, numbered.addition)
+        assert made.readout == rival.scene.readout, rival.kind
+        assert made.converter_memory == 0.081
+        assert made.series_resistance_ohm == (140 if rival.scene.circuit.in_series else 0)
+
+
+def test_another_order_of_readings_has_no_entries() -> None:
+    listed = [
+        rival for rival in rivals(Scene(Panel(4, 5), GroundedReadout())) if rival.order is not None
+    ]
+    assert listed and not any(rival.addition for rival in listed)
+
+
+def test_a_line_of_advice_reads_back_as_its_entries() -> None:
+    addition = {
+        "readout": {"groups": [[0, 1], [2, 3]], "idle_ohm": 0.5, "load_ohm": inf, "sense": None},
+        "motion": "estimated",
+    }
+    line = in_one_line(addition)
+    assert parse_document(f"{{{line}}}", "the line").content == addition
 
 
 def test_square_two_point_panels_have_no_order_by_columns() -> None:

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from lampest.apps.board.record import Progress, Recorded
 
 PORT = (
-    "Serial port such as /dev/ttyACM0, or a URL. Default: the Arduino. Repeat it for each "
-    "module, in order."
+    "Serial port such as /dev/ttyACM0, or a URL. "
+    "Default: the Arduino. Repeat it for each module, in order."
 )
 Port = Annotated[list[str] | None, screen.option(PORT)]
 SceneFile = Annotated[
@@ -98,8 +98,8 @@ def report_recorded(done: "Recorded") -> None:
     """
     noise = "" if done.noise_lsb is None else f", noise of one reading {done.noise_lsb:.2f} LSB"
     screen.say(
-        f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: "
-        f"{done.path}"
+        f"{done.frames} frames, {done.lost} lost, "
+        f"{done.restarts} restarts of the board{noise}: {done.path}"
     )
     jumps = "1 jump" if done.clock_jumps == 1 else f"{done.clock_jumps} jumps"
     parted, behind = (
@@ -113,13 +113,13 @@ def report_recorded(done: "Recorded") -> None:
         ),
         (
             done.clock_stopped,
-            "the board's clock stood still; an event marks since when, and time goes on by this "
-            "computer's clock",
+            "the board's clock stood still; "
+            "an event marks since when, and time goes on by this computer's clock",
         ),
         (
             done.host_clock_set,
-            f"this computer's clock was set {counted(done.host_clock_set, 'time')}; events mark "
-            "where, and no time of a frame depends on it",
+            f"this computer's clock was set {counted(done.host_clock_set, 'time')}; "
+            "events mark where, and no time of a frame depends on it",
         ),
         (
             done.other_board,
@@ -133,15 +133,13 @@ def report_recorded(done: "Recorded") -> None:
         (done.silent, f"no frame came in the last {done.silent:.1f} s"),
         (
             bare,
-            "no series resistance is assumed, because the scene names none; two multiplexer "
-            "channels have "
-            "some 140 ohm, which lampest calibrate measures",
+            "no series resistance is assumed, because the scene names none; "
+            "two multiplexer channels have some 140 ohm, which lampest calibrate measures",
         ),
         (
             done.ended_by,
             f"{done.ended_by} ended the recording; "
-            f"{f'{behind} were' if done.behind else 'no frame was'} "
-            "still in the port then",
+            f"{f'{behind} were' if done.behind else 'no frame was'} still in the port then",
         ),
     ):
         if true:
@@ -157,7 +155,7 @@ def repaired_sentence(file: Path) -> str:
     frames, dropped = repair(file)
     single = dropped == 1
     damage = (
-        f"; {dropped} damaged frame{' is' if single else 's are'} dropped and "
-        f"count{'s' if single else ''} as lost"
+        f"; {dropped} damaged frame{' is' if single else 's are'} dropped "
+        f"and count{'s' if single else ''} as lost"
     )
     return f"{frames} frames: {file}{damage if dropped else ''}"

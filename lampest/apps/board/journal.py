@@ -368,8 +368,8 @@ def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float
             cause = error.__cause__
             reason = cause.strerror if isinstance(cause, OSError) else None
             raise InputError(
-                f"{path}: {counted(recording.frames, 'frame')} kept, but the file cannot be "
-                f"completed ({reason or str(error).removeprefix(f'{path}: ')}); "
+                f"{path}: {counted(recording.frames, 'frame')} kept, but "
+                f"the file cannot be completed ({reason or str(error).removeprefix(f'{path}: ')}); "
                 f"lampest check --repair {path} completes it once there is room"
             ) from error
         return recording.scene, recording.frames, noise
@@ -390,7 +390,7 @@ def _with_sigma(recording: Recording, noise: float | None) -> Recording:
 def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
     """Return the noise of a reading in LSB from differences of successive unloaded codes.
 
-    None below MIN_REPEATS.
+    The result is None below MIN_REPEATS.
     """
     total = 0.0
     count = 0

@@ -19,9 +19,9 @@ def board_rows(recording: Recording) -> tuple[tuple[str, str], ...]:
 
 
 def board_sentence(recording: Recording) -> str:
-    """Return what the board estimated, and its difference from lampest's default estimate.
+    """Return a sentence on the board's estimate and its difference from lampest's default one.
 
-    '' without a board's.
+    Without an estimate of the board the sentence is ''.
     """
     if recording.board_log_change is None:
         return ""
@@ -91,7 +91,6 @@ def difference_sentence(case: CaseResult, board_log_change: Array, frames: NDArr
     unit = "" if case.sigma_own is None else "; σ is a cell's own error"
     count = f"{len(case.frame)} frame{'' if len(case.frame) == 1 else 's'}"
     return (
-        f"its cells differ from lampest's ({' + '.join(case.costs)}, {count}) by {median} in the "
-        f"median, {largest} at "
-        f"most, in frame {frames[worst[0]]}{unit}"
+        f"its cells differ from lampest's ({' + '.join(case.costs)}, {count}) "
+        f"by {median} in the median, {largest} at most, in frame {frames[worst[0]]}{unit}"
     )

@@ -1,6 +1,6 @@
 """Serial port of a board: search, opening, HELLO, settings, start and reading.
 
-Also keys pressed meanwhile. No other module uses pyserial.
+The module also reads keys that are pressed meanwhile. No other module uses pyserial.
 """
 
 import contextlib
@@ -211,10 +211,9 @@ class Board:
         for item in messages:
             if isinstance(item, Foreign):
                 raise InputError(
-                    f"{self._url}: the board speaks version {item.version} of the protocol and "
-                    "this lampest version "
-                    f"{protocol.PROTOCOL_VERSION}; upload the sketch in firmware/ that belongs to "
-                    "it"
+                    f"{self._url}: the board speaks version {item.version} of the protocol "
+                    f"and this lampest version {protocol.PROTOCOL_VERSION}; "
+                    "upload the sketch in firmware/ that belongs to it"
                 )
             if isinstance(item, Hello) and item.fault:
                 raise InputError(f"{self._url}: {item.fault} (firmware pins.h)")
@@ -246,9 +245,8 @@ class Board:
         shortest = self.identify().shortest_period_us
         if period_us is not None and period_us < shortest:
             raise InputError(
-                f"a period of {period_us / 1e6:g} s is too short: {rows} × {columns} cells with "
-                f"{readings} readings "
-                f"each take {shortest / 1e6:g} s"
+                f"a period of {period_us / 1e6:g} s is too short: "
+                f"{rows} × {columns} cells with {readings} readings each take {shortest / 1e6:g} s"
             )
         self.order(Kind.SET_PERIOD, max(1_000_000, shortest) if period_us is None else period_us)
         settings = self.identify()

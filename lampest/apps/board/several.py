@@ -1,10 +1,10 @@
 """Several boards as one.
 
-Each scans a module, and their simultaneous frames form a frame of the whole image. A board's time
-on the host's steady clock is its own time plus the least delay of its newest frames,
-s = min(arrival − time). The board of the first module leads, or the next one while it is absent:
-its frames define the times of the image. Every other board contributes its frame nearest in time.
-An absent board is missing from the image until it returns.
+Each board scans a module, and their simultaneous frames form a frame of the whole image. A board's
+time on the host's steady clock is its own time plus the least delay of its newest frames, s =
+min(arrival − time). The board of the first module leads, or the next one while it is absent: its
+frames define the times of the image. Every other board contributes its frame nearest in time. An
+absent board is missing from the image until it returns.
 """
 
 from collections import deque
@@ -47,8 +47,8 @@ def samples_of(
     if scene is None or scene.panel.modules is None:
         if len(ports) > 1:
             raise InputError(
-                "--port: several boards need a scene with panel: {modules: ...}, a board for each "
-                "module"
+                "--port: several boards need a scene with panel: "
+                "{modules: ...}, a board for each module"
             )
         return board_samples(
             ports[0] if ports else only_port(), scene, period, on_state, ending, baseline
@@ -58,9 +58,8 @@ def samples_of(
     if len(ports) != len(numbers):
         named = ", ".join(str(list(layout.place(number))) for number in numbers[:4])
         raise InputError(
-            f"the scene reads {len(numbers)} modules: name as many ports, --port once for each, in "
-            f"the order {named}"
-            f"{', …' if len(numbers) > 4 else ''}; not {len(ports)}"
+            f"the scene reads {len(numbers)} modules: name as many ports, --port once for each, "
+            f"in the order {named}{', …' if len(numbers) > 4 else ''}; not {len(ports)}"
         )
     readings = {
         module.readout.readings
@@ -124,7 +123,7 @@ class Alignment:
     def frame(self, now: float) -> dict[int, Sample] | None:
         """Advance to the next frame and return its samples by board.
 
-        None while a present board may still send.
+        The result is None while a present board may still send.
         """
         led = self._led(now)
         if led is None:
@@ -161,7 +160,7 @@ class Alignment:
     def _led(self, now: float) -> Stamped | None:
         """Return the frame that defines the next time, from the first present board.
 
-        None before it has arrived.
+        The result is None before it has arrived.
         """
         if self.moment is None:
             if not all(self.waiting):

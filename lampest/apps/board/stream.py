@@ -58,8 +58,8 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
                     f"{value:g}" if isinstance(value, float) else value for value in (mine, theirs)
                 ]
                 raise InputError(
-                    f"the scene's readout.{name} is {both[0]}, but the board says {both[1]} "
-                    "(firmware pins.h)"
+                    f"the scene's readout.{name} is {both[0]}, "
+                    f"but the board says {both[1]} (firmware pins.h)"
                 )
     size = (*scene.panel.shape, ours.readings)
     most = (hello.most_rows, hello.most_columns, hello.most_readings)
@@ -334,8 +334,8 @@ class Scanning:
     def _resumed(self, frame: Frame, after: Frame) -> Sample | None:
         """Return the first sample after a jump of the clock or a restart of the numbers.
 
-        None for a repetition. `after` is the next frame, whose clock follows that of `frame` if the
-        numbers have restarted.
+        The result is None for a repetition. `after` is the next frame, whose clock follows that of
+        `frame` if the numbers have restarted.
         """
         assert self.before is not None and self.last is not None
         steps, elapsed_ms = _since(self.before.frame, frame)
@@ -457,8 +457,8 @@ class _Line:
         if self._unfit and waited > UNFIT_SECONDS + 3 * period:
             came = ", ".join(f"{number} {kind}" for kind, number in self._unfit.most_common())
             raise InputError(
-                f"{self._url}: nothing fit for {waited:.0f} s, though the line is not silent "
-                f"({came})"
+                f"{self._url}: nothing fit for {waited:.0f} s, "
+                f"though the line is not silent ({came})"
             )
 
     def connection(self, board: Board) -> Samples:

@@ -104,10 +104,9 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
         series_tolerance_ohm=round(common, DIGITS) or None,
     )
     summary = (
-        f"reference {100 * errors[0]:+.2f} +- {100 * deviation[0]:.2f} %, channels off by "
-        f"{np.sqrt(np.mean(errors[1:] ** 2)):.2f} ohm rms and known to {spread:.2f} ohm beside "
-        "their mean, "
-        f"from {frames} frames"
+        f"reference {100 * errors[0]:+.2f} +- {100 * deviation[0]:.2f} %, "
+        f"channels off by {np.sqrt(np.mean(errors[1:] ** 2)):.2f} ohm rms "
+        f"and known to {spread:.2f} ohm beside their mean, from {frames} frames"
     )
     return ChannelCalibration(
         scene=_corrected(replace(scene, systematic=sizes), errors),

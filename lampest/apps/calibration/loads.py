@@ -46,8 +46,8 @@ BESIDE = 0.5
 ODD = "{} answers otherwise than the others let expect: is its weight right?"
 CHANGING = "readings change within the frames of {}: were they put on or taken off then?"
 ANSWERS_BESIDE = (
-    "cells beside the foot of {} answer as those under it: are places, frames and diameter_mm "
-    "right?"
+    "cells beside the foot of {} answer as those under it: "
+    "are places, frames and diameter_mm right?"
 )
 
 
@@ -158,14 +158,14 @@ def _explaining_fit(loaded: Loaded) -> FittedResponse:
     fitted = fit_loads(loaded)
     if not fitted.touched.any():
         raise InputError(
-            "no cell under a load has an estimate with error bars: is the readout's noise in the "
-            "scene?"
+            "no cell under a load has an estimate with error bars: "
+            "is the readout's noise in the scene?"
         )
     if fitted.scatter > MAX_SCATTER:
         raise InputError(
-            f"the loads do not explain the cells: answers scatter by {100 * fitted.scatter:.0f} % "
-            "about any common "
-            "curve; are frames, places (x along columns, y along rows) and weights right?"
+            "the loads do not explain the cells: "
+            f"answers scatter by {100 * fitted.scatter:.0f} % about any common curve; "
+            "are frames, places (x along columns, y along rows) and weights right?"
         )
     return fitted
 
@@ -193,8 +193,8 @@ def _result_in_words(fitted: FittedResponse, loads: int) -> Iterator[str]:
     touched = fitted.touched.sum()
     blank = (~fitted.touched).sum()
     yield (
-        f"response from {loads} loads on {touched} of {fitted.touched.size} cells: gains spread by "
-        f"{100 * fitted.spread:.1f} %, a cell answers alike within {100 * fitted.scatter:.1f} %"
+        f"response from {loads} loads on {touched} of {fitted.touched.size} cells: gains spread "
+        f"by {100 * fitted.spread:.1f} %, a cell answers alike within {100 * fitted.scatter:.1f} %"
     )
     yield (
         "response.sd: relative standard deviation of ln(r/r0), of all cells alike; "
@@ -226,8 +226,8 @@ def _unlike_first_guess(fitted: FittedResponse, pressure: Array, base: Response)
     most = max(map(abs, base.told_kpa))
     if middle[0] > most:
         return (
-            f"half of the loads press with more than {most:.3g} kPa, beyond what the first "
-            f"guess knows: {UNITS}"
+            f"half of the loads press with more than {most:.3g} kPa, "
+            f"beyond what the first guess knows: {UNITS}"
         )
     ratio = fitted.curve(middle, base)[0][0] / float(base.logarithm(middle)[0])
     if abs(np.log(ratio)) <= UNLIKE:
@@ -292,16 +292,15 @@ def _responses(recording: Recording, loads: Sequence[KnownLoad]) -> Iterator[Arr
     for load in loads:
         if load.frames[1] >= len(recording.role):
             raise InputError(
-                f"{recording.name}: there is no frame {load.frames[1]}, its frames are 0 to "
-                f"{len(recording.role) - 1}"
+                f"{recording.name}: there is no frame {load.frames[1]}, "
+                f"its frames are 0 to {len(recording.role) - 1}"
             )
     estimates = reconstruct(recording, Estimator((Misfit(),), "reduced"))
     change_and_deviation = log_change(estimates)
     if change_and_deviation is None:
         raise InputError(
             f"{recording.name}: its estimates have no error bars, without which loads calibrate "
-            "nothing; the "
-            "scene must name the readout, and the panel have at most 600 cells"
+            "nothing; the scene must name the readout, and the panel have at most 600 cells"
         )
     logarithm, sd = change_and_deviation
     parts = []

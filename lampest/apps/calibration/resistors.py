@@ -105,8 +105,8 @@ def calibrate_resistors(
         repeats = sum(trial.repeats.sum() for trial in trials)
         remarks.append(f"noise_lsb: of one reading, from {repeats:g} repeats")
     remarks.append(
-        f"resistors taken as within {100 * tolerance:g} %; the residual is "
-        f"{fit.chi_square / max(fit.freedom, 1):.2g} times what noise and tolerances explain"
+        f"resistors taken as within {100 * tolerance:g} %; the residual "
+        f"is {fit.chi_square / max(fit.freedom, 1):.2g} times what noise and tolerances explain"
     )
     warnings = list[str]()
     if any(number.differ for number in numbers):
@@ -171,12 +171,10 @@ def _check_fit(fit: CircuitFit) -> None:
     measured = fit.problem.measured[index]
     readout = fit.problem.scene.circuit
     raise InputError(
-        f"{name}: no calibration: row {row}, column {column} reads "
-        f"{_recorded(readout, measured)}, but "
-        "behind the "
-        "circuit that fits best the known resistors give "
-        f"{_recorded(readout, measured - fit.residual[index])}; noise and "
-        f"tolerances explain {100 * np.mean(deviation < NOISE_REACH):.0f} % of the readings"
+        f"{name}: no calibration: row {row}, column {column} reads {_recorded(readout, measured)}, "
+        "but behind the circuit that fits best "
+        f"the known resistors give {_recorded(readout, measured - fit.residual[index])}; noise "
+        f"and tolerances explain {100 * np.mean(deviation < NOISE_REACH):.0f} % of the readings"
     )
 
 
@@ -190,9 +188,9 @@ def _check_unused(fit: CircuitFit, trial: Trial) -> None:
         return
     row, column = (int(part) for part in np.unravel_index(missed.argmax(), missed.shape))
     raise InputError(
-        f"{trial.name}: no calibration: row {row}, column {column} reads "
-        f"{_recorded(readout, trial.volt[row, column])}, "
-        f"but no known resistor leads there; was the panel unplugged?"
+        f"{trial.name}: no calibration: "
+        f"row {row}, column {column} reads {_recorded(readout, trial.volt[row, column])}, "
+        "but no known resistor leads there; was the panel unplugged?"
     )
 
 
@@ -217,19 +215,18 @@ def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None
     *_, expected = EXPECTED.get(number.name, (WORST_OHM - TYPICAL_OHM if number.channel else 0.0,))
     if estimate.sigma > max(expected, 0.3 * estimate.value):
         raise InputError(
-            f"{where}the readings do not tell {number.name} ({estimate.value:.4g} ± "
-            f"{estimate.sigma:.2g} "
-            f"{number.unit}); known resistors of different values, on more lines, do"
+            f"{where}the readings do not tell {number.name} "
+            f"({estimate.value:.4g} ± {estimate.sigma:.2g} {number.unit}); "
+            "known resistors of different values, on more lines, do"
         )
     # Equal cells are equivalent to a larger series resistance, so the value is limited to that of
     # the worst channels, or to their excess over typical ones above the specified value.
     most = max(channels * WORST_OHM, specified + channels * (WORST_OHM - TYPICAL_OHM))
     if number.in_scene and number.channel and estimate.value - SIGNIFICANT * estimate.sigma > most:
         raise InputError(
-            f"{where}a {number.name} of {estimate.value:.4g} ohm is more than the {most:g} ohm "
-            f"that {channels} "
-            "channels have at worst; were the known resistors in place of the panel, and are "
-            "their values right?"
+            f"{where}a {number.name} of {estimate.value:.4g} ohm is more "
+            f"than the {most:g} ohm that {channels} channels have at worst; "
+            "were the known resistors in place of the panel, and are their values right?"
         )
     most = max(
         WORST_OHM - BEST_OHM if number.channel else 0.0, 4 * RESISTOR_TOLERANCE * estimate.value
@@ -241,6 +238,5 @@ def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None
         if difference - SIGNIFICANT * np.hypot(sigma[high], sigma[low]) > most:
             raise InputError(
                 f"{where}{number.name} of {side} {high} and {low} would differ by {difference:.4g} "
-                "ohm, and at most "
-                f"{most:.4g} ohm is likely ({PLAUSIBLE_RANGE[number.channel]})"
+                f"ohm, and at most {most:.4g} ohm is likely ({PLAUSIBLE_RANGE[number.channel]})"
             )

@@ -158,8 +158,8 @@ def _check_drift(name: str, readout: Readout, residual: Array) -> None:
     lasting = np.sqrt(max(total - quick, 0.0) / residual[0].size) / 2.0**readout.adc_bits
     if len(residual) >= MIN_SAMPLE and quick < total / 2 and lasting > 1e-3:
         raise InputError(
-            f"{name}: no calibration: its readings drift by {100 * lasting:.2g} % of the supply, "
-            f"and {CHANGE}"
+            f"{name}: no calibration: its readings drift "
+            f"by {100 * lasting:.2g} % of the supply, and {CHANGE}"
         )
 
 

@@ -71,10 +71,9 @@ class TareWatch:
         if mean is None:
             return watch, None, ""
         message = (
-            f"nothing touched the panel for {count} frames ({time - watch.frames[0][1]:.3g} s): no "
-            "cell was off by "
-            f"more than {100 * np.expm1(np.nanmax(np.abs(mean))):.2g} %, as drift and the film's "
-            "memory allow"
+            f"nothing touched the panel for {count} frames ({time - watch.frames[0][1]:.3g} s): "
+            f"no cell was off by more than {100 * np.expm1(np.nanmax(np.abs(mean))):.2g} %, "
+            "as drift and the film's memory allow"
         )
         return TareWatch(self.tare, time), mean, message
 

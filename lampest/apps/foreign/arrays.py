@@ -31,8 +31,8 @@ MAX_BYTES = 500_000_000  # of a file, unpacked, and of its values in memory (tes
 # Data elements of a .mat file in the order of their numbers from 0; '-' is reserved.
 ELEMENTS = "- i1 u1 i2 u2 i4 u4 f4 - f8 - - i8 u8 matrix compressed utf-8 utf-16 utf-32"
 PICKLED = (
-    "it holds pickled objects, which run code when they are opened, so that lampest does not "
-    "open them"
+    "it holds pickled objects, "
+    "which run code when they are opened, so that lampest does not open them"
 )
 ONE = "(rows, columns)"
 STACKED = "(rows, columns, frames)"
@@ -300,10 +300,7 @@ def _of_mat(path: Path) -> Arrays:
 
 
 def _element(view: memoryview, at: int, order: str) -> tuple[str, memoryview, int]:
-    """Return kind and content of the data element at a position.
-
-    Also returns the position of the next one.
-    """
+    """Return kind and content of the data element at a position, and the next position."""
     kind, size = struct.unpack_from(order + "II", view, at)
     small = kind >> 16  # its size: a small one holds both in eight bytes
     name = ELEMENTS.split()[kind & 0xFFFF]
@@ -321,7 +318,7 @@ def _element(view: memoryview, at: int, order: str) -> tuple[str, memoryview, in
 def _matrix(body: memoryview, order: str) -> Arrays:
     """Return the values of a matrix element by name.
 
-    Empty for texts, structures, cells and complex values.
+    The result is empty for texts, structures, cells and complex values.
     """
     _, flags, at = _element(body, 0, order)
     _, size, at = _element(body, at, order)

@@ -179,8 +179,8 @@ def _recording(  # noqa: PLR0913 # the options of an import
     values[~panel.present & ~(values > 0)] = np.nan
     if not 0 <= baseline_frames <= count:
         raise InputError(
-            f"{path}: {baseline_frames} baseline frames asked for, but the file holds {count} "
-            "frames"
+            f"{path}: {baseline_frames} baseline frames asked for, "
+            f"but the file holds {count} frames"
         )
     clock = _clock(frames, period, time_unit, path)
     if missing == "refuse":
@@ -250,9 +250,8 @@ def _restored(
         )
     if resting is None:
         raise InputError(
-            f"{path}: the scene says baseline: subtracted; give the resting frame that was "
-            "subtracted "
-            f"(--resting FILE), or {AS_CONVERTED}"
+            f"{path}: the scene says baseline: subtracted; "
+            f"give the resting frame that was subtracted (--resting FILE), or {AS_CONVERTED}"
         )
     file, frames = resting
     with np.errstate(invalid="ignore"):
@@ -262,8 +261,8 @@ def _restored(
     raw = restored(values, frame)
     if not np.any(role == UNLOADED):
         raise InputError(
-            f"{path}: say how many frames at the beginning are unloaded (--baseline); the resting "
-            "frame is theirs"
+            f"{path}: say how many frames at the beginning are unloaded (--baseline); "
+            "the resting frame is theirs"
         )
     raw[role == UNLOADED] = frame
     return raw, replace(scene, baseline="raw")
@@ -436,8 +435,8 @@ def _without_missing(
     if np.all(blank):
         raise InputError(f"{path}: all readings are missing")
     note = (
-        f"{counted(int(blank.sum()), 'reading')} missing, in {int(gaps.sum())} of "
-        f"{counted(len(blank), 'frame')}"
+        f"{counted(int(blank.sum()), 'reading')} missing, "
+        f"in {int(gaps.sum())} of {counted(len(blank), 'frame')}"
     )
     if missing == "mark":
         return np.ones_like(gaps), f"{note}: NaN in the recording"

@@ -1,4 +1,4 @@
-"""Data frames and labelled arrays as frames: what other libraries hold in memory."""
+"""Data frames and labelled arrays of other libraries as frames."""
 
 from typing import Any
 
@@ -74,8 +74,8 @@ def labelled_array(data: Any) -> tuple[Array, Array | None, str | None]:
         data, "data_vars"
     ):
         raise InputError(
-            f"from_xarray needs an xarray.DataArray, not {in_words(data)}; of a Dataset name a "
-            "variable"
+            f"from_xarray needs an xarray.DataArray, not {in_words(data)}; "
+            "of a Dataset name a variable"
         )
     places = {role_of(str(name)): name for name in data.dims}
     frame = places.get("time", places.get("frame"))

@@ -56,10 +56,9 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
             replace(shorter, notes=(*table.notes, f"empty columns left out: {empty}")), shape
         )
     raise InputError(
-        f"{table.place(0, None)}: {counted(table.width, 'field')}; {shape[0]} × {shape[1]} cells "
-        f"need {cells}, "
-        f"{cells + 1} with the time, or 3 or 4 for row, column, value and frame, or {shape[1]} in "
-        "a line for each row; "
+        f"{table.place(0, None)}: {counted(table.width, 'field')}; "
+        f"{shape[0]} × {shape[1]} cells need {cells}, {cells + 1} with the time, "
+        f"or 3 or 4 for row, column, value and frame, or {shape[1]} in a line for each row; "
         "`layout` says what each field is"
     )
 
@@ -90,7 +89,7 @@ def _frames_of_numbers(table: ReadingsTable, shape: Shape) -> Frames:
 def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cells, str] | None:
     """Return (row, column) of the cells in the names of columns, by column, and a sentence.
 
-    None without such names.
+    The result is None without such names.
     """
     named: dict[int, tuple[int, int]] = {}
     for field, name in enumerate(names):
@@ -246,7 +245,7 @@ def _count_cells(table: ReadingsTable, cells: int) -> bool:
 def _line_numbers(table: ReadingsTable, field: int) -> Array:
     """Return the row or column numbers in a field of all lines, from 3, R3 or 'row 3'.
 
-    NaN for any other text.
+    The result is NaN for any other text.
     """
     values = table.values[:, field].copy()
     unread = table.words[:, field]
@@ -466,9 +465,10 @@ def _blocks(
     parts = whole_parts(table.values[:, fields], rows) if len(groups) == 1 else ()
     if parts is None:
         raise InputError(
-            f"{table.source.source}: {counted(len(table.lines), 'line')} are no whole number of "
-            f"frames of {rows} lines, and the readings do not show which are lost, doubled or of a "
-            "cut frame; leave the lines before the first whole frame and behind the last one out"
+            f"{table.source.source}: {counted(len(table.lines), 'line')} "
+            f"are no whole number of frames of {rows} lines, "
+            "and the readings do not show which are lost, doubled or of a cut frame; "
+            "leave the lines before the first whole frame and behind the last one out"
         )
     frame = np.full(len(table.lines), -1)
     row = np.zeros(len(table.lines), dtype=np.intp)
@@ -512,9 +512,14 @@ def _blocks(
 
 
 def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:
-    """Return the lines of every frame, and the kind of the titles between frames.
+    """Group the lines of a table into frames.
 
-    None for any kind, or no titles.
+    Returns
+    -------
+    frames : list of range
+        Lines of every frame.
+    kind : str or None
+        Kind of the titles between frames; None for titles of any kind, or none.
     """
     kinds = table.kinds
     separators = [line for line in range(1, len(kinds)) if kinds[line]]
@@ -539,7 +544,7 @@ def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:
     long = next((group for group in best[0] if len(group) > rows), None)
     if long and not whole(best[0]):
         raise InputError(
-            f"{table.place(long[0], None)}: a block of {len(long)} lines, where the panel has "
-            f"{rows} rows"
+            f"{table.place(long[0], None)}: "
+            f"a block of {len(long)} lines, where the panel has {rows} rows"
         )
     return best

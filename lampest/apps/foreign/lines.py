@@ -33,16 +33,16 @@ WINDOWS_WORDS = re.compile(
 PICKLE = "a pickle, which runs code when it is opened; save the array as .npy, .json or .csv"
 MARKS = {bytes([0x80, protocol]): PICKLE for protocol in range(2, 6)} | {
     b"\x93NUMPY": "NumPy's format; name it .npy",
-    b"PK\x03\x04": "a zip archive; name a workbook .xlsx, NumPy's arrays .npz, and unpack others "
-    "first",
+    b"PK\x03\x04": "a zip archive; "
+    "name a workbook .xlsx, NumPy's arrays .npz, and unpack others first",
     b"\x89HDF": "HDF5; save the array as .npy. lampest's own recordings need no import",
     b"\xd0\xcf\x11\xe0": "an old Excel file; save it as .xlsx",
     b"\x1f\x8b": "compressed; unpack it first",
     b"PAR1": "Parquet; name it .parquet",
 }
 READ = (
-    "Other kinds: .xlsx, .npy, .npz, .mat, .json, .jsonl, .parquet; `layout` names a layout of "
-    "your own"
+    "Other kinds: .xlsx, .npy, .npz, .mat, .json, .jsonl, .parquet; "
+    "`layout` names a layout of your own"
 )
 MAX_FIELDS = 10_000_000  # 50 bytes each in memory
 SAMPLED = 50_000  # characters or fields at the beginning of a file that determine its notation
@@ -252,7 +252,7 @@ def _utf16_of(data: bytes) -> str:
 def _delimiter(lines: Sequence[str]) -> str:
     """Return the sign that gives most numeric fields in the first lines.
 
-    Of equal signs the earlier in the list.
+    If several signs give as many, the earliest in the list counts.
     """
     sample = "\n".join(lines[:SAMPLED_LINES])[:SAMPLED].split("\n")
 

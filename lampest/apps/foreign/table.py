@@ -86,7 +86,7 @@ class ReadingsTable:
     def before(self) -> list[dict[str, str]]:
         """Texts between each line and the previous one, with their places such as 'line 3'.
 
-        '' for a blank line.
+        The value is '' for a blank line.
         """
         between = []
         for last, line in pairwise([-1, *self.lines.tolist()]):
@@ -209,7 +209,7 @@ class ReadingsTable:
     def title_timing(self, begins: Sequence[int], title: str | None) -> Timing:
         """Return the times of frames from titles of a kind before each block.
 
-        None if a block has none.
+        The result is None if a block has none.
         """
         before = [self.before[line] for line in begins]
         time_texts = [
@@ -381,7 +381,7 @@ def _laid_out(table: ReadingsTable, layout: str) -> ReadingsTable:
 def _usual_count(counts: Index) -> int:
     """Return the most frequent number of fields; 0 without a line.
 
-    Of equally frequent ones it is the largest one.
+    If several numbers are equally frequent, the largest counts.
     """
     often = Counter(counts.tolist())
     return max(often, key=lambda count: (often[count], count), default=0)
@@ -428,8 +428,8 @@ def _damage_note(source: FieldLines, damaged: NDArray[np.bool_]) -> str:
         return ""
     numbers = [source.lines[line].number for line in np.flatnonzero(damaged).tolist()]
     return (
-        f"bytes that are no text: their fields in {source.word} {first_and_more(numbers)} are "
-        "missing"
+        "bytes that are no text: their fields "
+        f"in {source.word} {first_and_more(numbers)} are missing"
     )
 
 

@@ -178,7 +178,7 @@ def _are_means(finite: Array, readings: int) -> bool:
 def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
     """Return whether values in this unit would be means of the converter's codes.
 
-    None if undecidable.
+    The result is None if undecidable.
     """
     values = np.unique(finite)
     digit = _rounding(values)

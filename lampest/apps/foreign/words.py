@@ -25,14 +25,12 @@ ROLE_OF_WORD = _by_word(
     row="row rows zeile reihe y i",
     column="column columns col cols spalte x j",
     cell="cell taxel pixel index sensor",
-    value="value values reading measured resistance ohm kohm volt voltage code adc raw counts mv r "
-    "v wert widerstand "
-    "spannung",
+    value="value values reading measured resistance ohm kohm volt voltage code adc raw counts "
+    "mv r v wert widerstand spannung",
     frame="frame frames scan step sample frame_id frame_nr frame_no scan_nr nr messung bild",
     date="date datum day tag",
     time="time times t timestamp timestamps time_stamp datetime date_time zeit uhrzeit zeitstempel "
-    "elapsed clock ts "
-    "millis micros ms us µs s sec second seconds unix epoch",
+    "elapsed clock ts millis micros ms us µs s sec second seconds unix epoch",
 )
 # Words for the parts of a time of day that stands in columns of their own.
 PART_OF_CLOCK = _by_word(
@@ -58,8 +56,7 @@ PRESSURE_UNITS = _by_word(
 )
 LOADS = PRESSURE_UNITS | _by_word(
     load="n newton newtons g gram grams kg lb lbs lbf kgf pressure pressures druck force forces "
-    "kraft weight gewicht "
-    "load last conductance leitwert temperature"
+    "kraft weight gewicht load last conductance leitwert temperature"
 )
 ANY_PRESSURE_UNIT = "|".join(sorted(map(re.escape, PRESSURE_UNITS), key=len, reverse=True))
 STATED_PRESSURE = re.compile(rf"(?:\d\s*|[\[(:=]\s*)({ANY_PRESSURE_UNIT})(?![\w/²])", re.IGNORECASE)
@@ -94,8 +91,8 @@ MAX_LENGTH = 100
 # (ovf), multimeters (OL), Microsoft's C library (1.#QNAN) and Excel (#DIV/0!).
 NO_NUMBERS = _by_word(
     nan="nan -nan +nan na n/a null none nil ovf -ovf ol o.l o.l. overload overflow over err error "
-    "missing ? ?? . -inf "
-    "-infinity nan(ind) -nan(ind) 1.#ind -1.#ind 1.#qnan #n/a #na #div/0! #num! #value! #ref!",
+    "missing ? ?? . -inf -infinity nan(ind) -nan(ind) 1.#ind -1.#ind 1.#qnan "
+    "#n/a #na #div/0! #num! #value! #ref!",
     inf="inf +inf infinity +infinity ∞ 1.#inf",
 )
 NUMBER = r"[+-]?(\d+({0}\d*)?|{0}\d+|\d{{1,3}}({1}\d{{3}})+({0}\d*)?)([eE][+-]?\d+)?"
@@ -207,9 +204,8 @@ def _units_of_one(name: str) -> tuple[str, ...]:
     load = load_named(name)
     if load:
         raise InputError(
-            f"the header says {load!r}: readings must be ohm, kohm, volt, mV or code, from which "
-            "cells are computed. "
-            "If they are, `unit` says which"
+            f"the header says {load!r}: readings must be ohm, kohm, volt, mV or code, "
+            "from which cells are computed. If they are, `unit` says which"
         )
     bracketed = BRACKETED.fullmatch(name.strip()) is not None and unit != ""
     if unit.lower() not in UNITS_OF_WORD and (bracketed or ELECTRIC.fullmatch(unit)):
@@ -225,7 +221,7 @@ def _units_of_one(name: str) -> tuple[str, ...]:
 def load_named(name: str) -> str:
     """Return the word for a load's quantity or unit in a name, such as 'mmHg' or 'pressure'.
 
-    '' without one.
+    The result is '' without one.
     """
     stem, unit = parted(name)
     if unit.lower() in UNITS_OF_WORD or unit in ("v", "V"):
@@ -253,7 +249,7 @@ def names_pressure(name: str) -> bool:
 def pressures_in(text: str) -> str:
     """Return the unit of pressure that a line with numbers states, or ''.
 
-    Such as in 'Max: 200 mmHg' and 'Mean (kPa) 3'.
+    Examples are 'Max: 200 mmHg' and 'Mean (kPa) 3'.
     """
     match = STATED_PRESSURE.search(text)
     return match[1] if match else ""
@@ -491,8 +487,8 @@ def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
     if len(cut) > MAX_CUT * len(seconds):
         bad = ~np.isfinite(seconds) | (np.diff(seconds, prepend=-np.inf) <= 0)
         raise InputError(
-            f"{where(int(np.argmax(bad)))}: times must be finite and grow; `period` sets them "
-            "instead"
+            f"{where(int(np.argmax(bad)))}: "
+            "times must be finite and grow; `period` sets them instead"
         )
     if not len(cut):
         return seconds, ""
@@ -522,7 +518,7 @@ def grows(values: Array) -> bool:
 def _longest_growing(values: Array) -> NDArray[np.bool_]:
     """Return the longest increasing subsequence of values, boolean (n,).
 
-    Of equally long ones it is the last one.
+    If several are equally long, the last one is returned.
     """
     ends = list[float]()
     numbers = list[int]()

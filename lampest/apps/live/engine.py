@@ -173,8 +173,8 @@ class Engine:
             return
         self._unloaded.append(scan)
         self.say(
-            f"baseline: {len(self._unloaded)} of {self._baseline} unloaded frames; keep the panel "
-            "free"
+            f"baseline: {len(self._unloaded)} "
+            f"of {self._baseline} unloaded frames; keep the panel free"
         )
         if len(self._unloaded) == self._baseline:
             self.begin(source, self._unloaded)

@@ -178,9 +178,8 @@ class OscPublish(Publish):
             from pythonosc.udp_client import UDPClient
         if NO_PREFIX & set(self.path) or not (self.path.isascii() and self.path.isprintable()):
             raise InputError(
-                f"--publish: osc: {self.path!r} is no prefix: it has ASCII letters, and none of # "
-                "* , ? [ ] { } "
-                "and spaces"
+                f"--publish: osc: {self.path!r} is no prefix: "
+                "it has ASCII letters, and none of # * , ? [ ] { } and spaces"
             )
         if self.port == 0:
             raise InputError("--publish: osc: there is no port 0: give one from 1 to 65535")
@@ -286,8 +285,8 @@ class MqttPublish(Publish):
             from paho.mqtt.enums import CallbackAPIVersion
         if set(self.path) & set("+#"):
             raise InputError(
-                f"--publish: mqtt: '{self.path}' is no topic to publish to: + and # stand for "
-                "others"
+                f"--publish: mqtt: '{self.path}' "
+                "is no topic to publish to: + and # stand for others"
             )
         client: Any = Client(CallbackAPIVersion.VERSION2)
         # A short segment does not wait until the one before is confirmed (RFC 896), up to 0.5 s
@@ -456,9 +455,7 @@ WAYS: tuple[type[Publish], ...] = (LslPublish, OscPublish, MqttPublish, Websocke
 def publish_at(where: str, token: str | None = None) -> Publish:
     """Parse an address such as `mqtt://localhost:1883/lampest` or `mqtt`.
 
-    token : required of listeners.
-
-    Raises InputError for an unknown protocol and an invalid address.
+    Listeners need `token`. Raises InputError for an unknown protocol and an invalid address.
     """
     kind, _, address = where.partition("://")
     ways = {way.kind: way for way in WAYS}
@@ -485,10 +482,8 @@ def waited(done: Callable[[], bool], seconds: float) -> bool:
 def publishing(ways: Sequence[Publish], shown: Newest[View], say: Say) -> Iterator[tuple[str, ...]]:
     """Send new pictures, answers and alarms by each protocol, until the series ends.
 
-    Each protocol has a thread of its own.
-
-    Yields the public addresses. say : receives a sentence at the first failure of a protocol.
-    Raises InputError if one cannot be opened.
+    A protocol has a thread of its own. The context has the public addresses. `say` receives a
+    sentence at the first failure of a protocol. Raises InputError if one cannot be opened.
     """
     with ExitStack() as opened:
         outlets = [opened.enter_context(way.opened(say)) for way in ways]
@@ -526,7 +521,7 @@ def _forward(shown: Newest[View], send: Send, where: str, say: Say) -> None:
         except OSError as error:
             if not failed:
                 say(
-                    f"{where}: frames do not get through ({error.strerror or error}); it is tried "
-                    "again with each"
+                    f"{where}: frames do not get through ({error.strerror or error}); "
+                    "it is tried again with each"
                 )
             failed = True

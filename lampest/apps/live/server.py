@@ -33,9 +33,8 @@ HINT = ": open the address that lampest printed when it began, with its token if
 REQUEST_HEADER = "X-Lampest"
 HEADERS = {
     "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'none'; connect-src 'self'; script-src "
-    "'unsafe-inline'; "
-    "style-src 'unsafe-inline'; img-src data:",
+    "Content-Security-Policy": "default-src 'none'; connect-src 'self'; "
+    "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
@@ -64,15 +63,15 @@ class Access:
     def __post_init__(self) -> None:
         if self.token and not re.fullmatch(rf"[A-Za-z0-9._~-]{{{MIN_TOKEN_LENGTH},}}", self.token):
             raise InputError(
-                f"--token: give at least {MIN_TOKEN_LENGTH} letters, digits or any of - _ . ~ (or "
-                "none: one is made up)"
+                f"--token: give at least {MIN_TOKEN_LENGTH} letters, digits or any of - _ . ~ "
+                "(or none: one is made up)"
             )
 
     @classmethod
     def of(cls, token: str | None, port: int, *, local: bool) -> "Access":
         """Return access by the given token.
 
-        Without one, visitors from elsewhere need a generated token.
+        If None, visitors from elsewhere need a generated token.
         """
         return cls(token or ("" if local else secrets.token_urlsafe(24)), f"lampest-{port}")
 
@@ -330,7 +329,7 @@ def is_local_name(host: str) -> bool:
 def ip_named(name: str) -> IPv4Address | IPv6Address | None:
     """Return the address of localhost or of an IP literal, in brackets or not.
 
-    None for other names.
+    The result is None for other names.
     """
     try:
         return ip_address(

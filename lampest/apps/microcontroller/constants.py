@@ -115,22 +115,21 @@ class CircuitLines:
         """
         if getattr(readout, "diode", None) is not None:
             raise InputError(
-                "the C library has no diodes: drive the lines without one, or estimate on a "
-                "computer"
+                "the C library has no diodes: "
+                "drive the lines without one, or estimate on a computer"
             )
         if readout.unseen_scales(*shape):
             raise InputError(
-                "the C library has no prior of scales that no reading shows: give each sensed line "
-                "a resistor (load_ohm), or estimate on a computer"
+                "the C library has no prior of scales that no reading shows: "
+                "give each sensed line a resistor (load_ohm), or estimate on a computer"
             )
         equation = equation_of(readout, *shape)
         if len(equation.ties) > 1:
             raise InputError("the C library has no multiplexers in parallel (readout.groups)")
         if np.isinf(equation.ties).any():
             raise InputError(
-                "the C library has no lines that 0 ohm hold at ground while they are idle: give "
-                "idle_ohm or "
-                "idle_load_ohm of the switch"
+                "the C library has no lines that 0 ohm hold at ground while they are idle: "
+                "give idle_ohm or idle_load_ohm of the switch"
             )
         by_rows = readout.driven == "rows"
 
@@ -147,9 +146,8 @@ class CircuitLines:
             np.abs(load) * along_sensed(equation.load) > MAX_RELEASE
         ):
             raise InputError(
-                "the C library has no lines that are held at ground while idle, and driven or "
-                "loaded through a "
-                "resistor: single precision loses what differs"
+                "the C library has no lines that are held at ground while idle, "
+                "and driven or loaded through a resistor: single precision loses what differs"
             )
         tie = readout.ties(np.full(shape, readout.driving_volt / 2))
         lines = cls(tie, drive, release, load, readout.driving_volt * gain)
@@ -244,8 +242,8 @@ class Constants:
             if isinstance(error, InputError):
                 raise
             raise InputError(
-                f"{case.recording} × {case.estimator}: its stored configuration is none that "
-                "lampest writes"
+                f"{case.recording} × {case.estimator}: "
+                "its stored configuration is none that lampest writes"
             ) from error
         constants.check()
         return constants
@@ -344,8 +342,8 @@ class Constants:
                 )
         if self.least_ohm > self.largest_ohm:
             raise InputError(
-                f"bounds: the lower one, {self.least_ohm:g} ohm, exceeds the upper, "
-                f"{self.largest_ohm:g}"
+                f"bounds: the lower one, {self.least_ohm:g} ohm, "
+                f"exceeds the upper, {self.largest_ohm:g}"
             )
         low_sum, high_sum = self.valid_sums
         if low_sum > high_sum:
@@ -460,8 +458,8 @@ def check_scene(scene: Scene) -> None:
         raise InputError(f"the C library has no such circuit: {readout.description()}")
     if readout.readings * (2**readout.adc_bits - 1) >= MISSING:
         raise InputError(
-            f"sums of {readout.readings} readings of {readout.adc_bits} bits exceed 32 bits: give "
-            "fewer readings"
+            f"sums of {readout.readings} readings "
+            f"of {readout.adc_bits} bits exceed 32 bits: give fewer readings"
         )
 
 
@@ -528,8 +526,8 @@ def _loss(term: Mapping[str, Any]) -> tuple[str, float]:
     loss = term.get("loss", {"kind": "squared"})
     if loss["kind"] not in LOSSES:
         raise InputError(
-            f"the C library has no loss {loss['kind']!r} ({term['kind']}): it has "
-            f"{', '.join(LOSSES)}"
+            f"the C library has no loss {loss['kind']!r} ({term['kind']}): "
+            f"it has {', '.join(LOSSES)}"
         )
     return LOSSES[loss["kind"]], float(loss.get("corner", 1.0))
 
@@ -537,7 +535,7 @@ def _loss(term: Mapping[str, Any]) -> tuple[str, float]:
 def _penalty(term: Mapping[str, Any], case: CaseResult, scale: float) -> Penalty:
     """Return a penalty with its weight of the strongest frame.
 
-    The weight is divided by what the misfit is divided by.
+    The divisor of the weight is that of the misfit.
     """
     kind = term["kind"]
     if kind not in PENALTIES:

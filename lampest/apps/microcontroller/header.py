@@ -93,8 +93,8 @@ def header(constants: Constants, name: str, about: Iterable[str]) -> str:
     guard = f"{name.upper()}_CONSTANTS_H"
     comment = "\n".join(f" * {line}".rstrip() for line in about)
     memory = (
-        f"LAMPEST_MEMORY({rows}, {columns}, {int(constants.lines is not None)}, "
-        f"{int(constants.relative)})"
+        f"LAMPEST_MEMORY({rows}, {columns}, "
+        f"{int(constants.lines is not None)}, {int(constants.relative)})"
     )
     return (
         f'/*\n{comment}\n */\n#ifndef {guard}\n#define {guard}\n\n#include "lampest_estimate.h"\n\n'

@@ -100,9 +100,9 @@ class Sketch:
     ----------
     files : tuple of Path
     about : tuple of str
-        Which estimator, and what it takes.
+        Sentences on the estimator and its effort.
     table : tuple of Trade
-        What budgets buy; empty without a C compiler or error bars.
+        Accuracy of each budget; empty without a C compiler or error bars.
     budget : Budget
         The chosen one.
     notes : tuple of str
@@ -136,7 +136,7 @@ class Wishes:
 
     @property
     def any(self) -> bool:
-        """Whether anything is asked."""
+        """Whether any wish is stated."""
         return self.within is not None or self.milliseconds is not None
 
 
@@ -159,7 +159,7 @@ def export_sketch(
     recording, estimator : str, optional
         The case; by default the first one.
     wishes : Wishes, optional
-        What the budget is chosen by.
+        Criteria for the choice of the budget.
 
     Raises
     ------
@@ -177,15 +177,15 @@ def export_sketch(
         budget = constants.budget
         about = (
             f"{case.recording} × {case.estimator}: {constants.scene.circuit.description()}",
-            f"budget of a frame: {budget.steps} steps × {budget.products} products, ends within "
-            f"{budget.within:g} σ",
+            f"budget of a frame: {budget.steps} steps × {budget.products} products, "
+            f"ends within {budget.within:g} σ",
         )
         text = header(
             constants,
             "panel",
             (
-                "Constants of an estimator, written by `lampest export --to c` of lampest "
-                f"{version('lampest')}",
+                "Constants of an estimator, "
+                f"written by `lampest export --to c` of lampest {version('lampest')}",
                 f"for version {library_version()} of lampest_estimate.",
                 *about,
             ),
@@ -233,16 +233,16 @@ def _measured(
     if compiler() is None:
         if wishes.any:
             raise InputError(
-                "--within and --milliseconds need a C compiler here (cc, gcc or clang), to measure "
-                "budgets"
+                "--within and --milliseconds need a C compiler here "
+                "(cc, gcc or clang), to measure budgets"
             )
         with np.errstate(invalid="ignore", divide="ignore"):
             optimum = np.nan_to_num(
                 np.log(case.cell_resistance / case.baseline_resistance)[:VECTOR_FRAMES]
             )
         note = (
-            "no C compiler here (cc, gcc or clang): budgets are not measured, the usual one is "
-            "taken"
+            "no C compiler here (cc, gcc or clang): "
+            "budgets are not measured, the usual one is taken"
         )
         return (), constants, _vector(sums, optimum, 0.1), (note,)
     notes: list[str] = []
@@ -250,8 +250,8 @@ def _measured(
     with compiled(constants) as host:
         if case.sigma_own is None and not wishes.any:
             notes.append(
-                "these results have no error bars, the unit of deviations: the usual budget is "
-                "taken"
+                "these results have no error bars, the unit of deviations: "
+                "the usual budget is taken"
             )
         else:
             table = trades(host, constants, case)

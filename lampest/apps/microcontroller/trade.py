@@ -105,10 +105,7 @@ def operations_of(constants: Constants) -> int:
 
 
 def instructions(constants: Constants, products: Array, steps: Array) -> Array:
-    """Return the instructions of frames on a Cortex-M4F.
-
-    products : conjugate-gradient iterations.
-    """
+    """Return the instructions of frames on a Cortex-M4F by their conjugate-gradient iterations."""
     longer, shorter = sorted(constants.scene.panel.shape, reverse=True)
     cells = longer * shorter
     operations = operations_of(constants)
@@ -121,7 +118,7 @@ def instructions(constants: Constants, products: Array, steps: Array) -> Array:
 
 
 def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, ...]:
-    """Return what each budget buys on the first frames of a case.
+    """Return effort and accuracy of each budget on the first frames of a case.
 
     Raises InputError without error bars.
     """
@@ -203,8 +200,8 @@ def chosen_budget(
         if not fits:
             least, most = by_cost[0].milliseconds(processor)
             raise InputError(
-                f"no budget takes {milliseconds:g} ms on {processor}: the smallest takes "
-                f"{least:.2g} to {most:.2g} ms"
+                f"no budget takes {milliseconds:g} ms on {processor}: "
+                f"the smallest takes {least:.2g} to {most:.2g} ms"
             )
         if within is None:
             return min(fits, key=lambda trade: trade.median), DEFAULT_WITHIN
@@ -225,7 +222,7 @@ def chosen_budget(
 
 
 def table_of(table: Sequence[Trade]) -> Table:
-    """Return the table of what budgets buy."""
+    """Return the table of budgets with their effort and accuracy."""
     headers = (
         "steps",
         "products",

@@ -190,8 +190,8 @@ def matched(recordings: Recordings) -> Matched:
         left_out.append(f"{listed(fewer)}, without results of the same recordings")
     if len(common) < len(originals):
         left_out.append(
-            f"{len(originals) - len(common)} of {len(originals)} recordings lack some of the "
-            "estimators"
+            f"{len(originals) - len(common)} "
+            f"of {len(originals)} recordings lack some of the estimators"
         )
     for name in tuple(names) if common else ():
         solved = np.concatenate([cases[name].solved for cases in common.values()])
@@ -382,9 +382,8 @@ CELL_ERROR = Criterion(
 PREDICTION = Criterion(
     "prediction error",
     "σ²",
-    "expected squared deviation of new readings from those of the estimated cells, in units of "
-    "their variance "
-    "(Mallows' C); the truth is unknown",
+    "expected squared deviation of new readings from those of the estimated cells, "
+    "in units of their variance (Mallows' C); the truth is unknown",
     predicted,
     np.nanmean,
 )
@@ -492,8 +491,8 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
         gap = "No two estimators solved the same frames."
         if len(match.estimators) > 1 and match.recordings:
             gap = (
-                "A ranking needs the true cells, or the noise of the readings and the "
-                "resolution. Neither is known."
+                "A ranking needs the true cells, "
+                "or the noise of the readings and the resolution. Neither is known."
             )
         return Advice(None, headline, (gap,), left_out)
     warnings = left_out
@@ -502,8 +501,8 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
         warnings = (only, *left_out)
     elif len(comparison.units) < MIN_RECORDINGS:
         few = (
-            f"{counted(len(comparison.units), 'recording')} are few: the next one may change "
-            "the ranking."
+            f"{counted(len(comparison.units), 'recording')} are few: "
+            "the next one may change the ranking."
         )
         warnings = (few, *left_out)
     best = comparison.standings[0]
@@ -555,12 +554,11 @@ def _reasons(
                 f"95 % interval of the ratio {digits(row.ratio.lower)} to {digits(row.ratio.upper)}"
             )
             yield (
-                f"The difference between {row.estimator} and {best.estimator} is not significant "
-                f"({ends})."
+                f"The difference between {row.estimator} "
+                f"and {best.estimator} is not significant ({ends})."
             )
     if criterion is PREDICTION:
         yield (
-            "The truth is unknown. The ranking uses the error with which new readings would be "
-            "predicted, which "
-            "depends on the noise that the results state."
+            "The truth is unknown. The ranking uses the error with which "
+            "new readings would be predicted, which depends on the noise that the results state."
         )

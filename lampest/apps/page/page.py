@@ -106,7 +106,7 @@ def report(
 def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> dict[str, Any]:
     """Return the content of a recording's section: contours and a table.
 
-    For the first recordings it has all figures.
+    The sections of the first recordings have all figures.
     """
     name, by_estimator, number, drawn = task
     in_full = number < MAX_SHOWN
@@ -337,16 +337,15 @@ def doubts(estimator: str, recordings: Sequence[Mapping[str, Any]]) -> tuple[str
     sentences = []
     if spread > 1.5:
         sentences.append(
-            f"The residuals of {estimator} are {digits(spread, 2)} times the noise of the "
-            "readings: the noise is "
-            "larger than the scene states, an effect is missing in the model, or the penalty is "
-            "too strong."
+            f"The residuals of {estimator} are {digits(spread, 2)} times the noise "
+            "of the readings: the noise is larger than the scene states, "
+            "an effect is missing in the model, or the penalty is too strong."
         )
     if coverage < 90:
         sentences.append(
-            f"The 95 % intervals of {estimator} contain the truth for {digits(coverage, 2)} % of "
-            "the cells: an effect "
-            "is missing in the scene, or the penalty does not suit these loads."
+            f"The 95 % intervals of {estimator} contain the truth "
+            f"for {digits(coverage, 2)} % of the cells: "
+            "an effect is missing in the scene, or the penalty does not suit these loads."
         )
     return tuple(sentences)
 

@@ -29,7 +29,8 @@ def lies_on(panel: Panel, logarithm: Array) -> bool:
 def touched(recording: Recording) -> bool:
     """Return whether a load came or left in the unloaded frames.
 
-    False where they scatter as specified. Their gain may vary by MAX_GAIN, as with the supply.
+    The result is False where they scatter as specified. Their gain may vary by MAX_GAIN, as with
+    the supply, and water may move them.
     """
     if recording.scene.panel.modules is not None:
         return any(touched(module) for module in recording.modules)
@@ -43,6 +44,7 @@ def touched(recording: Recording) -> bool:
     setup = replace(
         WatchSetup.of(scene, ModelErrors().of_scene(scene, 0.0)),
         common=lambda measured: supply.columns(measured[None], baseline=False),
+        motion=np.zeros(3),
     )
     sigma = np.min(np.where(unloaded.plain, unloaded.known_sigma, np.inf), axis=0)
     values = unloaded.plain_values

@@ -1,6 +1,6 @@
 """Attachments: loads over time, with place and size.
 
-They also have the probabilities that they suck, breathe and pump.
+Each attachment has the probabilities that it sucks, breathes and pumps.
 """
 
 from collections.abc import Sequence
@@ -88,7 +88,7 @@ class Attachment:
     def breathes(self) -> float:
         """Probability that its suction oscillates like breathing, given that it sucks.
 
-        1/2 before any observation.
+        The value is 1/2 before any observation.
         """
         return self.breath.probability
 
@@ -107,8 +107,8 @@ class Attachment:
     def strongest_kpa(self) -> Pair | None:
         """Strongest suction, kPa, and its standard deviation.
 
-        It is the suction that exceeds all others by more than its error, of those that are at least
-        as strong as the typical one.
+        The strongest one exceeds all others by more than its error, of those that are at least as
+        strong as the typical one.
         """
         typical = self.suction_kpa
         if typical is None:
@@ -130,7 +130,7 @@ class Attachment:
     def pumps(self) -> float:
         """Probability that its suction is pumped up after a decay, given that it sucks.
 
-        1/2 before any observation.
+        The value is 1/2 before any observation.
         """
         return 1 / (1 + exp(-self._pumping))
 
@@ -166,7 +166,7 @@ class Attachment:
 
     @property
     def place(self) -> tuple[float, float]:
-        """Centre, mm."""
+        """Coordinates x and y of the centre, mm."""
         return self.x_mm[0], self.y_mm[0]
 
     @property
@@ -186,7 +186,7 @@ class Attachment:
     def contains(self, contact: "Attachment") -> bool:
         """Return whether a contact without a shape lies under the disc, to the error of its place.
 
-        It is then a part of the rim.
+        Such a contact is a part of the rim.
         """
         comparable = self.diameter_mm is not None and contact.diameter_mm is None
         reach = self.size / 2 + contact.x_mm[1]
@@ -195,7 +195,7 @@ class Attachment:
     def ended(self, time: float) -> "Attachment":
         """Return the attachment after it left at a time in s.
 
-        It is without what only later frames need.
+        Data that only later frames need are dropped.
         """
         return replace(self, until_s=time, patterns=None)
 
@@ -235,9 +235,9 @@ class Attachment:
         whitening: Array,
         verdict: Verdict,
     ) -> "Attachment":
-        """Return the attachment after its breath was judged.
+        """Return the attachment after a judgement of its breath.
 
-        It is judged by the frames since the last full window in its place.
+        The judgement uses the frames since the last full window in the attachment's place.
 
         Parameters
         ----------
@@ -362,8 +362,9 @@ def _contacts(frame: Observation) -> list[NDArray[np.bool_]]:
     """Return the cells of the contacts without which the readings are not explained.
 
     The misfit rises by more than SIGNIFICANT² where the cells of such a contact are as at rest and
-    all others are free. This is a likelihood ratio: where a load lowers the sensitivity, as beside
-    large pull-ups, the standard deviation of a pressed cell does not tell whether it is pressed.
+    all others are free. The test is a likelihood ratio: where a load lowers the sensitivity, as
+    with large pull-ups, the standard deviation of a pressed cell does not show whether it is
+    pressed.
     """
     sd = np.hypot(frame.mean_sd, _drift_sd(frame))
     groups = contacts_of(frame.panel, frame.free_map, sd)

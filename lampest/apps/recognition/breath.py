@@ -46,7 +46,7 @@ Pair = tuple[float, float]
 def too_slow(rate: float) -> str:
     """Return the reason why a frame rate is too low to determine breathing, in words.
 
-    '' where it suffices.
+    The result is '' where it suffices.
     """
     if rate >= MIN_RATE_HZ:
         return ""
@@ -105,9 +105,10 @@ def _steady_breath(
 ) -> Breath | None:
     """Return the breath of a window in which it is steady.
 
-    None where it is too short or frames are too few. Other movements hide a breath that is weaker
-    than they are, unless they are its background. The strongest rate, and that at which the suction
-    swings most besides, therefore have backgrounds of their own; each is as probable as the other.
+    The result is None where it is too short or frames are too few. Other movements hide a breath
+    that is weaker than they are, unless they are its background. The strongest rate, and that at
+    which the suction swings most besides, therefore have backgrounds of their own; each is as
+    probable as the other.
 
     Parameters
     ----------
@@ -197,10 +198,10 @@ class _Window(NamedTuple):
     ) -> list[tuple[int, NDArray[np.bool_], NDArray[np.bool_]]]:
         """Return the rates that may be the breath's, with the rates of its background.
 
-        Each has its number, the rates that it stands for, and those of the background, (rates,).
-        The first is the strongest of all readings. The second is the strongest of the suction
-        elsewhere. Its background lacks the rates whose double it may be, because the square of a
-        movement resembles a breath.
+        A rate comes with its number, the rates that it stands for, and those of the background,
+        (rates,). The first is the strongest of all readings. The second is the strongest of the
+        suction elsewhere. Its background lacks the rates whose double it may be, because the square
+        of a movement resembles a breath.
 
         Parameters
         ----------
@@ -284,7 +285,7 @@ def _waves(hertz: Array, times: Array) -> Array:
 def _tapered(waves: Array, within: Array) -> Array:
     """Return waves (rates, frames, 2) that fade towards the ends of the window.
 
-    They are returned as unit vectors (rates, 2, frames).
+    The result are unit vectors (rates, 2, frames).
     """
     faded = waves * (np.sin(np.pi * within) ** 2)[:, None]
     return np.swapaxes(faded / np.linalg.norm(faded, axis=1, keepdims=True), 1, 2)
@@ -293,7 +294,7 @@ def _tapered(waves: Array, within: Array) -> Array:
 def _background(swings: Array) -> float:
     """Return the variance of swings (rates, 2, readings) at most rates.
 
-    It is the lower quartile, and at least the noise.
+    The lower quartile estimates it; the variance of noise is the lower limit.
     """
     if not len(swings):
         return 1.0
@@ -397,7 +398,7 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
 def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> float:
     """Return the probability that suction oscillates with its rim.
 
-    It is not that of the rim alone, nor of the load's place or tilt. Each cause is taken at its own
+    The alternatives are the rim alone, and the load's place or tilt. Each cause is taken at its own
     best rate, because the square of a movement oscillates at twice its rate.
 
     Parameters
@@ -421,7 +422,7 @@ def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> fl
 def _explained(root: Array, most: float, swings: Array, noise: float) -> Array:
     """Return ln of the ratio of P(swings | cause) to P(swings | noise), (rates,).
 
-    It is averaged over sizes up to `most`.
+    The likelihood of the cause is averaged over sizes up to `most`.
 
     Parameters
     ----------

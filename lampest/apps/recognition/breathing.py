@@ -1,8 +1,8 @@
 """Breathing of an attachment: the odds of all windows together.
 
-Also whether suction or the rim alone oscillates. Each window has a `Breath`. Windows of one load
-share the form of its rim, the film and the amplitude of a steady swing, so that their ln odds w are
-correlated by ρ, and N of them have the ln odds
+The odds that the rim alone oscillates are combined likewise. Each window has a `Breath`. Windows of
+one load share the form of its rim, the film and the amplitude of a steady swing, so that their ln
+odds w are correlated by ρ, and N of them have the ln odds
 
     Σ w / (1 + (N − 1) ρ).
 
@@ -74,10 +74,10 @@ class Breathing:
         return self.suction * float(expit(self.odds))
 
     def parted(self, steps: Sequence[float]) -> "Breathing":
-        """Return the breath after steps at times in s: one ends a window that determined a rhythm.
+        """Return the breath after steps at times in s.
 
-        The swings after a pull are others. They begin a window of their own, and do not replace the
-        odds of this one.
+        A step ends a window that determined a rhythm. The swings after a pull are others: the next
+        window has them alone, and they do not replace the odds of this one.
         """
         if self.odds == self.previous_odds or not any(step > self.judged_s for step in steps):
             return self

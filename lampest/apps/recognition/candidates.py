@@ -61,7 +61,15 @@ class Several(Candidate):
         return [(part, slice(*pair)) for part, pair in zip(self.parts, pairwise(ends), strict=True)]
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
-        """Return the sum of the parts' pressures, and the derivatives by all φ."""
+        """Return the sum of the parts' pressures.
+
+        Returns
+        -------
+        pressure : array, shape (rows, columns)
+            In kPa.
+        slopes : array, shape (parameters, rows, columns)
+            Derivatives by all φ.
+        """
         parts = [part.pressure(panel, patch_mm, values) for part, values in self.loads(parameters)]
         total = np.sum([pressure for pressure, _ in parts], axis=0)
         return total, np.concatenate([slopes for _, slopes in parts])
@@ -77,7 +85,7 @@ class Several(Candidate):
 class Uniform(Candidate):
     """An equal pressure φ on all cells, which resembles a drift of the whole panel.
 
-    Without numbers, it is no load.
+    A uniform pressure without numbers is no load.
     """
 
     numbers: tuple[str, ...] = ()
@@ -187,8 +195,8 @@ class DiscSearch:
     def lies_on(self, logarithm: Array) -> bool:
         """Return whether unloaded cells are uneven in the shape of a load.
 
-        They are if tᵀδ > MAX_UNEVENNESS σ for a template t. δ is ln r less its median, and σ its
-        robust standard deviation, at least that of an even film. Templates are negative where a
+        The criterion is tᵀδ > MAX_UNEVENNESS σ for a template t. δ is ln r less its median, and σ
+        its robust standard deviation, at least that of an even film. Templates are negative where a
         load decreases ln r, so that only a positive tᵀδ counts. δ is clipped at SIGNIFICANT σ, so
         that a faulty cell is not taken for a load.
 

@@ -1,10 +1,10 @@
 """Contacts: neighbouring cells that conduct more than at rest.
 
-A cover spreads pressure, and errors of the circuit change cells beside a heavy load a little. Both
-join what lies apart. Contacts are therefore divided where the change between them is faint, as a
-watershed divides two lakes, and a contact has the cells that changed by more than a share of its
-strongest one. Errors of the cells must not explain a division: between the cells of one foot on a
-real insole they did.
+A cover spreads pressure, and errors of the circuit change the neighbours of a heavy load a little.
+Both join separate contacts. Contacts are therefore divided where the change between them is faint,
+as a watershed divides two lakes, and a contact has the cells that changed by more than a share of
+its strongest one. Errors of the cells must not explain a division: between the cells of one foot on
+a real insole they did.
 """
 
 import numpy as np
@@ -71,10 +71,10 @@ def _cells_beside(panel: Panel) -> dict[int, list[int]]:
 
 
 def _joined(panel: Panel, strength: Array, sd: Array, basin: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the basins with some of them joined.
+    """Return the basins, joined where the cells between them may have changed as they have.
 
-    Those are joined between which lies a cell that may have changed as they have. Of a cell whose
-    readings are bounds, or of a dead line, nothing is known: it divides no contact.
+    One such cell between two basins is enough. Of a cell whose readings are bounds, or of a dead
+    line, nothing is known: it divides no contact.
     """
     joined = basin.copy()
     for cell, neighbours in _cells_beside(panel).items():

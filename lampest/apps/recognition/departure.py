@@ -14,9 +14,9 @@ MAX_REMAINING = 0.25
 def relieved_by_departure(verdict: Verdict) -> bool:
     """Return whether the first change of a panel is a load that left.
 
-    Cells that a load leaves rise: half of those that changed, and at least MIN_RELIEVED. They were
-    as uneven before, about the median of all, as loads make them, and are even now: their
-    deviations have less than MAX_REMAINING of the former sum of squares.
+    Cells that a load leaves rise: half of those that changed, and at least MIN_RELIEVED. Before,
+    their deviations from the median of all are as uneven as loads make them; afterwards they have
+    less than MAX_REMAINING of the former sum of squares.
 
     Parameters
     ----------

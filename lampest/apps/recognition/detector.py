@@ -2,8 +2,8 @@
 
 Candidates are fitted from several starts, and compared by their evidence. The cost has many minima,
 because readings do not depend on rims between patches. Fits begin where templates match, with
-coarse errors about the field of cells. They are then refined with the errors about the best
-explanation. Where no candidate explains the frame, several loads are fitted together.
+coarse errors about the field of cells. The errors about the best explanation then refine them.
+Where no candidate explains the frame, several loads are fitted together.
 """
 
 from collections.abc import Sequence
@@ -94,7 +94,7 @@ class Detector:
         """Return the verdict on a frame.
 
         Cells that have risen decide whether something sucks, and where. Every place under suction
-        is then fitted with a load that sucks, and cells beside it are free. Where nothing sucks,
+        is then fitted with a load that sucks, and its neighbours are free. Where nothing sucks,
         the loads that press are compared.
         """
         undisturbed = self.calm(frame)
@@ -141,9 +141,8 @@ class Detector:
     ) -> Verdict:
         """Return the verdict with one load at each place under suction, of the most probable kind.
 
-        The area of the risen cells gives the starts. Cells beside the loads have whatever they
-        changed by as their standard deviation, so that a body beside a mouth does not pull at its
-        rim.
+        The area of the risen cells gives the starts. The standard deviation of other cells is their
+        change, so that a body next to a mouth does not pull at its rim.
         """
         loose = np.abs(field.change)
         panel = frame.panel
@@ -189,9 +188,14 @@ class Detector:
         return undisturbed if stands_out.max() < SIGNIFICANT else None
 
     def with_errors(self, frame: Observation, fit: Fit) -> tuple[Observation, Whitening]:
-        """Return the frame without readings that contradict a fit, and the errors.
+        """Return the frame without readings that contradict a fit.
 
-        The errors are those about the fit's change of cells.
+        Returns
+        -------
+        calm : Observation
+            The frame without these readings.
+        whitening : Whitening
+            Errors about the fit's change of cells.
         """
         calm = frame.without(self._contradicting(frame, fit))
         return calm, self.fitting(fit.candidate, calm).errors(fit, fit.scatter)
@@ -231,8 +235,8 @@ class Detector:
     ) -> tuple[Observation, Fit]:
         """Return the frame without outliers, and the fit to it.
 
-        They are found by alternating fits and outlier detection. Outliers are detected among all
-        readings in each round, so that a reading returns if a better fit explains it.
+        Fits and outlier detection alternate. Outliers are detected among all readings in each
+        round, so that a reading returns if a better fit explains it.
 
         Parameters
         ----------
@@ -269,7 +273,7 @@ class Detector:
     def _coarse(self, kinds: Sequence[Candidate], field: Fit, calm: Observation) -> list[Fit]:
         """Return the best fit of every kind from the matches of its templates.
 
-        It is made with coarse errors about the field.
+        The errors are coarse ones about the field.
         """
         likelihood = coarse_errors(calm, field.change)
         fits = list[Fit]()
@@ -291,7 +295,7 @@ class Detector:
         """Return the verdict on all candidates, refined from coarse fits.
 
         The best candidate is refined first. All others are fitted with its errors, and with their
-        own errors if they come close. This is repeated until the best one stays the best.
+        own errors if they come close. The refinement is repeated until the best one stays the best.
 
         Parameters
         ----------
@@ -342,8 +346,8 @@ class Detector:
     ) -> Fit:
         """Return the coarse fit of several loads at once.
 
-        Each is of the kind with which the fit is most probable. Kinds are exchanged greedily, load
-        by load.
+        Every load is of the kind with which the fit is most probable. Kinds are exchanged greedily,
+        load by load.
 
         Parameters
         ----------
@@ -399,7 +403,7 @@ class Detector:
 
     @staticmethod
     def _incomplete(frame: Observation, verdict: Verdict, field: Fit) -> bool:
-        """Return whether cells beside the loads of the best fit have clearly changed."""
+        """Return whether cells outside the loads of the best fit have clearly changed."""
         if verdict.best.candidate in (*UNIFORM, FIELD):
             return False
         explained = [

@@ -1,10 +1,10 @@
-"""Fit of one candidate, or of a field of any form, to one frame.
+"""Fit of one candidate, or of a field of any form, to one frame, and comparison of fits.
 
-Also the comparison of fits by their evidence. The evidence is Laplace's approximation. In a field
-each cell has one of four states, from quiet to strongly changed, with a Potts prior on neighbours.
-The posterior is P(fit | frame) ∝ e^(evidence·EVIDENCE_SHARE)·P(fit). The prior is equal for all
-kinds, except that further loads, and loads in one place, are improbable. Whether a load sucks is
-not decided by fits, but by its cells (`lampest.apps.recognition.suction`).
+The evidence is Laplace's approximation. In a field each cell has one of four states, from quiet to
+strongly changed, with a Potts prior on neighbours. The posterior is P(fit | frame) ∝
+e^(evidence·EVIDENCE_SHARE)·P(fit). The prior is equal for all kinds, except that further loads, and
+loads in one place, are improbable. Whether a load sucks is not decided by fits, but by its cells
+(`lampest.apps.recognition.suction`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -95,7 +95,7 @@ class Fit:
     def score(self) -> float:
         """−ln posterior at its maximum, up to a constant.
 
-        It compares candidates with different error covariances.
+        Scores compare candidates with different error covariances.
         """
         return self.cost + self.volume
 
@@ -149,7 +149,7 @@ class Fitting:
     def at(self, parameters: Array, likelihood: CellLikelihood) -> SumOfSquares:
         """Return −ln P about φ.
 
-        It has the squares of the readings' errors e − A x(φ) and of (φ − mean)/sd.
+        The squares are those of the readings' errors e − A x(φ) and of (φ − mean)/sd.
         """
         change, slopes = self.effect(parameters)
         mean, sd, _ = self._prior
@@ -160,7 +160,15 @@ class Fitting:
         return SumOfSquares(np.concatenate([errors, (parameters - mean) / sd]), slopes)
 
     def effect(self, parameters: Array) -> tuple[Array, Array]:
-        """Return ln r/r0 (rows, columns), and its derivatives by φ, (parameters, cells)."""
+        """Return the effect of a candidate on the cells.
+
+        Returns
+        -------
+        change : array, shape (rows, columns)
+            ln r/r0.
+        slopes : array, shape (parameters, cells)
+            Derivatives by φ.
+        """
         pressure, by_parameter = self.pressure(parameters)
         change, response = self.frame.change(pressure)
         return change, by_parameter.reshape(len(parameters), response.size) * response.ravel()
@@ -179,9 +187,9 @@ class Fitting:
         most: float = np.inf,
         held: int | None = None,
     ) -> tuple[Array, SumOfSquares]:
-        """Return the most probable φ that is reached, and the squares there.
+        """Return the most probable φ that the Levenberg-Marquardt method reaches.
 
-        It is the one that the Levenberg-Marquardt method reaches. The circuit is linearised once.
+        The circuit is linearised once.
 
         Parameters
         ----------
@@ -193,6 +201,12 @@ class Fitting:
             Cost above which the search ends early.
         held : int, optional
             Number of a parameter that is fixed.
+
+        Returns
+        -------
+        parameters : array, shape (parameters,)
+        squares : SumOfSquares
+            −ln P there.
         """
         mean, sd, longest = self._prior
         low = mean - SIGNIFICANT * sd
@@ -229,7 +243,7 @@ class Fitting:
     def fit_at(self, parameters: Array, likelihood: CellLikelihood) -> Fit:
         """Return the fit at given φ with its evidence.
 
-        It uses a likelihood that was linearised there or nearby.
+        The likelihood must have been linearised there or nearby.
         """
         squares = self.at(parameters, likelihood)
         whitening = likelihood.whitening
@@ -269,14 +283,19 @@ class Fitting:
     def pressure(self, parameters: Array, larger: float = 1.0) -> tuple[Array, Array]:
         """Return the candidate's pressure on patches enlarged by a factor.
 
-        It is returned with its derivatives by φ.
+        Returns
+        -------
+        pressure : array, shape (rows, columns)
+            In kPa.
+        slopes : array, shape (parameters, rows, columns)
+            Derivatives by φ.
         """
         return self.candidate.pressure(self.frame.panel, self.patch_mm * larger, parameters)
 
     def explained(self, fit: Fit) -> Array:
         """Return the explained change with its sensitivities, (3, rows, columns).
 
-        They are as `Baseline.film` takes them. Sensitivities are secants, because tangents jump at
+        The order is that of `Baseline.film`. Sensitivities are secants, because tangents jump at
         the response's corners.
         """
         if not self.centred.any():
@@ -294,15 +313,15 @@ class Fitting:
     def errors(self, fit: Fit, scatter: float) -> Whitening:
         """Return the errors about the change that a fit explains.
 
-        They are those with a relative deviation `scatter` of the film.
+        `scatter` is the relative deviation of the film.
         """
         return Whitening.about(self.frame, fit.change, self.film(fit, scatter), scatter)
 
     def film(self, fit: Fit, scatter: float) -> Array:
-        """Return the covariance of ln r beside the change that a fit explains, (cells, cells).
+        """Return the covariance of ln r about the change that a fit explains, (cells, cells).
 
-        These are the deviations of the film, and the loose cells of the frame that the fit's loads
-        do not cover.
+        Its causes are the deviations of the film, and the loose cells of the frame that the fit's
+        loads do not cover.
         """
         covered = np.any([under(self.frame.panel, disc) for disc in fit.discs], axis=0)
         loose = np.where(covered, 0.0, self.frame.loose).ravel()
@@ -310,10 +329,17 @@ class Fitting:
 
 
 def inverse_beside_prior(normal: Array, sd: Array) -> tuple[Array, float]:
-    """Return H⁻¹ and ½ ln det (H sd sdᵀ) of a Gauss-Newton matrix H.
+    """Return the inverse of a Gauss-Newton matrix H, which contains the prior's precision 1/sd².
 
-    H contains the prior's precision 1/sd². The eigenvalues of sd H sd are at least 1, also where
-    the readings determine φ beyond double precision.
+    The eigenvalues of sd H sd are at least 1, also where the readings determine φ beyond double
+    precision.
+
+    Returns
+    -------
+    inverse : array, shape (parameters, parameters)
+        H⁻¹.
+    width : float
+        ½ ln det (H sd sdᵀ).
     """
     sizes, axes = np.linalg.eigh(normal * np.outer(sd, sd))
     sizes = np.maximum(sizes, 1.0)
@@ -326,7 +352,7 @@ def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fi
     A profile may lead over a ridge of the cost into a deeper valley. The fit then begins again
     there.
 
-    No reading depends on a rim between patches: the cost is flat there and steep beside it, and the
+    No reading depends on a rim between patches: the cost is flat there and steep around it, and the
     curvature at the best φ̂ underestimates the width. δ = ln d is stepped, and all other parameters
     are fitted for each δ:
 
@@ -416,11 +442,17 @@ SD = np.array([0.005, 0.08, 0.4, 1.6])
 
 
 def field_fit(frame: Observation) -> tuple[Fit, Observation]:
-    """Return the most probable field with its evidence, and the frame without outliers.
+    """Return the most probable field with its evidence.
 
     x = ln r/r0 is Gaussian with the σ of each cell's state, correlated between neighbours. The
     evidence integrates over x about its maximum. The states are those of a map of the cells, or of
     a first field, and have a Potts prior.
+
+    Returns
+    -------
+    fit : Fit
+    calm : Observation
+        The frame without outliers.
     """
     fit, most_probable = _of_two_maps(frame)
     if fit.chi2 < MAX_MEAN_SQUARE * frame.measured.size:
@@ -466,7 +498,7 @@ def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
 def prior(frame: Observation, sd: Array) -> Array:
     """Return the prior covariance of ln r/r0 of cells with these standard deviations.
 
-    It is correlated between neighbours.
+    Neighbours are correlated.
     """
     shared = frame.baseline.model_errors.common + frame.baseline.model_errors.near
     return np.asarray(
@@ -477,7 +509,7 @@ def prior(frame: Observation, sd: Array) -> Array:
 def states(panel: Panel, change: Array) -> NDArray[np.intp]:
     """Return the state of each cell, 0 to 3 for quiet to strongly changed.
 
-    It is determined by its own and its neighbours' changes.
+    The changes of the cell and of its neighbours determine the state.
     """
     square = change.ravel() ** 2
     first, second, _ = panel.neighbours
@@ -494,7 +526,7 @@ def states(panel: Panel, change: Array) -> NDArray[np.intp]:
 def potts_cost(panel: Panel, of_cells: NDArray[np.intp]) -> float:
     """Return −ln P of the states in the Potts field.
 
-    It is 1 for each pair of unlike neighbours (an assumption), and a normalising constant.
+    Each pair of unlike neighbours costs 1 (an assumption); a constant normalises the probability.
     """
     first, second, _ = panel.neighbours
     unlike = np.count_nonzero(of_cells.flat[first] != of_cells.flat[second])

@@ -123,7 +123,7 @@ class ImageWatch:
     def change(self) -> Array | None:
         """ln r/r0 (rows, columns) of the loads that the windows recognised last.
 
-        0 elsewhere; None without any.
+        The value is 0 elsewhere; None without any.
         """
         image = np.zeros(self.setup.scene.panel.shape)
         for window, watch, _ in self.opened:
@@ -243,7 +243,7 @@ def under_windows(opened: Sequence[Opened]) -> set[int]:
 def _same_load(first: Attachment, second: Attachment) -> bool:
     """Return whether two attachments are one load.
 
-    They are if their times overlap, and their distance is below their width.
+    The times of one load overlap, and its places are less than its width apart.
     """
     ends = (inf if load.until_s is None else load.until_s for load in (second, first))
     simultaneous = all(load.since_s < end for load, end in zip((first, second), ends, strict=True))

@@ -1,6 +1,4 @@
-"""Likelihood of a frame: the model of readings under a pressure on the cells.
-
-Also the unloaded panel.
+"""Unloaded panel and likelihood of a frame: the model of readings under a pressure on the cells.
 
     R = f(r0·e^x) + E δ + noise,   x = κ·(ln F(p + p_w) − ln F(p_w))
 
@@ -31,9 +29,9 @@ PATCH_SHARE = 0.6
 
 
 def patch_of(panel: Panel, patch_mm: float | None = None) -> float:
-    """Return the edge of a cell's film in mm.
+    """Return the edge of a cell's film in mm, by default PATCH_SHARE of the pitch.
 
-    It is by default PATCH_SHARE of the pitch, and at most the pitch.
+    The pitch is the upper limit.
     """
     return min(PATCH_SHARE * panel.pitch_mm if patch_mm is None else patch_mm, panel.pitch_mm)
 
@@ -107,6 +105,14 @@ class ModelErrors:
         reference = tolerance / np.sqrt(3)
         return replace(errors, channel_ohm=float(sizes.channel_spread_ohm), reference=reference)
 
+    def in_motion(self, motion: Array) -> "ModelErrors":
+        """Return the errors in water that moves cells by fractions `motion`, (n,).
+
+        Each cell has a part of its own, because cells respond differently.
+        """
+        own = self.response * float(np.hypot.reduce(motion, initial=0.0))
+        return replace(self, settled=hypot(self.settled, own))
+
     def resting_sd(self, seconds: float) -> float:
         """Return the standard deviation of each cell's drift, seconds after the baseline."""
         return hypot(self.drift * log10(1 + seconds / 60), self.settled)
@@ -114,7 +120,7 @@ class ModelErrors:
     def resting_covariance(self, seconds: float, cells: int) -> Array:
         """Return the covariance of ln r of all cells at rest, (cells, cells).
 
-        It has their own part and the common one.
+        The covariance is the sum of the cells' own part and a common one.
         """
         common = self.common_drift * log10(1 + seconds / 60)
         return self.resting_sd(seconds) ** 2 * np.eye(cells) + common**2
@@ -122,10 +128,11 @@ class ModelErrors:
     def offsets(self, measured: Array, scene: RecognitionScene) -> Array:
         """Return the effect of every offset on the readings, E·sd (cells, offsets).
 
-        It is that of one standard deviation of the offset. Offsets are those of the channels of
-        rows and columns of every module and of the reference (for two-point resistances), and of
-        each reading if `reading_error` is nonzero. Voltages depend on the cells over the reference,
-        so that an error of the reference is one of ln r0, common to all cells and frames.
+        Each column is the effect of one standard deviation of an offset. Offsets are those of the
+        channels of rows and columns of every module and of the reference (for two-point
+        resistances), and of each reading if `reading_error` is nonzero. Voltages depend on the
+        cells over the reference, so that an error of the reference is one of ln r0, common to all
+        cells and frames.
 
         Parameters
         ----------
@@ -299,8 +306,8 @@ class Baseline:
     ) -> "Baseline":
         """Return argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖².
 
-        It is determined without outliers. E belongs to f(r0), as in `Observation.offsets`: with E
-        of R0, an unchanged frame would differ from the baseline by the squares of its errors.
+        Outliers are left out. E belongs to f(r0), as in `Observation.offsets`: with E of R0, an
+        unchanged frame would differ from the baseline by the squares of its errors.
 
         Parameters
         ----------
@@ -352,7 +359,7 @@ class Baseline:
     def near(self) -> Array:
         """exp(−½ (distance/near_pitches)²) between all cells, (cells, cells).
 
-        0 for crossings without a cell.
+        The value is 0 for crossings without a cell.
         """
         places = self.scene.panel.places_mm.reshape(2, -1) / self.scene.panel.pitch_mm
         square = ((places[:, :, None] - places[:, None]) ** 2).sum(axis=0)
@@ -362,8 +369,8 @@ class Baseline:
     def film(self, explained: Array, scatter: float) -> Array:
         """Return the covariance of ln r by deviations of the film, (cells, cells).
 
-        It is s² (x K xᵀ + diag w²) + b bᵀ. x is the explained change, K the correlation of cells
-        (common, near and own parts), w the effect of misplaced edges, and b the errors that all
+        The sum s² (x K xᵀ + diag w²) + b bᵀ has the explained change x, the correlation K of cells
+        (common, near and own parts), the effect w of misplaced edges, and the errors b that all
         cells share, by bending and by the patches' sizes.
 
         Parameters
@@ -399,9 +406,11 @@ class Observation:
         Pressure of the water, kPa, equal in the unloaded frames.
     seconds : float
         Time since the baseline.
-    common : array, shape (cells, n) or None
-        Root of the covariance of random errors that the frame's readings share: gain, ripple along
-        scanned lines.
+    common : callable or None
+        Returns a root (cells, n) of the covariance of random errors that the frame's readings
+        share: gain, ripple along scanned lines, motion of the water. It is of the readings that a
+        network predicts: two such roots, of a loaded and of the unloaded panel, would explain any
+        load as a difference of errors.
     loose : array, shape (rows, columns), or 0
         Standard deviations of ln r/r0 of cells that changed, and are free where the load of a fit
         does not cover them.
@@ -412,7 +421,7 @@ class Observation:
     baseline: Baseline
     water: Array
     seconds: float = 0.0
-    common: Array | None = field(default=None, kw_only=True)
+    common: Callable[[Array], Array] | None = field(default=None, kw_only=True)
     loose: Array | float = field(default=0.0, kw_only=True)
 
     @property
@@ -447,9 +456,14 @@ class Observation:
         return np.asarray(self._gain[:, None] * network.sensitivity())
 
     def change(self, pressure: Array) -> tuple[Array, Array]:
-        """Return x of pressures (rows, columns) kPa, and dx/dp in 1/kPa.
+        """Return the change of cells under pressures (rows, columns) kPa.
 
-        |x| is at most MAX_LOG_CHANGE.
+        Returns
+        -------
+        change : array, shape (rows, columns)
+            x = ln r/r0, |x| at most MAX_LOG_CHANGE.
+        slope : array, shape (rows, columns)
+            dx/dp in 1/kPa.
         """
         response = self.baseline.response
         # kPa, for a central difference: F has corners
@@ -472,8 +486,8 @@ class Observation:
     def covariance(self, network: RecognitionNetwork, cells: Array | float = 0.0) -> Array:
         """Return the covariance of the readings about those of a network, (cells, cells).
 
-        It is σ² + V Vᵀ + H C Hᵀ + J T Jᵀ with H = (J, E). The parts are the noise, errors shared
-        within the frame, the baseline's covariance C, and the drift T of cells.
+        The sum σ² + V Vᵀ + H C Hᵀ + J T Jᵀ with H = (J, E) has the noise, errors shared within the
+        frame, the baseline's covariance C, and the drift T of cells.
 
         Parameters
         ----------
@@ -492,13 +506,14 @@ class Observation:
         errors[: len(slope), : len(slope)] += cells
         total = both @ errors @ both.T
         if self.common is not None:
-            total += self.common @ self.common.T
+            shared = self.common(network.reading())
+            total += shared @ shared.T
         return np.asarray(total + np.diag(self.sigma.ravel() ** 2))
 
     def cells(self, start: Array, prior: Array) -> MostProbable:
         """Return the most probable ln r/r0 of all cells with the prior N(0, `prior`).
 
-        It is reached from a start (rows, columns).
+        The search begins at `start` (rows, columns).
         """
 
         def model(change: Array) -> tuple[Array, Array, Array]:
@@ -517,7 +532,7 @@ class Observation:
     def map(self) -> Array:
         """Most probable ln r/r0 of every cell, (rows, columns).
 
-        It is that for independent cells with the prior `mapped`.
+        Cells are independent, with the prior `mapped`.
         """
         return self._mapped.state.reshape(self.measured.shape)
 
@@ -588,9 +603,9 @@ class Whitening:
         cells: Array | float = 0.0,
         scatter: float = 0.0,
     ) -> "Whitening":
-        """Return the errors about ln r/r0 = `change`, with a further covariance `cells`.
+        """Return the errors about ln r/r0 = `change`, with a further covariance of ln r.
 
-        It is a covariance of ln r, (cells, cells).
+        `cells` is this covariance, (cells, cells).
         """
         return cls(
             cholesky(frame.covariance(frame.baseline.network(change), cells), lower=True), scatter

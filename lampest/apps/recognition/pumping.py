@@ -1,15 +1,15 @@
 """Detection of pumps, with which a mouth restores decaying suction.
 
-They are detected by Bayesian online change-point detection. The relative suction u of an attachment
-decays by its leak and drifts with the film,
+The method is Bayesian online change-point detection. The relative suction u of an attachment decays
+by its leak and drifts with the film,
 
     u ← u − λ Δt + q √Δt N(0, 1) + J,   sample = u + σ N(0, 1).
 
 Three hypotheses on the jumps J are compared: those of a quiet cup, rare and of either sign; of a
 disturbed cup, frequent and of either sign; and the pumps of a mouth, upwards and at intervals of 20
 to 200 s (Shi et al., PLoS ONE 16, e0247884, 2021). The probabilities are summed over the unknown
-leak λ, noise σ and drift q.
-Source: Adams & MacKay, arXiv 0710.3742, 2007; docs/theory/recognition.md.
+leak λ, noise σ and drift q. Source: Adams & MacKay, arXiv 0710.3742, 2007;
+docs/theory/recognition.md.
 """
 
 from dataclasses import dataclass, replace
@@ -211,7 +211,7 @@ class Pumping:
     def _counted(self, time: float, seconds: float) -> "Pumping":
         """Return the state with one more pump where there probably was one.
 
-        It is counted where a mouth more probably pumped in the last two samples than not.
+        A pump counts where a mouth more probably pumped in the last two samples than not.
         """
         count, first, last = self.pumps
         mouth = self.logarithm[-1]

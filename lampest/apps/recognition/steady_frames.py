@@ -42,13 +42,21 @@ class SteadyFrames(NamedTuple):
     def of(cls, times: Array, logarithms: Array, steps: Sequence[float] = ()) -> "SteadyFrames":
         """Return the interval of all frames but the ones about steps.
 
-        It also lacks parts of less than MIN_PART frames.
+        Parts of less than MIN_PART frames are left out, too.
         """
         none = np.zeros(len(times), dtype=np.intp)
         return cls(times, logarithms, none, float(np.median(np.diff(times)))).parted(steps)[0]
 
     def parted(self, steps: Sequence[float]) -> tuple["SteadyFrames", NDArray[np.bool_]]:
-        """Return the interval with further steps, and which of its frames are left, (frames,)."""
+        """Return the interval with further steps.
+
+        Returns
+        -------
+        interval : SteadyFrames
+            The remaining frames.
+        remaining : boolean array, shape (frames,)
+            Whether a frame remains.
+        """
         at = np.array(sorted(steps))
         apart = np.searchsorted(at, self.times) + (len(at) + 1) * self.part
         still = np.all(
@@ -68,8 +76,8 @@ class SteadyFrames(NamedTuple):
     def pulled(self, series: Array, axes: Array) -> tuple[float, ...]:
         """Return the times between which a series, (frames,), is at another level.
 
-        () where a wave alone explains it as well. Both ends of the best level, or one, are compared
-        beside the best wave.
+        The result is () where a wave alone explains it as well. Both ends of the best level, or
+        one, are compared together with the best wave.
 
         Parameters
         ----------
@@ -111,10 +119,10 @@ class SteadyFrames(NamedTuple):
 
 
 def changes_without_water(interval: SteadyFrames, frame: Observation, fit: Fit) -> Array:
-    """Return the changes of ln y, (frames, readings), since the recognised frame.
+    """Return the changes of ln y since the recognised frame, without the water's pressure.
 
-    They are less those by the water's pressure. Outliers of each part between steps are drawn in.
-    The water's effect is estimated from lines without a load; it is 0 if all lines are loaded.
+    The result has shape (frames, readings). Outliers of each part between steps are drawn in. The
+    water's effect is estimated from lines without a load; it is 0 if all lines are loaded.
 
     Parameters
     ----------

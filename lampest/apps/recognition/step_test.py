@@ -76,7 +76,8 @@ class StepTest:
             errors.swaying * slope.sum(axis=1, keepdims=True),
             errors.swaying * np.ones((cells, 1)),
         ]
-        shared += [] if frame.common is None else [frame.common / value[:, None]]
+        if frame.common is not None:
+            shared.append(frame.common(frame.measured) / value[:, None])
         columns = np.hstack(shared)
         root = cholesky(
             np.diag((frame.sigma.ravel() / value) ** 2) + settled + columns @ columns.T, lower=True

@@ -1,8 +1,8 @@
 """Suction without a shape: cells that have risen, enclosed by cells that have fallen.
 
-Suction lifts the film from its electrodes, and resistance rises; only suction does that. It is
-borne by a rim that presses around it. Neither depends on the form of a mouth, on what lies beside
-it, or on the film's curve.
+Suction lifts the film from its electrodes, and resistance rises; nothing else has this effect. A
+rim that presses around the suction bears it. Neither depends on the form of a mouth, on other loads
+next to it, or on the film's curve.
 """
 
 from dataclasses import dataclass
@@ -53,10 +53,7 @@ class Suction:
     y_mm: float
 
     def disc(self, panel: Panel, larger: float = 1.0) -> Disc:
-        """Return the disc of the same area of suction with a usual rim.
-
-        Its diameter is multiplied by a factor.
-        """
+        """Return the disc of the same area of suction with a usual rim, scaled by a factor."""
         inner = 2 * (float(self.cells.sum()) / pi) ** 0.5 * panel.pitch_mm * larger
         width, suction = RIM_MM
         outer = inner + 2 * width
@@ -76,9 +73,9 @@ def suctions(frame: Observation) -> list[Suction]:
     """Return the places under suction, the largest first.
 
     A group of neighbouring cells has risen if each of them has, by more than MIN_FALL and
-    NOISE_REACH standard deviations. It is under suction if MIN_ENCLOSED of the cells around it have
-    fallen as clearly. Nothing is concluded if the cells of the unloaded panel are as uneven as
-    under loads: what rises may then have been relieved.
+    NOISE_REACH standard deviations. The group is under suction if MIN_ENCLOSED of the cells around
+    it have fallen as clearly. Nothing is concluded if the cells of the unloaded panel are as uneven
+    as under loads: a rising cell may then have been relieved.
     """
     panel = frame.panel
     change = frame.free_map
@@ -135,7 +132,7 @@ def _enclosed(
 def groups_of(panel: Panel, which: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
     """Return the groups of neighbouring cells among some, in the order of their cells.
 
-    They are boolean, (rows, columns) each.
+    Each group is a boolean array (rows, columns).
     """
     first, second, _ = panel.neighbours
     linked = which.flat[first] & which.flat[second]

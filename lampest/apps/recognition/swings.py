@@ -46,7 +46,7 @@ ADJOINS_PITCHES = (1.5, 3.2)
 class Patterns(NamedTuple):
     """Effects of swings on whitened readings, (readings, n) each.
 
-    They are roots of their covariance at unit amplitude.
+    Every array is a root of the effects' covariance at unit amplitude.
 
     Attributes
     ----------
@@ -114,9 +114,12 @@ class Patterns(NamedTuple):
         return cls(by_cell @ suction, by_cell @ rigid, by_cell @ moving, others, curve)
 
     def beside_others(self, changes: Array) -> tuple["Patterns", Array]:
-        """Return the patterns and the changes (frames, readings) beside `others`.
+        """Project patterns and changes (frames, readings) on the complement of `others`.
 
-        They are projected on the complement of `others`.
+        Returns
+        -------
+        patterns : Patterns
+        changes : array, shape (frames, readings)
         """
         span = np.linalg.qr(self.others)[0]
         suction, rim, moves, remaining = (
@@ -232,7 +235,7 @@ def adjoin(panel: Panel, body: NDArray[np.bool_], load: NDArray[np.bool_]) -> bo
 def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
     """Return ∂x/∂ln p of cells at x = `rise`, (7, cells).
 
-    They are the mean, five deviations by the gain, and one by the curve. The gain differs by
+    The rows are the mean, five deviations by the gain, and one by the curve. The gain differs by
     `scatter` and by bending; its distribution is sampled at Gauss-Hermite points. The published
     curve has one point under suction: a straight line of r, and an exponential beyond a threshold,
     are each one standard deviation from their geometric mean.

@@ -134,7 +134,9 @@ class Watch:
         frames = max(len(unloaded), 1)
         sigma = counting(sigma, measured)
         resting = np.log(measured.ravel())
-        frame = setup.frame(measured, sigma, setup.baseline(measured, sigma, frames))
+        baseline = setup.baseline(measured, sigma, frames)
+        swaying = np.full(len(setup.motion), setup.errors.swaying)
+        frame = setup.moved_by(swaying).frame(measured, sigma, baseline)
         filled = np.where(np.isnan(unloaded), measured, unloaded).reshape(
             len(unloaded), resting.size
         )
@@ -247,8 +249,8 @@ class Watch:
         """The reason why the load on the panel is unknown, in words; '' where it is known."""
         if self.present and not self.known:
             return (
-                f"something touched the panel at {self.level.since_s:.1f} s, and has not been "
-                "still for long enough"
+                f"something touched the panel at {self.level.since_s:.1f} s, "
+                "and has not been still for long enough"
             )
         return self.history
 
@@ -315,9 +317,9 @@ class Watch:
         return replace(self, level=level, rest=rest, test=replace(self.test, loud=loud))
 
     def _resumed(self, logarithm: Array) -> "Watch":
-        """Return the state before the last step with the frames since.
+        """Return the state before the last step with the frames since, if readings have returned.
 
-        It is returned if readings have returned; else the state is unchanged.
+        Otherwise the state is unchanged.
         """
         former = self.former
         if former is None:
@@ -338,7 +340,7 @@ class Watch:
     def _least_step(self, time: float) -> Array:
         """Return the thresholds of the scores, (discs,).
 
-        They are a part of the load that is present, or of a fading residue.
+        A threshold is a part of the load that is present, or of a fading residue.
         """
         if not self.present:
             size: Array | float = 0.0 if self.look is None else self.look.fading(time)
@@ -353,7 +355,8 @@ class Watch:
 
         The film's residue is in C.
         """
-        setup = self.setup
+        setup, change = self.setup.without_motion(logarithm - self.rest.mean)
+        logarithm = self.rest.mean + change
         shape = self.setup.scene.panel.shape
         baseline = setup.baseline(
             np.exp(self.rest.mean).reshape(shape), self.sigma, max(self.rest.frames, 1.0)
@@ -368,7 +371,7 @@ class Watch:
     def _left(self, frame: Observation) -> bool:
         """Return whether a frame shows no more of the load before any pull than the film's residue.
 
-        True without a load. The common change by temperature is subtracted.
+        The result is True without a load. The common change by temperature is subtracted.
         """
         if self.look is None or self.look.over:
             return True
@@ -384,7 +387,7 @@ class Watch:
     def _keeps(self, frame: Observation) -> Array | float:
         """Return `film_sd` after a step of the recognised load.
 
-        It is the residue of each cell's decrease of |ln r/r0|.
+        The film keeps the residue of each cell's decrease of |ln r/r0|.
         """
         if self.known or not self._recognised:
             return self.film_sd
@@ -496,11 +499,11 @@ class Watch:
         return replace(watch, attachments=continued)
 
     def _heard(self, time: float) -> "Watch":
-        """Return the watch after breath and suction of every load were judged.
+        """Return the watch with judged breath and suction of every load.
 
-        They are judged once each FIRST_S and BLOCK_S. The last frame is left out of a breath,
-        because it may be the first one of a release. After a step the load may have left, so its
-        breath is judged again from the next recognition on.
+        A breath is judged at most once in JUDGED_S, suction once in BLOCK_S. The last frame is left
+        out of a breath, because it may be the first one of a release. After a step the load may
+        have left, so its breath is judged again from the next recognition on.
         """
         assert self.look is not None
         loads = list(self.attachments)

@@ -1,7 +1,7 @@
 """Parts of a watch: its constants, intervals without a step, and recognitions of a load."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -10,14 +10,16 @@ from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.fit import Verdict
 from lampest.apps.recognition.observation import Baseline, ModelErrors, Observation, patch_of
 from lampest.apps.recognition.recognition_scene import RecognitionScene
-from lampest.files.levels import NOISE_REACH
+from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH
 from lampest.panel.conditions import water_pressure
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from lampest.posterior.frame_noise import motion_columns, motion_patterns
 
 # Time constant, s, with which means follow the frames, and with which a residue fades.
 FOLLOWS_S = 20.0
 MIN_FRAMES = 3  # that a recognition needs
+DEVIATION_ROUNDS = 12  # of weighted least squares, which approach least absolute deviations
 # Cosine between the changes of two recognitions of one load: a rim that begins to suck, a second
 # load or a move gives less, a pull more.
 SAME_PATTERN = 0.8
@@ -44,6 +46,8 @@ class WatchSetup:
     common : callable or None
         Returns a root (cells, n) of the covariance of random errors that a frame's readings share,
         given the readings (rows, columns); None where there are none.
+    motion : array, shape (3,) or (0,)
+        Motion of the water, see `FrameNoise`; none in still water.
     explained : callable
         Returns whether the circuit explains the readings. Few loads need to know.
     """
@@ -54,6 +58,7 @@ class WatchSetup:
     errors: ModelErrors
     common: Callable[[Array], Array] | None = None
     explained: Callable[[], bool] = assumed_to_explain
+    motion: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def of(cls, scene: Scene, errors: ModelErrors, patch_mm: float | None = None) -> "WatchSetup":
@@ -76,14 +81,53 @@ class WatchSetup:
 
         The σ is that of one frame because films err equally in all.
         """
-        common = None if self.common is None else self.common(measured)
+        shared = self.common is not None or self.motion.size
+        common = self._common if shared else None
         return Observation(measured, sigma, baseline, self.water, seconds, common=common)
 
     def baseline(self, measured: Array, sigma: Array, frames: float) -> Baseline:
         """Return the baseline from the mean of `frames` unloaded frames; σ is that of one frame."""
         scale = frames**-0.5
         common = None if self.common is None else scale * self.common(measured)
-        return Baseline.of(measured, scale * sigma, self.scene, self.errors, common)
+        errors = self.errors.in_motion(self.motion)
+        return Baseline.of(measured, scale * sigma, self.scene, errors, common)
+
+    def moved_by(self, motion: Array) -> "WatchSetup":
+        """Return the constants where water moves cells by `motion`, (3,) or (0,), or more."""
+        return replace(self, motion=np.maximum(self.motion, motion))
+
+    def without_motion(self, change: Array) -> tuple["WatchSetup", Array]:
+        """Return the constants for a frame, and its change of ln y without the water's motion.
+
+        The motion is the sum of `motion_patterns` with the least absolute deviations, which the
+        readings of a load hardly move. What remains of it is as large as their median deviation.
+
+        Parameters
+        ----------
+        change : array, shape (cells,)
+            Change of ln y since the unloaded frames.
+        """
+        if not self.motion.size:
+            return self, change
+        patterns = motion_patterns(self.scene.panel.shape).reshape(len(self.motion), -1).T
+        weights = np.ones(len(change))
+        for _ in range(DEVIATION_ROUNDS):
+            amplitudes = np.linalg.lstsq(weights[:, None] * patterns, weights * change, rcond=None)[
+                0
+            ]
+            deviations = np.abs(change - patterns @ amplitudes)
+            usual = float(np.median(deviations))
+            weights = 1 / np.sqrt(np.maximum(deviations, max(usual / 10, 1e-9)))
+        errors = self.errors.in_motion(np.maximum(np.abs(amplitudes), self.motion))
+        remaining = np.full(len(self.motion), MAD_TO_SIGMA * usual)
+        return replace(self, errors=errors, motion=remaining), change - patterns @ amplitudes
+
+    def _common(self, readings: Array) -> Array:
+        """Return a root (cells, n) of the covariance of errors that a frame's readings share."""
+        parts: list[Array] = [np.zeros((readings.size, 0))]
+        parts += [] if self.common is None else [self.common(readings)]
+        parts += [motion_columns(readings, self.motion)] if self.motion.size else []
+        return np.hstack(parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +184,8 @@ class Look:
     def after(cls, former: "Look | None", verdict: Verdict, size: Array, time: float) -> "Look":
         """Return the recognition at a time in s that follows a former one of the same loads.
 
-        It follows none where the pattern of the change is another one. A weaker change is what the
-        load holds by; a stronger one is a pull.
+        Another pattern of the change follows no former recognition. A weaker change shows the
+        strength with which the load holds; a stronger one is a pull.
         """
         # Every load presses, and a pull hardly changes what is pressed. A film under suction may
         # keep more of a pull than the load caused before.

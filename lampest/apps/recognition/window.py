@@ -19,9 +19,9 @@ from lampest.panel.response import Response
 
 
 class WindowNetwork(NamedTuple):
-    """The solved networks of a window's modules.
+    """The solved networks of a window's modules, with the interface of one network.
 
-    They have the interface that recognition needs of one network.
+    Recognition needs no other methods of a network.
     """
 
     layout: Modules

@@ -46,7 +46,7 @@ def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Cours
     """Return loads and time course of recording `number`, periodic in 3.
 
     0: a breathing mouth over a third of the shorter side, with increasing suction. 1: three
-    standing rods. 2: a mouth of 35 mm that presses, then sucks, beside a rod.
+    standing rods. 2: a mouth of 35 mm that presses, then sucks, with a rod next to it.
 
     Returns
     -------

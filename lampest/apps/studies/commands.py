@@ -35,8 +35,8 @@ STUDIES = {
     ),
     "weights": (
         "lampest.apps.studies.weights",
-        "Plot weight selection: evidence, misfit, penalty and true error over λ, with every rule's "
-        "choice.",
+        "Plot weight selection: "
+        "evidence, misfit, penalty and true error over λ, with every rule's choice.",
     ),
 }
 

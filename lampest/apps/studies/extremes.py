@@ -261,7 +261,7 @@ def judged(
 
 
 class SolvedPart(NamedTuple):
-    """A solve of a scene, with what it is judged by.
+    """A solve of a scene, with the truth and the problem.
 
     Attributes
     ----------

@@ -24,14 +24,12 @@ from lampest.estimate.objective import Rule
 from lampest.estimate.sequence import deciding_data
 from lampest.estimate.weights import WeightSearch, with_chosen_weights
 from lampest.files.errors import BROKEN, InputError
-from lampest.inference.compared_frames import baseline_readings, deciding_frames
 from lampest.panel.panel import Array
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel, rank
 from lampest.posterior.spectrum import Spectrum
-from lampest.recording.recording import Recording
+from lampest.recording.recording import Recording, baseline_readings, deciding_frames
 from lampest.runs.config import Case
-from lampest.solvers.convex import convex_cells
 from lampest.solvers.multistart import best_solution, evaluated
 
 
@@ -58,7 +56,7 @@ class WeightSubject:
     def of(cls, case: Case, recording: Recording) -> "WeightSubject | None":
         """Return the deciding frame of a recording, with the baseline if terms need it.
 
-        None without usable frames.
+        The result is None without usable frames.
         """
         readings = recording.readings()
         scene = recording.scene
@@ -268,7 +266,7 @@ class Curves:
     def extended(self, weights: Iterable[float]) -> "Curves":
         """Return the curves with further weights, solved in this order.
 
-        Each is solved from its nearest neighbour.
+        Every solve starts at its nearest neighbour.
         """
         points = {point.weight: point for point in self.points}
         for weight in weights:
@@ -309,9 +307,7 @@ def trace(subject: WeightSubject, marks: list[float]) -> Curves:
     low = min(marks) / 1e4
     high = max(marks) * 1e4
     with suppress(*BROKEN):  # without free cells the extent is unknown
-        first = evaluated(
-            subject.with_weight(marks[0]), subject.data, convex_cells(subject.data, None)
-        )
+        first = evaluated(subject.with_weight(marks[0]), subject.data, subject.data.start())
         least, largest = np.exp(Spectrum.of(LinearModel(first, NO_DUAL)).extent)
         low = max(least, low)
         high = min(largest, high)
@@ -331,8 +327,8 @@ def tune(subject: WeightSubject) -> Curves:
     noisy = subject.data.noise_known
     if rule == "evidence" and not noisy:
         raise InputError(
-            "auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the "
-            "recording"
+            "auto_weight.rule: evidence needs the noise: "
+            "a readout in the scene or sigma in the recording"
         )
     initial = subject.search.cost.terms[subject.penalty].weight
     specified = {} if initial == "auto" else {"given": float(initial)}

@@ -83,10 +83,7 @@ SCREEN: Columns = {
 
 
 def _groups(cases: study.Cases[Curves]) -> Iterator[study.RecordGroup]:
-    """Yield the groups /entry/<recording>/<estimator>, with the curves.
-
-    Their subgroups `choices` are yielded, too.
-    """
+    """Yield the groups /entry/<recording>/<estimator> of the curves and their `choices`."""
     for curves in cases.measured:
         subject = curves.subject
         path = f"{curves.subject.case.recording}/{curves.subject.case.name}"

@@ -42,8 +42,8 @@ def named_method(method: "Method | str") -> Method:
         return method
     if not isinstance(method, str):
         raise InputError(
-            "formulation must be a word or a method such as TruncatedMethod(), not "
-            f"{in_words(method)}"
+            "formulation must be a word "
+            f"or a method such as TruncatedMethod(), not {in_words(method)}"
         )
     kind = member_of_kind(AnyMethod, method)
     if kind is None:

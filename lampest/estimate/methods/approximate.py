@@ -105,7 +105,7 @@ class LinearisedMethod(Method):
     def begin(self, state: AnyState) -> AnyState:
         """Return the state with its baseline and the factor of H_b.
 
-        It is without a factor where the baseline failed.
+        A failed baseline has no factor.
         """
         absolute = state.without_comparisons()
         reduced = OptimalMethod("reduced")
@@ -130,7 +130,7 @@ class LinearisedMethod(Method):
     ) -> Solution:
         """Return the point after the step, of which |log r| is at most `MAX_STEP`.
 
-        Without a factor it is the optimum.
+        If there is no factor, the solution is the optimum.
         """
         if prepared is not None:
             with suppress(*BROKEN):
@@ -149,7 +149,7 @@ class LinearisedMethod(Method):
 def inverse_hessian(at: Evaluation) -> Linear:
     """Return the product with H⁻¹ at a point, by conjugate gradients with a factor.
 
-    It takes one step where the factor is Cholesky's.
+    With Cholesky's factor one step is enough.
     """
     hessian = Hessian(at, Smoothing.start(at))
     free = np.ones(len(hessian.gradient), dtype=bool)

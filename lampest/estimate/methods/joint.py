@@ -149,7 +149,7 @@ class Joint:
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Bounds of u and w, (frames, cells + n)."""
+        """Lower and upper bounds of u and w, (frames, cells + n) each."""
         limits = zip(*(data.log_bounds for data in self.data), strict=True)
         lower, upper = (np.stack(limit).reshape(self.anchor.shape) for limit in limits)
         more = ((0, 0), (0, self.drawn.shape[2]))
@@ -356,9 +356,13 @@ class Joint:
 
     @property
     def shared_estimate(self) -> tuple[Array, Array]:
-        """z (n,), and the precision (n, n) with which the frames alone determine it.
+        """Estimate of the shared errors by the frames alone.
 
-        The precision is that without the prior of z.
+        Returns
+        -------
+        z : array, shape (n,)
+        precision : array, shape (n, n)
+            Without the prior of z.
         """
         z = self.shift[: self._sharing]
         if self.held is None:
@@ -373,7 +377,15 @@ class Joint:
         return np.asarray(self.steps**2 + self.chain.step_variance(shifted)[:, : self.cells])
 
     def newton(self) -> tuple[Array, Array]:
-        """Return the Gauss-Newton step of (u, w), (frames, cells + n), and of (z, c)."""
+        """Return the Gauss-Newton step.
+
+        Returns
+        -------
+        cells : array, shape (frames, cells + n)
+            Step of (u, w).
+        shift : array
+            Step of (z, c).
+        """
         shared = np.einsum("tri,tr->i", self.shared, self._through)
         # ½ ∂Φ/∂z = Σ_t Uᵀ ½ ∂misfit/∂f + z (or its deviation from ẑ), ½ ∂Φ/∂c_t = −Σ_i λ_ti x_ti +
         # c_t/τ²
@@ -526,6 +538,11 @@ def error_bars(
         Number of the first frames that are unloaded; the last of them is the baseline.
     beyond : Shared, optional
         Errors that all readings share and Φ does not contain.
+
+    Returns
+    -------
+    baseline : Certainty
+    frames : tuple of Bars
     """
     answer = joint.answer(joint.responses(beyond))
     chain = joint.uncertain

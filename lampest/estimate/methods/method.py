@@ -1,7 +1,4 @@
-"""Methods of estimation: from a frame's data to its cells and the state for the next frame.
-
-Their optima are verified.
-"""
+"""Methods of estimation: from a frame's data to verified cells and the state for the next frame."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -17,7 +14,6 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term
-from lampest.estimate.contacts import with_contacts
 from lampest.estimate.objective import Objective
 from lampest.estimate.state import AnyState, SequenceState, Step
 from lampest.estimate.weights import with_chosen_weights
@@ -26,8 +22,6 @@ from lampest.files.errors import BROKEN
 from lampest.files.levels import Witness
 from lampest.files.process import delayed_interrupt, ended_where_hung
 from lampest.files.typed import Configuration
-from lampest.formulation.patterns import EXCITATIONS
-from lampest.inference.alike import STILL, nearest_panel, noise_share
 from lampest.inference.assumptions import UNKNOWN_SD
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
@@ -36,9 +30,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
-from lampest.solvers.by_ipopt import Ipopt
 from lampest.solvers.multistart import best_solution, lower_of, settles
-from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Solution, Solver
 
 # Cells up to which IPOPT takes some hundredths of a second a frame (docs/studies/formulations.md).
@@ -81,9 +73,9 @@ class Method(Configuration):
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
         """Return the solver of a cost on frames `period` seconds apart.
 
-        It is built once per process.
+        Each process builds a solver once.
         """
-        return ProjectedNewton(cost, settings)
+        return solver_of(cost, scene.circuit, scene.wiring, "reduced", settings)
 
     @abstractmethod
     def solution(
@@ -110,15 +102,20 @@ class Method(Configuration):
         return False
 
     def data_and_start(self, state: SequenceState, readings: Readings) -> tuple[Data, Array | None]:
-        """Return the data of a frame's solve, and its start or None.
-
-        The data of a joint first pair include the unloaded readings (paper, equations 15 and 21).
+        """Return the data of a frame's solve, and its start.
 
         Parameters
         ----------
         state : SequenceState
         readings : Readings
             (rows, columns).
+
+        Returns
+        -------
+        data : Data
+            For a joint first pair with the unloaded readings (paper, equations 15 and 21).
+        start : array, shape (frames, rows, columns), or None
+            Cells in ohm; None for the solver's own start.
         """
         objective = state.estimator
         if self.joint_start(objective) and not state.rested:
@@ -143,10 +140,13 @@ class Method(Configuration):
         return data, np.minimum(panels[0][1], data.upper[0])[None]
 
     def _nearest_panel(self, state: SequenceState, readings: Readings) -> Array:
-        """Return the panel of a frame that differs least from the unloaded one.
+        """Return the panel that gives a frame's readings and differs least from the unloaded one.
 
-        Of those that give its readings, found from known panels; the previous cells where none is.
+        The panels are found from known panels. The result are the previous cells where none is
+        found.
         """
+        from lampest.inference.alike import nearest_panel, noise_share
+
         assert state.previous is not None
         known = [state.previous, state.baseline_resistance]
         if state.panels is not None:
@@ -220,7 +220,7 @@ class Method(Configuration):
         """Return the state with its baseline, which is solved alone."""
         absolute = state.without_comparisons() if state.estimator.relative else state
         first = self.solve(absolute, *self.data_and_start(absolute, state.resting))
-        settled, baseline = with_contacts(absolute, state.resting, first, self._elsewhere)
+        settled, baseline = self._with_contacts(absolute, state.resting, first)
         state = replace(state, scene=settled.scene, track=settled.track)
         model = baseline.surroundings()
         if state.track is not None and model is not None:
@@ -232,21 +232,38 @@ class Method(Configuration):
                 state = replace(state, track=track)
         return state.with_baseline(baseline)
 
+    def _with_contacts(
+        self, state: AnyState, readings: Readings, solved: Step
+    ) -> tuple[AnyState, Step]:
+        """Return the state with the contacts that its scene requests, and the step for them."""
+        if state.scene.contact_prior is None:
+            return state, solved
+        from lampest.estimate.contacts import with_contacts
+
+        return with_contacts(state, readings, solved, self._elsewhere)
+
     def push(self, state: AnyState, readings: Readings) -> tuple[AnyState, Step]:
-        """Return the state after one frame's readings (rows, columns), and the frame's step."""
+        """Solve one frame's readings (rows, columns).
+
+        Returns
+        -------
+        state : SequenceState
+            State after the frame.
+        step : Step
+            Solution of the frame.
+        """
         data, start = self.data_and_start(state, readings)
         step = self.solve(state, data, start)
         if len(data.measured) == 2:
-            state, step = with_contacts(state, readings, step, self._elsewhere)
+            state, step = self._with_contacts(state, readings, step)
         return self.after(state, step, readings)
 
     def verified(
         self, state: AnyState, readings: Readings, after: AnyState, step: Step
     ) -> tuple[AnyState, Step]:
-        """Return the state after a frame and its step, compared with a second solve.
+        """Compare the step of a frame with a second solve, by IPOPT from another start.
 
-        The second solve is by IPOPT from another start. A lower optimum of the witness takes the
-        place of the first one.
+        A lower optimum of the witness takes the place of the first one.
 
         Parameters
         ----------
@@ -256,6 +273,11 @@ class Method(Configuration):
             The frame, (rows, columns).
         after, step
             State after the frame, and its step.
+
+        Returns
+        -------
+        after, step
+            State after the frame, and its step with the comparison.
         """
         weighted = state.estimator.with_weights(
             step.weights, step.weight_sigma, step.prior_variance
@@ -272,9 +294,14 @@ class Method(Configuration):
         return replace(after, estimator=state.estimator), lower
 
     def after(self, state: AnyState, step: Step, readings: Readings) -> tuple[AnyState, Step]:
-        """Return the state after a solved frame, and its step.
+        """Follow a solved frame with the state.
 
-        The step has error bars where the state requests them.
+        Returns
+        -------
+        state : SequenceState
+            State after the frame.
+        step : Step
+            The step, with error bars where the state requests them.
         """
         track = state.track
         model = step.surroundings()
@@ -300,9 +327,7 @@ class Method(Configuration):
     def sequence(
         self, state: AnyState, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple[AnyState, list[Step]]:
-        """Return the state after all measured frames of a recording, and their steps.
-
-        Only methods with `needs_all_frames` have it.
+        """Solve all measured frames of a recording; only for methods with `needs_all_frames`.
 
         Parameters
         ----------
@@ -313,13 +338,20 @@ class Method(Configuration):
             The measured frames, (frames, rows, columns).
         on_frame : callable
             Called after every frame.
+
+        Returns
+        -------
+        state : SequenceState
+            State after the last frame.
+        steps : list of Step
+            One step a frame.
         """
         raise TypeError(f"{self.kind} takes frames one by one")
 
     def _elsewhere(self, state: SequenceState, readings: Readings, near: Array) -> Step:
         """Return the step of a frame solved with another state or other readings.
 
-        It is solved from given cells on.
+        `near` are the cells at which the solve starts.
         """
         return self.solve(
             state, replace(self.data_and_start(state, readings)[0], first=False), near
@@ -347,7 +379,7 @@ class Method(Configuration):
 class OptimalMethod(Method):
     """The optimum argmin Σ weight·loss(residual) within the bounds.
 
-    It is verified independently of the solver.
+    A certificate verifies the optimum independently of the solver.
 
     joint : whether terms that compare frames solve the baseline together with the first frame
     (paper, equations 15 and 21), rather than the baseline alone and the first frame against it.
@@ -383,21 +415,21 @@ class OptimalMethod(Method):
             # From its start IPOPT may end at another panel that reads alike
             fast = few and squared and not scene.circuit.several_panels
             kind = "nodal" if fast and period >= NODAL_PERIOD else "reduced"
-        return _solver(cost, scene.circuit, scene.wiring, kind, settings)
+        return solver_of(cost, scene.circuit, scene.wiring, kind, settings)
 
     def solution(
         self, solver: Solver, data: Data, previous: Array | None, prepared: Any
     ) -> Solution:
         """Return the lowest optimum of a frame's starts.
 
-        `prepared` is what an earlier solution carries, or None. With auto a frame that one solver
-        does not end at an optimum is given to the other one, from the same starts; so is one that
-        IPOPT does not end at a strict optimum, because the other one holds more digits.
+        `prepared` is the carried state of an earlier solution, or None. With auto a frame that one
+        solver does not end at an optimum is given to the other one, from the same starts; so is one
+        that IPOPT does not end at a strict optimum, because the other one holds more digits.
         """
         solution = best_solution(solver, data, previous, prepared)
-        is_newton = isinstance(solver, ProjectedNewton)
+        is_newton = solver.cells_alone
         if not is_newton and previous is not None and _elsewhere(solution, data, previous):
-            newton = _solver(solver.cost, data.readout, data.wiring, "reduced", solver.settings)
+            newton = solver_of(solver.cost, data.readout, data.wiring, "reduced", solver.settings)
             nearer = best_solution(newton, data, previous)
             return nearer if nearer.optimum else solution
         enough = solution.optimum if is_newton else solution.strict
@@ -406,14 +438,14 @@ class OptimalMethod(Method):
         if is_newton and solver.cost.panel.crossings > FALLBACK_CELLS:
             return solution
         second_kind = "nodal" if is_newton else "reduced"
-        second_solver = _solver(
+        second_solver = solver_of(
             solver.cost, data.readout, data.wiring, second_kind, solver.settings
         )
         second = best_solution(second_solver, data, previous)
         return second if settles(second, solution) else lower_of(solution, second)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
-        """Return what the solution of a single frame carries for the next one, else None."""
+        """Return the state of a single frame's solution that the next one carries, else None."""
         single = len(solution.cell_resistance) == 1
         return solution.carried if solution.solved and single else None
 
@@ -425,15 +457,22 @@ def _elsewhere(solution: Solution, data: Data, start: Array) -> bool:
     """
     if not (data.readout.several_panels and solution.solved):
         return False
+    from lampest.inference.alike import STILL
+
     moved = np.abs(np.log(solution.cell_resistance / start))
     return bool(np.median(moved) > STILL)
 
 
 @lru_cache(maxsize=32)
-def _solver(
+def solver_of(
     cost: Cost, readout: Readout, wiring: Wiring | None, kind: str, settings: Settings
 ) -> Solver:
     """Return the solver of a formulation: IPOPT on a program, or projected Newton."""
-    if kind in EXCITATIONS:
-        return Ipopt(cost, settings, readout, wiring, EXCITATIONS[kind])
-    return ProjectedNewton(cost, settings)
+    if kind == "reduced":
+        from lampest.solvers.projected_newton import ProjectedNewton
+
+        return ProjectedNewton(cost, settings)
+    from lampest.formulation.patterns import EXCITATIONS
+    from lampest.solvers.by_ipopt import Ipopt
+
+    return Ipopt(cost, settings, readout, wiring, EXCITATIONS[kind])

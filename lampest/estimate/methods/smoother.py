@@ -1,6 +1,6 @@
 """`formulation: smoother`: all frames of a recording together.
 
-It uses a variational method with graduated non-convexity. The estimate u = log r with its
+A variational method with graduated non-convexity estimates u = log r. The estimate with its
 covariance P minimises the free energy
 
     F(u, z, c, P) = misfits + |z|² + Σ c²/τ² + walk(E x²) + tr A P − log det P,
@@ -9,11 +9,10 @@ where A is the Hessian of the misfits, x are the steps of cells between frames, 
 x under P. Two updates alternate: a Newton step of `Joint` in u, z, c for given stiffnesses λ =
 ∂walk/∂E x², and P as the inverse of the Newton matrix, which gives new E x² and λ. The walk's scale
 q decreases from round to round. Finally λ is fixed, and u, z, c minimise Φ of
-`lampest.estimate.methods.joint`.
-Sources: Opper & Archambeau, Neural Comput. 21, 2009 (F); Blake & Zisserman, Visual Reconstruction,
-1987 (decreasing q); Geman & McClure, Bull. Int. Stat. Inst. 52, 1987, and Black & Rangarajan, Int.
-J. Comput. Vision 19, 1996 (κ); Candès, Wakin & Boyd, J. Fourier Anal. Appl. 14, 2008 (sums in a
-logarithm).
+`lampest.estimate.methods.joint`. Sources: Opper & Archambeau, Neural Comput. 21, 2009 (F); Blake &
+Zisserman, Visual Reconstruction, 1987 (decreasing q); Geman & McClure, Bull. Int. Stat. Inst. 52,
+1987, and Black & Rangarajan, Int. J. Comput. Vision 19, 1996 (κ); Candès, Wakin & Boyd, J. Fourier
+Anal. Appl. 14, 2008 (sums in a logarithm).
 """
 
 from collections.abc import Callable, Sequence
@@ -74,9 +73,9 @@ FOLLOWED = 1.5
 class SmootherMethod(Method):
     """Φ = misfits + changes of cells between frames + errors common to all readings.
 
-    It is over all frames and the baseline. Most cells stand still, some always move, and any cell
-    may jump; a step that all cells have in common costs little. In a stream each frame is estimated
-    together with the `lag` frames before it.
+    The sums are over all frames and the baseline. Most cells stand still, some always move, and any
+    cell may jump; a step that all cells have in common costs little. In a stream each frame is
+    estimated together with the `lag` frames before it.
 
     Raises ValueError where a number is out of range.
 
@@ -115,11 +114,10 @@ class SmootherMethod(Method):
         fits = isinstance(first, Misfit) and first.weighting == "noise" and first.weight == 1
         if further or not fits or first.loss.squared or first.loss.enters == "dual":
             raise InputError(
-                "formulation: smoother has one term, misfit: {weighting: noise, loss: {kind: "
-                "student, corner: 4}}, of "
-                "weight 1; its loss may be huber or a smooth one of your own, but not squared, "
-                "with which one wrong "
-                "reading pulls at all frames, nor absolute, which is not smooth"
+                "formulation: smoother has one term, misfit: "
+                "{weighting: noise, loss: {kind: student, corner: 4}}, of weight 1; "
+                "its loss may be huber or a smooth one of your own, but not squared, with "
+                "which one wrong reading pulls at all frames, nor absolute, which is not smooth"
             )
 
     def solution(
@@ -131,7 +129,10 @@ class SmootherMethod(Method):
     def sequence(
         self, state: AnyState, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple[AnyState, list[Step]]:
-        """Solve all frames together; frames with too few readings are left out."""
+        """Solve all frames together, as `Method.sequence`.
+
+        Frames with too few readings are left out.
+        """
         rested = state.resting.enough(state.scene)
         usable = readings.enough(state.scene) & rested
         read = [readings[frame] for frame in np.flatnonzero(usable)]
@@ -148,10 +149,7 @@ class SmootherMethod(Method):
         return state, [next(solved) if read_enough else missing for read_enough in usable]
 
     def push(self, state: AnyState, readings: Readings) -> tuple[AnyState, Step]:
-        """Return the state after one frame, and its step.
-
-        The frame is solved together with the `lag` frames before it.
-        """
+        """Solve one frame together with the `lag` frames before it, as `Method.push`."""
         # Readings of the last frames, and their cells.
         earlier, estimates = state.prepared or ((), ())
         read = (*earlier, readings)[-1 - self.lag :]
@@ -284,7 +282,7 @@ def _begun(
 def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
     """Return the solution of every frame.
 
-    It is NaN with the status `fault` where the optimality conditions do not hold.
+    Where the optimality conditions do not hold, the solution is NaN with the status `fault`.
     """
     faint = np.any(
         np.abs(joint.newton()[0]) > MAX_LAST_CHANGE * np.sqrt(joint.chain.variance), axis=1
@@ -349,7 +347,7 @@ class Walk:
         return np.asarray(np.mean(self.most**2 * size / (self.most**2 + size), axis=0))
 
     def drawn_down(self, squares: Array, stiffness: Array, least: float) -> tuple["Walk", bool]:
-        """Return the walk with the next smaller q, and whether rounds go on.
+        """Decrease q once.
 
         Still cells are the half with the least unrest. For the most probable λ of a Gaussian walk
         the mean of λ E x² is 1; where it exceeds 1 over the still cells, q is small enough.
@@ -362,6 +360,13 @@ class Walk:
             λ with which E x² was computed.
         least : float
             Lower limit of q.
+
+        Returns
+        -------
+        walk : Walk
+            The walk with the next q.
+        decreases : bool
+            Whether rounds go on.
         """
         unrest = self.unrest(squares)
         calmer = unrest <= np.median(unrest)
@@ -405,7 +410,7 @@ def averaged(steps: Array) -> Array:
 
 
 def smoothed(joint: Joint, walk: Walk, settings: Settings, until: float = inf) -> tuple[Joint, int]:
-    """Return Φ at its minimum, and the number of rounds.
+    """Minimise Φ.
 
     Raises numpy.linalg.LinAlgError where arithmetic breaks down.
 
@@ -419,6 +424,13 @@ def smoothed(joint: Joint, walk: Walk, settings: Settings, until: float = inf) -
         Tolerance and iterations of the final minimisation.
     until : float
         End of the rounds, in s of `time.monotonic`.
+
+    Returns
+    -------
+    joint : Joint
+        Φ at its minimum.
+    rounds : int
+        Number of rounds.
     """
     # Noise of frames alone, from diag (J̃ᵀ J̃ + prior)⁻¹: the walk begins at three times its
     # median.

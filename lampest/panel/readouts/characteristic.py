@@ -49,8 +49,8 @@ class Characteristic(Configuration):
     def __post_init__(self) -> None:
         if isinstance(self.full_volt, str):
             raise ValueError(
-                "full_volt: no frame shows it, because cells of another size read alike; measure a "
-                "known voltage"
+                "full_volt: no frame shows it, "
+                "because cells of another size read alike; measure a known voltage"
             )
         volts = [self.zero_volt, self.full_volt, *(volt for volt, _ in self.curve or ())]
         for volt in volts:

@@ -207,7 +207,7 @@ class Converter(Configuration):
     def volt_from_code(self, mean_code: Array) -> Array:
         """Return the voltage that a code stands for, the middle of its interval.
 
-        Also of mean codes.
+        Codes may be means.
         """
         code = np.asarray(mean_code, dtype=float)
         if self.characteristic.curve is None:

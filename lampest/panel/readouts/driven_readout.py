@@ -106,8 +106,8 @@ class DrivenReadout(SourcedCircuit):
             self.drive_volt is not None or self.converter_volt is not None
         ):
             raise ValueError(
-                "drive_volt and converter_volt have no place with polarity: down, where the driven "
-                "line is at ground"
+                "drive_volt and converter_volt have no place with polarity: down, "
+                "where the driven line is at ground"
             )
         if self.driven_groups is not None and min(as_tuple(self.idle_ohm)) < inf:
             raise ValueError(
@@ -123,15 +123,13 @@ class DrivenReadout(SourcedCircuit):
             to_ground += as_tuple(self.idle_load_ohm)
         if min(to_ground) == inf:
             raise ValueError(
-                "load_ohm, idle_ohm and idle_load_ohm are all infinite: no current flows through "
-                "any cell; name the "
-                "resistors that lead to ground"
+                "load_ohm, idle_ohm and idle_load_ohm are all infinite: "
+                "no current flows through any cell; name the resistors that lead to ground"
             )
         if not any(0 < ohm < inf for ohm in (*to_ground, *as_tuple(self.drive_ohm))):
             raise ValueError(
-                "drive_ohm, idle_ohm, load_ohm and idle_load_ohm name no resistor: readings then "
-                "depend on ratios of "
-                "cells alone"
+                "drive_ohm, idle_ohm, load_ohm and idle_load_ohm name no resistor: "
+                "readings then depend on ratios of cells alone"
             )
 
     def description(self) -> str:
@@ -146,10 +144,10 @@ class DrivenReadout(SourcedCircuit):
         if self.idle_load_ohm is None and self.groups is not None:
             load = f"idle {opposite(self.driven)} float"
         return (
-            f"{self.driven} driven {self.polarity}{source} one after the other through "
-            f"{lines_text(self.drive_ohm)}, "
-            f"idle ones {_state(self.idle_ohm)}, load {lines_text(self.load_ohm)}{channel}, "
-            f"{load}, "
+            f"{self.driven} driven {self.polarity}{source} "
+            f"one after the other through {lines_text(self.drive_ohm)}, "
+            f"idle ones {_state(self.idle_ohm)}, "
+            f"load {lines_text(self.load_ohm)}{channel}, {load}, "
             f"{self.supply_volt:g} V{diode}{self._end_text}"
         )
 

@@ -1,6 +1,6 @@
 """Numbers of lines: one for all lines of a side of the panel, or one for each.
 
-Also resistance in series with every line.
+The module has the resistance in series with every line, too.
 """
 
 from dataclasses import dataclass
@@ -158,8 +158,8 @@ def check_groups(groups: Groups | None, side: Side, count: int, key: str = "grou
     beyond = sorted(lines - set(range(count)))
     if beyond:
         raise ValueError(
-            f"readout.{key}: there is no {name} {beyond[0]}; {side} are numbered from 0 to "
-            f"{count - 1}"
+            f"readout.{key}: there is no {name} {beyond[0]}; "
+            f"{side} are numbered from 0 to {count - 1}"
         )
     missing = sorted(set(range(count)) - lines)
     if missing:

@@ -96,11 +96,9 @@ class LoadedColumnsReadout(DrivenCircuit):
     def description(self) -> str:
         diode = "" if self.diode is None else f", {self.diode.description()}"
         return (
-            f"loaded {opposite(self.driven)}, {self.driven} driven {self.polarity} one after the "
-            "other, "
-            f"{self.supply_volt:g} V, load {lines_text(self.load_ohm)}, drive "
-            f"{lines_text(self.drive_ohm)}"
-            f"{diode}{self._end_text}"
+            f"loaded {opposite(self.driven)}, {self.driven} driven {self.polarity} "
+            f"one after the other, {self.supply_volt:g} V, load {lines_text(self.load_ohm)}, "
+            f"drive {lines_text(self.drive_ohm)}{diode}{self._end_text}"
         )
 
     def states(self, driven: int, sensed: int) -> LineStates:
@@ -189,9 +187,8 @@ class GroundedReadout(DrivenCircuit):
         channel = f", sense channels {lines_text(self.sense_ohm)}" if self.sense_ohm else ""
         return (
             f"grounded, {self.driven} driven {self.polarity} while the others are held, {loads}, "
-            f"{self.supply_volt:g} V, load {lines_text(self.load_ohm)}, drive "
-            f"{lines_text(self.drive_ohm)}"
-            f"{channel}{self._end_text}"
+            f"{self.supply_volt:g} V, load {lines_text(self.load_ohm)}, "
+            f"drive {lines_text(self.drive_ohm)}{channel}{self._end_text}"
         )
 
     @property
@@ -273,8 +270,8 @@ class VirtualGroundReadout(SourcedCircuit):
         others = [ends.idle_load] if ends.idle == FOLLOWS else [ends.idle, ends.idle_load]
         if min(ends.sign * (float(volt) - ends.load) for volt in others) < 0:
             raise ValueError(
-                "idle_volt and idle_load_volt must not lie on the other side of load_volt than the "
-                "source: amplifiers then have currents of both signs, which this model lacks"
+                "idle_volt and idle_load_volt must not lie on the other side of load_volt than "
+                "the source: amplifiers then have currents of both signs, which this model lacks"
             )
 
     @property
@@ -287,9 +284,8 @@ class VirtualGroundReadout(SourcedCircuit):
 
     def description(self) -> str:
         return (
-            f"virtual ground, {self.driven} driven to {self.driving_volt:g} V while all other "
-            "lines are grounded, "
-            f"converter to {self.full_scale_volt:g} V, "
+            f"virtual ground, {self.driven} driven to {self.driving_volt:g} V "
+            f"while all other lines are grounded, converter to {self.full_scale_volt:g} V, "
             f"drive {lines_text(self.drive_ohm)}, sense {lines_text(self.sense_ohm)}, "
             f"feedback {lines_text(self.feedback_ohm)}{self._end_text}"
         )

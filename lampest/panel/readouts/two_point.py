@@ -103,9 +103,8 @@ class TwoPointReadout(Divider):
         converter = "" if self.input_ohm is None else f", converter input {self.input_ohm:g} ohm"
         converter += "" if self.groups is None else f", {len(self.groups)} columns read in parallel"
         return (
-            f"two-point, {self.supply_volt:g} V, reference {self.reference_ohm:g} ohm, measured "
-            "across the "
-            f"{self.measured_across}{converter}, {self.converter_description()}"
+            f"two-point, {self.supply_volt:g} V, reference {self.reference_ohm:g} ohm, "
+            f"measured across the {self.measured_across}{converter}, {self.converter_description()}"
         )
 
     def ties(self, measured: Array) -> Array:
@@ -121,7 +120,7 @@ class TwoPointReadout(Divider):
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
         """Return the solved network.
 
-        Without wiring it is solved by the arithmetic of floating lines, which costs less.
+        A network without wiring is solved by the arithmetic of floating lines, which costs less.
         """
         if wiring is not None:
             return super().network(cell_resistance, ties, wiring)

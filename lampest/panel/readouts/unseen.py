@@ -69,6 +69,6 @@ def unseen_sentence(scales: tuple[str, ...]) -> str:
     of_lines = " and ".join(name for name in scales if name != "all")
     scale = f"each of the {of_lines} has a scale of its own" if of_lines else "all cells share one"
     return (
-        f"{scale} that no reading shows: no resistor sets it; only ratios of cells within them are "
-        "known, and a resistor from each sensed line to ground (load_ohm) would show it"
+        f"{scale} that no reading shows: no resistor sets it; only ratios of cells within them "
+        "are known, and a resistor from each sensed line to ground (load_ohm) would show it"
     )

@@ -172,7 +172,7 @@ class _Means(NamedTuple):
 
 
 def _means_over_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) -> _Means:
-    """Return the means of which `_at_points` is composed; its parameters.
+    """Return the means that `_at_points` combines; both functions have the same parameters.
 
     The pressure is p = rim_kpa · (whole − hole) · (1 + tilt·(u, v)/R + lobes) + suction · hole,
     with soft indicators of disc and hole.

@@ -96,10 +96,7 @@ class Candidate(ABC):
         """Return the start of a fit from a disc: φ, (parameters,)."""
 
     def disc(self, parameters: Array) -> Disc | None:
-        """Return the most similar disc, from which fits of other kinds may start.
-
-        None where there is none.
-        """
+        """Return the most similar disc, from which fits of other kinds may start, or None."""
         return None
 
     def loads(self, parameters: Array) -> list[tuple["Candidate", Array]]:

@@ -210,9 +210,9 @@ def _measured_modules(
     period_s: float,
     scanned: Sequence[Array],
 ) -> tuple[Array, NDArray[np.int64] | None]:
-    """Return what `measured` does for a panel of modules, each with its own random numbers.
+    """Return recorded readings and sums of a panel of modules; see `measured`.
 
-    Dead ones have NaN.
+    Every module has its own random numbers. The readings of dead modules are NaN.
     """
     modules = []
     for number, module_scene in enumerate(scene.of_modules):
@@ -325,9 +325,9 @@ def sums_of_codes(
 
 
 def raw_sums(readout: Readout | None, sums: NDArray[np.int64] | None) -> NDArray[np.uint16] | None:
-    """Return the sums as 16-bit integers for a recording.
+    """Return the sums as 16-bit integers for a recording, or None if they do not fit.
 
-    None if readings · (2^bits − 1) does not fit.
+    The largest sum is readings · (2^bits − 1).
     """
     if readout is None or sums is None or readout.readings * (2**readout.adc_bits - 1) >= 2**16:
         return None
@@ -339,7 +339,7 @@ def _disturbed(
 ) -> Array:
     """Return V·(1 + gain) + ripple + INL(V), clipped to the stage's range.
 
-    Shape (frames, rows, columns), in V.
+    The voltages have the shape (frames, rows, columns), in V.
     """
     if unmodelled.gain_spread:
         gain = unmodelled.gain_spread * random_stream(seed, "gain").standard_normal(len(volt))

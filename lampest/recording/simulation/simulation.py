@@ -314,7 +314,7 @@ def simulate(
 def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Array:
     """Return p(t) = contact(t)·p_contact + suction(t)·p_suction + p_water over patches.
 
-    Shape (frames, rows, columns), in kPa.
+    The shape is (frames, rows, columns), in kPa.
 
     Parameters
     ----------

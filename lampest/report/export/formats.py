@@ -193,11 +193,18 @@ def _words(meaning: Series) -> dict[str, str]:
 
 
 def long_tables(cases: Sequence[CaseResult]) -> tuple[list[Table], dict[str, Series]]:
-    """Return a table of each case, and the meanings of all columns.
+    """Return a table of each case, with a line for every cell of every frame.
 
-    The table has a line for every cell of every frame. Names end in their unit: time_s, x_mm,
-    cell_resistance_ohm; those of counts, flags and texts have none. So readings in ohm and in volt
-    are two columns. Whole numbers stay whole numbers where some are missing.
+    Names end in their unit: time_s, x_mm, cell_resistance_ohm; those of counts, flags and texts
+    have none. So readings in ohm and in volt are two columns. Whole numbers stay whole numbers
+    where some are missing.
+
+    Returns
+    -------
+    tables : list of dict
+        Masked arrays of each case by the names of the columns.
+    meanings : dict of str to Series
+        Meaning of every column, by name.
     """
     dtypes = {
         column.label: np.dtype(column.dtype) for column in all_columns() if column.dtype is not str

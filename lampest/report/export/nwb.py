@@ -40,8 +40,8 @@ class NwbExport(Export):
         recordings = dict.fromkeys(case.recording for case in cases)
         if len(recordings) > 1:
             raise InputError(
-                "an NWB file is one session: choose with --recording one of "
-                f"{', '.join(recordings)}"
+                "an NWB file is one session: "
+                f"choose with --recording one of {', '.join(recordings)}"
             )
         session = _session(cases)
         for element in _elements(cases[0], shared=True):
@@ -78,16 +78,15 @@ def _session(cases: Sequence[CaseResult]) -> Any:
     if start is None or start.tzinfo is None:
         message = f"at {first.start_time}, without a zone" if first.start_time else "nowhere"
         raise InputError(
-            f"an NWB file says when a session began; {first.recording} says it {message}: give it "
-            "with "
-            "--start 2026-05-04T09:30:00+02:00"
+            f"an NWB file says when a session began; {first.recording} says it {message}: "
+            "give it with --start 2026-05-04T09:30:00+02:00"
         )
     celsius = experiment.water_temperature_celsius
     water = "" if celsius is None else f"water at {celsius:g} degrees Celsius"
     session_name = first.recording + "".join(case.case_id for case in cases)
     return NWBFile(
-        session_description="cells of a resistive panel estimated from its readings, recording "
-        f"{first.recording}",
+        session_description="cells of a resistive panel estimated from its readings, "
+        f"recording {first.recording}",
         identifier=hashlib.sha256(session_name.encode()).hexdigest()[:32],
         session_start_time=start,
         session_id=first.recording,

@@ -143,8 +143,8 @@ def plot_results(
     if single is not None and len(pictures) > 1:
         names = ", ".join([*pictures][:3]) + ", …" * (len(pictures) > 3)
         raise InputError(
-            f"{target}: one picture cannot hold {len(pictures)} ({names}): choose a recording, or "
-            "name a folder"
+            f"{target}: one picture cannot hold {len(pictures)} ({names}): "
+            "choose a recording, or name a folder"
         )
     ending = "" if frame is None else f"_frame{frame}"
     files = [
@@ -173,7 +173,7 @@ def _picture_file(target: Path) -> Path | None:
 def _frames_to_read(path: Path, frame: int | None, frames: range | None) -> range | None:
     """Return the frames of results that are read.
 
-    Of recordings too long for memory this is the drawn one alone.
+    Only the drawn frame is read from recordings too long for memory.
     """
     if (
         frames is None
@@ -253,7 +253,8 @@ def picture(
 def drawable_axes(ax: Axes, figsize: tuple[float, float] | None) -> Axes:
     """Return given axes.
 
-    Raises InputError for anything else, and beside a size, which their figure has.
+    Raises InputError for any other object, and for a size, which the figure of the axes already
+    has.
     """
     if not isinstance(ax, Axes):
         raise InputError(f"ax must be Matplotlib's Axes, not {in_words(ax)}")
@@ -294,9 +295,9 @@ def recording_picture(
 ) -> Figure:
     """Draw a map of a frame's readings.
 
-    It shows their change against the unloaded ones, or, without these, the readings. Arguments are
-    those of `picture`; by default the frame of strongest change, or the first. Raises InputError
-    for an unknown frame.
+    The map shows the change of the readings against the unloaded ones, or the readings if no frame
+    is unloaded. Arguments are those of `picture`; by default the frame is that of strongest change,
+    or the first. Raises InputError for an unknown frame.
     """
     if frame is not None and not 0 <= frame < len(recording.time):
         raise InputError(

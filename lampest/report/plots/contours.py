@@ -76,9 +76,15 @@ class Plot(Validated):
         )
 
     def shown(self, cases: Sequence[CaseResult]) -> tuple[int, str]:
-        """Return the index of the shown frame among those of the cases, and a title.
+        """Return the frame of the cases that is shown, and its title.
 
         Raises InputError if the frame has no results.
+
+        Returns
+        -------
+        index : int
+            Index of the frame among those of the cases.
+        title : str
         """
         first = cases[0]
         if self.frame is None:
@@ -95,16 +101,21 @@ class Plot(Validated):
 class MapsPlot(Plot):
     """Maps of one frame: the measurement, each estimator, the truth.
 
-    Alternatively, rows of quantities of each estimator.
+    Some plots show rows of quantities of each estimator instead.
     """
 
     @abstractmethod
     def maps(
         self, cases: Sequence[CaseResult], index: int
     ) -> tuple[maps.Scale | list[maps.Scale], list[maps.Tile]]:
-        """Return the maps of the cases' frame at that index, and their scales.
+        """Return the maps of the cases' frame at an index, and their scales.
 
-        There is one scale, one a row, or one a map.
+        Returns
+        -------
+        scales : Scale or list of Scale
+            One scale for all maps, one for each row, or one for each map.
+        tiles : list of Tile
+            The maps, row by row.
         """
 
     contoured: ClassVar[bool] = False
@@ -165,9 +176,9 @@ def misfit_text(cases: Sequence[CaseResult]) -> str:
 class ChangePlot(MapsPlot):
     """Maps of the change against the unloaded panel, or the first measured frame, in percent.
 
-    They show measured readings, each estimator's cells, the truth. Readings in volt are shown as
-    the resistance that each cell would have alone. All have one scale, on which halves and doubles
-    are equally strong. Each cell is a square. Where the truth is known, a line
+    The maps show measured readings, each estimator's cells, and the truth. Readings in volt are
+    shown as the resistance that each cell would have alone. All maps have one scale, on which
+    halves and doubles are equally strong. Each cell is a square. Where the truth is known, a line
     surrounds the cells that changed, and each map names its error in ln(r/r_unloaded) as a part of
     the true change: 100 % is that of a map without any change.
 
@@ -179,7 +190,15 @@ class ChangePlot(MapsPlot):
     main: ClassVar[int] = 1
 
     def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[maps.Scale, list[maps.Tile]]:
-        """Return the maps and their scale."""
+        """Return maps of the relative change.
+
+        Returns
+        -------
+        scale : Scale
+            Change of resistance in percent, for all maps.
+        tiles : list of Tile
+            Maps of the measurement, of each case, and of the truth if it is known.
+        """
         first = cases[0]
         truth = None
         if first.truth is not None and first.truth_baseline is not None:
@@ -253,8 +272,8 @@ def _error(change: Array | None, truth: Array) -> str:
 class ResistancePlot(MapsPlot):
     """Maps of the resistance: measured readings, each estimator's cells, the truth.
 
-    They are bright where it is low. For recordings without unloaded frames. Each map has its own
-    scale, since crosstalk lowers all readings.
+    Low resistances are bright. The plot serves recordings without unloaded frames. Each map has its
+    own scale, since crosstalk lowers all readings.
 
     >>> lampest.ResistancePlot().kind
     'resistance'
@@ -267,7 +286,15 @@ class ResistancePlot(MapsPlot):
     def maps(
         self, cases: Sequence[CaseResult], index: int
     ) -> tuple[list[maps.Scale], list[maps.Tile]]:
-        """Return the maps, and a scale for each."""
+        """Return maps of readings and resistances.
+
+        Returns
+        -------
+        scales : list of Scale
+            One scale for each map.
+        tiles : list of Tile
+            Maps of the measurement, of each case, and of the truth if it is known.
+        """
         first = cases[0]
         named = [("measured", as_recorded(first.measured[index], first.scene))]
         named += [(estimated(case, cases), case.cell_resistance[index]) for case in cases]
@@ -304,7 +331,15 @@ class ResidualPlot(MapsPlot):
     about: ClassVar[str] = "grey: no value was read"
 
     def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[maps.Scale, list[maps.Tile]]:
-        """Return the maps and their scale."""
+        """Return maps of the residuals.
+
+        Returns
+        -------
+        scale : Scale
+            Residual in standard deviations, or in percent if a case has no noise; for all maps.
+        tiles : list of Tile
+            One map for each case.
+        """
         unit = "σ"
         label = "(model − measured) / noise σ"
         least = 3.0
@@ -344,7 +379,15 @@ class CertaintyPlot(MapsPlot):
     def maps(
         self, cases: Sequence[CaseResult], index: int
     ) -> tuple[list[maps.Scale], list[maps.Tile]]:
-        """Return rows of standard deviations, resolutions, and errors."""
+        """Return rows of standard deviations, resolutions, and errors.
+
+        Returns
+        -------
+        scales : list of Scale
+            One scale for each row; errors if the truth is known.
+        tiles : list of Tile
+            The maps, one for each case in each row.
+        """
         cases = cases[:MAX_ACROSS]
         cells = [case.cell_resistance[index] for case in cases]
         errors, resolutions = ([case.column(name)[index] for case in cases] for name in self.needs)
@@ -388,7 +431,15 @@ class PressurePlot(MapsPlot):
     def maps(
         self, cases: Sequence[CaseResult], index: int
     ) -> tuple[list[maps.Scale], list[maps.Tile]]:
-        """Return rows of pressures and half widths of their intervals."""
+        """Return rows of pressures and half widths of their intervals.
+
+        Returns
+        -------
+        scales : list of Scale
+            One scale for each row, in kPa.
+        tiles : list of Tile
+            The maps, one for each case in each row.
+        """
         steps = (0.5, 1, 2, 5, 10, 20, 40)
         ticks = (-40, -10, -2, -0.5, 1, 5, 20)
         signed = maps.stepped_scale(
@@ -419,9 +470,9 @@ DECADE = 10.0  # ratio of swept values from which their axis is logarithmic
 class SweepPlot(Plot):
     """Errors of cells and of readings over each swept number, a line for each estimator.
 
-    Errors of cells are drawn where the truth is known. An estimator that was swept over further
-    keys has a line for each of their values. Dashed: estimators without swept numbers. Errors below
-    0.001 % are drawn there. Of all solved frames.
+    Errors are those of all solved frames. Errors of cells are drawn where the truth is known. An
+    estimator that was swept over further keys has a line for each of their values. Lines of
+    estimators without swept numbers are dashed. Errors below 0.001 % are drawn at 0.001 %.
 
     >>> lampest.SweepPlot().kind
     'sweep'
@@ -470,7 +521,7 @@ class SweepPlot(Plot):
 
 
 def swept_numbers(cases: Sequence[CaseResult]) -> tuple[str, ...]:
-    """Return the keys of which several numbers were swept."""
+    """Return the keys for which several numbers were swept."""
     numbers: dict[str, set[float]] = {}
     for case in cases:
         for key, value in case.swept.items():

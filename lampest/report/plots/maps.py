@@ -61,9 +61,9 @@ def log_scale(
     ends: tuple[float, float] = (0.1, 500.0),
     colours: str = "viridis",
 ) -> Scale:
-    """Return a logarithmic scale between round numbers, within `ends`.
+    """Return a logarithmic scale between round numbers about the 1st and 99th percentile.
 
-    These are the round numbers about the 1st and 99th percentile.
+    The ends of the scale lie within `ends`.
     """
     numbers = _finite(values)
     numbers = numbers[numbers > 0]
@@ -269,7 +269,7 @@ class MapPainter:
     def bar(
         self, figure: Any, axes: Any, location: Literal["right", "bottom"], aspect: float = 28
     ) -> None:
-        """Draw the colour bar beside some axes of a figure."""
+        """Draw the colour bar of some axes of a figure next to them."""
         ticks = self.scale.ticks
         # Numbers beside each other need more room than above each other.
         if ticks is not None and location == "bottom":
@@ -466,7 +466,8 @@ def maps_figure(
 ) -> Figure:
     """Draw maps side by side.
 
-    They stand in as many columns that the figure has about the proportions 3 : 2 with few gaps.
+    The number of columns is that with which the figure has about the proportions 3 : 2 and few
+    gaps.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """`lampest init`: commented starter files.
 
-They are a run, a scene, a simulation and its recording, and the schema.
+The files are a run, a scene, a simulation and its recording, and the schema.
 """
 
 import json

@@ -18,6 +18,7 @@ from apps.board.estimated import (
     sums_of,
     unchecked_case,
 )
+from promises import promise
 from typer.testing import CliRunner
 
 import lampest
@@ -441,6 +442,10 @@ def sanitized(folder, program):
     return subprocess.run([str(folder / "fuzz")], capture_output=True, text=True)
 
 
+@promise(
+    "apps/microcontroller/microcontroller: No frame takes more work than its budget, and no "
+    "output is NaN, whatever the codes are."
+)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("circuit", "cells"), [("two_point", None), ("grounded_one", None), ("loaded_columns", OVAL)]

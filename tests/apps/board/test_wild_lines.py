@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from promises import promise
 from wild_board import IDLE, Script, hundred_a_second, wild_board, wire
 
 from lampest import Faults, InputError, Panel, Recording, Scene, TwoPointReadout
@@ -275,6 +276,7 @@ def test_frames_are_counted_and_timed_despite_wild_numbers_and_clocks() -> None:
         )
 
 
+@promise("apps/board/board: A jump of the board's clock costs no frame.")
 def test_a_wild_clock_in_the_last_frame_costs_no_frame() -> None:
     for last_ms in (5_520, 100, 2**31):
         run, samples = run_of((0, 500), (1, 510), (2, last_ms))

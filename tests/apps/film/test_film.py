@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from promises import promise
 
 from lampest import Cells, Course, Estimator, Recording, TwoPointReadout
 from lampest.apps.film.memory import Creep, FilmKnown, FilmMemory, Plays
@@ -311,6 +312,7 @@ def test_the_drift_of_a_film_presses_nowhere_and_widens_its_error_bars() -> None
     assert with_film.lower.max() < 0 < with_film.upper.min()
 
 
+@promise("apps/film/film: the zero of pressures is renewed while nothing touches the panel")
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(
     ("load", "approach"), [(LAMPREY, 1.0), (WEAK_LAMPREY, 1.0), (WEAK_LAMPREY, 20.0), (CUP, 5.0)]

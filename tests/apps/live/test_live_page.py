@@ -18,6 +18,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from promises import promise
 from support import until
 
 from lampest.apps.live import server as server_module
@@ -286,6 +287,7 @@ def test_other_local_users_and_pages_take_no_seat(origin: str) -> None:
         assert page.status("/views", **own) == 200
 
 
+@promise("apps/live/live: viewers need an access token")
 def test_remote_clients_need_the_token(open_page: SimpleNamespace) -> None:
     for path in (
         "/",

@@ -117,7 +117,12 @@ def test_frame_noise_survives_its_arrays(readout: Any) -> None:
     scene = Scene(Panel(2, 3), readout)
     channels = 2 if scene.circuit.by_columns else 3
     noise = FrameNoise(
-        scene, 4, 0.01, np.arange(2.0 * channels).reshape(channels, 2), np.ones((channels, 1))
+        scene,
+        4,
+        0.01,
+        np.arange(2.0 * channels).reshape(channels, 2),
+        np.ones((channels, 1)),
+        motion=np.array([0.02, 0.01, 0.0]),
     )
     arrays = _arrays_of(noise)
     np.testing.assert_equal(vars(frame_noise_of(arrays, scene)), vars(noise))
@@ -126,6 +131,7 @@ def test_frame_noise_survives_its_arrays(readout: Any) -> None:
         {"unloaded": np.ones(2)},
         {"together": np.ones(channels)},
         {"apart": np.ones((4, 1))},
+        {"motion": np.ones(2)},
     ):
         with pytest.raises(ValueError, match="must"):
             frame_noise_of(arrays | wrong, scene)

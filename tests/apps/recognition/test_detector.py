@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from laws.recognised import answered
+from promises import promise
 from scipy.stats import multivariate_normal
 
 from docs.studies.attachments import recording as attached
@@ -536,6 +537,7 @@ def test_the_memory_of_a_lamprey_is_not_detected(creep: float) -> None:
     )
 
 
+@promise("apps/recognition/detect: **Attached is attached until the readings step.**")
 @pytest.mark.slow
 @pytest.mark.parametrize("load", [STRONG, SMALL_ROD], ids=["mouth", "rod"])
 @pytest.mark.parametrize("drift", [0.0, 0.02])

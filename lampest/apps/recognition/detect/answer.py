@@ -201,7 +201,7 @@ class Detected:
 
     @property
     def _headline(self) -> str:
-        """Counts of what sucks, in words, such as '7 lamprey visits, 2 unsure'."""
+        """Counts of sucking loads, in words, such as '7 lamprey visits, 2 unsure'."""
         return headline(self.called)
 
     def _described(self, load: Attachment, present: Sequence[Attachment]) -> str:
@@ -268,9 +268,7 @@ class Detected:
 def answer_of(
     load: Attachment, rate: float, threshold: float = MIN_PROBABILITY
 ) -> tuple[str, float, str]:
-    """Return the answer by one load, its probability, and a reason, or ''.
-
-    It is the reason why the answer is no more specific.
+    """Return the answer by one load.
 
     Parameters
     ----------
@@ -279,6 +277,13 @@ def answer_of(
         Frames per second.
     threshold : float
         Probability from which it is called a lamprey, or a suction cup.
+
+    Returns
+    -------
+    answer : str
+    probability : float
+    reason : str
+        Why the answer is no more specific, or ''.
     """
     breath = load.breath
     alive = load.sucks * load.lives
@@ -304,13 +309,13 @@ def answer_of(
 
 
 def _pumps_in_words(load: Attachment) -> str:
-    """Return what is known of pumps, where breathing does not show."""
+    """Return the evidence of pumps in words, where breathing does not show."""
     minutes = 0.0 if load.track is None else load.track.observed_s / 60
     if minutes < MIN_PUMP_MINUTES:
         return "whether suction is pumped up again shows within minutes"
     return (
-        f"in {minutes:.0f} minutes it was not pumped up in a way that tells a mouth (P = "
-        f"{load.pumps:.2f})"
+        f"in {minutes:.0f} minutes it was not pumped up in a way "
+        f"that tells a mouth (P = {load.pumps:.2f})"
     )
 
 
@@ -318,8 +323,8 @@ def _silence_in_words(load: Attachment) -> str:
     """Return why no breath is known yet."""
     if np.isfinite(load.breath.judged_s):
         return (
-            "its readings are never steady for long enough to show breathing, or too many "
-            "frames are missing"
+            "its readings are never steady for long enough to show breathing, "
+            "or too many frames are missing"
         )
     after = f"it moved at {load.moved_s[-1]:.1f} s, and " if load.moved_s else ""
     return f"{after}breathing shows when it has been in its place for {MIN_WINDOW_S:g} s"
@@ -328,7 +333,7 @@ def _silence_in_words(load: Attachment) -> str:
 def headline(called: Sequence[str]) -> str:
     """Return the counts of visits in words, such as '7 lamprey visits, 2 unsure, 1 suction cup'.
 
-    Of contacts alone it is their number, '3 contacts'.
+    If there are only contacts, the text is their number, such as '3 contacts'.
     """
     lampreys = called.count(LAMPREY)
     unsure = called.count(SUCKS)
@@ -365,8 +370,8 @@ def _described(load: Attachment) -> str:
     until = "since {:.1f} s" if load.until_s is None else "from {:.1f} s to {:.1f} s"
     diameter = f", {_shown(load.diameter_mm, 'mm')}" if load.diameter_mm else ""
     messages = [
-        f"{until.format(load.since_s, load.until_s)}{diameter} at ({load.x_mm[0]:.0f}, "
-        f"{load.y_mm[0]:.0f}) mm"
+        f"{until.format(load.since_s, load.until_s)}{diameter} at "
+        f"({load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}) mm"
     ]
     if load.suction_kpa and load.sucks > 0.5:
         messages.append(_shown(load.suction_kpa, "kPa"))
@@ -415,9 +420,9 @@ def event_table(answers: Sequence[Detected]) -> Table:
 
 
 def load_table(answers: Sequence[Detected]) -> Table:
-    """Return a table with a row for each attachment.
+    """Return a table with a row for each attachment, with figures of its touched cells.
 
-    It has probabilities, unless all panels are mats, and figures of the touched cells.
+    Probabilities are left out if all panels are mats.
     """
     shown = () if all(answer.mat for answer in answers) else tuple(CHANCES)
     rows = []

@@ -23,7 +23,6 @@ from lampest.files.errors import InputError
 from lampest.files.hdf5 import format_of
 from lampest.files.levels import NOISE_REACH
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
-from lampest.inference.compared_frames import baseline_readings
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import CircuitEffects, without_effects_of
 from lampest.inference.prepared import Prepared
@@ -34,7 +33,14 @@ from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import AT_LEAST, AT_MOST, VALUE, Readings, stand_in
-from lampest.recording.recording import MEASURED, TOUCHED, UNEVENLY, UNLOADED, Recording
+from lampest.recording.recording import (
+    MEASURED,
+    TOUCHED,
+    UNEVENLY,
+    UNLOADED,
+    Recording,
+    baseline_readings,
+)
 from lampest.recording.stored import StoredRecording
 from lampest.runs.case import CaseResult
 from lampest.runs.checks import kept_check
@@ -44,14 +50,17 @@ from lampest.runs.results import Results
 
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
 NO_RESPONSE = (
-    "no pressures and forces, since the scene names no response; shapes are fitted with "
-    "the published one"
+    "no pressures and forces, since the scene names no response; "
+    "shapes are fitted with the published one"
 )
 NOT_CHECKED = "the circuit was not checked: --no-check leaves it out"
 HEAD_FRAMES = 100  # measured frames from which, with the unloaded ones, the noise is estimated
 # Of the change to a bound: the cell is pressed at least so much, how much more is unknown.
 BOUND_SHARE = 0.1
 MIN_FRAME_SHARE = 1e-6  # of σ: the noise of a frame is no less, whatever rounding leaves
+# Assumed period of waves, s. Within T < P/2, a wave of the period P changes frames about their mean
+# by √12 P/(2π T) times less than in all.
+WAVE_S = 5.0
 Frames = Iterator[tuple[Array, Array, float]]
 
 
@@ -119,17 +128,18 @@ class Known:
             raise ValueError(
                 f"loads are recognised on panels and modules of up to {MAX_CELLS} cells"
             )
-        common = (
-            None
-            if noise is None or layout
-            else lambda measured: noise.columns(measured[None], baseline=False)
-        )
-        setup = WatchSetup.of(
-            self.scene, ModelErrors().of_scene(self.scene, self.reading_error), self.patch_mm
-        )
+        errors = ModelErrors().of_scene(self.scene, self.reading_error)
+        setup = WatchSetup.of(self.scene, errors, self.patch_mm)
+        if noise is not None and not layout:
+            electronic = replace(noise, motion=np.zeros(0))
+            setup = replace(
+                setup,
+                common=lambda measured: electronic.columns(measured[None], baseline=False),
+                motion=noise.motion,
+            )
         kind: type[Watch] | type[ImageWatch] = ImageWatch if layout else Watch
         return kind.begin(
-            replace(setup, common=common, explained=self.explained),
+            replace(setup, explained=self.explained),
             self.resting,
             self.sigma,
             self.unloaded,
@@ -189,8 +199,8 @@ class Known:
             for line, at in watch.faults
         )
         brief = tuple(
-            f"something touched the panel from {begin:.1f} s to {end:.1f} s, too shortly to be "
-            "recognised"
+            f"something touched the panel from {begin:.1f} s to {end:.1f} s, "
+            "too shortly to be recognised"
             for begin, end in watch.brief
         )
         slow = too_slow(rate) if any(load.sucks > 0.5 for load in attachments) else ""
@@ -208,10 +218,14 @@ class Known:
         return replace(detected, why=brief[-1]) if brief and not attachments else detected
 
     def values(self, readings: Readings) -> tuple[Array, Array]:
-        """Return the values and σ of one frame, (rows, columns).
+        """Return the values of one frame with their noise.
 
-        σ is infinite where a reading is no value and does not bound a change; see
-        `with_bounds_counted`.
+        Returns
+        -------
+        values : array, shape (rows, columns)
+        sigma : array, shape (rows, columns)
+            Infinite where a reading is no value and does not bound a change; see
+            `with_bounds_counted`.
         """
         sigma = self.sigma if readings.sigma is None else readings.sigma
         side = np.where(readings.seen > 0, readings.side, np.nan)
@@ -221,7 +235,7 @@ class Known:
 def with_bounds_counted(
     value: Array, sigma: Array, side: Array, resting: Array, resting_side: Array | None
 ) -> tuple[Array, Array]:
-    """Return values and σ of frames in which bounds count as far as they say anything.
+    """Return frames in which bounds count as far as they say anything.
 
     A bound beyond the resting reading is a change of that much at least: its value with a σ of
     BOUND_SHARE of the change. A bound that was one at rest, too, shows no change. All others have
@@ -235,6 +249,10 @@ def with_bounds_counted(
         Unloaded readings.
     resting_side : array, shape (rows, columns), or None
         Their sides; None: all are values.
+
+    Returns
+    -------
+    value, sigma : arrays, shape (…, rows, columns)
     """
     was_bound = np.zeros(resting.shape) if resting_side is None else resting_side
     change = value - resting
@@ -275,13 +293,18 @@ def _of_case(task: tuple[CaseResult, float | None, float]) -> Detected:
 
 
 def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Known, Frames]:
-    """Return the knowledge of a recording from its results, and its measured frames.
+    """Return the knowledge of a recording from its results, as from the recording itself.
 
-    They are as of the recording itself.
+    Returns
+    -------
+    known : Known
+    frames : iterable of (array, array, float)
+        Values and σ, (rows, columns), and the time in s of each measured frame.
     """
     side = np.where(case.valued, case.measured, np.nan)
     spread = case.sigma
     notes = tuple[str, ...]()
+    period = float(np.median(np.diff(case.time))) if len(case.time) > 1 else 0.0
     noise = frame_noise_of(case.frame_noise, case.scene)
     # Results of earlier versions have the number of unloaded frames beside the noise that frames
     # share.
@@ -295,7 +318,7 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
         deviation = np.minimum(deviation, spread[:HEAD_FRAMES].min(axis=0))
     baseline = case.measured_baseline
     baseline = np.where(np.isfinite(baseline), baseline, stand_in(baseline, np.isfinite(baseline)))
-    begin = float(case.time[0] - (np.median(np.diff(case.time)) if len(case.time) > 1 else 0.0))
+    begin = float(case.time[0]) - period
     known = Known(
         case.recording,
         case.scene,
@@ -305,7 +328,7 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
         np.repeat(baseline[None], count, axis=0),
         begin,
         case.reading_error,
-        noise,
+        _with_slow_waves(noise, (count - 1) * period),
         notes,
         patch_mm,
         explained=lambda: case.model_mark != "no",
@@ -323,12 +346,23 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
 def _frame_sigma(case: CaseResult, value: Array, sigma: Array, count: int) -> Array:
     """Return σ of one frame's readings by the σ of the mean of `count` frames.
 
-    It is without errors that all frames share. Averaging reduces neither the error of the model nor
+    Errors that all frames share are left out. Averaging reduces neither the error of the model nor
     the one of each reading, see `scaled` and `_with_reading_error` of `lampest.estimate`.
     """
     shared = own_errors(value, case.scene, case.error_in_sigma)
     square = count * sigma**2 / (1 + count * (case.model_factor**2 - 1)) - count * shared**2
     return np.asarray(np.sqrt(np.fmax(square, (MIN_FRAME_SHARE * sigma) ** 2)))
+
+
+def _with_slow_waves(noise: FrameNoise | None, lasted_s: float) -> FrameNoise | None:
+    """Return the noise with the motion of waves that are slower than the unloaded frames.
+
+    These frames last for `lasted_s`.
+    """
+    if noise is None:
+        return None
+    slower = 12**0.5 * WAVE_S / (2 * np.pi * max(lasted_s, 1e-9))
+    return replace(noise, motion=noise.motion * max(1.0, slower))
 
 
 @dataclass(frozen=True, eq=False)
@@ -381,7 +415,7 @@ def answer_recording(
 ) -> Unchecked:
     """Return the answer to a recording, which is read part by part.
 
-    It does not wait for the check of the circuit, unless the answer depends on it. A check that a
+    The answer does not wait for the check of the circuit, unless it depends on it. A check that a
     run has kept holds here, too. Raises InputError where the recording cannot be read.
 
     Parameters
@@ -484,7 +518,8 @@ def known_of(
             return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
         sigma, notes = _scattered(readings.plain_values)
     else:
-        noise = seen.frame
+        lasted_s = float(np.ptp(head.time[unloaded])) if len(unloaded) else 0.0
+        noise = _with_slow_waves(seen.frame, lasted_s)
         error = seen.reading_error
         besides = seen.corrected_effects
         scene = with_saturated_stage(head).scene
@@ -548,8 +583,8 @@ def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
         relative = sigma_of_frames(np.log(value))
         size = float(np.nan_to_num(np.nanmedian(relative)))
     message = (
-        f"the noise is unknown: {100 * size:.2g} % a reading, from differences of "
-        "neighbouring frames"
+        f"the noise is unknown: {100 * size:.2g} % a reading, "
+        "from differences of neighbouring frames"
     )
     return median * np.fmax(relative, max(size, 1e-6)), (message,)
 
@@ -557,7 +592,7 @@ def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
 def recordings_in(paths: Sequence[Path]) -> list[Path]:
     """Return the files, and of folders the recordings in them and in their folders.
 
-    They are in the order of their names.
+    The recordings of a folder are in the order of their names.
 
     Raises InputError for a folder without a recording.
     """

@@ -83,7 +83,7 @@ def _frame(
 ) -> tuple[Array, Array]:
     """Return the figures of one frame and their standard deviations, (5,) each.
 
-    NaN without touched cells.
+    The result is NaN without touched cells.
 
     Parameters
     ----------

@@ -173,7 +173,7 @@ def _with_error(name: str, load: dict[str, Any]) -> Any:
 def _clock(start: str | None, seconds: float) -> str | None:
     """Return the date and time that many seconds after the start, to a tenth of a second.
 
-    None without a start.
+    The result is None without a start.
     """
     if not start:
         return None
@@ -237,10 +237,10 @@ def write_visits(path: str | Path, visits: Sequence[Visit]) -> Path:
 
 
 def count_table(answers: Sequence[Detected], visits: Sequence[Visit]) -> Table:
-    """Return the visits of lampreys, and of what may be one, of each day.
+    """Return the certain and the possible visits of lampreys of each day.
 
-    They are counted by day and by night, and per recorded hour. Recordings without a clock are one
-    row.
+    Visits are counted by day and by night, and per recorded hour. Recordings without a clock are
+    one row.
     """
     hours = dict[str, list[float]]()
     for answer in answers:

@@ -1,7 +1,7 @@
 """`lampest study paper`: the paper's figures and table compared with ours.
 
 The comparison is written as one HTML file, pictures and numbers.csv. The shipped scenes are solved
-by the five methods. Figures show the published numbers as marks or in words beside ours.
+by the five methods. Figures show the published numbers as marks or in words, together with ours.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -99,7 +99,7 @@ class MouthMap(NamedTuple):
 class ErrorRow(NamedTuple):
     """A row of table I: time of a step in s, and |f(r) − R_m|/R_m in percent.
 
-    Both have mean and standard deviation.
+    A number is given by its mean and standard deviation.
     """
 
     method: str
@@ -559,8 +559,8 @@ def tiles_of(side: Side, published: Published) -> dict[str, list[Tile]]:
         change = side.change(published.mouth_method, number)
         title = f"({mouth.letter}) mouth of {mouth.diameter_mm:g} mm, {published.mouth_method}"
         note = (
-            f"ours {' × '.join(map(str, covered(change)))} cells, paper {mouth.cells} × "
-            f"{mouth.cells}"
+            f"ours {' × '.join(map(str, covered(change)))} cells, "
+            f"paper {mouth.cells} × {mouth.cells}"
         )
         tiles["fig9"].append(Tile(title, change, note))
     return tiles

@@ -1,16 +1,25 @@
-"""Acceptance of a step: whether the cost falls by enough of what the quadratic model predicts.
+"""Progress of a descent: acceptance of steps, and the end of a solve without an optimum.
 
-Source: Nocedal & Wright, Numerical Optimization, 2006, algorithms 3.1 and 4.1.
+A step is accepted if the cost falls by a share of the quadratic model's prediction. A solve ends if
+its steps have lowered the cost too little for too long, or if its time is over.
+Source: Nocedal & Wright, Numerical Optimization, 2006, algorithms 3.1 and 4.1, section 3.1
+(stopping by the decrease of the cost).
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lampest.cost.problem import Data
 from lampest.panel.trust_region import SUFFICIENT_DECREASE
 from lampest.solvers.bounds import MIN_DECREASE_SHARE
 from lampest.solvers.iterate import Iterate
+from lampest.solvers.solution import Status
+from lampest.solvers.steps import STEPS
+
+History = Sequence[tuple[float, float]]
 
 
 def decreases_enough(
@@ -57,3 +66,38 @@ def sufficient_decrease(point: Iterate, trial: Iterate, predicted: float) -> boo
             trial.residual,
         )
     )
+
+
+def late_or_stalled(data: Data, history: History) -> Status | None:
+    """Return the status of a solve that is overdue or stalled, or None.
+
+    Parameters
+    ----------
+    data : Data
+    history : sequence of (cost, projected gradient)
+        One pair for each iteration with the same smoothing.
+    """
+    if data.overdue:
+        return Status.TIME
+    return Status.STALLED if stalled(history) else None
+
+
+def stalled(history: History) -> bool:
+    """Return whether cost and projected gradient have stalled over a full window.
+
+    Neither cost nor gradient fell by the required amount in the window.
+
+    A stalled solve is one whose cost has stopped falling although its gradient has not vanished:
+    the data and penalties leave a valley whose floor is flat, or a loss has corners that second
+    derivatives do not show.
+
+    Parameters
+    ----------
+    history : sequence of (cost, projected gradient)
+        One pair for each iteration with the same smoothing.
+    """
+    if len(history) <= STEPS.window:
+        return False
+    first, steep = history[-STEPS.window - 1]
+    last, residual = history[-1]
+    return first - last < STEPS.min_decrease * abs(last) and residual > STEPS.min_reduction * steep
