@@ -196,10 +196,13 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
         return
     volt = readout.volt_from_recorded(specified.recorded)
     apparent = _logarithm(readout, scene, specified.recorded)
-    for circuit in _circuits_beside(readout, scene):
+    # With potentials a reading may rise and fall with its cell, so that no sense is known
+    with_potentials = tuple(_with_potentials(readout, scene))
+    for circuit in (*with_potentials, *_circuits_beside(readout, scene)):
         values = circuit.recorded_from_volt(volt)
         sense = _sense(apparent, _logarithm(circuit, scene, values))
-        if circuit == readout or not (sense > 0 or (reversed_too and sense < 0)):
+        known = circuit in with_potentials or sense > 0 or (reversed_too and sense < 0)
+        if circuit == readout or not known:
             continue
         sigma = specified.sigma if circuit.unit == readout.unit else None
         with suppress(ValueError):  # the kind may have no model of another entry of the scene
@@ -271,7 +274,6 @@ def _with_converter(
 def _circuits_beside(readout: Readout, scene: Scene) -> Iterator[Any]:
     """Generate the readout with lines read in parallel, then all variants of every kind."""
     yield from _in_parallel(readout, scene)
-    yield from _with_potentials(readout, scene)
     for kind in members_of(AnyReadout):
         yield from _variants(kind, readout)
 
