@@ -429,6 +429,14 @@ class Scene(Configuration):
         return Wiring(lines, joined, self.contact_prior) if wired else None
 
 
+def specified(scene: Scene, key: str) -> Any:
+    """Return the entry of a scene at a dotted key; None where it is absent."""
+    entry: Any = scene
+    for part in key.split("."):
+        entry = None if isinstance(entry, str) else getattr(entry, part, None)
+    return entry
+
+
 def validated_scene(document: Document) -> Scene:
     """Return the scene of a document, with the keys that installed applications add.
 

@@ -81,6 +81,7 @@ def test_a_first_reconstruction_loads_no_application_and_no_room_above() -> None
     assert not rooms & {"apps", "audit", "cli", "runs"}
     above = {name for name in modules if name.startswith("lampest.report.")}
     assert above == {"lampest.report.reconstruction"}
+    assert not [name for name in modules if name.startswith("lampest.inference.effects")]
     assert len(modules) <= MAX_LOADED
 
 
