@@ -125,9 +125,9 @@ def two_point_resistances(cells: Array, leak_ohm: float = np.inf) -> Array:
 
 
 def in_digits(cells: Array, digits: int = 50) -> Array:
-    """R between rows and columns of cells by mpmath, with the first row grounded.
+    """Return R between rows and columns of cells by mpmath, with the first row grounded.
 
-    It is inf where current has no way.
+    R is infinite between lines that no path joins.
     """
     rows, columns = cells.shape
     with mpmath.workdps(digits):
@@ -271,9 +271,9 @@ def load_of(
 
 
 def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
-    """Drives, panel, channels and loads of a readout in volt.
+    """Return drives, panel, channels and loads of a readout in volt, for one pair of lines.
 
-    They are those while one line is driven and one is sensed.
+    One line is driven, and one is sensed.
     """
     lines, sense_lines = (range(count) for count in matrix.shape)
     states = (

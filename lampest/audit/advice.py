@@ -50,8 +50,8 @@ class Audit:
     def _effects(self) -> tuple[Finding, ...]:
         """Return the unnamed effects.
 
-        Under a wrong circuit effects mean nothing. Where no circuit explains the readings, the
-        first effect counts with which the scene's does.
+        Under a wrong circuit effects mean nothing. If no circuit explains the readings, only the
+        first effect with which the scene's circuit explains them counts.
         """
         check = self.prepared.check
         found = unnamed_effects(self.prepared) if check.explains is not None else ()

@@ -118,7 +118,7 @@ class Health:
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """A recording as the checks look at it."""
+    """Quantities of a recording that the checks share."""
 
     recording: Recording
 

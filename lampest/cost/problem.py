@@ -30,7 +30,7 @@ Panels = NDArray[np.intp] | int
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """Data of one solve, or with a leading axis those of many panels of one shape.
+    """Data of one solve, or of solves of many panels of one shape along a leading axis.
 
     Attributes
     ----------

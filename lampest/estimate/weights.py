@@ -27,7 +27,6 @@ from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel, rank
 from lampest.posterior.reference import MAX_CELLS, Reference, references
-from lampest.posterior.sampled import SampledErrors
 from lampest.posterior.spectrum import (
     Spectrum,
     best_weight,
@@ -318,7 +317,7 @@ class WeightSearch:
         along it.
         """
         model = point.errors.model
-        if isinstance(point.errors, SampledErrors):
+        if not point.errors.exact:
             step = np.log(next_weights(model, self.open_terms)) - place
             return step, step
         settled = np.log(settled_weights(model, self.open_terms)) - place
@@ -333,7 +332,11 @@ class WeightSearch:
         if solution.at is None or solution.dual is None:
             raise ArithmeticError(solution.status)
         model = LinearModel(solution.at, solution.dual, deviation=scale * data.deviation)
-        errors = (SampledErrors if data.measured.size > MAX_CELLS else DenseErrors)(model)
+        errors = DenseErrors(model)
+        if data.measured.size > MAX_CELLS:
+            from lampest.posterior.sampled import SampledErrors
+
+            errors = SampledErrors(model)
         return EvidencePoint(scale, weights, solution.cell_resistance, errors)
 
 

@@ -108,8 +108,8 @@ class FittedPair:
     def scale_error(self) -> float | None:
         """Median error of the changes d of moved cells by the numbers that no frame shows.
 
-        The numbers are at their tolerances' ends. None where the scene has no such numbers, or no
-        cell moves.
+        Each number is taken at the ends of its tolerance. The value is None where the scene has no
+        such numbers, or no cell moves.
         """
         scene = self.frames[0].scene
         sizes = systematic_of(scene)

@@ -23,7 +23,7 @@ from lampest.files.levels import FALSE_ALARM_RATE, OUTLIER_THRESHOLD
 from lampest.files.typed import members_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import AnyReadout, Readout
-from lampest.panel.readouts.characteristic import Characteristic, Known, known
+from lampest.panel.readouts.converter import Characteristic, Known, known
 from lampest.panel.readouts.driven_readout import DrivenReadout
 from lampest.panel.readouts.lines import SeriesPerLine, Side, opposite
 from lampest.panel.scene import Scene
@@ -110,7 +110,7 @@ class Rival:
     def addition(self) -> dict[str, Any]:
         """Entries that make the specified scene one of this circuit, numbers with two digits.
 
-        It is empty where the readings have another order, which no entry states.
+        No entry states another order of the readings: the mapping is then empty.
         """
         if self.order is not None:
             return {}
@@ -473,7 +473,8 @@ def _shared(specified: Any) -> dict[str, Any]:
 def _entries(circuit: Readout, specified: Readout) -> dict[str, Any]:
     """Return the entries of a readout that state a circuit.
 
-    It is the single setting that differs from the specified one, or all its words.
+    The single setting that differs from the specified one is enough; otherwise all settings in
+    words are stated.
     """
     groups = getattr(circuit, "groups", None)
     specified_groups = getattr(specified, "groups", None)

@@ -232,6 +232,11 @@ class Panel(Configuration):
         x, y = ((float(np.nanmin(axis)), float(np.nanmax(axis))) for axis in self.places_mm)
         return x, y
 
+    @cached_property
+    def bare(self) -> "Panel":
+        """The panel without pitch and modules, on which no cost depends."""
+        return Panel(*self.shape) if self.cells is None else self
+
     @property
     def network(self) -> "Panel":
         """The panel that is one network: itself, or each of its modules."""

@@ -275,7 +275,7 @@ def run_batch(
 def _with_unfinished(
     tasks: Sequence[Task], finished: Mapping[Path, StoredCase]
 ) -> list[StoredCase]:
-    """Return the results of all cases in order, of unfinished ones those of the finished frames."""
+    """Return the results of all cases in order; unfinished cases have their finished frames."""
     unfinished = _results([task for task in tasks if task.file not in finished], unfinished=True)
     results = {**finished, **unfinished}
     return [results[task.file] for task in tasks if task.file in results]
@@ -319,7 +319,7 @@ def _unchecked(checked: Mapping[str, RecordingCheck | BaseException | None]) -> 
 def _different_lines(
     cases: Sequence[StoredCase], name: Literal["warnings", "advice"]
 ) -> tuple[str, ...]:
-    """Return the different lines of results' warnings or advice, behind their recordings' names."""
+    """Return the different lines of warnings or advice, each after its recording's name."""
     lines = list[str]()
     for case in cases:
         text = getattr(case, name)

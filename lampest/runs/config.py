@@ -13,9 +13,8 @@ from lampest.cost.given import Background
 from lampest.cost.terms import AnyTerm, Term, term_types
 from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
-from lampest.estimate.objective import Tare
+from lampest.estimate.objective import Tare, Verify
 from lampest.estimate.parts import check_by_parts
-from lampest.estimate.witness import Verify
 from lampest.files import sweep
 from lampest.files.document import (
     Document,
@@ -76,7 +75,7 @@ def terms_of(terms: Any) -> tuple[Term, ...]:
 class Choices:
     """Options of a run file for all estimators, or of an estimator.
 
-    The latter override solver and bounds by key.
+    Solver and bounds of an estimator override single keys of those for all.
     """
 
     __pydantic_config__: ClassVar[Any] = FORBID

@@ -298,7 +298,7 @@ class Solver(ABC):
         return type(self).__name__
 
     def prepare(self) -> None:
-        """Compile the cost, so that the first solve is not charged for it."""
+        """Compile the cost, so that the time of the first solve excludes it."""
         _ = self.cost.functions
 
     def continued(self, carried: object) -> "Solver":

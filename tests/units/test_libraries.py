@@ -1,6 +1,6 @@
-"""Libraries: what is said where one is missing, and which commands do without some.
+"""Libraries: messages where one is missing, and commands that import fewer.
 
-These are the ones that take long to import.
+The commands do without libraries that take long to import.
 """
 
 import ast

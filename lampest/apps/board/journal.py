@@ -254,7 +254,7 @@ def _refusal(storage: PatientFile) -> str:
 
 
 def _most_bytes(rows: Rows, scene: Scene, frames: int) -> int:
-    """Return the most bytes that so many further frames take, with their events.
+    """Return the most bytes that a number of further frames take, with their events.
 
     Each dataset begins one chunk more than it fills, and a block of their addresses.
     """

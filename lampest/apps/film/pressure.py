@@ -1,7 +1,7 @@
 """Pressures of loads from the ratio of cell resistances to their unloaded values.
 
-`PressureTrack` follows the film from frame to frame and gives pressures with their errors. Also the
-pressure of water, and the force of a frame.
+`PressureTrack` follows the film from frame to frame and gives pressures with their errors.
+`total_force` gives the force of a frame.
 """
 
 from collections.abc import Callable, Iterable

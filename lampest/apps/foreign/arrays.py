@@ -100,8 +100,15 @@ def joined_frames(parts: Sequence[Frames], files: Sequence[str], source: str, no
 
     A note that some files lack names those that have it.
 
-    files : names of the files.
-    source : name of all of them, which have no times.
+    Parameters
+    ----------
+    parts : sequence of Frames
+        Frames of each file.
+    files : sequence of str
+        Names of the files.
+    source : str
+        Name of all files together, which have no times.
+    note : str
     """
     ends = np.cumsum([len(part.numbers) for part in parts])
     begins = (ends - [len(part.numbers) for part in parts]).tolist()

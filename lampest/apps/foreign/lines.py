@@ -1,7 +1,7 @@
 """Lines and fields of texts and sheets.
 
-Encoding, separators, comments, a terminal's time before a line. Nothing here knows readings;
-`lampest.apps.foreign.table` finds the lines and columns that hold some.
+The module handles encoding, separators, comments, and a terminal's time before a line, but no
+readings; `lampest.apps.foreign.table` finds the lines and columns that hold some.
 """
 
 import csv

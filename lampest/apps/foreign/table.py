@@ -318,7 +318,9 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     )
     parsed = Parsed.of(source.fields, comma=comma)
     data = _data_lines(source, parsed.words)
-    usual = _usual_count(source.counts[data])
+    # the most frequent number of fields, of equally frequent ones the largest
+    often = Counter(source.counts[data].tolist())
+    usual = max(often, key=lambda count: (often[count], count), default=0)
     complete = source.counts == usual
     # A damaged byte in a line with one field less was a separator: the fields on both sides of it
     # are missing.
@@ -376,15 +378,6 @@ def _laid_out(table: ReadingsTable, layout: str) -> ReadingsTable:
     note = f"fields {first_and_more([field + 1 for field in skipped])} left out, as `layout` says"
     named = [field for field in range(table.width) if field not in skipped]
     return replace(table.only(columns=named), notes=(*table.notes, note))
-
-
-def _usual_count(counts: Index) -> int:
-    """Return the most frequent number of fields; 0 without a line.
-
-    If several numbers are equally frequent, the largest counts.
-    """
-    often = Counter(counts.tolist())
-    return max(often, key=lambda count: (often[count], count), default=0)
 
 
 def _width(fields: NDArray[Any], usual: int) -> int:

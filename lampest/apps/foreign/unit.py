@@ -73,7 +73,7 @@ def _possible_units(readout: Readout | None) -> Sequence[str]:
 def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tuple[list[str], str]:
     """Return the allowed units that explain the values, and the reason.
 
-    The reason is of one unit, why it is; of several, a remark.
+    The reason explains a single unit; for several units it is a remark.
     """
     top = 2**readout.adc_bits - 1
     supply = readout.full_scale_volt

@@ -40,8 +40,7 @@ Say = Callable[[str], None]
 class Publish(ABC):
     """A protocol with its address `KIND://USER:PASSWORD@HOST:PORT/PATH`.
 
-    token : required of listeners. Subclasses have their own defaults for missing parts of the
-    address.
+    Subclasses have their own defaults for missing parts of the address. Listeners need `token`.
     """
 
     kind: ClassVar[str]
@@ -78,9 +77,8 @@ class Publish(ABC):
     def opened(self, say: Say) -> AbstractContextManager[tuple[str, Send]]:
         """Yield the public address and a function that sends a message.
 
-        Sending never waits for listeners: slow ones miss messages. say : receives sentences about
-        the connection.
-        Raises InputError for a missing library and an unreachable peer.
+        Sending never waits for listeners: slow ones miss messages. `say` receives sentences about
+        the connection. Raises InputError for a missing library and an unreachable peer.
         """
 
 
@@ -165,7 +163,8 @@ def _describe(element: Any, content: dict[str, Any]) -> None:
 class OscPublish(Publish):
     """`osc://HOST:PORT/PREFIX`: a bundle of messages for each frame over UDP, without confirmation.
 
-    What one datagram does not hold follows in further ones; a message that none holds is left out.
+    Messages beyond the size of a datagram follow in further ones. A message that is larger than a
+    datagram is left out.
     """
 
     kind: ClassVar[str] = "osc"
@@ -345,7 +344,7 @@ class WebsocketPublish(Publish):
     """`websocket://ADDRESS:PORT`: a server that sends each message to all listeners.
 
     A message is sent as a line of JSON. Pages of this computer and programs may listen; from
-    elsewhere a token is needed. port : 0 is any that is free.
+    elsewhere a token is needed. Port 0 stands for any free port.
     """
 
     kind: ClassVar[str] = "websocket"

@@ -1,6 +1,6 @@
 """HTTP server of the live page and its views (server-sent events).
 
-GET of two paths, POST of three requests.
+The server answers GET of two paths and POST of three requests.
 """
 
 import os

@@ -262,7 +262,10 @@ class Constants:
         content = parse_document(case.case_yaml, f"{case.recording} × {case.estimator}").content
         terms = content["terms"]
         (data,) = [term for term in terms if term["kind"] == "misfit"]
-        plain = _plain_sigma(case) if data.get("weighting", "plain") == "plain" else 0.0
+        plain = 0.0  # typical σ of a reading in its own unit
+        if data.get("weighting", "plain") == "plain":
+            assert case.sigma is not None
+            plain = float(np.median(case.sigma[case.valued]))
         scale = (plain or 1.0) ** 2 * data.get("weight", 1.0)
         penalties = tuple(_penalty(term, case, scale) for term in terms if term is not data)
         loss, corner = _loss(data)
@@ -497,12 +500,6 @@ def _sigma_volt(case: CaseResult, recorded: Array) -> Array:
 def _median(values: Array, otherwise: float) -> float:
     finite = values[np.isfinite(values)]
     return float(np.median(finite)) if finite.size else otherwise
-
-
-def _plain_sigma(case: CaseResult) -> float:
-    """Return the typical σ of a reading in its own unit."""
-    assert case.sigma is not None
-    return float(np.median(case.sigma[case.valued]))
 
 
 def _largest(case: CaseResult) -> float:

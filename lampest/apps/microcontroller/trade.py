@@ -1,6 +1,6 @@
-"""What a budget buys, measured on a recording's own frames.
+"""Trade-off of budgets, measured on a recording's own frames.
 
-Deviation from the optimum, operations, and time.
+A budget is judged by its deviation from the optimum, its operations, and its time.
 """
 
 from collections.abc import Sequence

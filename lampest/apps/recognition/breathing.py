@@ -115,9 +115,9 @@ class Breathing:
 
         The odds of a full window are kept. Assumptions: one mouth in twenty never shows its breath,
         because it is faint or at half the frame rate, and a mouth pauses in one window of twenty.
-        Of incomplete windows, two successive ones have to agree
-        that the suction oscillates: with the last one alone, two of 75 shaken cups were taken for
-        lampreys for a second (docs/studies/mouths.md).
+        Of incomplete windows, two successive ones have to agree that the suction oscillates: with
+        the last one alone, two of 75 shaken cups were taken for lampreys for a second
+        (docs/studies/mouths.md).
         """
         judged = replace(self, judged_s=time, full_s=time if full else self.full_s)
         if breath is None:

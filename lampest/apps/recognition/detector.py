@@ -120,7 +120,8 @@ class Detector:
         single = self._settled(frame, coarse if shaped else (), field, without)
         groups = groups_of(frame.panel, states(frame.panel, field.change) > 1)
         verdict = single
-        if 2 <= len(groups) <= self.most_loads and self._doubtful(frame, single, field):
+        poor = single.best.candidate is FIELD or single.goodness > MAX_MEAN_SQUARE
+        if 2 <= len(groups) <= self.most_loads and (poor or self._incomplete(frame, single, field)):
             several = self._together(
                 kinds, without, field, [self._under(frame.panel, group) for group in groups]
             )
@@ -395,11 +396,6 @@ class Detector:
             self.fitting(kind, frame).best(kind.mean(frame.panel), whitening) for kind in UNIFORM
         ]
         return Verdict.of((*uniform, *fits), frame, places)
-
-    def _doubtful(self, frame: Observation, verdict: Verdict, field: Fit) -> bool:
-        """Return whether the best fit is poor, or leaves changes unexplained."""
-        poor = verdict.best.candidate is FIELD or verdict.goodness > MAX_MEAN_SQUARE
-        return poor or self._incomplete(frame, verdict, field)
 
     @staticmethod
     def _incomplete(frame: Observation, verdict: Verdict, field: Fit) -> bool:

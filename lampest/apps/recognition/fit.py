@@ -587,8 +587,8 @@ class Verdict:
     def changed(self) -> Array:
         """ln r/r0 of the cells that have clearly changed, and 0 of the others, (rows, columns).
 
-        A shape that is of one mind with them says by how much, because the prior of free cells
-        draws large ones in.
+        A shape that agrees with these cells determines their change, because the prior of free
+        cells shrinks large changes.
         """
         cells = self.frame.free_map
         shaped = self.best.change

@@ -421,8 +421,8 @@ class Watch:
     def _with_brief_load(self) -> "Watch":
         """Return the watch with a load that has left before it was looked at.
 
-        On a mat its contacts are recognised, from the frames in which it stood. What sucks is not
-        known so soon, so elsewhere it is noted alone.
+        On a mat its contacts are recognised, from the frames in which it stood. Suction is not
+        known so soon, so on other panels only the time of the load is noted.
         """
         if self._recognised:
             return self

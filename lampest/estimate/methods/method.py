@@ -17,17 +17,15 @@ from lampest.cost.terms import Term
 from lampest.estimate.objective import Objective
 from lampest.estimate.state import AnyState, SequenceState, Step
 from lampest.estimate.weights import with_chosen_weights
-from lampest.estimate.witness import compared, testimony
 from lampest.files.errors import BROKEN
 from lampest.files.levels import Witness
 from lampest.files.process import delayed_interrupt, ended_where_hung
 from lampest.files.typed import Configuration
-from lampest.inference.assumptions import UNKNOWN_SD
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
-from lampest.posterior.linear import LinearModel
+from lampest.posterior.linear import UNKNOWN_SD, LinearModel
 from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
 from lampest.solvers.multistart import best_solution, lower_of, settles
@@ -279,6 +277,8 @@ class Method(Configuration):
         after, step
             State after the frame, and its step with the comparison.
         """
+        from lampest.estimate.witness import compared, testimony
+
         weighted = state.estimator.with_weights(
             step.weights, step.weight_sigma, step.prior_variance
         )
@@ -294,7 +294,7 @@ class Method(Configuration):
         return replace(after, estimator=state.estimator), lower
 
     def after(self, state: AnyState, step: Step, readings: Readings) -> tuple[AnyState, Step]:
-        """Follow a solved frame with the state.
+        """Update the state by a solved frame.
 
         Returns
         -------
@@ -381,8 +381,13 @@ class OptimalMethod(Method):
 
     A certificate verifies the optimum independently of the solver.
 
-    joint : whether terms that compare frames solve the baseline together with the first frame
-    (paper, equations 15 and 21), rather than the baseline alone and the first frame against it.
+    Attributes
+    ----------
+    kind : {'per_pixel', 'nodal', 'reduced', 'auto'}
+        Formulation, see `solver`.
+    joint : bool
+        Whether terms that compare frames solve the baseline together with the first frame (paper,
+        equations 15 and 21), rather than the baseline alone and the first frame against it.
 
     >>> lampest.Estimator((lampest.Misfit(),), lampest.OptimalMethod(kind="reduced")).method.kind
     'reduced'
@@ -403,10 +408,11 @@ class OptimalMethod(Method):
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
         """Return the solver of the formulation.
 
-        per_pixel, nodal : IPOPT with node voltages as unknowns. reduced : Newton with potentials
-        eliminated. auto : nodal where IPOPT takes a few hundredths of the time between frames, else
-        reduced: on panels of up to NODAL_CELLS with squared losses, if frames are at least
-        NODAL_PERIOD apart, and one panel gives their readings.
+        'per_pixel' and 'nodal' are solved by IPOPT with node voltages as unknowns, 'reduced' by
+        Newton's method with potentials eliminated. 'auto' is nodal where IPOPT takes a few
+        hundredths of the time between frames, else reduced: on panels of up to NODAL_CELLS with
+        squared losses, if frames are at least NODAL_PERIOD apart, and one panel gives their
+        readings.
         """
         kind = self.kind
         if kind == "auto":

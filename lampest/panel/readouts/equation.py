@@ -126,7 +126,10 @@ class DrivenLines(Protocol):
         """Potentials in which lines end."""
 
     def states(self, driven: int, sensed: int) -> LineStates:
-        """Return the resistances of the lines of a panel with so many driven and sensed ones."""
+        """Return the resistances of the lines of a panel.
+
+        The arguments are the panel's numbers of driven and sensed lines.
+        """
 
 
 @lru_cache(maxsize=256)

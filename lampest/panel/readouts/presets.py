@@ -104,7 +104,7 @@ class LoadedColumnsReadout(DrivenCircuit):
     def states(self, driven: int, sensed: int) -> LineStates:
         """Return the states: idle driven lines float, loads stay.
 
-        With groups they are behind the multiplexers.
+        Groups have their loads behind the multiplexers.
         """
         load = parallel(per_line("load_ohm", self.load_ohm, sensed), self.input_ohm)
         idle_load = load if self.groups is None else np.full(sensed, inf)

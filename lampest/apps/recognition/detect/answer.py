@@ -320,7 +320,7 @@ def _pumps_in_words(load: Attachment) -> str:
 
 
 def _silence_in_words(load: Attachment) -> str:
-    """Return why no breath is known yet."""
+    """Return the reason why no breath is known yet."""
     if np.isfinite(load.breath.judged_s):
         return (
             "its readings are never steady for long enough to show breathing, "

@@ -23,10 +23,10 @@ from lampest.files.errors import InputError
 from lampest.files.hdf5 import format_of
 from lampest.files.levels import NOISE_REACH
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
+from lampest.inference.effects.converter_ends import with_saturated_stage
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import CircuitEffects, without_effects_of
 from lampest.inference.prepared import Prepared
-from lampest.inference.saturation import with_saturated_stage
 from lampest.inference.warnings import warnings_of
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene

@@ -38,7 +38,7 @@ def plot_timelines(
 ) -> list[Path]:
     """Draw every recording into timeline_<recording>.png in a folder; return the files.
 
-    on_picture : as in `write_all`. Raises InputError if the folder cannot be written.
+    `on_picture` is called as in `write_all`. Raises InputError if the folder cannot be written.
     """
     shown = [answer for answer in answers if answer.course is not None]
     return write_all(

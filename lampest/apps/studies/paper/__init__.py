@@ -282,7 +282,7 @@ def unloaded(recording: Recording) -> Array:
 
 
 class Paper(NamedTuple):
-    """Published numbers and ours; figures : by the names of their files."""
+    """Published numbers and ours, and the figures by the names of their files."""
 
     published: Published
     names: tuple[str, ...]
@@ -364,7 +364,7 @@ def page_of(paper: Paper) -> str:
 
 
 class PublishedNumber(NamedTuple):
-    """A published number and ours; ours : one for each side, NaN if unavailable."""
+    """A published number and ours for each side, NaN if unavailable."""
 
     figure: str
     quantity: str
