@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from lampest.estimate.estimator import AutoWeight
     from lampest.estimate.methods import MethodName
     from lampest.estimate.methods.method import Method
-    from lampest.estimate.objective import Tare
-    from lampest.estimate.witness import Verify
+    from lampest.estimate.objective import Tare, Verify
     from lampest.recording.recording import Recording
     from lampest.report.reconstruction import Reconstruction
     from lampest.solvers.posed import Bounds

@@ -39,12 +39,12 @@ from .estimate.methods.method import Method as Method
 from .estimate.methods.method import OptimalMethod as OptimalMethod
 from .estimate.methods.smoother import SmootherMethod as SmootherMethod
 from .estimate.objective import Tare as Tare
+from .estimate.objective import Verify as Verify
 from .estimate.own_program import OwnProgram as OwnProgram
 from .estimate.own_program import OwnSolution as OwnSolution
 from .estimate.own_program import program as program
 from .estimate.state import Step as Step
 from .estimate.stream import Stream as Stream
-from .estimate.witness import Verify as Verify
 from .files.errors import InputError as InputError
 from .inference.model_check import ModelCheck as ModelCheck
 from .panel.conditions import Experiment as Experiment
@@ -56,7 +56,7 @@ from .panel.panel import Array as Array
 from .panel.panel import Panel as Panel
 from .panel.readouts import Readout as Readout
 from .panel.readouts import TwoPointReadout as TwoPointReadout
-from .panel.readouts.characteristic import Characteristic as Characteristic
+from .panel.readouts.converter import Characteristic as Characteristic
 from .panel.readouts.diode import Diode as Diode
 from .panel.readouts.driven_readout import DrivenReadout as DrivenReadout
 from .panel.readouts.floating import two_point_resistance as two_point_resistance

@@ -89,9 +89,9 @@ def lampest() -> Callable[..., Any]:
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
-    """Installs a package of one module, `addon`.
+    """Return a function that installs a package of one module, `addon`.
 
-    It names something in each given group of entry points.
+    The package names an object in each given group of entry points.
     """
 
     def install(module: str, **named: str) -> None:

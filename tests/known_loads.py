@@ -80,9 +80,9 @@ def rod(x: float, y: float, diameter: float, kpa: float) -> Rod:
 def moved_over(
     bench: Bench, kpa: Sequence[float], diameter: float, step: float
 ) -> tuple[list[list[Shape]], list[KnownLoad]]:
-    """Rods of some pressures moved over the panel in steps.
+    """Return rods of some pressures, moved over the panel in steps, and their known loads.
 
-    It is where they stood, to half a mm, and what is said of it.
+    True places deviate from the known ones by half a mm.
     """
     rng = np.random.default_rng([bench.seed, 5])
     xs, ys = (np.arange(0, 10.0 * (count - 1) + 0.1, step) for count in bench.panel.shape[::-1])

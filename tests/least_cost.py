@@ -1,9 +1,7 @@
-"""The cost of an estimate and its minimum, stated a second time in plain numpy and SciPy.
+"""The cost of an estimate and its minimum, stated a second time in plain NumPy and SciPy.
 
-No test stands here.
-
-It shares no code with the package: potentials by one dense inverse, all derivatives as matrices,
-SciPy's trust region. Cells are u = log r, flat, one frame after the other.
+The module holds no test and shares no code with the package: potentials by one dense inverse, all
+derivatives as matrices, SciPy's trust region. Cells are u = log r, flat, one frame after the other.
 """
 
 from collections.abc import Iterator
@@ -262,10 +260,7 @@ class LeastCost:
         )
 
     def blank(self) -> float:
-        """The data terms' cost where all readings are zero.
-
-        It is what a rounded misfit is small against.
-        """
+        """Cost of the data terms where all readings are zero, the scale of a rounded misfit."""
         total = 0.0
         for term in self.terms:
             if term.kind == "misfit":

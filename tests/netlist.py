@@ -125,9 +125,9 @@ def two_point_resistances(cells: Array, leak_ohm: float = np.inf) -> Array:
 
 
 def in_digits(cells: Array, digits: int = 50) -> Array:
-    """R between rows and columns of cells by mpmath, with the first row grounded.
+    """Return R between rows and columns of cells by mpmath, with the first row grounded.
 
-    It is inf where current has no way.
+    R is infinite between lines that no path joins.
     """
     rows, columns = cells.shape
     with mpmath.workdps(digits):
@@ -179,7 +179,7 @@ def volt_of(matrix: Array, readout: Any, driven: int, sensed: int) -> float:
     ]
     if has_potentials(readout):
         return with_potentials(network, readout, low, sensed)
-    volt = potentials(network, {"high": high, "low": low})
+    volt = potentials(network, {"high": high, "low": low, "ground": 0.0})
     if isinstance(readout, VirtualGroundReadout):
         through = [
             (volt["d", line] - volt["s", sensed]) / ohm
@@ -208,6 +208,7 @@ def with_potentials(network: list[Resistor], readout: Any, low: float, sensed: i
     held = {
         "high": source,
         "low": low,
+        "ground": 0.0,
         "load end": load,
         "idle load end": load if readout.idle_load_volt is None else readout.idle_load_volt,
     }
@@ -266,13 +267,13 @@ def load_of(
         (("s", line), ("load", line), channel),
         (("load", line), end, load),
     ]
-    return resistors + ([] if input_ohm is None else [(("load", line), "low", input_ohm)])
+    return resistors + ([] if input_ohm is None else [(("load", line), "ground", input_ohm)])
 
 
 def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
-    """Drives, panel, channels and loads of a readout in volt.
+    """Return drives, panel, channels and loads of a readout in volt, for one pair of lines.
 
-    They are those while one line is driven and one is sensed.
+    One line is driven, and one is sensed.
     """
     lines, sense_lines = (range(count) for count in matrix.shape)
     states = (

@@ -20,10 +20,7 @@ def foot(rng: np.random.Generator) -> Panel:
 
 
 def glove(rng: np.random.Generator) -> Panel:
-    """Five strips of four cells, each with two rows and two columns of its own.
-
-    They are parts that nothing joins.
-    """
+    """Return five separate strips of four cells, with two rows and two columns each."""
     cells = [
         (2 * strip + at // 2, 2 * strip + at % 2, 20.0 * strip, PITCH * at)
         for strip in range(5)

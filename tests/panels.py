@@ -1,9 +1,7 @@
 """Recordings of panels with films, loads and electronics of many kinds.
 
-They are made by the readouts' own equations.
-
-They judge what recordings say about scenes, the health of a panel above all; how right these
-equations are is tested elsewhere, against netlists.
+The readouts' own equations make the recordings, which judge statements about scenes, above all
+about the health of a panel. Other tests compare these equations with netlists.
 """
 
 from dataclasses import dataclass, replace
@@ -120,10 +118,7 @@ class Plan:
         )
 
     def volts(self, scene: Scene | None = None) -> Array:
-        """Exact voltages at the converter, (frames, rows, columns).
-
-        They are those of a scene with other faults, if given.
-        """
+        """Exact voltages at the converter, (frames, rows, columns), of this or another scene."""
         actual = scene or self.scene
         cells = self.loaded()
         circuit = actual.circuit

@@ -172,10 +172,7 @@ class RandomProblem:
 
     @cached_property
     def requested(self) -> tuple[Stream, Readings] | None:
-        """The stream before the frame that is asked for, and that frame.
-
-        None where it is the baseline.
-        """
+        """The stream before the requested frame, and the frame, or None for the baseline."""
         stream = Stream.begin(self.estimator, self.scene, 1.0, self._readings[0])
         if self.pushed == 0 and stream.baseline is not None:
             return None
@@ -238,9 +235,9 @@ class RandomProblem:
         return (own - least - ROUNDING_ERROR * self.oracle.blank()) / own
 
     def _ends(self, estimate: Array) -> Iterator[Array]:
-        """Where other solvers end, u within the bounds.
+        """Yield ends u, within the bounds, of other solvers from several starts.
 
-        They go from the estimate, truth, equal cells and random starts.
+        The starts are the estimate, the truth, equal cells and random ones.
         """
         data = self.data
         random = np.random.default_rng([self.seed, self.number, 1])

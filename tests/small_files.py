@@ -1,7 +1,4 @@
-"""Small recordings and runs on the disk.
-
-They are written after the format's description and not by the package.
-"""
+"""Small recordings and runs on the disk, written from the format's description alone."""
 
 import subprocess
 import sys

@@ -91,10 +91,7 @@ def invented_case(
 
 
 class Patient(Engine):
-    """An engine in which every frame waits until the one before was solved.
-
-    It keeps all pictures.
-    """
+    """An engine that solves each frame before it takes the next, and keeps all pictures."""
 
     def __init__(self, estimator: Estimator, baseline: int) -> None:
         super().__init__("test", "test", estimator, baseline)

@@ -17,12 +17,10 @@ READINGS = 20
 def unclosed_recording(
     path: Path, scene: Scene, frames: int, unloaded: int, seed: int = 8, *, estimates: bool = False
 ) -> Path:
-    """Frames at 10 Hz, two events and a frame that was begun, beside `growing.h5`.
+    """Write frames at 10 Hz, two events and an incomplete frame, as kill -9 leaves them.
 
-    They are as kill -9 leaves them.
-
-    With `estimates` the board has one of every second frame, of which every cell is the frame's
-    number.
+    `path` is a copy of the journal `growing.h5` beside it. With `estimates` every second frame has
+    an estimate whose cells equal the frame's number.
     """
     rng = np.random.default_rng(seed)
     hello = SimpleNamespace(readings=READINGS)

@@ -1,6 +1,6 @@
 """A board in a thread behind a pseudo-terminal.
 
-It answers as the firmware does and sends what a script says.
+The board answers as the firmware does, and sends the content of a script.
 """
 
 import itertools

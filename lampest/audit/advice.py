@@ -1,8 +1,7 @@
-"""Advice: what a recording suggests beyond its scene.
+"""Advice on a scene from its recording.
 
-Each suggestion comes with its evidence and the entries of the scene that say so. Advice is made of
-what the estimates of a recording have determined, and of the health of the panel. No estimate uses
-it.
+Each suggestion comes with its evidence and the entries of the scene that say so. Advice is based on
+the estimates of a recording, and on the health of the panel. No estimate uses it.
 """
 
 from collections.abc import Iterator
@@ -51,8 +50,8 @@ class Audit:
     def _effects(self) -> tuple[Finding, ...]:
         """Return the unnamed effects.
 
-        Under a wrong circuit effects mean nothing. Where no circuit explains the readings, the
-        first effect counts with which the scene's does.
+        Under a wrong circuit effects mean nothing. If no circuit explains the readings, only the
+        first effect with which the scene's circuit explains them counts.
         """
         check = self.prepared.check
         found = unnamed_effects(self.prepared) if check.explains is not None else ()

@@ -118,7 +118,7 @@ class Health:
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """A recording as the checks look at it."""
+    """Quantities of a recording that the checks share."""
 
     recording: Recording
 
@@ -139,7 +139,7 @@ class _View:
     def volts(self) -> Array:
         """Voltages at the converter, (frames, rows, columns).
 
-        NaN where missing, garbled or not requested.
+        The value is NaN where missing, garbled or not requested.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             volts = self.scene.circuit.volt_from_recorded(self.recording.recorded)

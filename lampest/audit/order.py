@@ -1,9 +1,8 @@
-"""Order of the lines: whether neighbours on the panel change alike in the scene's order.
+"""Order of the lines: whether neighbouring lines change alike in the scene's order.
 
-The question is whether they do so in this order, or in another one. A load covers neighbouring
-cells, and its crosstalk rows and columns. Lines that a program numbered otherwise, or a frame that
-was cut into rows of another length, tear its image apart; another order with much less disorder is
-the panel's.
+A load covers neighbouring cells, and its crosstalk rows and columns. Lines that a program numbered
+otherwise, or a frame that was cut into rows of another length, tear its image apart; another order
+with much less disorder is the panel's.
 """
 
 from collections.abc import Iterator
@@ -98,7 +97,7 @@ def line_orders(count: int) -> Iterator[tuple[str, NDArray[np.intp]]]:
 def order_findings(recording: Recording, volts: Array) -> Iterator[Finding]:
     """Yield a finding where another order makes the changes of the readings much smoother.
 
-    volts : (frames, rows, columns), NaN where missing.
+    `volts` are (frames, rows, columns), NaN where missing.
     """
     scene = recording.scene
     unloaded = recording.role == UNLOADED
@@ -142,7 +141,7 @@ def _changes(recording: Recording, volts: Array, unloaded: NDArray[np.bool_]) ->
 
 
 def interaction(change: Array) -> Array:
-    """Return what is left of images after the means of rows and columns, (frames, rows, columns).
+    """Return images less the means of rows and columns, (frames, rows, columns).
 
     Crosstalk changes whole rows and columns; this part is the load's own.
     """

@@ -60,8 +60,8 @@ class Width:
 def widths_of(prepared: Prepared) -> tuple[Width, ...]:
     """Return the widths of cells and of changes, as the strongest frame shows them.
 
-    Empty where the scene names no errors, or no fit has explained the frames, for modules, and for
-    panels too large for dense matrices.
+    The result is empty where the scene names no errors, or no fit has explained the frames, for
+    modules, and for panels too large for dense matrices.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def widths_of(prepared: Prepared) -> tuple[Width, ...]:
 def simulated_widths(recording: Recording) -> tuple[Width, ...]:
     """Return the widths of a simulated recording, at its true cells in the first and last frame.
 
-    Empty without true cells, and for panels too large for dense matrices.
+    The result is empty without true cells, and for panels too large for dense matrices.
     """
     scene = recording.scene
     cells = recording.truth_cell_resistance

@@ -287,7 +287,7 @@ def print_table(table: "Table") -> None:
 
 
 def _narrowed(full: Sequence[int], floors: Sequence[int], room: int) -> tuple[list[int], int]:
-    """Return widths of columns that are narrowed until their sum fits, and by how much it does not.
+    """Return widths of columns, narrowed until their sum fits, and the excess of the sum.
 
     The widest column that is above its floor loses a character at a time.
     """

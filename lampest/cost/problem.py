@@ -30,7 +30,7 @@ Panels = NDArray[np.intp] | int
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """Data of one solve, or with a leading axis those of many panels of one shape.
+    """Data of one solve, or of solves of many panels of one shape along a leading axis.
 
     Attributes
     ----------
@@ -186,7 +186,7 @@ class Data:
     def start_minimises(self, cost: Cost) -> bool:
         """Return whether the readout's start minimises a cost.
 
-        It does where the cost has readings alone, and cells that reproduce them are unique.
+        The start minimises a cost of readings alone if the cells that reproduce them are unique.
         """
         return all(term.reads_measurement for term in cost.terms) and self.readout.unique
 

@@ -342,7 +342,7 @@ def _solved_batch(
 
 
 def _solution_of(ended: BatchOutcome, row: int, *, carried: Any) -> Solution:
-    """Return the solution of one stream of a batch, given what its method keeps."""
+    """Return the solution of one stream of a batch, given the state of its method."""
     points = ended.points
     at = points.at.some(row)
     gradient = points.gradient[row].reshape(at.cell_resistance.shape)

@@ -28,8 +28,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.wired_network import contact_responses
 from lampest.panel.readouts.wiring import Contacts
 from lampest.posterior.linear import IGNORANCE, LinearModel
-from lampest.posterior.sampled import errors_of
-from lampest.posterior.track import Track
+from lampest.posterior.track import Track, errors_of
 from lampest.recording.readings import Readings
 
 # Two or three steps suffice, because readings are nearly linear in contacts. `settled` is the

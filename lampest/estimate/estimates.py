@@ -222,7 +222,7 @@ class Estimates:
     def measured(self) -> Array:
         """Readings in the readout's unit, less the series resistance, (frames, rows, columns).
 
-        NaN where missing.
+        The value is NaN where missing.
         """
         return self.readings.shown
 
@@ -230,7 +230,7 @@ class Estimates:
     def measured_baseline(self) -> Array:
         """Mean of the unloaded readings in the same unit, (rows, columns).
 
-        Without any, it is the first readable frame.
+        A recording without unloaded frames has its first readable frame instead.
         """
         return self.resting.shown
 
@@ -238,7 +238,7 @@ class Estimates:
     def sigma(self) -> Array | None:
         """Standard deviation of `measured`, infinite for bounds and missing readings.
 
-        None where unknown.
+        The value is None where unknown.
         """
         return self.readings.sigma_of_values
 
@@ -469,8 +469,8 @@ class Estimates:
     def film(self) -> Any:
         """Strengths of the film's memory, a `FilmKnown` of the application 'film'.
 
-        None where the scene names no film, or nothing has error bars. Strengths that the scene
-        leaves open are estimated from the frames after a load was taken off.
+        The value is None where the scene names no film, or nothing has error bars. Strengths that
+        the scene leaves open are estimated from the frames after a load was taken off.
         """
         film = self.recording.scene.film
         change_and_deviation = log_change(self)
@@ -521,8 +521,8 @@ class Estimates:
     def _load(self) -> Any:
         """Pressures with errors, a `Pressure` of the application 'film'.
 
-        None without error bars, because the uncertainty of r/r0 is then unknown, and without the
-        application.
+        The value is None without error bars, because the uncertainty of r/r0 is then unknown, and
+        without the application.
         """
         pressure_of = applications().provided("film", "pressures")
         if self._bars is None or pressure_of is None:
@@ -537,13 +537,14 @@ class Estimates:
 
 
 def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
-    """Return ln(r/r0) without the common change by temperature and creep, and its deviation.
+    """Return ln(r/r0) without the common change by temperature and creep.
 
-    None without error bars.
+    The result is None without error bars.
 
     Returns
     -------
     change, deviation : array, shape (frames, rows, columns)
+        ln(r/r0) and its standard deviation.
     """
     if estimates._bars is None:
         return None
@@ -557,7 +558,7 @@ def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
 def _unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
     """Return the number of unsolved frames with the reason of the first, in words.
 
-    '' where there is none.
+    The result is '' where there is none.
     """
     failed = int(np.sum(~solved))
     if not failed:

@@ -6,8 +6,7 @@ from functools import cached_property
 from lampest.estimate.methods import MethodName, named_method
 from lampest.estimate.methods.method import Method
 from lampest.estimate.objective import AutoWeight as AutoWeight
-from lampest.estimate.objective import Objective, Tare, checked_terms
-from lampest.estimate.witness import Verify
+from lampest.estimate.objective import Objective, Tare, Verify, checked_terms
 from lampest.files.applications import applications
 from lampest.files.errors import InputError, in_words
 from lampest.panel.panel import Panel

@@ -180,7 +180,7 @@ class CoupledStream(Stream):
     def baseline_resistance(self) -> Array:
         """Cells of the baseline, (rows, columns) ohm.
 
-        NaN where it is not solved, and in modules without a value.
+        Without a solved baseline, and in modules without a value, the value is NaN.
         """
         return np.where(self._unread(self.resting), np.nan, super().baseline_resistance)
 
@@ -270,7 +270,7 @@ class ModulesStream(Stream):
     def baseline_resistance(self) -> Array:
         """Cells of the baseline, (rows, columns) ohm.
 
-        NaN in dead modules and those without a solved baseline.
+        The value is NaN in dead modules and those without a solved baseline.
         """
         return np.asarray(_joined(self._layout, self.modules, "baseline_resistance", np.nan))
 
@@ -301,7 +301,7 @@ def _joined(
 ) -> Any:
     """Return the attribute `name` of the parts of all modules joined to one map of the image.
 
-    None without any.
+    The result is None without any.
 
     Parameters
     ----------
@@ -325,9 +325,9 @@ def _joined(
 
 
 def _joined_certainty(layout: Modules, parts: Sequence[Certainty | None]) -> Certainty | None:
-    """Return the joined error bars of all modules, infinite for modules without.
+    """Return the joined error bars of all modules; None where no module has any.
 
-    None where no module has any.
+    Modules without error bars have infinite ones.
     """
     unknown = {"deviation": np.inf, "below": np.inf, "above": np.inf}
     maps = [

@@ -5,19 +5,22 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term, term_kind
-from lampest.estimate.witness import Verify
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import Configuration, check_range
 from lampest.panel.scene import Scene
-from lampest.recording.readings import Readings
+from lampest.recording.readings import Readings, strongest_frame
 from lampest.solvers.posed import Bounds, cost_of_solve, data_of_solve
 from lampest.solvers.solution import Settings
 
+# Cells up to which `strongest` is verified: beyond, the witness takes longer than all solves of a
+# short recording (docs/studies/speed.md).
+MAX_VERIFIED_CELLS = 144
 Rule = Literal["risk", "evidence"]  # function of a weight that its choice minimises
 
 
@@ -41,6 +44,54 @@ class AutoWeight(Configuration):
 
     rule: Rule | None = None
     per: Literal["recording", "frame"] = "recording"
+
+
+@dataclass(frozen=True)
+class Verify(Configuration):
+    """Frames that IPOPT solves again on the nodal program, from another start.
+
+    Attributes
+    ----------
+    frames : 'none', 'strongest', 'all' or float
+        'strongest' is the frame of the largest change from rest, on panels of up to 144 cells; a
+        number is the share of the frames, evenly spread.
+
+    Raises ValueError unless a share lies between 0 and 1.
+
+    >>> lampest.Verify("strongest").frames
+    'strongest'
+    """
+
+    frames: Literal["none", "strongest", "all"] | float = "none"
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.frames, str) and not 0 < self.frames <= 1:
+            raise ValueError("frames must be none, strongest, all, or a share between 0 and 1")
+
+    def chosen(self, readings: Readings, resting: Readings) -> NDArray[np.bool_]:
+        """Return which of the measured frames are verified, boolean (frames,).
+
+        Parameters
+        ----------
+        readings : Readings
+            The measured frames, (frames, rows, columns).
+        resting : Readings
+            The unloaded ones, (rows, columns).
+        """
+        count = len(readings.value)
+        chosen = np.zeros(count, dtype=bool)
+        if self.frames == "all":
+            chosen[:] = True
+        elif self.frames == "strongest":
+            if count and readings.value[0].size <= MAX_VERIFIED_CELLS:
+                chosen[strongest_frame(readings.plain_values, resting.value, np.arange(count))] = (
+                    True
+                )
+        elif not isinstance(self.frames, str):
+            chosen[np.linspace(0, count - 1, max(1, round(self.frames * count))).astype(int)] = (
+                count > 0
+            )
+        return chosen
 
 
 def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:

@@ -111,7 +111,7 @@ class Parts:
     def _part(self, frames: range) -> MeasuredPart | None:
         """Return the measured frames of a range, together with the lead.
 
-        None where no frame is measured.
+        The result is None where no frame is measured.
         """
         part = measured_part(self.stored, frames, WINDOW)
         if part is None:

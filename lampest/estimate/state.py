@@ -7,18 +7,18 @@ import numpy as np
 
 from lampest.cost.given import Background
 from lampest.estimate.objective import Objective
-from lampest.estimate.witness import Verification
 from lampest.files.errors import brief
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
 from lampest.solvers.solution import Solution, Status, blank
 
 if TYPE_CHECKING:
+    from lampest.estimate.witness import Verification
     from lampest.inference.alike import PanelChoice
+    from lampest.posterior.frame_noise import FrameNoise
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class Step:
     sentence: str = ""
     weight_sigma: tuple[float, ...] = ()
     prior_variance: tuple[float, ...] = ()
-    verification: Verification | None = None
+    verification: "Verification | None" = None
 
     def __repr__(self) -> str:
         """Return the object in one line, arrays by their shapes."""
@@ -82,7 +82,7 @@ class Step:
     def estimate(self, frame: int) -> Array | None:
         """Return the cells (rows, columns) ohm of one of its frames.
 
-        None where the solve failed.
+        The result is None where the solve failed.
         """
         return self.solution.cell_resistance[frame] if self.solution.solved else None
 
@@ -96,7 +96,7 @@ class Step:
     def surroundings(self) -> LinearModel | None:
         """Return the linear model at a verified optimum, for error bars.
 
-        None where there is no such optimum.
+        The result is None where there is no such optimum.
         """
         at = self.solution.at
         dual = self.solution.dual
@@ -145,7 +145,7 @@ class SequenceState:
     prepared: Any = None
     track: Track | None = None
     first: bool = True
-    frame_noise: FrameNoise | None = None
+    frame_noise: "FrameNoise | None" = None
     panels: "PanelChoice | None" = None
 
     @property

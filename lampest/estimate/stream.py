@@ -15,7 +15,7 @@ from lampest.inference.noise import NoiseEstimate
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import Shared
-from lampest.posterior.memory import DenseMemory, Memory, SampledMemory
+from lampest.posterior.covariance import DenseMemory, Memory
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings, mean_change
 from lampest.solvers.solution import Status
@@ -343,6 +343,8 @@ class CarriedOver:
             if "blocks" in arrays:
                 memory = DenseMemory(arrays["blocks"])
             elif "samples" in arrays:
+                from lampest.posterior.sampled import SampledMemory
+
                 memory = SampledMemory(arrays["samples"], int(arrays["frames"][0]))
             track = replace(
                 track,

@@ -27,7 +27,6 @@ from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel, rank
 from lampest.posterior.reference import MAX_CELLS, Reference, references
-from lampest.posterior.sampled import SampledErrors
 from lampest.posterior.spectrum import (
     Spectrum,
     best_weight,
@@ -218,8 +217,8 @@ class WeightSearch:
         """Return the mean square of the residuals of each open term with an absolute loss.
 
         For the reference estimates the mean square is Σ (x̂² + diag(Z S Zᵀ)) over the residuals.
-        The weight of least risk does not tell it: an absolute loss may hold residuals that noise
-        hides, or that no one would miss. NaN of other terms.
+        The weight of least risk does not determine it: an absolute loss may hold residuals that
+        noise hides, or that no one would miss. NaN of other terms.
         """
         models = self.models(self.begun)
         variance = [np.nan] * len(self.cost.terms)
@@ -318,7 +317,7 @@ class WeightSearch:
         along it.
         """
         model = point.errors.model
-        if isinstance(point.errors, SampledErrors):
+        if not point.errors.exact:
             step = np.log(next_weights(model, self.open_terms)) - place
             return step, step
         settled = np.log(settled_weights(model, self.open_terms)) - place
@@ -333,7 +332,11 @@ class WeightSearch:
         if solution.at is None or solution.dual is None:
             raise ArithmeticError(solution.status)
         model = LinearModel(solution.at, solution.dual, deviation=scale * data.deviation)
-        errors = (SampledErrors if data.measured.size > MAX_CELLS else DenseErrors)(model)
+        errors = DenseErrors(model)
+        if data.measured.size > MAX_CELLS:
+            from lampest.posterior.sampled import SampledErrors
+
+            errors = SampledErrors(model)
         return EvidencePoint(scale, weights, solution.cell_resistance, errors)
 
 

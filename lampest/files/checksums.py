@@ -140,7 +140,7 @@ def set_digests(node: Any, values: Any, step: int) -> None:
 
 
 def seal(file: h5py.File) -> None:
-    """Write the digest of all datasets of a complete file, and those of single ones without any."""
+    """Write the digest of all datasets of a complete file, and those that datasets lack."""
     names = list[bytes]()
     h5py.h5o.visit(file.id, names.append)  # in the order of `nodes_below`
     total = hashlib.sha256()
@@ -240,7 +240,7 @@ def _entry(first: int, values: Any) -> bytes:
 
 
 def digests_below(group: h5py.Group) -> dict[str, bytes]:
-    """Return the digests of all datasets in a group that have some, by their path in it."""
+    """Return the digests of the datasets below a group by their paths in it."""
     names = list[bytes]()
     h5py.h5o.visit(group.id, names.append)
     entries = {name.decode("utf-8"): attribute(group.id, BLOCKS, name) for name in names}

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from lampest.files import checksums
 from lampest.files.errors import InputError
-from lampest.files.patient import PatientFile
 from lampest.files.typed import as_double
 from lampest.files.whole import check_room, is_locked, note_read, whole_file
 
@@ -97,6 +96,8 @@ def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
     The file is built on disk and appears once it is complete. `size` is the maximum size of the
     file in bytes. Raises InputError as `new_file`, or if the disk has less space.
     """
+    from lampest.files.patient import PatientFile  # not for reading
+
     with whole_file(path) as unfinished:
         check_room(path, size)
         unfinished.unlink()
@@ -268,8 +269,8 @@ def _shrinks(data: NDArray[Any]) -> bool:
 def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> None:
     """Attach scales to the axes of datasets, given by path in the group.
 
-    '' for an axis without a scale. The attributes of HDF5's specification are written at once;
-    `h5py.h5ds` writes them anew for every axis.
+    An axis without a scale has the name ''. The attributes of HDF5's specification are written at
+    once; `h5py.h5ds` writes them anew for every axis.
     """
     nodes = {
         name: h5py.h5d.open(group.id, name.encode("utf-8"))

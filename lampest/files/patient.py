@@ -52,7 +52,7 @@ class PatientFile(io.RawIOBase):
             return False
 
     def reserve(self, size: int) -> bool:
-        """Return whether the disk has all bytes so far, and reserves `size` bytes behind them."""
+        """Reserve `size` bytes behind all bytes so far, and return whether the disk has room."""
         if not self.flushed():
             return False
         needed = self._end + size

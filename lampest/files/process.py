@@ -109,7 +109,7 @@ def check_address_space() -> None:
 def _reserve_buffers() -> None:
     """Let each copy of OpenBLAS reserve its buffer, which it keeps.
 
-    Refused one, it asks again for ever.
+    OpenBLAS without a buffer asks for one without end.
     """
     import casadi
     import numpy as np

@@ -312,10 +312,7 @@ class ByKind:
     members: Mapping[str, str] = field(default_factory=dict, hash=False)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """Return the tagged union of the members, one choice for each literal.
-
-        Called by pydantic.
-        """
+        """Return the tagged union of the members for pydantic, one choice for each literal."""
         union = Annotated[source, self]
         named = {"type": "with-info", "function": self._validated}
         later = {"type": "function-plain", "function": named}

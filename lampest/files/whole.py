@@ -69,7 +69,8 @@ def note_read(path: Path) -> None:
 def own(path: Path) -> None:
     """Declare a file, or a folder's files, as both input and output.
 
-    Raises InputError if it was read before. Called before the first of both.
+    A command declares its own files before it reads or writes them. Raises InputError if the file
+    was read before.
     """
     _refuse_touched(path)
     touched = _TOUCHED.get()

@@ -306,7 +306,7 @@ class _FrameValues:
 
     @property
     def given(self) -> dict[str, Array]:
-        """Inputs of the terms by name; those of no single frame are the same in all blocks."""
+        """Inputs of the terms by name; inputs without a frame are the same in all blocks."""
         first = self.data[0]
         inputs = dict(first.flat)
         for name, source in first.given.sources().items():

@@ -14,16 +14,17 @@ Source: paper, equations (2)-(9).
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING, Literal
 
 import casadi
 import numpy as np
 
 from lampest.formulation.circuit import Circuit, ConductanceSymbols
-from lampest.panel.network import Numbers
+from lampest.panel.compiled import guarded
+from lampest.panel.network import ENTRY_NAMES, Numbers
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.tied_network import reads_own
 
 Voltages = dict[str, Array]
 END_VOLTAGE = "end_voltage"  # in volt; all others are for unit currents, in V/A
@@ -265,9 +266,9 @@ EXCITATIONS: dict[str, Excitation] = {patterns.kind: patterns for patterns in (N
 
 
 def _sides(shape: tuple[int, int]) -> tuple[Numbers, Numbers]:
-    """Return the numbers of the lines of the shorter side, and of those of the other one.
+    """Return the numbers of the lines of the shorter side, and of the longer one.
 
-    The lines of the shorter side are driven, those of the other one are far.
+    The lines of the shorter side are driven, those of the longer one are far.
     """
     rows, columns = shape
     sides = np.split(np.arange(rows + columns), [rows])
@@ -275,11 +276,17 @@ def _sides(shape: tuple[int, int]) -> tuple[Numbers, Numbers]:
 
 
 def _patterns(circuit: Circuit, readout: Readout) -> tuple[Numbers, Numbers]:
-    """Return the driven lines, one of those that touch, and the number of each line's pattern.
+    """Return the driven lines, and the number of each line's pattern.
 
-    The number is −1 for a line without one. Lines of a side whose own voltage the readout does not
-    read need no pattern: by reciprocity, the patterns of the other side have the voltages between
-    both.
+    Touching lines are driven as one. The number of a line without a pattern is −1. Lines of a side
+    whose own voltage the readout does not read need no pattern: by reciprocity, the patterns of the
+    other side have the voltages between both.
+
+    Returns
+    -------
+    driven : array of int
+        Driven lines, the first of lines that touch.
+    pattern : array of int, shape (rows + columns,)
     """
     rows, columns = circuit.shape
     reads = _reads_own(circuit, readout)
@@ -300,7 +307,19 @@ def _reads_far(circuit: Circuit, readout: Readout) -> bool:
 
 def _reads_own(circuit: Circuit, readout: Readout) -> tuple[bool, bool]:
     """Return whether readings depend on Z_jj of the rows, and whether on Z_kk of the columns."""
-    return reads_own(readout, *circuit.shape, with_potentials=circuit.ends is not None)
+    return _entries_read(readout, circuit.shape, with_potentials=circuit.ends is not None)
+
+
+@guarded
+@lru_cache(maxsize=64)
+def _entries_read(
+    readout: Readout, shape: tuple[int, int], *, with_potentials: bool
+) -> tuple[bool, bool]:
+    """Return the same for a readout and the shape of its panel."""
+    names = ENTRY_NAMES if with_potentials else ENTRY_NAMES[:3]
+    row, column, *others = (casadi.MX.sym(name, *shape) for name in names)
+    reading = readout.reading(row, column, *others)
+    return bool(casadi.depends_on(reading, row)), bool(casadi.depends_on(reading, column))
 
 
 def _at_ends(

@@ -1,1 +1,1 @@
-"""What a recording tells of its circuit, its noise and its effects, before cells are estimated."""
+"""Inference of circuit, noise and effects from a recording, before cells are estimated."""

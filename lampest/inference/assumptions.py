@@ -41,4 +41,3 @@ class Assumptions:
 
 
 ASSUMED = Assumptions()
-UNKNOWN_SD = 10.0  # standard deviation of log r0 where nothing is known of it

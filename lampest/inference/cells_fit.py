@@ -19,12 +19,12 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit
 from lampest.files.errors import BROKEN
 from lampest.files.levels import SIGNIFICANCE
-from lampest.inference.assumptions import UNKNOWN_SD
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
+from lampest.posterior.linear import UNKNOWN_SD
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
@@ -41,8 +41,10 @@ SMALL_CHI_SQUARE = 3.0
 FIT = LevenbergMarquardt(
     evaluations=16, settled=EXACT_CHI_SQUARE / 2, share=0.1, damping=0.0, longest=1.5
 )
-# Fits with cells at the boundary r = 0 take some 20 iterations, circuits that cannot explain the
-# readings hundreds.
+# Fits with cells at the boundary r = 0 or r = ∞ take 2 to 30 further iterations.
+LONG_FIT = replace(FIT, evaluations=40, share=0.0)
+# On panels of more than MAX_CELLS some 20 iterations of the solver of the estimates, where circuits
+# that cannot explain the readings take hundreds.
 BRIEF = Settings(max_iterations=25)
 # Factor on the lower bound that estimates have: a short behind a drive resistor of a kilo-ohm is
 # smaller than that.
@@ -78,7 +80,7 @@ class CellsFit(SumOfSquares):
     measured : Readings
         (rows, columns).
     readings : Readings
-        The measured readings less what effects add to those of the network.
+        The measured readings less the contribution of effects.
     network : Network
         Network of the cells, without effects.
     effects : tuple of Effect
@@ -135,7 +137,7 @@ class CellsFit(SumOfSquares):
     def refitted(self, measured: Readings, effects: "tuple[Effect, ...]") -> "CellsFit | None":
         """Return the fit to other readings or effects, from these cells on.
 
-        None where no fit is found.
+        The result is None where no fit is found.
         """
         return fitted(self.scene, measured, self.cells, patient=True, effects=effects)
 
@@ -232,7 +234,7 @@ def fitted(
 ) -> CellsFit | None:
     """Return argmin Σ ((f(r) − y)/σ)² of one frame over r > 0.
 
-    None where the solver or arithmetic fails.
+    The result is None where the solver or arithmetic fails.
 
     Parameters
     ----------
@@ -245,15 +247,13 @@ def fitted(
         Whether every start is tried, and any misfit accepted. Otherwise few iterations are allowed,
         and a fit far from noise is given up.
     effects : sequence of Effect
-        Effects in the network beside its circuit. With effects the fit that the first loop reaches
-        is returned.
+        Effects in the network in addition to its circuit. With effects the fit that the first loop
+        reaches is returned.
     """
     with suppress(*BROKEN), np.errstate(all="ignore"):
         data = data_of_cells(scene, readings)
         data = replace(data, lower=MIN_CELL_FACTOR * data.lower)
         start = data.start()[0] if near is None else near
-        # The Levenberg-Marquardt method suffices where cells explain the readings exactly, which is
-        # usual.
         fit = _levenberg_marquardt_fit(scene, data, readings, start, effects)
         if fit.chi_square <= EXACT_CHI_SQUARE or effects:
             return fit
@@ -261,8 +261,12 @@ def fitted(
             return fit
         if not patient and fit.chi_square > MAX_CHI_SQUARE * readings.value.size:
             return None
-        # Elsewhere cells stand at the boundary r = 0, and the solver of the estimates finds the
-        # minimum.
+        # Elsewhere cells stand at the boundary r = 0 or r = ∞, which takes more iterations.
+        if fit.jacobian.size:
+            fit = _levenberg_marquardt_fit(scene, data, readings, fit.cells, loop=LONG_FIT)
+            if not patient or near is not None or fit.within_noise:
+                return fit
+        # A minimum that noise does not give may not be the lowest: other starts are tried.
         from lampest.solvers.projected_newton import ProjectedNewton
 
         cost = cost_of_solve(LEAST_SQUARES, scene, partial=data.partial)
@@ -278,7 +282,12 @@ def fitted(
 
 
 def _levenberg_marquardt_fit(
-    scene: Scene, data: Data, readings: Readings, start: Array, effects: "Sequence[Effect]"
+    scene: Scene,
+    data: Data,
+    readings: Readings,
+    start: Array,
+    effects: "Sequence[Effect]" = (),
+    loop: LevenbergMarquardt = FIT,
 ) -> CellsFit:
     """Return the fit that the Levenberg-Marquardt method reaches from a start.
 
@@ -294,6 +303,7 @@ def _levenberg_marquardt_fit(
     start : array, shape (rows, columns)
         Cells in ohm.
     effects : sequence of Effect
+    loop : LevenbergMarquardt
     """
 
     def model(position: Array) -> CellsFit:
@@ -303,6 +313,7 @@ def _levenberg_marquardt_fit(
     def is_exact(fit: CellsFit, evaluations: int) -> bool:
         return fit.chi_square <= EXACT_CHI_SQUARE
 
-    loop = FIT if start.size <= MAX_CELLS else replace(FIT, evaluations=1)
+    if start.size > MAX_CELLS:
+        loop = replace(loop, evaluations=1)
     bounds = (data.log_bounds[0].ravel(), data.log_bounds[1].ravel())
     return loop.minimum(model, np.log(start).ravel(), bounds, is_exact)[1]

@@ -20,7 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
-from lampest.posterior.matrices import inverse_and_volume, swept
+from lampest.posterior.linear import inverse_and_volume, swept
 
 MOVED_COST = 2.8  # 2 ln 4: −2 ln of the prior odds of one to four that a cell moved
 # −2 ln prior odds of a bound, an effect or a resistance in series that an explanation needs

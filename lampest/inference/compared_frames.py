@@ -1,8 +1,8 @@
 """Frames that a circuit has to explain: the unloaded panel, and the most strongly loaded frames.
 
-Of the frames with the
-strongest change, those that are equal within their noise are averaged. Outliers and readings whose
-noise is not Gaussian do not count. `broken_law` tests the circuit's inequalities on all frames.
+Of the frames with the strongest change, those that are equal within their noise are averaged.
+Outliers and readings whose noise is not Gaussian do not count. `broken_law` tests the circuit's
+inequalities on all frames.
 """
 
 from dataclasses import dataclass, replace
@@ -55,7 +55,7 @@ class ComparedFrames:
     def of(cls, recording: Recording, outliers: NDArray[np.bool_]) -> Self:
         """Return the frames of a recording whose noise is known.
 
-        Without an unloaded frame the first is used.
+        A recording without an unloaded frame has its first frame instead.
         """
         role = recording.role
         specified = Rival(
@@ -112,7 +112,7 @@ class ComparedFrames:
     def panels(self) -> PanelChoice | None:
         """Panels of the frames under the scene's circuit, where several give their readings.
 
-        None where one does, and without a loaded frame.
+        The value is None where only one panel does, and without a loaded frame.
         """
         scene = self.specified.scene
         if not scene.circuit.several_panels or scene.wiring is not None or not len(self.standing):

@@ -30,6 +30,7 @@ from lampest.inference.rivals import (
     rounded_down,
 )
 from lampest.panel.panel import Array
+from lampest.panel.readouts.presets import VirtualGroundReadout
 
 # −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
 # with the right circuit nearly all gain less (docs/theory/model_check.md).
@@ -52,7 +53,12 @@ SAME_COST = SMALL_CHI_SQUARE
 # Of a circuit under which a load lowers no resistance, in -2 ln evidence, beside one of falling
 # codes: a press lowers some, and so does a cup's rim.
 RISING_COST = 24.0
+MAX_COUPLED = 0.3  # of the largest rise: falls that channels couple to it
 MIN_RISEN = 3  # cells: fewer may be a cup's alone
+# Shares beyond which moved cells show couplings that a circuit lacks: of a line's cells, and of the
+# moved cells in such lines.
+MIN_FILLED = 0.5
+MIN_IN_FILLED = 0.5
 FAR = 100.0  # in scores, beyond what channels and the selection of moved cells change
 
 
@@ -82,7 +88,6 @@ class Explanation:
         near: "Explanation | None" = None,
         *,
         patient: bool = False,
-        specified: "Explanation | None" = None,
     ) -> "Explanation | None":
         """Return a circuit's explanation of the frames; None where no fit is found.
 
@@ -93,17 +98,37 @@ class Explanation:
         near : Explanation or None
             Explanation by a similar circuit: the fits begin at its cells, and `like` applies.
         patient : bool
-            Whether the fit is searched for from every start and accepted with any misfit. Otherwise
-            the fit of the loaded frame begins at the cells of the unloaded panel, and the circuit
-            is given up at the first frame that it does not explain.
+            See `fits_of`.
+        """
+        fits = fits_of(rival, frames, near.fits if near else (), patient=patient)
+        return cls.by(fits, rival, frames, near)
+
+    @classmethod
+    def by(
+        cls,
+        fits: tuple[CellsFit, ...],
+        rival: Rival,
+        frames: ComparedFrames,
+        near: "Explanation | None" = None,
+        specified: "Explanation | None" = None,
+    ) -> "Explanation | None":
+        """Return a circuit's explanation by fits; None where they lack a frame.
+
+        Parameters
+        ----------
+        fits : tuple of CellsFit
+            Those of `fits_of`.
+        rival : Rival
+        frames : ComparedFrames
+        near : Explanation or None
+            Explanation by a similar circuit, to which `like` applies.
         specified : Explanation or None
             Explanation by the scene's circuit, for a rival of it. A rival whose score is larger by
             FAR with the channels and moved cells of that explanation keeps them.
         """
+        if len(fits) < (2 if len(frames.standing) else 1):
+            return None
         with suppress(InputError, *BROKEN):
-            fits = _fits(rival, frames, near, patient=patient)
-            if not fits:
-                return None
             pair = None
             if len(fits) == 2 and fits[0].jacobian.size:
                 pair = FittedPair(fits)
@@ -152,28 +177,70 @@ def _costs(fits: Sequence[CellsFit]) -> float:
     return sum(fit.chi_square + PARAMETER_COST * int(fit.readings.bounds.sum()) for fit in fits)
 
 
-def _fits(
-    rival: Rival, frames: ComparedFrames, near: Explanation | None, *, patient: bool
+def fits_of(
+    rival: Rival,
+    frames: ComparedFrames,
+    near: Sequence[CellsFit] = (),
+    *,
+    patient: bool = False,
 ) -> tuple[CellsFit, ...]:
-    """Return the fits of the frames, see `Explanation.of`; () where one is not explained."""
-    readings = frames.readings(rival)
+    """Return the fits of the frames under a circuit, up to the first frame without a fit.
+
+    Parameters
+    ----------
+    rival : Rival
+    frames : ComparedFrames
+    near : sequence of CellsFit
+        Fits of the first frames under a similar circuit, at whose cells the fits begin.
+    patient : bool
+        Whether a fit is searched for from every start and accepted with any misfit. Otherwise the
+        fit of the loaded frame begins at the cells of the unloaded panel, and a frame has a fit
+        only if the circuit explains it.
+    """
     fits: list[CellsFit] = []
-    chosen = frames.panels if rival is frames.specified else None
-    for number, frame in enumerate(readings):
-        start = None if near is None else near.fits[number].cells
-        if start is None and chosen is not None:
-            start = (chosen.resting, chosen.loaded)[number]
-        if start is None and fits and not patient:
-            start = fits[0].cells
-        fit = fitted(rival.scene, frame, start, patient=patient)
-        # of two panels that read alike the one that continues the unloaded panel is meant
-        elsewhere = chosen is None and fit is not None and bool(fits)
-        if elsewhere and fit and fit.network.branch != fits[0].network.branch:
-            fit = fitted(rival.scene, frame, fits[0].cells, patient=patient)
-        if fit is None or not (patient or fit.within_noise):
-            return ()
-        fits.append(fit)
+    with suppress(InputError, *BROKEN):
+        chosen = frames.panels if rival is frames.specified else None
+        for number, frame in enumerate(frames.readings(rival)):
+            start = near[number].cells if number < len(near) else None
+            if start is None and chosen is not None:
+                start = (chosen.resting, chosen.loaded)[number]
+            if start is None and fits and not patient:
+                start = fits[0].cells
+            fit = fitted(rival.scene, frame, start, patient=patient)
+            # of two panels that read alike the one that continues the unloaded panel is meant
+            elsewhere = chosen is None and fit is not None and bool(fits)
+            if elsewhere and fit and fit.network.branch != fits[0].network.branch:
+                fit = fitted(rival.scene, frame, fits[0].cells, patient=patient)
+            if fit is None or not (patient or fit.within_noise):
+                break
+            fits.append(fit)
     return tuple(fits)
+
+
+def _rival_fits(
+    rival: Rival,
+    frames: ComparedFrames,
+    near: tuple[CellsFit, ...] = (),
+    specified: Explanation | None = None,
+) -> tuple[CellsFit, ...]:
+    """Return the fits under a rival, from the cells of the scene's circuit where these suffice.
+
+    They do not where several panels read alike: the readout's start tells which is meant.
+
+    Parameters
+    ----------
+    rival : Rival
+    frames : ComparedFrames
+    near : tuple of CellsFit
+        Fits under a circuit that is nearer; () without any.
+    specified : Explanation or None
+        Explanation by the scene's circuit.
+    """
+    if near or specified is None or rival.order is not None:
+        return fits_of(rival, frames, near)
+    if rival.scene.circuit.several_panels:
+        return fits_of(rival, frames)
+    return fits_of(rival, frames, specified.fits[:1]) or fits_of(rival, frames)
 
 
 def better_rival(frames: ComparedFrames, specified: Explanation | None) -> BetterExplanation:
@@ -195,7 +262,7 @@ def better_rival(frames: ComparedFrames, specified: Explanation | None) -> Bette
     assumed = [] if specified is None else [specified]
     candidates += [with_series(explanation, frames) for explanation in (*candidates, *assumed)]
     candidates += [with_converter_memory(explanation, frames) for explanation in assumed]
-    best = _best_candidate(candidates, frames)
+    best = _best_candidate(candidates, frames, at_fault=specified is None)
     return BetterExplanation() if best is None else _compared(specified, best, frames)
 
 
@@ -214,7 +281,7 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
     """Return the MAX_CANDIDATES best explanations by rivals, better ones than the scene's.
 
     Rivals whose inequalities the readings break are not fitted. A resistance in series only makes
-    these inequalities narrower, so that they are asked without one.
+    these inequalities narrower, so that they are tested without one.
     """
     change = changes_beyond_noise(frames.specified.scene, frames.specified.readings, frames.role)
     mostly_increases = bool(change.max(initial=0.0) > -change.min(initial=0.0))
@@ -231,8 +298,11 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
     explanations = []
     for rival in rivals:
         lawful = rival.ohm == 0 or not broken_law(rival, frames)
-        explanation = Explanation.of(rival, frames, specified=specified) if lawful else None
-        explanations.append(explanation or some_in_series(rival, frames, specified=specified))
+        fits = _rival_fits(rival, frames, specified=specified) if lawful else ()
+        explanation = Explanation.by(fits, rival, frames, specified=specified)
+        if explanation is None:
+            explanation = some_in_series(rival, frames, fits=fits, specified=specified)
+        explanations.append(explanation)
     if specified is None:
         explanations.append(some_in_series(frames.specified, frames))
         down = rounded_down(frames.specified)
@@ -247,12 +317,21 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
 
 
 def _best_candidate(
-    candidates: Sequence[Explanation], frames: ComparedFrames
+    candidates: Sequence[Explanation], frames: ComparedFrames, *, at_fault: bool
 ) -> Explanation | None:
     """Return the candidate with the largest evidence, less the costs of its parameters.
 
     Candidates do not count under which most cells have moved, whose inequalities the readings
-    break, or that do not differ from the scene's circuit.
+    break, or that do not differ from the scene's circuit. Where the scene's circuit is at fault,
+    the best one has to say more than that each reading has its cell (`_says_no_more`), and loads
+    have to lower some resistance.
+
+    Parameters
+    ----------
+    candidates : sequence of Explanation
+    frames : ComparedFrames
+    at_fault : bool
+        Whether the scene's circuit does not explain the readings.
     """
     specified_memory = frames.specified.scene.converter_memory
     valid = []
@@ -275,16 +354,46 @@ def _best_candidate(
     # of circuits that differ in the names of lines alone, the one that keeps the file's order
     least = min(map(cost, valid), default=0.0)
     tied = [candidate for candidate in valid if cost(candidate) <= least + SAME_COST]
-    return min(tied, key=lambda tie: (tie.rival.order is not None, cost(tie)), default=None)
+    best = min(tied, key=lambda tie: (tie.rival.order is not None, cost(tie)), default=None)
+    if best is None or not at_fault:
+        return best
+    apart = [cost(candidate) for candidate in valid if _reads_cells_apart(candidate)]
+    gain = min(apart, default=np.inf) - cost(best)
+    if _only_rises(best) or (gain < MIN_EVIDENCE_GAIN and _says_no_more(best)):
+        return None
+    return best
+
+
+def _reads_cells_apart(candidate: Explanation) -> bool:
+    """Return whether each line has an amplifier, so that any readings have cells."""
+    return isinstance(candidate.rival.scene.readout, VirtualGroundReadout)
+
+
+def _says_no_more(candidate: Explanation) -> bool:
+    """Return whether moved cells fill whole lines, as those of a wrong circuit do.
+
+    A press moves all readings of its lines, and a circuit without these couplings takes each for a
+    cell that moved. Without a loaded frame nothing is known of the couplings.
+    """
+    if candidate.pair is None:
+        return _reads_cells_apart(candidate)
+    moved = candidate.pair.moved
+    columns = moved.mean(axis=0) > MIN_FILLED
+    rows = moved.mean(axis=1) > MIN_FILLED
+    in_filled = moved & (columns | rows[:, None])
+    return bool(in_filled.sum() > MIN_IN_FILLED * moved.sum())
 
 
 def _only_rises(candidate: Explanation) -> bool:
-    """Return whether every moved cell has a larger resistance under load."""
+    """Return whether moved cells have larger resistances under load, but for small couplings."""
     if candidate.pair is None or candidate.pair.moved.sum() < MIN_RISEN:
         return False
-    resting, loaded = (fit.cells for fit in candidate.fits)
-    moved = candidate.pair.moved.reshape(resting.shape)
-    return bool(np.all(loaded[moved] > resting[moved]))
+    return rises_only(candidate.pair.change[candidate.pair.moved.ravel()])
+
+
+def rises_only(change: Array) -> bool:
+    """Return whether log resistances only rise: the largest fall is a share of the largest rise."""
+    return bool(-change.min(initial=0.0) < MAX_COUPLED * change.max(initial=0.0))
 
 
 def _compared(
@@ -318,21 +427,38 @@ def some_in_series(
     rival: Rival,
     frames: ComparedFrames,
     near: Explanation | None = None,
+    *,
+    fits: tuple[CellsFit, ...] = (),
     specified: Explanation | None = None,
 ) -> Explanation | None:
     """Return a circuit's explanation with the best of SERIES_POINTS other resistances in series.
 
-    Each fit begins at the cells of the one before. None without any.
+    Each fit begins at the cells of the one before, also where only the unloaded panel was
+    explained. The result is None without any explanation.
+
+    Parameters
+    ----------
+    rival : Rival
+    frames : ComparedFrames
+    near : Explanation or None
+        Explanation with the given resistance.
+    fits : tuple of CellsFit
+        Fits with the given resistance where they explain only the unloaded panel.
+    specified : Explanation or None
+        See `Explanation.by`.
     """
     most = most_in_series(rival, frames)
     best = None
+    begin = fits if near is None else near.fits
     for ohm in np.linspace(0.0, most, SERIES_POINTS) if most else ():
         if ohm == rival.ohm:
             continue
         tried = replace(rival.with_series(ohm), at_limit=ohm in (0.0, most))
         if broken_law(tried, frames):  # and with every larger one
             break
-        explanation = Explanation.of(tried, frames, near, specified=specified)
+        fits = _rival_fits(tried, frames, begin, specified)
+        begin = fits or begin
+        explanation = Explanation.by(fits, tried, frames, near, specified)
         if explanation is None:
             continue
         near = explanation
@@ -423,12 +549,12 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
 
 
 def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool:
-    """Return whether a memory of the converter may gain what it costs, by linear theory."""
+    """Return whether a memory of the converter may gain more than its cost, by linear theory."""
     return _may_gain(explanation, _response_to_memory(explanation, frames))
 
 
 def _may_gain(explanation: Explanation, response: Array | None) -> bool:
-    """Return whether a parameter may gain what it costs, by linear theory; True where unknown.
+    """Return whether a parameter may gain more than its cost, by linear theory; True if unknown.
 
     Parameters
     ----------

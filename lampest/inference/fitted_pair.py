@@ -108,8 +108,8 @@ class FittedPair:
     def scale_error(self) -> float | None:
         """Median error of the changes d of moved cells by the numbers that no frame shows.
 
-        The numbers are at their tolerances' ends. None where the scene has no such numbers, or no
-        cell moves.
+        Each number is taken at the ends of its tolerance. The value is None where the scene has no
+        such numbers, or no cell moves.
         """
         scene = self.frames[0].scene
         sizes = systematic_of(scene)
@@ -295,8 +295,8 @@ class FittedPair:
     def _stepped(self, effects: Sequence[Effect], step: Array) -> "FittedPair | None":
         """Return the pair after a step of the effects' sizes.
 
-        None where no cells explain the readings then. Sizes of effects that cannot be negative,
-        such as leaks, are clipped at 0.
+        The result is None where no cells explain the readings then. Sizes of effects that cannot be
+        negative, such as leaks, are clipped at 0.
 
         Parameters
         ----------

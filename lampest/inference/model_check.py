@@ -103,7 +103,7 @@ class ModelCheck:
 
 @dataclass(frozen=True, eq=False)
 class Question(ComparedFrames):
-    """Whether the scene's circuit explains these frames, and what else explains them."""
+    """Whether the scene's circuit, or another explanation, agrees with these frames."""
 
     @cached_property
     def _shares(self) -> tuple[float, float]:
@@ -118,7 +118,7 @@ class Question(ComparedFrames):
     def explanation(self) -> "Explanation | None":
         """Cells that explain these frames.
 
-        None without a fit, or with more than MAX_MISSING bounds.
+        The value is None without a fit, or with more than MAX_MISSING bounds.
         """
         return Explanation.of(self.specified, self, patient=True) if self._few_bounds else None
 

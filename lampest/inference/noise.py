@@ -8,7 +8,7 @@ sentence for each number and contradiction.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +28,7 @@ from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import ENDLESS
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic, plain_size
-from lampest.panel.systematic import READING_ERROR, SHARED_ERRORS, Possible
-from lampest.posterior.frame_noise import FrameNoise
+from lampest.panel.systematic import READING_ERROR, SHARED_ERRORS, Possible, own_errors
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
@@ -37,7 +36,7 @@ from lampest.recording.recording import UNLOADED, Recording
 if TYPE_CHECKING:
     from lampest.inference.alike import PanelChoice
     from lampest.inference.nuisances import CircuitEffects
-    from lampest.inference.scan_motion import Share
+    from lampest.posterior.frame_noise import FrameNoise
 
 # Unloaded frames from which noise is estimated if the scene does not specify it.
 MIN_UNLOADED_FRAMES = 5
@@ -49,6 +48,25 @@ MIN_MEDIAN_NOISE = 0.5
 SHARED = ("{:.2g} % gain", "{:.2g} LSB along a scan", "{:.2g} LSB of a line")
 MOVED = "readings at rest move together from frame to frame by {:.2g} %, as in moving water"
 BROKE_DOWN = "arithmetic broke down over its readings"  # why a number is undetermined
+
+
+class Share(NamedTuple):
+    """Share of the time between frames that a scan takes.
+
+    Attributes
+    ----------
+    mean, deviation : float
+        Share at which still cells are stillest, and its standard deviation as that of the scan.
+    reach : float
+        Mean of the share without attenuation: the interpolation is wrong over that time.
+    gain : float
+        Decrease of −2 ln evidence from no share to the best one.
+    """
+
+    mean: float
+    deviation: float
+    reach: float
+    gain: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +112,9 @@ class NoiseEstimate:
     factor: float = np.nan
     factor_error: float = np.nan
     sigma_factor: float = 1.0
-    frame: FrameNoise | None = None
+    frame: "FrameNoise | None" = None
     possible_errors: Possible | None = None
-    motion: "Share | None" = None
+    motion: Share | None = None
     of_modules: tuple["NoiseEstimate | None", ...] = ()
     corrected_effects: "CircuitEffects | None" = None
     model_factor: float = 1.0
@@ -112,7 +130,7 @@ class NoiseEstimate:
     def reading_error(self) -> float:
         """Standard deviation of ln of a factor on each reading that is constant in time.
 
-        0 where none is observed.
+        The value is 0 where none is observed.
         """
         if self.possible_errors is None:
             return 0.0
@@ -179,7 +197,7 @@ class NoiseEstimate:
     def undetermined(self, key: str, reason: str) -> "NoiseEstimate":
         """Return the noise with a sentence on a number that the recording cannot determine.
 
-        The sentence says why, and what to record.
+        The sentence states the reason, and the frames to record.
         """
         return self.with_warnings(
             f"{key}: estimated, but this recording cannot determine it: {reason}"
@@ -193,32 +211,22 @@ class NoiseEstimate:
         """Return the noise with other σ of the readings."""
         return replace(self, readings=replace(self.readings, sigma=sigma))
 
-    def with_motion(
-        self, scene: Scene, measured: NDArray[np.intp], share: "Share"
-    ) -> "NoiseEstimate":
-        """Return the noise with readings that are interpolated to the middle of their scan.
+    def with_reading_error(self, recording: Recording) -> "NoiseEstimate":
+        """Return the noise with each reading's own error in σ.
 
-        Their σ contains what the interpolation leaves.
-
-        Parameters
-        ----------
-        scene : Scene
-        measured : integer array
-            Numbers of the measured frames.
-        share : Share
-            Share of the time between frames that a scan takes.
+        Error bars treat the error as one that all frames share. Averaging does not reduce it, so σ
+        of each of n unloaded frames includes √n times the error.
         """
-        from lampest.inference.scan_motion import displacement  # for this effect alone
-
-        readings = self.readings
-        displaced, doubt, weight = displacement(scene, readings, measured)
-        noise = readings.known_sigma**2
-        # A reading less its displacement is a mean of two frames, whose noise is independent.
-        own = noise * ((1 - share.mean * weight) ** 2 + (share.mean * weight) ** 2)
-        moved = np.maximum(displaced**2 - 2 * noise * weight**2, 0.0)
-        sigma = np.sqrt(own + (share.reach * doubt) ** 2 + share.deviation**2 * moved)
-        readings = replace(readings, value=readings.value - share.mean * displaced, sigma=sigma)
-        return replace(self, readings=readings, motion=share)
+        sigma = self.readings.sigma
+        size = self.error_in_sigma
+        if sigma is None or not size:
+            return self
+        unloaded = recording.role == UNLOADED
+        repeats = np.where(unloaded, np.sqrt(unloaded.sum()), 1.0)[:, None, None]
+        # σ² ← σ² + (√n e)²: the mean of the n unloaded frames then has the whole error e
+        return self.with_sigma(
+            np.hypot(sigma, repeats * own_errors(self.readings.value, recording.scene, size))
+        )
 
 
 def without_effects(
@@ -228,6 +236,7 @@ def without_effects(
     if besides is None or besides.pair is None:
         return noise
     from lampest.inference.nuisances import remaining_errors, without_effects_of
+    from lampest.posterior.frame_noise import FrameNoise
 
     unloaded = recording.role == UNLOADED
     frame = noise.frame or FrameNoise(
@@ -289,6 +298,8 @@ def estimate_noise(
     noise = _with_estimated_frame_noise(noise, recording, parts)
     if not parts.motion.size:
         return noise
+    from lampest.posterior.frame_noise import FrameNoise  # for frames that move
+
     none = np.zeros((len(parts.common_ripple), 0))
     frame = noise.frame or FrameNoise(scene, unloaded, 0.0, none, none)
     moved = MOVED.format(100 * float(np.hypot.reduce(parts.motion)))
@@ -315,7 +326,8 @@ def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
 def _contradiction_in_words(readout: Readout | None, ratio: float, unloaded: int) -> str:
     """Return the sentence on noise of `ratio` times the specified one.
 
-    '' where both are equal in two digits. `unloaded` is the number of unloaded frames.
+    The result is '' where both are equal in two digits. `unloaded` is the number of unloaded
+    frames.
     """
     where = "unloaded frames" if unloaded > 1 else "readings at rest from frame to frame"
     if readout is None:
@@ -332,6 +344,8 @@ def _with_specified_frame_noise(noise: NoiseEstimate, scene: Scene, unloaded: in
     gain, ripple = (plain_size(size) or 0.0 for size in (scene.gain, scene.ripple))
     if scene.readout is None or not (gain or ripple):
         return noise
+    from lampest.posterior.frame_noise import FrameNoise
+
     # a ripple that all lines share, independent from channel to channel
     channels = scene.panel.shape[0 if scene.circuit.by_columns else 1]
     common = (
@@ -356,6 +370,8 @@ def _with_estimated_frame_noise(
         for key in requested:
             noise = noise.undetermined(key, "record two or more unloaded frames")
         return noise
+    from lampest.posterior.frame_noise import FrameNoise
+
     volt = float(np.mean(scene.readout.sigma_volt()))
     frame = noise.frame or FrameNoise(
         scene, unloaded, 0.0, parts.common_ripple[:, :0], parts.line_ripple[:, :0]
@@ -418,8 +434,8 @@ def _outlier_messages(
 def _scatter_of(recording: Recording, cleaned: Readings) -> Scatter | None:
     """Return the scatter of the unloaded frames, or of readings at rest without these.
 
-    None where neither shows it. A scatter at rest below MIN_MEDIAN_NOISE of a converter is not
-    used.
+    The result is None where neither shows it. A scatter at rest below MIN_MEDIAN_NOISE of a
+    converter is not used.
     """
     resting = recording.role == UNLOADED
     readout = recording.scene.readout

@@ -5,7 +5,7 @@ best ones then enter the network itself. An effect is named if the evidence gain
 MIN_EVIDENCE_GAIN. Readings can be corrected for the effects that were found.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -111,6 +111,10 @@ class CircuitEffects(BetterExplanation):
         return f"{' and '.join(names)}: {TAKEN_OFF}"
 
 
+# Returns the effects beside the circuit, of some kinds.
+Besides = Callable[[tuple[type[Effect], ...]], CircuitEffects]
+
+
 def find_effects(
     pairs: Sequence[tuple[str, FittedPair]], kinds: Sequence[type[Effect]] = EFFECTS
 ) -> CircuitEffects:
@@ -148,7 +152,7 @@ def find_effects(
             name,
             *counts,
             fits_noise,
-            addition={effect.key: ESTIMATED for effect in grown.effects},
+            addition={effect.key: ESTIMATED for effect in grown.effects if effect.key},
             pair=certain if taken_off else None,
         )
     return besides if besides.name else replace(besides, common_change=common)
@@ -159,7 +163,7 @@ def _with_added_effects(
 ) -> tuple[FittedPair, FittedPair]:
     """Add effects to a pair one by one, while each gains evidence and spares moved cells.
 
-    Each has to gain MIN_EVIDENCE_GAIN and to spare MIN_SPARED_CELLS moved cells.
+    An effect has to gain MIN_EVIDENCE_GAIN and to spare MIN_SPARED_CELLS moved cells.
 
     Returns
     -------

@@ -359,8 +359,8 @@ def _from_window(
 ) -> Expected:
     """Return the prediction of frames first + place from the other frames of their window.
 
-    Each is predicted from the other frames of the window that begins at `first`. The neighbours are
-    gathered as (width − 1, frames, ...), with their offsets (width − 1, frames).
+    The window of a prediction begins at `first`. The neighbours are gathered as (width − 1, frames,
+    ...), with their offsets (width − 1, frames).
     """
     width = min(len(value), WINDOW + 1)
     within = first[:, None] + np.arange(width)

@@ -1,6 +1,6 @@
 """Preparation of a recording: readings, noise, effects, check of the circuit and warnings.
 
-Each is determined once.
+Every quantity is determined once.
 """
 
 from collections.abc import Sequence
@@ -21,15 +21,9 @@ from lampest.inference.outliers import (
     without_outliers,
     without_readings,
 )
-from lampest.inference.resolve import (
-    PASSES,
-    ZERO,
-    resolved,
-    resolved_scene,
-    specified,
-    with_resolved_electronics,
-)
+from lampest.inference.resolve import PASSES, ZERO, resolved, resolved_scene
 from lampest.panel.panel import Array, Modules
+from lampest.panel.scene import specified
 from lampest.panel.sizes import ESTIMATED
 from lampest.panel.systematic import unobservable_numbers
 from lampest.recording.garbled import GarbledLines, garbled_lines, garbled_sentence, readings_of
@@ -94,7 +88,10 @@ class Prepared:
 
     @classmethod
     def of(cls, recording: "Recording | Prepared") -> "Prepared":
-        """Return the preparation of a recording. Raises InputError where it is neither."""
+        """Return the preparation of a recording; a preparation is returned unchanged.
+
+        Raises InputError for other objects.
+        """
         if isinstance(recording, Prepared):
             return recording
         if isinstance(recording, Recording):
@@ -123,17 +120,22 @@ class Prepared:
             None if number in dead else Prepared(part, wholes[number]) for number, part in parts
         )
 
+    @property
+    def _estimates_ends(self) -> bool:
+        """Whether the scene leaves an end of its converter to the recording."""
+        return any(specified(self.recording.scene, key) == ESTIMATED for key in (PASSES, ZERO))
+
     @cached_property
     def cleaned(self) -> Cleaned:
         """The readings of a single network without outliers."""
         recording = self.recording
-        if ESTIMATED in (specified(recording.scene, PASSES), specified(recording.scene, ZERO)):
-            from lampest.inference.saturation import with_saturated_stage  # for these keys alone
+        if self._estimates_ends:
+            from lampest.inference.effects.converter_ends import with_saturated_stage  # as above
 
             recording = with_saturated_stage(recording)
         memory: tuple[float, float] | str | None = None
         if recording.scene.converter_memory == ESTIMATED:
-            from lampest.inference.memory import with_estimated_memory  # for this key alone
+            from lampest.inference.effects.converter_memory import with_estimated_memory  # alike
 
             recording, memory = with_estimated_memory(recording)
         if self.recording.scene.outliers == "keep":
@@ -157,9 +159,15 @@ class Prepared:
 
             return noise_of_modules(self.recording, self.layout, estimates)
         noise = estimate_noise(self.cleaned.recording, self.cleaned.outliers, self.cleaned.readings)
-        noise = with_resolved_electronics(
-            noise, self.recording, self.cleaned.recording, self.cleaned.memory
-        )
+        if self._estimates_ends:
+            from lampest.inference.effects.converter_ends import with_resolved_ends  # as above
+
+            noise = with_resolved_ends(noise, self.recording, self.cleaned.recording)
+        memory = self.cleaned.memory
+        if isinstance(memory, str):
+            noise = noise.undetermined("converter_memory", memory)
+        elif memory is not None:
+            noise = noise.determined("converter_memory", memory)
         places = [f"row {row}, column {column}" for row, column in np.argwhere(self.cleaned.frozen)]
         if places:
             noise = noise.with_warnings(

@@ -1,296 +1,86 @@
 """Resolution of a scene: the numbers that it calls `estimated`, determined once from the recording.
 
-Each effect is an entry of one table: its keys, and how the recording determines them. What an entry
-returns holds the numbers with their standard deviations, and readings with the corresponding σ.
-Where the recording cannot determine a number, a warning says why and what to record, and the prior
-stays.
+Each effect is a file of `lampest.inference.effects`, loaded where a scene names it. The result of
+an effect has the numbers with their standard deviations, and readings with the corresponding σ.
+Where the recording cannot determine a number, a warning states the reason and the frames to record,
+and the prior stays.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lampest.files.applications import loaded
 from lampest.files.errors import BROKEN
-from lampest.inference.assumptions import ASSUMED
 from lampest.inference.model_error import scaled, with_model_error
 from lampest.inference.noise import BROKE_DOWN, NoiseEstimate, without_effects
 from lampest.panel.panel import as_panels_have
-from lampest.panel.readouts.characteristic import MAX_VOLT
-from lampest.panel.scene import Scene
+from lampest.panel.readouts.converter import MAX_VOLT
+from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED, LIMITS, Systematic, within_limits
-from lampest.panel.systematic import (
-    READING_ERROR,
-    SHARED_ERRORS,
-    Possible,
-    estimated_errors,
-    own_errors,
-    systematic_of,
-)
-from lampest.posterior.reference import MAX_CELLS
-from lampest.recording.readings import strongest_frame
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.panel.systematic import READING_ERROR, SHARED_ERRORS, estimated_errors, systematic_of
+from lampest.recording.recording import MEASURED, Recording
 
 if TYPE_CHECKING:
-    from lampest.inference.nuisances import CircuitEffects
-    from lampest.panel.effects import Effect
-
-# Effects beside the circuit, found when first called, of some kinds.
-Effects = Callable[[tuple[type["Effect"], ...]], "CircuitEffects"]
-BESIDES = ("leaks", "contacts")
-PASSES = "readout.passes_volt"
-ZERO = "readout.converter.zero_volt"
+    from lampest.inference.nuisances import Besides
 
 
 @dataclass(frozen=True)
 class Entry:
-    """An effect of a scene.
+    """An effect of a scene, by name.
 
     Attributes
     ----------
     keys : tuple of str
         Keys of the scene.
-    resolve : callable
-        Function (noise so far, recording, effects beside the circuit) → noise with the effect.
-    always : bool
-        Whether an absent key is no statement, and the evidence decides.
+    path : str
+        Its class, as 'module:class'.
+    numbers : tuple of str
+        Those of the keys whose numbers change readings or σ; numbers of the others act elsewhere.
     """
 
     keys: tuple[str, ...]
-    resolve: Callable[[NoiseEstimate, Recording, Effects], NoiseEstimate]
-    always: bool = False
+    path: str
+    numbers: tuple[str, ...] = ()
 
-    def named(self, scene: Scene) -> bool:
-        """Return whether the scene names the effect."""
-        return any(specified(scene, key) is not None for key in self.keys)
+    def acts(self, scene: Scene) -> bool:
+        """Return whether the scene names the effect so that readings or σ depend on it."""
+        estimated = any(specified(scene, key) == ESTIMATED for key in self.keys)
+        return estimated or any(specified(scene, key) for key in self.numbers)
 
-
-def specified(scene: Scene, key: str) -> Any:
-    """Return the entry of a scene at a dotted key; None where it is absent."""
-    entry: Any = scene
-    for part in key.split("."):
-        entry = None if isinstance(entry, str) else getattr(entry, part, None)
-    return entry
+    def load(self) -> Any:
+        """Return the effect, a `lampest.inference.effects.effect.SceneEffect`."""
+        return loaded(self.path)()
 
 
-def _besides(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
-    """Take leaks and bad contacts off the readings."""
-    requested = [key for key in BESIDES if specified(recording.scene, key) == ESTIMATED]
-    if not requested:
-        return noise
-    from lampest.panel.effects import LineLeak, LooseContact
-
-    kinds: dict[str, type[Effect]] = {"leaks": LineLeak, "contacts": LooseContact}
-    besides = effects(tuple(kinds[key] for key in requested))
-    pair = besides.pair
-    if pair is None:
-        reason = "untouched cells show none"
-        if besides.name:
-            reason = f"{besides.name}, but others explain the readings as well"
-        return noise.with_warnings(
-            f"{' and '.join(requested)}: estimated, and not taken off the readings: {reason}"
-        )
-    noise = without_effects(noise, recording, besides).with_warnings(besides.corrections)
-    deviations = pair.explained(pair.columns(pair.effects)).sd[1:]
-    for key, kind in kinds.items():
-        for effect, deviation in zip(pair.effects, deviations, strict=True):
-            if isinstance(effect, kind):
-                name = f"{key} of {effect.where(recording.scene.panel.rows)}"
-                noise = noise.determined(name, (effect.size, float(deviation) * effect.prior))
-    return noise
-
-
-def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
-    """Interpolate the readings to the middle of their scan."""
-    scene = recording.scene
-    readings = noise.readings
-    measured = np.flatnonzero(recording.role == MEASURED)
-    share = scene.motion
-    if readings.sigma is None or share is None or len(measured) < 2:
-        return noise
-    from lampest.inference.scan_motion import (
-        READING_ERRORS,
-        UNKNOWN_SHARE,
-        Share,
-        share_of_motion,
-    )
-
-    if share != ESTIMATED:
-        number = Share(mean=float(share), deviation=0.0, reach=float(share))
-        return noise.with_motion(scene, measured, number) if share else noise
-    unloaded = recording.role == UNLOADED
-    errors_tried = READING_ERRORS if READING_ERROR.setting in estimated_errors(scene) else (0.0,)
-    size = (
-        share_of_motion(scene, readings[unloaded].mean(), readings, measured, errors_tried)
-        if unloaded.any()
-        else None
-    )
-    if size is None:
-        return noise.with_motion(scene, measured, UNKNOWN_SHARE).undetermined(
-            "motion",
-            "no frame has still cells beside a load that moves. "
-            "Error bars allow for any share of the time between frames; "
-            "give the share, or record five unloaded frames and a load that leaves most cells free",
-        )
-    noise = noise.with_motion(scene, measured, size)
-    return noise.determined("motion", (size.mean, size.deviation))
-
-
-def _shared(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
-    """Determine the errors that all frames share."""
-    scene = recording.scene
-    readings = noise.readings
-    requested = tuple(name for name in estimated_errors(scene) if name != "model_error")
-    if not requested:
-        sizes = systematic_of(scene)
-        size = 0.0 if sizes is None else READING_ERROR.size(sizes)
-        if sizes is None or not size:
-            return noise
-        possible = Possible(sizes, in_sigma=size)
-        return _with_reading_error(replace(noise, possible_errors=possible), recording)
-    unloaded = np.flatnonzero(recording.role == UNLOADED)
-    measured = np.flatnonzero(recording.role == MEASURED)
-    if not len(unloaded):
-        for name in requested:
-            noise = noise.undetermined(f"systematic.{name}", "record five or more unloaded frames")
-        return noise
-    from lampest.inference.still_cells import shared_errors
-
-    resting = readings[unloaded].mean()
-    loaded = None
-    if len(measured):
-        loaded = readings[strongest_frame(readings.plain_values, resting.value, measured)]
-    errors = shared_errors(scene, resting, loaded, noise.frame)
-    noise = _with_reading_error(replace(noise, possible_errors=errors.possible), recording)
-    for name in requested:
-        if name in errors.sizes:
-            noise = noise.determined(f"systematic.{name}", errors.sizes[name])
-        else:
-            reason = errors.undetermined or "no frame shows it; `lampest calibrate` measures it"
-            noise = noise.undetermined(f"systematic.{name}", reason)
-    return noise
-
-
-def _with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimate:
-    """Return the noise with each reading's own error in σ.
-
-    Error bars treat the error as one that all frames share. Averaging does not reduce it, so σ of
-    each of n unloaded frames includes √n times the error.
-    """
-    sigma = noise.readings.sigma
-    size = noise.error_in_sigma
-    if sigma is None or not size:
-        return noise
-    unloaded = recording.role == UNLOADED
-    repeats = np.where(unloaded, np.sqrt(unloaded.sum()), 1.0)[:, None, None]
-    # σ² ← σ² + (√n e)²: the mean of the n unloaded frames then has the whole error e
-    return noise.with_sigma(
-        np.hypot(sigma, repeats * own_errors(noise.readings.value, recording.scene, size))
-    )
-
-
-def _creep(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
-    """Determine the change of all cells alike since the unloaded frames.
-
-    The cells that no load touches determine it.
-    """
-    scene = recording.scene
-    readings = noise.readings
-    if scene.creep != ESTIMATED:
-        return noise
-    unloaded = recording.role == UNLOADED
-    measured = np.flatnonzero(recording.role == MEASURED)
-    if readings.sigma is None or not unloaded.any() or not len(measured):
-        return noise.undetermined(
-            "creep", "record unloaded frames, and frames whose load leaves cells free"
-        )
-    if scene.panel.crossings > MAX_CELLS:
-        return noise.undetermined("creep", f"the panel has more than {MAX_CELLS} cells")
-    from lampest.inference.cells_fit import fitted
-    from lampest.inference.changed_cells import mostly_still
-    from lampest.inference.fitted_pair import FittedPair
-
-    resting = readings[unloaded].mean()
-    base = fitted(scene, resting, patient=True)
-    last = fitted(scene, readings[int(measured[-1])], patient=True)
-    if base is None or last is None:
-        return noise.undetermined("creep", "no cells explain the unloaded panel and the last frame")
-    evidence = FittedPair((base, last)).evidence
-    if not mostly_still(evidence.moved) or not np.isfinite(evidence.size[0]):
-        return noise.undetermined(
-            "creep", "the load touches most cells: record a frame with less load at the end"
-        )
-    return noise.determined(
-        "creep",
-        (
-            ASSUMED.common_change * float(evidence.size[0]),
-            ASSUMED.common_change * float(evidence.sd[0]),
-        ),
-    )
-
-
-def _model(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
-    """Widen σ by the model's error."""
-    return with_model_error(noise, recording)
-
-
-# In the order in which they are resolved: each sees the readings without the effects before it.
+# Effects in the order in which they are resolved: each sees the readings without those before it.
 ENTRIES = (
-    Entry(BESIDES, _besides),
-    Entry(("motion",), _motion),
-    Entry(tuple(f"systematic.{error.setting}" for error in SHARED_ERRORS), _shared),
-    Entry(("creep",), _creep),
-    Entry(("systematic.model_error",), _model, always=True),
+    Entry(
+        ("readout.passes_volt", "readout.converter.zero_volt"),
+        "lampest.inference.effects.converter_ends:ConverterEnds",
+    ),
+    Entry(("converter_memory",), "lampest.inference.effects.converter_memory:ConverterMemory"),
+    Entry(("gain", "ripple"), "lampest.inference.effects.gain_and_ripple:GainAndRipple"),
+    Entry(("leaks", "contacts"), "lampest.inference.effects.leaks_and_contacts:LeaksAndContacts"),
+    Entry(("motion",), "lampest.inference.effects.motion:ScanMotion", ("motion",)),
+    Entry(
+        tuple(f"systematic.{error.setting}" for error in SHARED_ERRORS),
+        "lampest.inference.effects.static_errors:StaticErrors",
+        (f"systematic.{READING_ERROR.setting}",),
+    ),
+    Entry(("creep",), "lampest.inference.effects.creep:CommonCreep"),
 )
-# Resolved with the frames' noise.
-FRAME_KEYS = ("readout.noise_lsb", PASSES, ZERO, "converter_memory", "gain", "ripple")
-
-
-def with_resolved_electronics(
-    noise: NoiseEstimate,
-    recording: Recording,
-    cleaned: Recording,
-    memory: tuple[float, float] | str | None,
-) -> NoiseEstimate:
-    """Return the noise with what was determined before any reading was taken.
-
-    That is a saturated stage, and converter memory.
-
-    Parameters
-    ----------
-    noise : NoiseEstimate
-    recording, cleaned : Recording
-        With the scene as specified, and with numbers.
-    memory : (float, float), str or None
-        Estimate of `converter_memory`, or why there is none; None where the scene calls for none.
-    """
-    if specified(recording.scene, ZERO) == ESTIMATED:
-        from lampest.inference.saturation import with_converter_ends
-
-        _, zero = with_converter_ends(recording)
-        if zero is None:
-            noise = noise.undetermined(
-                ZERO, "no cells of the unloaded panel are open above the converter's end"
-            )
-        else:
-            noise = noise.determined(ZERO, zero)
-    if specified(recording.scene, PASSES) == ESTIMATED:
-        passes = specified(cleaned.scene, PASSES)
-        if passes is None:
-            noise = noise.undetermined(
-                PASSES, "channels of its frames end at no common voltage: load more cells"
-            )
-        else:
-            noise = noise.determined(PASSES, passes)
-    if isinstance(memory, str):
-        return noise.undetermined("converter_memory", memory)
-    return noise if memory is None else noise.determined("converter_memory", memory)
+PASSES, ZERO = ENTRIES[0].keys
+MODEL_ERROR = "systematic.model_error"
+OF_NOISE = "readout.noise_lsb"
 
 
 def resolved(
-    noise: NoiseEstimate, recording: Recording, whole: NoiseEstimate | None, effects: Effects
+    noise: NoiseEstimate, recording: Recording, whole: NoiseEstimate | None, effects: "Besides"
 ) -> NoiseEstimate:
     """Return the noise of a single network with all effects that its scene names.
 
@@ -310,16 +100,28 @@ def resolved(
     if whole is not None:
         return _as_the_whole(noise, recording, whole)
     for entry in ENTRIES:
-        if not entry.named(recording.scene) and not entry.always:
-            continue
-        try:
-            with np.errstate(all="ignore"):
-                noise = entry.resolve(noise, recording, effects)
-        except BROKEN:
-            for key in entry.keys:
-                if specified(recording.scene, key) == ESTIMATED:
-                    noise = noise.undetermined(key, BROKE_DOWN)
-    return noise
+        if entry.acts(recording.scene):
+            resolve = partial(entry.load().resolve, besides=effects)
+            noise = _unless_broken(resolve, noise, recording, entry.keys)
+    # Without a key evidence decides whether the model has an error.
+    return _unless_broken(with_model_error, noise, recording, (MODEL_ERROR,))
+
+
+def _unless_broken(
+    resolve: Callable[[NoiseEstimate, Recording], NoiseEstimate],
+    noise: NoiseEstimate,
+    recording: Recording,
+    keys: tuple[str, ...],
+) -> NoiseEstimate:
+    """Return the noise with an effect; where arithmetic breaks down, its keys are undetermined."""
+    try:
+        with np.errstate(all="ignore"):
+            return resolve(noise, recording)
+    except BROKEN:
+        for key in keys:
+            if specified(recording.scene, key) == ESTIMATED:
+                noise = noise.undetermined(key, BROKE_DOWN)
+        return noise
 
 
 def _as_the_whole(
@@ -329,9 +131,11 @@ def _as_the_whole(
     noise = without_effects(noise, recording, whole.corrected_effects)
     measured = np.flatnonzero(recording.role == MEASURED)
     if whole.motion is not None and noise.readings.sigma is not None:
-        noise = noise.with_motion(recording.scene, measured, whole.motion)
+        from lampest.inference.effects.motion import interpolated  # for this key alone
+
+        noise = interpolated(noise, recording.scene, measured, whole.motion)
     noise = replace(noise, possible_errors=whole.possible_errors, estimated=whole.estimated)
-    noise = _with_reading_error(noise, recording)
+    noise = noise.with_reading_error(recording)
     return scaled(noise, recording, whole.model_factor)
 
 
@@ -341,7 +145,7 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
     An error that the recording cannot determine has its prior, any other effect is absent. A number
     that the scene's key does not allow is the nearest allowed one.
     """
-    keys = [*chain.from_iterable(entry.keys for entry in ENTRIES), *FRAME_KEYS]
+    keys = [*chain.from_iterable(entry.keys for entry in ENTRIES), OF_NOISE, MODEL_ERROR]
     requested = [key for key in keys if specified(scene, key) == ESTIMATED]
     if not requested:
         return scene
@@ -361,12 +165,12 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
         }
         systematic = replace(systematic, **within)
     readout: Any = scene.readout
-    if specified(scene, "readout.noise_lsb") == ESTIMATED:
-        readout = replace(readout, noise_lsb=numbers.get("readout.noise_lsb"))
+    if specified(scene, OF_NOISE) == ESTIMATED:
+        readout = replace(readout, noise_lsb=numbers.get(OF_NOISE))
     if specified(scene, PASSES) == ESTIMATED:
         passes = None
         if PASSES in estimated:
-            from lampest.inference.saturation import passed_range
+            from lampest.inference.effects.converter_ends import passed_range  # for this key alone
 
             passes = passed_range(estimated[PASSES], readout.range_volt)
         readout = replace(readout, passes_volt=passes)

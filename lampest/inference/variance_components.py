@@ -92,7 +92,7 @@ class Scatter:
 def noted_excess(chi_square: float, degrees: float) -> float:
     """Return √(χ²/degrees), the factor of the noise over the specified one.
 
-    1 where it is insignificant or small.
+    The result is 1 where it is insignificant or small.
     """
     factor = float(np.sqrt(chi_square / degrees)) if degrees else 1.0
     noted = factor >= MIN_EXCESS and chi_square_tail(chi_square, degrees) < SIGNIFICANCE
@@ -102,8 +102,8 @@ def noted_excess(chi_square: float, degrees: float) -> float:
 def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
     """Return the variance components of the unloaded frames.
 
-    None where no reading is a value in two of them. Without a readout in the scene the voltages are
-    unknown, and the gain multiplies the readings themselves.
+    The result is None where no reading is a value in two of them. Without a readout in the scene
+    the voltages are unknown, and the gain multiplies the readings themselves.
     """
     circuit = recording.scene.circuit
     scene = recording.scene
@@ -138,11 +138,11 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
 def repeated_scatter(measured: Readings) -> Scatter | None:
     """Return the noise from second differences of successive frames.
 
-    None without three frames or without rest. Of three successive frames the second difference (y₀
-    − 2 y₁ + y₂)/(√6 σ) has unit variance, also during uniform motion. Its median over the readings
-    is that of the readings at rest, and only the quietest quarter of the triples counts. Where
-    first differences, divided by √2 σ, are larger by MIN_EXCESS, motion remains and the scatter is
-    only an upper bound: it is then not taken for noise above the specified one.
+    The result is None without three frames or without rest. Of three successive frames the second
+    difference (y₀ − 2 y₁ + y₂)/(√6 σ) has unit variance, also during uniform motion. Its median
+    over the readings is that of the readings at rest, and only the quietest quarter of the triples
+    counts. Where first differences, divided by √2 σ, are larger by MIN_EXCESS, motion remains and
+    the scatter is only an upper bound: it is then not taken for noise above the specified one.
     """
     value = measured.plain_values
     sigma = measured.known_sigma[1:-1]
@@ -176,7 +176,7 @@ def scatter(
 ) -> Scatter:
     """Return the variance components of deviations from the mean over frames.
 
-    All is noise without `gain`, `ripple`.
+    If neither `gain` nor `ripple` is requested, all variance is noise.
 
     Parameters
     ----------
@@ -374,13 +374,11 @@ def posterior_size(squares: float, freedom: float, variance: float) -> tuple[flo
 
 
 def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:
-    """Return the eigenvalues (channels,) of a sample covariance shrunk to their mean.
-
-    Its degrees of freedom are returned, too.
+    """Return the eigenvalues (channels,) of a shrunk sample covariance, and its degrees of freedom.
 
     Oracle-approximating shrinkage, (1 − ρ) S + ρ (tr S/p) 1, so that directions without a sample
-    have a variance, too.
-    Source: Chen, Wiesel, Eldar and Hero, IEEE Trans. Signal Processing 58(10), 2010.
+    have a variance, too. Source: Chen, Wiesel, Eldar and Hero, IEEE Trans. Signal Processing
+    58(10), 2010.
     """
     channels = len(sizes)
     total = float(sizes.sum())

@@ -52,7 +52,7 @@ class AddressedNetwork(Network):
     def read(self, entries: Entries) -> Array:
         """Return h(p, q, t), (rows, columns), of entries (addresses, …).
 
-        Each reading is from those of its address.
+        Every reading is taken from the entries of its address.
         """
         addresses = zip(self.networks, zip(*entries, strict=True), strict=True)
         return self._selected([network.read(own) for network, own in addresses])
@@ -98,7 +98,7 @@ class AddressedNetwork(Network):
     def response_of(self, response: Callable[[Network], Array]) -> Array:
         """Return a response of readings (rows, columns, …).
 
-        Each is from the network of its address.
+        Every response is taken from the network of the reading's address.
         """
         return self._selected([response(network) for network in self.networks])
 

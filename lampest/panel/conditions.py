@@ -38,7 +38,7 @@ class Water(Configuration):
 def water_pressure(panel: Panel, water: Water | None) -> Array:
     """Return the water's pressure p_w = ρ g (depth + y) of cells at y, (rows, columns) kPa.
 
-    0 without water.
+    The result is 0 without water.
     """
     if water is None:
         return np.zeros(panel.shape)

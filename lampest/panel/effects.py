@@ -33,7 +33,7 @@ class Effect(ABC):
     size : float
         Size in the unit of `prior`.
     key : str
-        The key of a scene that states it.
+        The key of a scene that states it; '' where none does.
     prior : float
         Standard deviation of the size.
     positive : bool
@@ -43,7 +43,7 @@ class Effect(ABC):
     lines: tuple[int, ...]
     since: bool = False
     size: float = 0.0
-    key: ClassVar[str]
+    key: ClassVar[str] = ""
     prior: ClassVar[float]
     positive: ClassVar[bool] = False
 

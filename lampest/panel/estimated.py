@@ -24,8 +24,10 @@ def estimated_lines(estimated: Mapping[str, tuple[float, float]] | None) -> tupl
 
     Such a line is 'ripple: 0.096 ± 0.057 LSB'.
 
-    estimated : key of the scene → number and standard deviation, as in `Scene.estimated`; None
-        without any.
+    Parameters
+    ----------
+    estimated : mapping or None
+        Key of the scene → number and standard deviation, as in `Scene.estimated`; None without any.
     """
     lines = [_line(key, *pair) for key, pair in (estimated or {}).items()]
     more = len(lines) - MAX_LINES

@@ -112,7 +112,7 @@ class Faults(Configuration):
     ) -> "Faults | None":
         """Return the faults of one module by its own rows and columns, with its `module_faults`.
 
-        None without any.
+        The result is None without any.
         """
         rows, columns = layout.cells(number)
         module_faults = module_faults or Faults()

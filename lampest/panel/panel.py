@@ -1,7 +1,4 @@
-"""Panel: cells at crossings of rows and columns, their positions and neighbours.
-
-Also finite differences over them.
-"""
+"""Panel: cells at crossings of rows and columns, their positions, neighbours and differences."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -235,6 +232,11 @@ class Panel(Configuration):
         x, y = ((float(np.nanmin(axis)), float(np.nanmax(axis))) for axis in self.places_mm)
         return x, y
 
+    @cached_property
+    def bare(self) -> "Panel":
+        """The panel without pitch and modules, on which no cost depends."""
+        return Panel(*self.shape) if self.cells is None else self
+
     @property
     def network(self) -> "Panel":
         """The panel that is one network: itself, or each of its modules."""
@@ -247,7 +249,7 @@ class Panel(Configuration):
     def places_mm(self) -> Array:
         """Positions x and y of every cell in mm, (2, rows, columns).
 
-        NaN at crossings without a cell.
+        The value is NaN at crossings without a cell.
         """
         if self.cells is None:
             return np.stack(np.meshgrid(*self.centres_mm()))
@@ -260,7 +262,7 @@ class Panel(Configuration):
     def heights_mm(self) -> Array | None:
         """Position z of every cell in mm, (rows, columns); None for a panel on a plane.
 
-        NaN at crossings without a cell.
+        The value is NaN at crossings without a cell.
         """
         if self.cells is None or len(self.cells[0]) < 5:
             return None
@@ -324,8 +326,8 @@ def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
 def connected_parts(conducting: NDArray[np.bool_]) -> NDArray[np.intp] | None:
     """Return the number of the connected part of each line, (lines,).
 
-    None if the cells connect all lines. `conducting`, (rows, columns), states which crossings
-    conduct.
+    The result is None if the cells connect all lines. `conducting`, (rows, columns), states which
+    crossings conduct.
     """
     if conducting.all():
         return None

@@ -98,7 +98,7 @@ class Response(Configuration):
     def curve_sd(self, pressure: ArrayLike) -> Array:
         """Return the relative standard deviation of ln f(p) that all cells share, any shape.
 
-        0 for an exact curve.
+        The result is 0 for an exact curve.
         """
         return np.zeros(np.shape(pressure))
 
@@ -466,8 +466,8 @@ class Film(Configuration):
 
     @property
     def answer_sd(self) -> float:
-        """Relative standard deviation of `answer`, the scatter of the published cells about a line.
+        """Relative standard deviation of `answer`.
 
-        The line is in the curvature.
+        The published cells scatter by as much about a line in the curvature.
         """
         return 0.15 if self.curvature_per_m else 0.0

@@ -308,7 +308,7 @@ class Shared:
     def beyond(self, known: "Shared | None") -> "Shared | None":
         """Return the errors that remain if a method has unknowns for the errors `known`.
 
-        None if none remain.
+        The result is None if none remain.
         """
         if self.systematic is None:
             return None

@@ -110,23 +110,3 @@ def equation_derivatives(
 
     stacked = casadi.cse(casadi.vertcat(*(casadi.densify(derivative(name)) for name in names)))
     return Compiled(casadi.Function("derivatives", list(flat.values()), [stacked]))
-
-
-@guarded
-@lru_cache(maxsize=64)
-def reads_own(
-    readout: ReadCircuit, rows: int, columns: int, *, with_potentials: bool = False
-) -> tuple[bool, bool]:
-    """Return whether the reading depends on the driving-point impedances of its lines.
-
-    Returns
-    -------
-    by_row, by_column : bool
-        Whether it depends on the row's Z_jj, and on the column's Z_kk.
-    """
-    import casadi
-
-    names = slope_names(with_potentials=with_potentials)
-    row, column, *others = (casadi.MX.sym(name, rows, columns) for name in names)
-    reading = readout.reading(row, column, *others)
-    return bool(casadi.depends_on(reading, row)), bool(casadi.depends_on(reading, column))

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from lampest.panel.panel import Array
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.interval import one_sided
-from lampest.posterior.linear import IGNORANCE
-from lampest.posterior.matrices import positive_inverse
+from lampest.posterior.linear import IGNORANCE, positive_inverse
 
 
 def active_bounds(

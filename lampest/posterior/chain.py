@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.posterior.matrices import positive_inverse
+from lampest.posterior.linear import positive_inverse
 
 
 @dataclass(frozen=True, eq=False)

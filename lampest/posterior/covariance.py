@@ -25,10 +25,11 @@ With C = 1 and equal noise of all data, S is the Laplace approximation s² A⁻�
 large for matrices have the same S from samples (`lampest.posterior.sampled`).
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,10 +41,58 @@ from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array
 from lampest.posterior.certainty import Certainty, common_variance
 from lampest.posterior.interval import LEVEL
-from lampest.posterior.linear import IGNORANCE, LinearModel, rank
-from lampest.posterior.matrices import positive_inverse
-from lampest.posterior.memory import DenseMemory, Memory
+from lampest.posterior.linear import IGNORANCE, LinearModel, positive_inverse, rank
 from lampest.solvers.hessian import block_diagonal
+
+
+class Memory(ABC):
+    """Errors of the last estimate and of the baseline, for the error bars of the next frame.
+
+    Terms that compare a frame with the previous one, or with the unloaded panel, carry them into
+    the next estimate. Small panels keep their covariance as a matrix, large ones samples.
+
+    Attributes
+    ----------
+    exact : bool
+        Whether they are a matrix.
+    """
+
+    exact: ClassVar[bool]
+
+    @abstractmethod
+    def resting(self) -> "Memory":
+        """Return the memory with the last estimate as the baseline."""
+
+    @abstractmethod
+    def shared(self) -> Array:
+        """Return the covariance of the last estimate and the baseline, cell by cell, (cells,)."""
+
+    @abstractmethod
+    def variance(self) -> Array:
+        """Return the variance of the last estimate, (cells,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class DenseMemory(Memory):
+    """Errors of log r of the last estimate and of the baseline, as matrices.
+
+    Attributes
+    ----------
+    blocks : array, shape (2, 2, cells, cells)
+        S₀, the joint covariance of the last estimate (0) and the baseline (1).
+    """
+
+    exact: ClassVar[bool] = True
+    blocks: Array
+
+    def resting(self) -> "DenseMemory":
+        return DenseMemory(np.broadcast_to(self.blocks[0, 0], self.blocks.shape))
+
+    def shared(self) -> Array:
+        return np.asarray(np.diag(self.blocks[0, 1]))
+
+    def variance(self) -> Array:
+        return np.asarray(np.diag(self.blocks[0, 0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +108,11 @@ class DenseErrors:
     drawn : array, shape (data rows, n), or None
         V, random errors that the readings of a frame share; None if the errors of the readings are
         independent.
+    exact : bool
+        Whether all sums over cells are exact; those of samples are not.
     """
 
+    exact: ClassVar[bool] = True
     model: LinearModel
     before: Any = None
     drawn: Array | None = None

@@ -16,9 +16,9 @@ from lampest.panel.scene import Scene
 def motion_patterns(shape: tuple[int, ...]) -> Array:
     """Return the patterns in which moving water changes ln r of all cells, (3, rows, columns).
 
-    They are 1, and the place across the columns and across the rows, from −1 to 1. A change of ln r
-    that all cells share changes ln of each two-point resistance as much; of a gradient, the
-    readings show a smaller one.
+    The patterns are 1, the place across the columns, and the place across the rows, from −1 to 1. A
+    change of ln r that all cells share changes ln of each two-point resistance by the same amount;
+    a gradient changes the readings by less.
     """
     rows, columns = (np.linspace(-1, 1, size) if size > 1 else np.zeros(1) for size in shape)
     return np.stack([np.ones(shape), *np.broadcast_arrays(columns, rows[:, None])])

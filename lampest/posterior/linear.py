@@ -12,6 +12,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.linalg import blas, lapack
 from scipy.sparse.csgraph import connected_components
 
 from lampest.cost.cost import Cost
@@ -25,6 +26,7 @@ NEAR_BOUND = 1e-3  # of log r: distance from a bound within which a cell is at i
 # Percent: an absolute residual below it is 0. Solvers end at 1e-7 and less, noise moves cells by
 # 0.01 and more (tests/oracles/test_certainty.py).
 PINNED = 1e-4
+UNKNOWN_SD = 10.0  # standard deviation of log r0 where nothing is known of it
 IGNORANCE = 1e-4  # prior precision of log r, which regularises cells without data and penalties
 
 
@@ -114,10 +116,7 @@ class LinearModel:
 
     @cached_property
     def unread_rows(self) -> NDArray[np.bool_]:
-        """Whether a penalty involves a free cell whose own reading is missing.
-
-        Boolean, (penalty rows,).
-        """
+        """Whether a penalty involves a free cell without a reading, boolean (penalty rows,)."""
         return np.asarray(abs(self.penalty_jacobian)[:, self.free[self.unread]].sum(axis=1) > 0)
 
     @cached_property
@@ -321,6 +320,55 @@ class LinearModel:
             return np.zeros(len(self.penalty_term))
         share = np.minimum(_squares(self.known_jacobians[0]) @ variance, 1.0)
         return np.where(np.isin(self.penalty_term, weighing), share, 0.0)
+
+
+def positive_inverse(matrix: Array) -> Array:
+    """Return A⁻¹ from the upper triangle of A.
+
+    Raises numpy.linalg.LinAlgError if A is not positive definite.
+    """
+    return inverse_and_volume(matrix)[0] if matrix.size else matrix
+
+
+def inverse_and_volume(matrix: Array) -> tuple[Array, float]:
+    """Return the inverse of a matrix A from its upper triangle, and its volume.
+
+    Raises as `positive_inverse`.
+
+    Returns
+    -------
+    inverse : array, shape of A
+        A⁻¹.
+    log_volume : float
+        log det A⁻¹.
+    """
+    factor, failed = lapack.dpotrf(matrix)
+    inverse, broken = lapack.dpotri(factor)
+    if failed or broken or not np.all(np.isfinite(inverse)):
+        raise np.linalg.LinAlgError("the cost is flat round the estimate")
+    inverse = inverse + inverse.T  # its lower triangle is zero
+    inverse[np.diag_indices(len(inverse))] /= 2
+    return np.asarray(inverse), -2 * float(np.sum(np.log(np.diag(factor))))
+
+
+def swept(table: Array, place: int) -> Array:
+    """Return a table T, (n, m) with m ≥ n, swept by its diagonal entry t_pp.
+
+    A table of rows in memory is overwritten.
+
+        T ← T − t_·p t_p·/t_pp,   row and column p over |t_pp|,   t_pp ← −1/t_pp
+
+    Source: Goodnight, The American Statistician 33, 1979 (the sweep operator).
+    """
+    pivot = table[place, place]
+    row = table[place].copy()
+    column = table[:, place].copy()
+    # dger adds in place, in a fifth of the time of np.outer.
+    table = blas.dger(-1 / pivot, row, column, a=table.T, overwrite_a=True).T
+    table[place] = row / abs(pivot)
+    table[:, place] = column / abs(pivot)
+    table[place, place] = -1 / pivot
+    return table
 
 
 def curved_rows(

@@ -33,7 +33,7 @@ from lampest.cost.problem import Data
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.posterior.interval import LEVEL
-from lampest.posterior.matrices import inverse_and_volume
+from lampest.posterior.linear import inverse_and_volume
 
 MAX_CELLS = 400  # of a panel: beyond, the matrices of the model take seconds
 MIN_FREEDOM_SHARE = 1e-3  # of the readings: degrees of freedom where cells follow all of them

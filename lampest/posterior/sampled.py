@@ -5,24 +5,50 @@ With the symbols of `lampest.posterior.covariance`, a sample of the error of an 
     ε = A⁻¹ (Jᵀ Ω (τ z₁ + V z₃) + s Zᵀ √((C − B) Ω) z₂ + P z₄ − M ε₀)
 
 with standard normal z. A sample costs one solve by conjugate gradients. The covariance of samples
-is S but for the prior term ε s⁴. Standard deviations from n samples scatter by 1/√(2n). `errors_of`
-chooses between matrices and samples.
+is S but for the prior term ε s⁴. Standard deviations from n samples scatter by 1/√(2n).
+`lampest.posterior.track.errors_of` chooses between matrices and samples.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import MAX_DENSE, Linear, steihaug
-from lampest.posterior.covariance import DenseErrors
-from lampest.posterior.linear import IGNORANCE, LinearModel, rank
-from lampest.posterior.memory import Memory, SampledMemory
+from lampest.panel.trust_region import Linear, steihaug
+from lampest.posterior.covariance import DenseErrors, Memory
+from lampest.posterior.linear import IGNORANCE, rank
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import TwoLevel
 from lampest.solvers.smoothing import Smoothing
+
+
+@dataclass(frozen=True, eq=False)
+class SampledMemory(Memory):
+    """Errors of log r of the last estimate and of the baseline, as samples.
+
+    Attributes
+    ----------
+    samples : array, shape (2, samples, cells)
+        Errors of the last estimate (0) and of the baseline (1).
+    frames : int
+        Number of frames so far, the seed of the next frame's noise.
+    """
+
+    exact: ClassVar[bool] = False
+    samples: Array
+    frames: int = 1
+
+    def resting(self) -> "SampledMemory":
+        return replace(self, samples=self.samples[[0, 0]])
+
+    def shared(self) -> Array:
+        return np.asarray(np.mean(self.samples[0] * self.samples[1], axis=0))
+
+    def variance(self) -> Array:
+        return np.asarray(np.mean(self.samples[0] ** 2, axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +68,7 @@ class SampledErrors(DenseErrors):
         itself.
     """
 
+    exact: ClassVar[bool] = False
     samples: int = 100
     probes: int = 8
     accuracy: float = 1e-3
@@ -185,19 +212,3 @@ def _by_columns(function: Callable[[Array], Array], columns: Array, size: int) -
     if not columns.size:
         return np.zeros((size, 0))
     return np.stack([function(column) for column in columns.T], axis=1)
-
-
-def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = None) -> DenseErrors:
-    """Return the errors of an estimate, as matrices or from samples.
-
-    Parameters
-    ----------
-    model : LinearModel
-    memory : Memory or None
-        Errors of the previous frame and of the baseline.
-    drawn : array, shape (data rows, n), or None
-        V, random errors that the readings of a frame share.
-    """
-    if isinstance(memory, SampledMemory) or model.at.cell_resistance.size > MAX_DENSE:
-        return SampledErrors(model, memory if isinstance(memory, SampledMemory) else None, drawn)
-    return DenseErrors(model, memory, drawn)

@@ -27,9 +27,7 @@ from lampest.cost.terms import term_kind
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.posterior.covariance import DenseErrors
-from lampest.posterior.linear import IGNORANCE, LinearModel, rank
-from lampest.posterior.matrices import positive_inverse
-from lampest.posterior.sampled import SampledErrors
+from lampest.posterior.linear import IGNORANCE, LinearModel, positive_inverse, rank
 
 GRID = 80  # points in log λ, between which the minimum is refined
 PRECISION = 0.005  # of log λ
@@ -250,6 +248,8 @@ def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]
     The step is with sums over random changes. E|x| is the mean of |x̂ + Z δ| over δ ~ N(0, s² A⁻¹).
     With |x̂| alone, a penalty without residuals would have an infinite weight.
     """
+    from lampest.posterior.sampled import SampledErrors
+
     errors = SampledErrors(model)
     weights = list(model.at.weights)
     share = min(rank(model.at.cost.unweighted), len(model.free)) / len(

@@ -12,6 +12,7 @@ Introduction to Numerical Continuation Methods, 2003, chapter 2.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +20,14 @@ from numpy.typing import NDArray
 from lampest.files.levels import TWO_SIDED
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared, own_errors
-from lampest.posterior.at_bounds import active_bounds
+from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.certainty import Certainty, common_variance
-from lampest.posterior.covariance import DenseErrors
-from lampest.posterior.frame_noise import FrameNoise
+from lampest.posterior.covariance import DenseErrors, Memory
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.memory import Memory
-from lampest.posterior.sampled import SampledErrors, errors_of
 from lampest.recording.readings import Readings, stand_in_spread
+
+if TYPE_CHECKING:
+    from lampest.posterior.frame_noise import FrameNoise
 
 # Least noise relative to the deviation that includes own errors: rounding of the difference.
 MIN_NOISE_SHARE = 1e-4
@@ -93,7 +94,7 @@ class Track:
     deviation: Array | None = None
     memory: Memory | None = None
     answers: Array | None = None
-    noise: FrameNoise | None = None
+    noise: "FrameNoise | None" = None
 
     def resting(self, model: LinearModel, *, remembered: bool) -> "Track":
         """Return the track after a baseline that is solved alone.
@@ -201,7 +202,9 @@ class Track:
             previous = np.zeros((2, cells[0].size, columns.shape[1]))
         answer = np.zeros((cells.size, columns.shape[1]))
         rows = np.asarray(model.through @ columns)
-        if not isinstance(errors, SampledErrors) and (model.at_lower | model.at_upper).any():
+        if errors.exact and (model.at_lower | model.at_upper).any():
+            from lampest.posterior.at_bounds import active_bounds
+
             answer[model.free], held, below, above = active_bounds(errors, rows, previous)
             bars = bars.reaching(held, below, above)
         else:
@@ -244,7 +247,7 @@ def beyond_tangents(
         cell = int(place) + model.at.cell_resistance.size - size
         if moved is not None:
             changes = _stood_in(errors, readings, int(place), moved)
-        elif cell in model.free and not isinstance(errors, SampledErrors):
+        elif cell in model.free and errors.exact:
             changes = (
                 tangent(errors, cell),
                 profile_end(errors, cell, -1),
@@ -261,6 +264,25 @@ def beyond_tangents(
     further_below = np.maximum(below - straight, 0.0).reshape(shape)
     further_above = np.maximum(above - straight, 0.0).reshape(shape)
     return further_below, further_above
+
+
+def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = None) -> DenseErrors:
+    """Return the errors of an estimate, as matrices or, of large panels, from samples.
+
+    Parameters
+    ----------
+    model : LinearModel
+    memory : Memory or None
+        Errors of the previous frame and of the baseline.
+    drawn : array, shape (data rows, n), or None
+        V, random errors that the readings of a frame share.
+    """
+    samples = None if memory is None or memory.exact else memory
+    if samples is None and model.at.cell_resistance.size <= MAX_DENSE:
+        return DenseErrors(model, memory, drawn)
+    from lampest.posterior.sampled import SampledErrors
+
+    return SampledErrors(model, samples, drawn)
 
 
 def tangent(errors: DenseErrors, cell: int) -> Array:

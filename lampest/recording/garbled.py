@@ -198,7 +198,7 @@ class Along:
 
     @cached_property
     def _least_rough(self) -> Array:
-        """Roughness of a garbled line, (frames,): beyond that of the lines of all other frames."""
+        """Least roughness of a garbled line, (frames,), from the lines of all other frames."""
         return np.asarray(
             np.fmax(
                 MIN_ROUGHNESS, MIN_ROUGHNESS_RATIO * largest_of_others(self.roughness.max(axis=1))

@@ -67,9 +67,9 @@ def processing_of(codes: Array, resting: NDArray[np.bool_], present: NDArray[np.
 
 
 def normalised(values: Array, full_scale_volt: float) -> str:
-    """Return a sentence for voltages that are shares of some range; '' for others.
+    """Return a sentence for voltages that are shares of their range, '' for others.
 
-    The shares are from exactly 0 to exactly 1.
+    Shares of a range are values from exactly 0 to exactly 1.
     """
     known = values[np.isfinite(values)]
     if (

@@ -19,7 +19,6 @@ from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FILE_ATTRIBUTES, Acquisition, group_of, stored_fields
 from lampest.recording.file import create_frames_group, read_frames, recording_file
 from lampest.recording.readings import Readings, check_sigma, mean_change, strongest_frame
-from lampest.recording.unit import check_unit, recorded_values
 
 UNLOADED = 0
 MEASURED = 1
@@ -246,6 +245,8 @@ class Recording(Validated):
             raise InputError(
                 f"baseline must be a number of frames from 0 to {len(array)}, not {baseline}"
             )
+        from lampest.recording.unit import check_unit, recorded_values  # not for files
+
         check_unit(unit, known, "values")
         known = known or Scene(Panel(*array.shape[1:]))
         recorded = recorded_values(

@@ -278,7 +278,7 @@ def _verified_text(case: CaseResult, chosen: NDArray[np.bool_]) -> str:
 def _quoted(published: PublishedFigures | None, steps: Steps) -> dict[str, Any]:
     """Return published figures of these steps.
 
-    Figures of all steps and of following steps substitute each other.
+    Figures of all steps and those of the following steps substitute each other.
     """
     known = published or PublishedFigures()
     later = (known.all, known.following) if steps == "all" else (known.following, known.all)
@@ -292,9 +292,9 @@ def _quoted(published: PublishedFigures | None, steps: Steps) -> dict[str, Any]:
 
 
 def model_notes(rows: Sequence[Row]) -> list[str]:
-    """Return the weights that the data chose, and the warnings of each recording.
+    """Return lines on the weights that the data chose, and the warnings of each recording.
 
-    A line each; each once.
+    Equal lines are returned once.
     """
     chosen = (
         f"{row['recording']}, {row['estimator']}: {row['chosen weights']}"
@@ -445,9 +445,9 @@ def _title(group: Sequence[Row], *, several: bool) -> str:
 
 
 def _plus_minus(row: Row, header: str, factor: float = 1.0) -> str:
-    """Return mean and standard deviation such as '2.3 ± 1.4', '' without.
+    """Return mean and standard deviation such as '2.3 ± 1.4', or '' without a mean.
 
-    The header is such as 'time {} [s]'.
+    A header is for example 'time {} [s]'.
     """
     mean, sd = (row[header.format(name)] for name in ("mean", "sd"))
     if mean is None:

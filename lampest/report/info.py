@@ -406,7 +406,7 @@ def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str
 
 
 def _empty_lines(missing: NDArray[np.bool_]) -> str:
-    """Return which lines have no reading at all, behind a semicolon; '' without any."""
+    """Return words on the lines without any reading, '' if there are none."""
     rows = np.flatnonzero(missing.all(axis=(0, 2)))
     columns = np.flatnonzero(missing.all(axis=(0, 1)))
     lines = [*(f"row {number}" for number in rows), *(f"column {number}" for number in columns)]
@@ -489,7 +489,7 @@ def shaded_map(change: Array) -> list[str]:
 
 
 def _room() -> int:
-    """Return the number of signs in a line of the terminal; 100 where none says it."""
+    """Return the width of the terminal in characters, 100 if it is unknown."""
     return max(shutil.get_terminal_size((100, 24)).columns, 20)
 
 

@@ -59,7 +59,7 @@ def strongest_index(cases: Sequence[CaseResult]) -> int:
 def furthest(value: Array, resting: Array) -> int:
     """Return the index of the last frame whose rms `likely_change` reaches 90 % of the largest.
 
-    The last one, because loads settle after their onset.
+    Loads settle after their onset, so that the last of similar frames shows them best.
 
     Parameters
     ----------

@@ -40,11 +40,11 @@ from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import StoredCase
 from lampest.runs.checks import CASES, Checks, CheckTask, RecordingCheck, without_check
-from lampest.runs.config import Case, Run, digest
+from lampest.runs.config import Case, Run
 from lampest.runs.executors import Executor, LostError, Pairs
 from lampest.runs.filling import case_result
+from lampest.runs.provenance import digest
 from lampest.runs.results import (
-    PublishedFigures,
     join_case,
     read_case_scene,
     stored_cases,
@@ -249,7 +249,10 @@ def run_batch(
         finally:
             finished |= _results([task for task in tasks if task.file not in finished])
             cases = _with_checks(_with_unfinished(tasks, finished), checked, run.check)
-            aside = _write_all(folder / RESULTS, cases, run.published)
+            aside = None
+            if cases:
+                aside = _put_aside(folder / RESULTS, cases)
+                write_results(folder / RESULTS, cases, run.published)
             _clear(folder, tasks, fresh=False)
         not_run = len(tasks) - len(finished) - len(failed) if lost else 0
         return Report(
@@ -273,7 +276,7 @@ def run_batch(
 def _with_unfinished(
     tasks: Sequence[Task], finished: Mapping[Path, StoredCase]
 ) -> list[StoredCase]:
-    """Return the results of all cases in order, of unfinished ones those of the finished frames."""
+    """Return the results of all cases in order; unfinished cases have their finished frames."""
     unfinished = _results([task for task in tasks if task.file not in finished], unfinished=True)
     results = {**finished, **unfinished}
     return [results[task.file] for task in tasks if task.file in results]
@@ -314,23 +317,10 @@ def _unchecked(checked: Mapping[str, RecordingCheck | BaseException | None]) -> 
             yield f"{recording}: the circuit was not checked: {reason}"
 
 
-def _write_all(
-    path: Path,
-    cases: Sequence[StoredCase],
-    published: Mapping[str, PublishedFigures] | None,
-) -> Path | None:
-    """Write the results of all cases, if any; return the new name of a file of other cases."""
-    if not cases:
-        return None
-    aside = _put_aside(path, cases)
-    write_results(path, cases, published)
-    return aside
-
-
 def _different_lines(
     cases: Sequence[StoredCase], name: Literal["warnings", "advice"]
 ) -> tuple[str, ...]:
-    """Return the different lines of results' warnings or advice, behind their recordings' names."""
+    """Return the different lines of warnings or advice, each after its recording's name."""
     lines = list[str]()
     for case in cases:
         text = getattr(case, name)

@@ -13,9 +13,8 @@ from lampest.cost.given import Background
 from lampest.cost.terms import AnyTerm, Term, term_types
 from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
-from lampest.estimate.objective import Tare
+from lampest.estimate.objective import Tare, Verify
 from lampest.estimate.parts import check_by_parts
-from lampest.estimate.witness import Verify
 from lampest.files import sweep
 from lampest.files.document import (
     Document,
@@ -33,6 +32,7 @@ from lampest.recording.readings import Readings
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import check_name
 from lampest.runs.executors import AnyExecutor, Dask, Executor
+from lampest.runs.provenance import digest
 from lampest.runs.results import PublishedFigures
 from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import Settings
@@ -76,7 +76,7 @@ def terms_of(terms: Any) -> tuple[Term, ...]:
 class Choices:
     """Options of a run file for all estimators, or of an estimator.
 
-    The latter override solver and bounds by key.
+    Solver and bounds of an estimator override single keys of those for all.
     """
 
     __pydantic_config__: ClassVar[Any] = FORBID
@@ -330,15 +330,6 @@ class _Source:
 def hash_of(resolved: str) -> str:
     """Return the identifier of a case, a hash of all entries that determine its result."""
     return hashlib.sha256(resolved.encode()).hexdigest()[:24]
-
-
-def digest(path: Path) -> str:
-    """Return the SHA-256 of a file. Raises InputError if it is unreadable."""
-    try:
-        with path.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def recording_paths(config: Path, patterns: list[str]) -> list[Path]:

@@ -107,7 +107,7 @@ class Worker:
     @property
     def ready(self) -> bool:
         """Whether `answer` returns, or raises, without waiting for the task."""
-        return self.pipe.poll() or not self._alive
+        return self.pipe.poll() or self.process is None or not self.process.is_alive()
 
     def answer(self) -> Any:
         """Wait for the result of the task, or the exception that it raised, and return it.
@@ -121,10 +121,6 @@ class Worker:
             return pickle.loads(self.pipe.recv_bytes())
         except (EOFError, OSError) as error:
             raise WorkerDiedError("a worker process has died") from error
-
-    @property
-    def _alive(self) -> bool:
-        return self.process is not None and self.process.is_alive()
 
     def kill(self) -> None:
         """Kill the process."""

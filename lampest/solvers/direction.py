@@ -87,7 +87,7 @@ class QuadraticModel:
 
 
 def hold_beyond_bounds(moving: Mask, step: Array, low: Array, high: Array) -> Mask:
-    """Return the cells that keep moving: those whose step stays within the bounds."""
+    """Return the moving cells whose step stays within the bounds."""
     return moving & ~((step < low) | (step > high))
 
 

@@ -205,7 +205,7 @@ class Hessian:
     def penalty_matrix(self) -> sparse.csr_array:
         """Part PᵀKP of the penalties in the Gauss–Newton matrix.
 
-        Sparse, shape (frames·cells, frames·cells), semidefinite.
+        The matrix is sparse and semidefinite, (frames·cells, frames·cells).
         """
         part = residuals(self.at.cost).penalties
         size = self.at.cell_resistance.size

@@ -163,7 +163,7 @@ def lower_of(best: Solution | None, solution: Solution) -> Solution:
 
 
 def preferred(best: Solution | None, solution: Solution, branch: Array) -> Solution:
-    """Return the solution on a branch, or of two solutions on it, or off it, that of lower cost.
+    """Return the solution on the branch, or that of lower cost if both or neither are on it.
 
     Two panels can have equal readings (`lampest.panel.readouts.branches`), and costs do not tell
     them apart. The first start does, because it continues the frame before.

@@ -13,7 +13,7 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import Term
 from lampest.files.errors import InputError
 from lampest.files.typed import Configuration
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
@@ -183,8 +183,7 @@ def cost_of_solve(
         Whether readings may be bounds or missing.
     """
     broken = () if scene.whole else tuple(np.flatnonzero(scene.broken).tolist())
-    panel = Panel(*scene.panel.shape) if scene.panel.cells is None else scene.panel
-    return Cost(panel, terms, frames, broken, partial)
+    return Cost(scene.panel.bare, terms, frames, broken, partial)
 
 
 def with_weights_of_missing(

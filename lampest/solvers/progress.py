@@ -1,6 +1,6 @@
 """Progress of a descent: acceptance of steps, and the end of a solve without an optimum.
 
-A step is accepted if the cost falls by enough of what the quadratic model predicts. A solve ends if
+A step is accepted if the cost falls by a share of the quadratic model's prediction. A solve ends if
 its steps have lowered the cost too little for too long, or if its time is over.
 Source: Nocedal & Wright, Numerical Optimization, 2006, algorithms 3.1 and 4.1, section 3.1
 (stopping by the decrease of the cost).

@@ -86,9 +86,9 @@ class InverseHessians:
         return np.where(np.isnan(moved), np.inf, moved)
 
     def shows_minimum(self, panels: Numbers, points: Hessian) -> Mask:
-        """Return whether ∇²φ was positive definite, over the free cells of `points`, near them.
+        """Return whether M, made near `points`, had a positive definite ∇²φ over their free cells.
 
-        Two points are near within CERTIFIED_DISTANCE of log r.
+        The point of M is near within CERTIFIED_DISTANCE of log r.
         """
         near = self.distance(panels, points.position) <= CERTIFIED_DISTANCE
         return near & self.positive[panels] & ~(points.free & ~self.free[panels]).any(axis=1)

@@ -91,7 +91,7 @@ class ProjectedNewton(Solver):
         return replace(self, preconditioner=None, from_afar=True)
 
     def prepare(self) -> None:
-        """Compile the cost, so that the first solve is not charged for it."""
+        """Compile the cost, so that the time of the first solve excludes it."""
         _ = self.cost.functions.hessian.pattern
 
     def solve(self, data: Data, start: Evaluation) -> Outcome:

@@ -32,9 +32,7 @@ Tries = Callable[[Rng, Path, int], Outcomes]
 
 
 def attack(quick: int = 1, full: int = 1) -> Callable[[Tries], Callable[..., None]]:
-    """Make a test of tries (generator, empty folder, count).
-
-    Each is PASSED or a sentence on the failure.
+    """Make a test of tries (generator, empty folder, count): PASSED or a sentence each.
 
     quick : count in `make test`; 0: none. full : count under the mark `soak`.
     """

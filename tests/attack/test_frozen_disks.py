@@ -1,6 +1,6 @@
-"""A disk that takes nothing for seconds, as a network disk whose server is busy.
+"""A disk that accepts no data for seconds, as a network disk whose server is busy.
 
-All frames come, in their order.
+All frames are recorded in their order.
 """
 
 import time

@@ -1,6 +1,6 @@
 """A disk that is full, fails, or loses the file while a board is recorded.
 
-Its frames are whole or absent, and one sentence says how many there are.
+Recorded frames are whole, and one sentence counts them.
 """
 
 import errno

@@ -1,6 +1,6 @@
-"""Small files that unfold, and scenes that ask for more than a machine has.
+"""Small files that expand, and scenes that need more memory than a machine has.
 
-They get one sentence, and little memory.
+lampest refuses them with one sentence and little memory.
 """
 
 import struct

@@ -1,6 +1,6 @@
 """Hostile results for the C export.
 
-They are numbers that are none or of no panel, and configurations of no estimator.
+The results have invalid numbers, numbers of no panel, or configurations of no estimator.
 """
 
 import contextlib

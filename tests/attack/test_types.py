@@ -1,6 +1,6 @@
 """Values of other types at every public name.
 
-Each is refused in one sentence, or taken for what it says.
+A value is refused in one sentence or accepted with its plain meaning.
 """
 
 import dataclasses

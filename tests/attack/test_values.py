@@ -1,6 +1,6 @@
-"""Numbers that no panel has, and panels of which next to nothing is left.
+"""Numbers of no real panel, and panels with almost no readings left.
 
-They get sentences about the panel, no traceback.
+lampest answers in sentences about the panel, without a traceback.
 """
 
 from collections.abc import Iterator

@@ -1,9 +1,7 @@
 """A user's own term, loss, readout, method, shape, column and plot.
 
-They are as a notebook or a package writes them.
-
-Nothing but public names; `test_extending` uses these classes through Python, and installs this file
-as a package.
+The classes use public names alone, as a notebook or a package would. `test_extending` uses them
+through Python, and installs this file as a package.
 """
 
 from collections.abc import Sequence
@@ -35,7 +33,7 @@ class Leash(lampest.Term):
 class Cushion(lampest.Loss):
     """Σ 2c²·(√(1 + (x/c)²) − 1), c the softness in the unit of the residual.
 
-    It is written without the cancellation.
+    `cost` avoids the cancellation in √(1 + (x/c)²) − 1.
     """
 
     softness: float = 1.0
@@ -48,9 +46,9 @@ class Cushion(lampest.Loss):
 
 @dataclass(frozen=True, kw_only=True)
 class Divider(lampest.Readout):
-    """V = Vcc·Z_jk/(Rd + Z_jj).
+    """V = Vcc·Z_jk/(Rd + Z_jj), with a load at every column.
 
-    One row is driven through Rd, every column with its load; other rows float.
+    Rd drives one row; other rows float.
     """
 
     kind: Literal["divider"] = "divider"

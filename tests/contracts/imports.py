@@ -78,9 +78,9 @@ def imported(folder: Path, file: SimpleNamespace) -> tuple[Recording, tuple[str,
 
 
 def check_taken(file: SimpleNamespace, folder: Path) -> None:
-    """Frames, times and start are the expected ones, in the recording's own file too.
+    """Assert the expected frames, times and start of an import, also after saving and loading.
 
-    Every sentence is said.
+    The notes must contain all expected words.
     """
     recording, notes = imported(folder, file)
     assert all(any(words in note for note in notes) for words in file.notes), notes

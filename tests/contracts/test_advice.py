@@ -1,6 +1,6 @@
-"""Advice: what a recording suggests beyond its scene.
+"""Advice: suggestions beyond the scene that a recording supports.
 
-It is said with its evidence, and written where a user asks.
+A suggestion has its evidence, and appears where a user asks.
 """
 
 from collections.abc import Callable

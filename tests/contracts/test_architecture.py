@@ -1,6 +1,6 @@
 """Rules of the code, read from its imports.
 
-They are doors of libraries, floors of rooms, contracts of the public face alone.
+The rules concern doors of libraries, floors of rooms, and contracts of the public face alone.
 
 A rule is a function from a module's name and syntax tree to its objections. Texts that break the
 rules test them.

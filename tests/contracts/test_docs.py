@@ -1,8 +1,8 @@
-"""The pages are true: examples run as a stranger would run them, and what is named is there.
+"""The pages are true: examples run as a stranger would run them, and the names in them exist.
 
 Every page of docs/howto/adding is played in a copy of the house: a block that begins with a path is
-written to it, a diff is applied, what follows a dollar sign is typed, and what it answers must
-stand below, with ... for any text.
+written to it, a diff is applied, a line after a dollar sign is typed, and its output must stand
+below, with ... for any text.
 
 Text for people is plain: pages, README and CHANGELOG, comments of the shipped YAML, messages and
 docstrings.

@@ -1,7 +1,4 @@
-"""What stands around the package.
-
-It is hooks, the workflow beside `.ci/run`, the first screen of the help, Excel.
-"""
+"""Tools around the package: hooks, the workflow, the first screen of the help, Excel."""
 
 import re
 import warnings

@@ -1,6 +1,6 @@
-"""`lampest export`: what a results file holds comes out of every format.
+"""`lampest export`: every format holds the content of a results file.
 
-It comes out through that format's own library.
+The format's own library reads it.
 """
 
 import csv

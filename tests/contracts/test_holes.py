@@ -1,6 +1,6 @@
-"""Readings that are missing, at a rail or beyond what bounds allow.
+"""Readings that are missing, at a rail or beyond the bounds.
 
-They refuse nothing, and sentences say so.
+lampest accepts these readings, and mentions them in its sentences.
 """
 
 import csv

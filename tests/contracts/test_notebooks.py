@@ -1,7 +1,4 @@
-"""What a notebook asks of lampest.
-
-It asks for tables and labelled arrays in, pictures in its own axes, short lines of objects.
-"""
+"""lampest in notebooks: tables, labelled arrays, pictures in own axes, short lines of objects."""
 
 import ast
 from collections.abc import Iterator

@@ -1,6 +1,6 @@
-"""A run from end to end: what is skipped, resumed, overridden and kept.
+"""Runs from end to end: skipped, resumed, overridden and finished cases.
 
-It is so in this process and in others.
+The cases run in this process and in others.
 """
 
 import fcntl
@@ -235,9 +235,9 @@ def test_a_missing_library_gives_one_sentence(
 
 
 def interrupted(path: Path, out: Path, pattern: str, count: int) -> tuple[int, str, str]:
-    """Return code, output and errors of a run that Ctrl-C reaches, in all processes.
+    """Return code, output and errors of a run after Ctrl-C in all its processes.
 
-    It reaches the run once so many files exist.
+    Ctrl-C comes once `count` files match the pattern.
     """
     run = Batch(path, count).start(out)
     until(lambda: len(list((out / "cases").glob(pattern))) >= count)

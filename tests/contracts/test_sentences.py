@@ -1,6 +1,6 @@
-"""Sentences on what a beginner types, and on what a file leaves open.
+"""Sentences about a beginner's mistakes, and about files that leave something open.
 
-Each names the mistake and what to write.
+A sentence names the mistake and its correction.
 """
 
 import re

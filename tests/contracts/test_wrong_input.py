@@ -1,6 +1,6 @@
-"""Words of commands that cannot be, and a full disk.
+"""Impossible words of commands, and a full disk.
 
-They give exit code 2, one sentence, nothing of it written.
+A command refuses impossible words with exit code 2 and one sentence, and writes nothing.
 """
 
 import errno

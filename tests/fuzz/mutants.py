@@ -276,9 +276,9 @@ class Corpus(NamedTuple):
     files: dict[str, tuple[bytes, ...]]
 
     def mutant(self, number: int, kind: str) -> Mutant:
-        """Input number `number` of a kind, the same one in every process.
+        """Return input `number` of a kind, with one to four changes of one style.
 
-        It has one to four changes of one style.
+        The input is the same in every process.
         """
         rng = np.random.default_rng([number, list(KINDS).index(kind)])
         seeds = self.files[kind]
@@ -469,10 +469,7 @@ def changed_text(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Genera
 
 
 def changed_tree(tree: Any, count: int, rng: np.random.Generator) -> bytes:
-    """Other values, keys and shapes in what a YAML file says.
-
-    They may be written as JSON, which is YAML too.
-    """
+    """Return a YAML document with changed values, keys and shapes, as JSON, which is YAML too."""
     tree = json.loads(json.dumps(tree))
     for _ in range(count):
         node, place = _somewhere(tree, rng)

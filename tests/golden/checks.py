@@ -34,13 +34,13 @@ from lampest.apps.recognition.watch_parts import Look, WatchSetup
 from lampest.apps.recognition.window import Window
 from lampest.inference import changed_cells, noise, outliers
 from lampest.inference.compared_frames import noise_factor
+from lampest.inference.effects.converter_ends import saturated
+from lampest.inference.effects.motion import displacement
 from lampest.inference.explanation import Explanation
 from lampest.inference.model_check import module_factors
 from lampest.inference.nuisances import CircuitEffects
 from lampest.inference.nuisances import candidates as possible_effects
 from lampest.inference.prepared import Prepared
-from lampest.inference.saturation import saturated
-from lampest.inference.scan_motion import displacement
 from lampest.inference.variance_components import noted_excess, repeated_scatter, scatter
 from lampest.panel.effects import LineLeak, LooseContact
 from lampest.panel.panel import EachModule, Modules
@@ -197,10 +197,7 @@ def prepared_row(recording: lp.Recording) -> dict[str, Any]:
 
 
 def mistakes_row() -> dict[str, Any]:
-    """Warnings of recordings with wrong roles, times or units, or with copied frames.
-
-    Others are of recordings from one unloaded frame on.
-    """
+    """Warnings of recordings with wrong roles, times or units, or copied or few unloaded frames."""
     fine = simulated()
     rows = {}
     order = fine.recorded
@@ -400,10 +397,7 @@ def contacts_row() -> dict[str, Any]:
 
 
 def ends_row() -> list[Any]:
-    """Channels that end together.
-
-    Some end by chance, with others a little below, all of them, or those of one row.
-    """
+    """Channels that end together by chance, with others a little below, all, or those of a row."""
     steps = np.r_[np.linspace(0, 0.9, 5), np.linspace(3, 9, 6), np.linspace(12, 300, 45)]
     rows = list[Any]()
     row = np.r_[np.linspace(0, 0.5, 8), np.linspace(60, 300, 48)]
@@ -417,10 +411,7 @@ def ends_row() -> list[Any]:
 
 
 def values_row() -> dict[str, Any]:
-    """What single values and deviations say, with a readout and without.
-
-    They say a number, a bound, or nothing.
-    """
+    """Numbers and bounds of single values and deviations, with a readout and without."""
     values = np.full((2, 4, 5), 720.0)
     rows = {}
     values[0].flat[:9] = np.nan, np.inf, 1e9, 100.0, 0.0, -5.0, -np.inf, 140.0, 200.0
@@ -647,10 +638,7 @@ def prior_row() -> list[Any]:
 
 
 def breathing_row() -> dict[str, Any]:
-    """Readings that swing with suction and rim, and the belief that they make.
-
-    They make it over three windows.
-    """
+    """Readings that swing with suction and rim, and the belief in breath over three windows."""
     rng = np.random.default_rng(1)
     times = np.arange(32) / 4
     rise = np.repeat([-2.0, 1.0], 12)
@@ -762,9 +750,9 @@ def watch_begun() -> tuple[Watch, lp.Readings]:
 
 
 def recognised_row() -> list[Any]:
-    """A watch that recognises a rod, a faint one or nothing, at once or again.
+    """A watch that recognises a rod, a faint one, nothing, or a rod that left before.
 
-    It also recognises a rod that has left before.
+    The watch looks at once or again.
     """
     verdict, _ = verdict_of("rod")
     rows = list[Any]()
@@ -924,10 +912,7 @@ def swings_row() -> list[Any]:
 
 
 def outlying_row() -> list[Any]:
-    """Outliers among readings whose errors are like those of their neighbours.
-
-    They are one or five, of several sizes.
-    """
+    """One or five outliers of several sizes, where the errors of neighbours are correlated."""
     root = np.linalg.cholesky(0.95 ** np.abs(np.subtract.outer(np.arange(120), np.arange(120))))
     noise = root @ np.random.default_rng(1).standard_normal(120)
     wrong = np.eye(120)[[7, 8, 50, 90, 92]]
@@ -942,9 +927,9 @@ def outlying_row() -> list[Any]:
 
 
 def watch_over(layout: Modules, cells: lp.Array, dead: int) -> tuple[ImageWatch, lp.Array]:
-    """A panel of modules after three unloaded frames at 0 s, and σ of its readings.
+    """Watch of a panel of modules after three unloaded frames at 0 s, and σ of its readings.
 
-    One of the modules is not read.
+    The module `dead` is not read.
     """
     scene = lp.Scene(lp.Panel(modules=layout), TWO, 140.0)
     measured = image_of(layout, cells)
@@ -1167,9 +1152,9 @@ def answers_row() -> dict[str, Any]:
 
 
 def attachments_row() -> Any:
-    """Loads of one recognition after another, which stay, leave, come or fade.
+    """Loads that stay, leave, come or fade from one recognition to the next.
 
-    They are alone and many drawn at random.
+    A load is alone, or many are drawn at random.
     """
     rng = np.random.default_rng(5)
     courses = []

@@ -508,9 +508,9 @@ def pressure_row(scene: lp.Scene, tare: lp.Tare | None = None, failed: tuple[int
 
 
 def tare_row() -> list[Any]:
-    """When zero is taken anew, and by what.
+    """New zeros of a panel whose deviations and memories, of several sizes, grow.
 
-    It is for deviations and memories of several sizes that grow; a frame fails.
+    One frame is disturbed, and one cell fails.
     """
     rng = np.random.default_rng(2)
     rows = list[Any]()

@@ -140,10 +140,7 @@ def largest(values: np.ndarray[Any, Any]) -> float:
 
 
 def unsteady(stored: Any, computed: Any, place: str = "") -> Iterator[tuple[str, float | None]]:
-    """Yield the places at which two computations of the same differ.
-
-    Each comes with the tolerance that it takes.
-    """
+    """Yield (place, tolerance) where two computations of the same row differ."""
     if isinstance(stored, dict) and isinstance(computed, dict) and stored.keys() == computed.keys():
         for key in stored:
             yield from unsteady(stored[key], computed[key], f"{place}.{key}")

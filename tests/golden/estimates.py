@@ -400,9 +400,9 @@ def in_scene(name: str) -> lp.Recording:
 
 
 def dropping_out(coupled: bool) -> lp.Recording:
-    """A rod over the seams of modules.
+    """A rod over the seams of four modules whose readings are incomplete.
 
-    One is dead, one is not read in the first frame, and none in the last.
+    One module is dead, another lacks the first loaded frame, and all lack the last one.
     """
     panel = lp.Panel(modules=Modules(2, 2, EachModule(3, 4), 4.0, coupled=coupled))
     faults = lp.Faults(dead_modules=((1, 1),))
@@ -425,10 +425,7 @@ def calibration_row(calibration: Any) -> dict[str, Any]:
 
 
 def resistors_row(scene: lp.Scene, shift: float = 0.0) -> dict[str, Any]:
-    """Known resistors of several values on every cell.
-
-    They are with other circuit numbers than the scene has.
-    """
+    """Calibration by known resistors on every cell, where the circuit deviates from the scene."""
     printed = np.random.default_rng(4).choice([220.0, 470, 1000, 2200, 4700], PANEL.shape)
     calibration = calibrate_resistors(
         [on_resistors(scene, printed, shift)], [printed], tolerance=1e-3
@@ -444,9 +441,9 @@ def resistors_row(scene: lp.Scene, shift: float = 0.0) -> dict[str, Any]:
 def on_resistors(
     scene: lp.Scene, printed: lp.Array, shift: float = 0.0, spread: float = 9.0, **true: Any
 ) -> lp.Recording:
-    """Six frames of known resistors, with other channels and these other parts.
+    """Six frames of known resistors, with other channels and parts than those of the scene.
 
-    They are infinite where there is none.
+    Cells without a resistor are infinite.
     """
     actual = replace(scene, **true)
     memory = true.get("converter_memory")
@@ -463,9 +460,9 @@ def on_resistors(
 
 
 def moved_resistors_row() -> dict[str, Any]:
-    """Resistors that are moved from cell to cell, none at a row and a column.
+    """Calibrations of diodes, wires and a memory by resistors that move from cell to cell.
 
-    They are of diodes, wires and a memory, too.
+    A row and a column have none.
     """
     pull_ups = scenes()["wired pull-ups"]
     diode = replace(scenes()["diodes"].circuit, diode=lp.Diode(drop_volt=0.63), drive_ohm=20.0)
@@ -591,10 +588,7 @@ def frame_noise_row() -> list[Any]:
 
 
 def joint_row() -> list[Any]:
-    """All frames as one problem, at three points.
-
-    It is with errors that all share and some that each has.
-    """
+    """The joint problem of all frames at three points, with shared errors and those of a frame."""
     recording = simulated("gain_spread", SHARED_ERRORS)
     rng = np.random.default_rng(2)
     rows = list[Any]()
@@ -636,9 +630,9 @@ def joint_row() -> list[Any]:
 
 
 def batches_row() -> dict[str, Any]:
-    """Which frames of streams are solved together, and their cells.
+    """Frames of streams that are solved together, and their cells.
 
-    It is by estimator and by readings that are missing.
+    The estimators and the missing readings differ.
     """
     misfit = lp.Misfit(weighting="noise")
     penalty = lp.LogGradient(weight=3.0)
@@ -676,9 +670,9 @@ def batches_row() -> dict[str, Any]:
 
 
 def modules_row() -> list[Any]:
-    """Weights that modules choose together while a load comes.
+    """Weights that modules choose together while a load arrives.
 
-    One has another converter, and one is dead.
+    The second module has another converter, and the fourth is dead.
     """
     layout = Modules(1, 5, EachModule(3, 4), seam_mm=4.0)
     rng = np.random.default_rng(3)

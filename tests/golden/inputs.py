@@ -225,10 +225,7 @@ def brief(result: Any) -> Any:
 
 
 def units_row() -> dict[str, Any]:
-    """Codes of a converter in every unit, and what an import takes them for.
-
-    They are with few digits and with many.
-    """
+    """Codes of a converter in every unit, with few and many digits, and the imported unit."""
     known = SEVERAL.reshape(-1, 2, 3)
     rows = {}
     for name, readout in {

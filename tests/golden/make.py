@@ -1,15 +1,14 @@
 """Results that later versions must give again: the golden table, defaults and constants.
 
-python -m tests.golden.make                  # all
-python -m tests.golden.make table            # public results of every room, see table.py
-python -m tests.golden.make table report     # those of one room
-python -m tests.golden.make defaults         # defaults of public classes, constants of all modules
+python -m tests.golden.make # all python -m tests.golden.make table # public results of every room,
+see table.py python -m tests.golden.make table report # those of one room python -m
+tests.golden.make defaults # defaults of public classes, constants of all modules
 
 Rounding differs from processor to processor. The table is computed on several of them, which this
-one emulates, and numbers that differ take a tolerance. Those whose instructions this one lacks are
-left out; their tolerances stay.
+one emulates, and numbers that differ take a tolerance. Processors whose instructions this one lacks
+are left out, and their tolerances stay.
 
-Do so only where numbers are meant to change, and say in the commit why.
+Make results anew only where numbers are meant to change, and say in the commit why.
 """
 
 import dataclasses

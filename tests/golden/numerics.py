@@ -27,13 +27,13 @@ from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
 from lampest.panel import least_squares
 from lampest.panel.trust_region import steihaug
-from lampest.posterior import certainty, covariance, interval, matrices, spectrum
+from lampest.posterior import certainty, covariance, interval, linear, spectrum
 from lampest.posterior.at_bounds import active_bounds
 from lampest.posterior.chain import Chain
+from lampest.posterior.covariance import DenseMemory
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.memory import DenseMemory, SampledMemory
 from lampest.posterior.reference import references
-from lampest.posterior.sampled import SampledErrors
+from lampest.posterior.sampled import SampledErrors, SampledMemory
 from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
 from lampest.solvers import bounds, by_ipopt, multistart, preconditioners
@@ -343,10 +343,7 @@ def begun_row(cost: str, circuit: str, form: str) -> list[Any]:
 
 
 def limits_row() -> list[lp.Array]:
-    """Cells that multipliers of bounds move.
-
-    They are on a bound, near it, within, and between equal bounds.
-    """
+    """Cells on a bound, near it, within, and between equal bounds, moved by multipliers."""
     low = np.array([1.0, 1, 1, 1, 2, 2, 0, 1])
     high = np.array([5.0, 5, 5, 5, 8, 8, 50, 1])
     at = np.array([1.0, 1 + 1e-8, 5, 4.9, 3, 7.5, 1e-3, 1])
@@ -462,10 +459,7 @@ def batch_row() -> dict[str, Any]:
 
 
 def minima_row() -> dict[str, Any]:
-    """The lowest of several minima and its starts.
-
-    It is with an estimate of an earlier frame and without.
-    """
+    """The lowest of several minima and its starts, with and without an earlier estimate."""
     begin = point("student", decades=2.0)
     rows = dict[str, Any]()
     readings = lp.Misfit(loss=lp.Student(corner=1.0))
@@ -484,9 +478,9 @@ def minima_row() -> dict[str, Any]:
 
 
 def verdicts_row() -> dict[str, Any]:
-    """What a check makes of outcomes of every status.
+    """Verdicts of a check on outcomes of every status.
 
-    They are at the start, an optimum, worse points and no numbers.
+    The outcomes are at the start, at an optimum, at worse points and without numbers.
     """
     plain = point("plain")
     blind = point("penalty")
@@ -674,10 +668,7 @@ def weights_row(cost: str) -> dict[str, Any]:
 
 
 def pair_row() -> Any:
-    """Errors of a frame and of its baseline that are solved together.
-
-    They are as matrices and as samples.
-    """
+    """Errors of a frame and its baseline, solved together, as matrices and as samples."""
     model = LinearModel(
         point("change", frames=2), np.zeros(len(point("change", frames=2).nonsmooth))
     )
@@ -775,9 +766,9 @@ def of_posterior() -> Rows:
                 interval.student_two_sided(4.0),
                 interval.largest_of(np.array([0.0, 2.0, 4.0]), 20),
                 interval.largest_normal(20, 0.01),
-                matrices.positive_inverse(np.diag([2.0, 4.0])),
-                matrices.inverse_and_volume(np.array([[2.0, 0.5], [0.5, 1.0]])),
-                matrices.swept(np.array([[2.0, 1.0, 3.0], [1.0, 4.0, 5.0]]), 0),
+                linear.positive_inverse(np.diag([2.0, 4.0])),
+                linear.inverse_and_volume(np.array([[2.0, 0.5], [0.5, 1.0]])),
+                linear.swept(np.array([[2.0, 1.0, 3.0], [1.0, 4.0, 5.0]]), 0),
                 certainty.common_variance(np.arange(6.0).reshape(3, 2)),
                 certainty.Certainty(
                     np.array([3.0, 5.0]), *np.zeros((4, 2)), np.array([1.0, 5.0])

@@ -727,10 +727,7 @@ CUP = replace(LAMPREY, breath=breathing.Breathing(-6.0, -6.0, hertz=(1.0, 0.1)))
 
 
 def watched_row() -> list[Any]:
-    """Answers while nothing touches a panel, and answers of a broken frame.
-
-    Others are with loads that left, and about a new zero.
-    """
+    """Answers to an untouched panel, a broken frame, departed loads and a new zero."""
     recording = simulated(frames=6, baseline_frames=3)
     answers = []
     scans = [scan_of(recording, frame) for frame in range(9)]
@@ -1098,10 +1095,7 @@ def pictured_row() -> list[Any]:
 
 
 def timeline_row() -> dict[str, Any]:
-    """Timelines of a mouth, of nothing, and of a mouth beside a contact that has left.
-
-    One more is after both have left.
-    """
+    """Timelines of a mouth, of nothing, and of two loads after one or both have left."""
     present = replace(LAMPREY, since_s=2.0)
     departed = replace(
         present, since_s=1.0, until_s=1.5, sucks=0.1, x_mm=(5.0, 1.0), diameter_mm=None
@@ -1120,9 +1114,9 @@ def timeline_row() -> dict[str, Any]:
 
 
 def strongest_of_files() -> list[Any]:
-    """Pictures of the strongest frame of a recording, and of results.
+    """Pictures of the strongest frame of recordings and of results.
 
-    One is of a recording without unloaded frames.
+    The second recording has no unloaded frames.
     """
     values = np.full((4, 2, 3), 500.0)
     calls = list[Any]()
@@ -1191,10 +1185,7 @@ SQUARE = ((0, 0, 0, 0), (0, 1, 10, 0), (1, 0, 0, 10), (1, 1, 10, 10))
 
 
 def variants_row() -> list[Any]:
-    """Pictures of other circuits, without noise, and of frames that failed.
-
-    Others are of cells that lie apart or alone.
-    """
+    """Pictures of other circuits, without noise, of failed frames, and of cells apart or alone."""
     case = invented_case(shape=(1, 2, 3))
     pull_ups = lp.LoadedColumnsReadout(
         polarity="down", supply_volt=5.0, load_ohm=35e3, drive_ohm=30.0
@@ -1244,10 +1235,7 @@ def variants_row() -> list[Any]:
 
 
 def nwb_row() -> list[Any]:
-    """What sessions of NWB hold, as its library is given it.
-
-    They are of somebody who was measured, and of nobody.
-    """
+    """Content of NWB sessions as their library receives it, with a measured subject and without."""
     subject = lp.MeasuredSubject(
         id="L7", species="Petromyzon marinus", length_mm=420.0, mass_g=150.0, note="calm"
     )

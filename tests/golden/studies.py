@@ -109,10 +109,7 @@ def timed_bench() -> Bench:
 
 
 def timed_tradeoff() -> list[tradeoff.TradeoffFrame]:
-    """Frames of formulations, also of a panel whose errors are unknown.
-
-    They are also of a frame that failed.
-    """
+    """Frames of formulations, with a failed frame and a panel whose errors are unknown."""
     frames = timed(
         tradeoff.TradeoffFrame,
         baseline_s=lambda side, frame: 0.1,
@@ -307,7 +304,7 @@ def runs_row() -> dict[str, Any]:
 def budgeted_row() -> list[Any]:
     """Benchmarks within three budgets, on a clock that solves advance.
 
-    Their seconds are in their cost, some fail.
+    The cost of a solve contains its seconds; some solves fail.
     """
     file = BenchFile(1, (3, (3, 4)), METHODS, 2, 2, 3, limits=bench.BenchLimits(nodal=3, joint=3))
     rows = []
@@ -569,10 +566,7 @@ def weights_study_row() -> dict[str, Any]:
 
 
 def paper_row() -> dict[str, Any]:
-    """The paper beside one side: two mouths of a rod's frames.
-
-    They are with estimates that no solver made.
-    """
+    """Comparison of two mouths with the paper, with estimates that no solver made."""
     published = paper.read_published(paper.FILE)
     mouths = [replace(simulated(), name=name) for name in ("large", "small")]
     shape = mouths[0].recorded[4:].shape

@@ -1,6 +1,6 @@
 """The golden table: name → a function that computes numbers or texts.
 
-It computes them from public functions of every room.
+The functions use public functions of every room.
 
 Most rows come from a walk over a union, so that a new member has one at once. Panels are tiny and
 seeds are fixed. `python -m tests.golden.make table` stores the results anew, a file a room in

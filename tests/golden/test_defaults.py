@@ -1,7 +1,4 @@
-"""Defaults and calibrated numbers stay as the stored tables have them.
-
-They are those of public classes, and of all modules.
-"""
+"""Defaults of public classes and calibrated numbers of all modules stay as stored."""
 
 import json
 

@@ -1,7 +1,4 @@
-"""Rows of whole pages, of long recordings and of large panels.
-
-They are by limits that are lowered for them.
-"""
+"""Rows of whole pages, of long recordings and of large panels, under lowered limits."""
 
 import re
 import shutil
@@ -77,7 +74,7 @@ def large() -> Iterator[None]:
         solvers__hessian__MATRIX_CELLS=2,
         solvers__certificate__DENSE_CELLS=2,
         solvers__certificate__MAX_DENSE=2,
-        posterior__sampled__MAX_DENSE=2,
+        posterior__track__MAX_DENSE=2,
         posterior__linear__MAX_DENSE=2,
     ):
         yield
@@ -90,10 +87,7 @@ def as_large(row: Callable[..., Any], *known: Any) -> Any:
 
 
 def exact_row() -> Any:
-    """The certificate where every reading is met exactly.
-
-    It is also of readings that bounds keep from being met.
-    """
+    """Certificates where all readings are met exactly, and where bounds prevent this."""
     known = point("plain")
     partly = point("penalty")
     near = known.elsewhere(known.cell_resistance)
@@ -207,10 +201,7 @@ estimators:
 
 
 def parts_row() -> dict[str, Any]:
-    """A recording that is solved in parts of sixteen frames.
-
-    It is solved by a run that is broken off before these are joined.
-    """
+    """A recording solved in parts of sixteen frames, by a run that stops before it joins them."""
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         simulated(frames=19, baseline_frames=3).save("long.h5")
         Path("run.yaml").write_text(RUN_OF_PARTS)
@@ -288,7 +279,7 @@ def parts_row() -> dict[str, Any]:
 def model_error_row() -> dict[str, Any]:
     """Readings that are off, each by its own factor, without still cells that would show it."""
     rows = {}
-    with limits(estimate__model_error__MIN_READINGS=20):
+    with limits(inference__model_error__MIN_READINGS=20):
         for error in (0.0, 0.2):
             recording = recorded(reading_error=error)
             noise = replace(Prepared(recording).frame_noise, possible_errors=None)
@@ -519,9 +510,9 @@ def files_row() -> dict[str, Any]:
 
 
 def chunks_row() -> dict[str, Any]:
-    """How values are packed: few and many, smooth and noisy ones.
+    """Packing of few and many, smooth and noisy values.
 
-    They are packed by their first 16 frames and 512 values of each.
+    The first 16 frames, and 512 values of each, decide.
     """
     rng = np.random.default_rng(1)
     noise = rng.standard_normal((9, 4, 8))

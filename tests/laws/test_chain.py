@@ -5,8 +5,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lampest import Array
+from lampest.inference.changed_cells import swept
 from lampest.posterior.chain import Chain
-from lampest.posterior.matrices import inverse_and_volume, swept
+from lampest.posterior.linear import inverse_and_volume
 
 SIZES = ((1, 3, 1), (2, 1, 2), (4, 3, 2), (6, 5, 3))  # frames, cells, unknowns of the border
 every_size = pytest.mark.parametrize("size", SIZES)

@@ -1,6 +1,6 @@
-"""What holds for everything that a user may write as YAML.
+"""Laws of every class that a user may write as YAML.
 
-It is its object, and nothing else is taken for it.
+A text loads as its object, and no other text is accepted.
 """
 
 import dataclasses
@@ -120,10 +120,7 @@ def places(value: Any, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
 
 @EACH_KIND
 def test_numbers_beyond_any_measurement_are_refused_at_any_depth(kind: type) -> None:
-    """Every number of every example: a sentence with line, column and key.
-
-    It comes before anything computes with it.
-    """
+    """A sentence names line, column and key of the number before anything computes with it."""
     every = (
         (path, document)
         for _, document in documents(kind)

@@ -1,6 +1,6 @@
 """Statements of the pages about readings of a matrix.
 
-They are: what bounds a reading, which cells it depends on, and by how much noise grows.
+The statements give bounds of a reading, the cells that it depends on, and the growth of the noise.
 """
 
 from dataclasses import replace

@@ -8,14 +8,17 @@ import numpy as np
 import pytest
 
 import lampest
+from lampest.audit.effects import searched_effects
 from lampest.files.document import parse_document, validated
+from lampest.inference.effects.effect import SceneEffect
 from lampest.inference.noise import NoiseEstimate
-from lampest.inference.resolve import ENTRIES, FRAME_KEYS, resolved_scene, specified
+from lampest.inference.resolve import ENTRIES, MODEL_ERROR, OF_NOISE, resolved_scene
+from lampest.panel.scene import specified
 from lampest.panel.scene_file import scene_text
 from lampest.panel.sizes import ESTIMATED, Systematic
 
 SHAPE = (4, 5)
-KEYS = sorted({*chain.from_iterable(entry.keys for entry in ENTRIES), *FRAME_KEYS})
+KEYS = sorted({*chain.from_iterable(entry.keys for entry in ENTRIES), OF_NOISE, MODEL_ERROR})
 BEYOND_EVERY_RANGE = (1e-40, 1e40, -1e-40, -1e40, 1.0 + 1e-15)
 PASSES = "readout.passes_volt"  # its pair is a range
 OF_LINES = ("contacts", "leaks")  # a number for each line, and none in the scene's key
@@ -52,3 +55,10 @@ def test_a_scene_accepts_every_number_that_its_recording_determines(
     read_again = validated(parse_document(scene_text(scene), "scene"), lampest.Scene)
     assert read_again == scene
     assert read_again.estimated == scene.estimated
+
+
+def test_every_effect_is_searched_for_once() -> None:
+    effects = searched_effects()
+    assert {type(effect) for effect in effects} == {type(entry.load()) for entry in ENTRIES}
+    assert len(effects) == len(ENTRIES)
+    assert all(isinstance(effect, SceneEffect) for effect in effects)

@@ -14,10 +14,7 @@ MODULES = [name for _, name, _ in pkgutil.walk_packages(lampest.__path__, "lampe
 
 
 def documented(module: Any) -> Iterator[tuple[str, Any]]:
-    """(name, object) of the public classes and functions that a module defines.
-
-    Those of the classes' methods are among them.
-    """
+    """Yield (name, object) of a module's public classes, their methods, and functions."""
     for name, definition in vars(module).items():
         if name.startswith("_") or getattr(definition, "__module__", None) != module.__name__:
             continue

@@ -1,7 +1,7 @@
 """Error bars obey the rules of variances.
 
-They scale with the noise, more information never widens them, and independent errors add up in any
-order.
+Error bars scale with the noise, more information never widens them, and independent errors add up
+in any order.
 """
 
 from dataclasses import fields

@@ -1,7 +1,4 @@
-"""Matrices over the lines of a panel have the inverse of the whole matrix.
-
-They have it at the cost of the shorter side.
-"""
+"""Matrices over the lines of a panel, inverted at the cost of the shorter side."""
 
 import numpy as np
 import pytest
@@ -86,10 +83,7 @@ def test_plain_least_squares_of_a_narrow_panel_inverts_no_matrix_of_its_longer_s
 
 
 def sizes_of_matrices(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """The sizes of all matrices that are inverted, from here on.
-
-    Those of which a determinant is taken count as well.
-    """
+    """Record the sizes of all matrices whose inverse or determinant is computed from now on."""
     sizes = list[int]()
     for module, name in ((np.linalg, "inv"), (np.linalg, "slogdet"), (scipy.linalg, "inv")):
         compute = getattr(module, name)

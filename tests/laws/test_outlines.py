@@ -216,10 +216,7 @@ def test_results_and_pictures_have_the_outline_of_the_panel(outline: str, tmp_pa
 
 @pytest.mark.slow
 def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path) -> None:
-    """A load on a finger of the hand is estimated there.
-
-    It is not estimated where lines cross on a full rectangle.
-    """
+    """A load on a finger of the hand is estimated there, not where lines cross on a rectangle."""
     panel = OUTLINES["hand"](np.random.default_rng(1))
     rod = lampest.Rod(centre_mm=(20.0, 46.0), diameter_mm=16, mass_g=200)
     cells = Cells(3000, 0.1, 6)

@@ -68,9 +68,9 @@ class SquareCandidate(Candidate):
 
 
 def covered_share(centres: Array, half: float, patch_mm: float) -> tuple[Array, Array, Array]:
-    """Share of patches about `centres` within −half and half.
+    """Return the share of patches about `centres` within −half and half, and its two slopes.
 
-    Its slope by the square's centre and by `half` comes with it.
+    The slopes are those by the square's centre and by `half`.
     """
     low = centres - patch_mm / 2
     high = centres + patch_mm / 2

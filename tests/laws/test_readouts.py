@@ -1,6 +1,4 @@
-"""What every kind of readout obeys, whoever wrote it.
-
-It is its derivatives, its two forms, its way to the recorded and back.
+"""Laws of every kind of readout: derivatives, two forms, the way to recorded values and back.
 
 A kind that joins the union, or that an installed package names, is seen here without being named.
 """
@@ -63,9 +61,9 @@ def scenes() -> Iterator[Any]:
 
 
 def wired_scenes(kind: type) -> Iterator[tuple[str, Scene]]:
-    """The first configuration of a kind that fits.
+    """Yield scenes of the first fitting configuration of a kind.
 
-    It is with every sort of wire and with lines that touch.
+    The scenes have every sort of wire, lines that touch, and contacts.
     """
     for rows, columns in PANELS:
         panel = Panel(rows, columns)

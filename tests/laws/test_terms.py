@@ -43,9 +43,9 @@ SHARE_OF_CORNER = 1e-3  # h of differences of second order; they are wrong by h�
 
 @dataclasses.dataclass(frozen=True)
 class GemanMcClure(Loss):
-    """Σ x²/(1 + (x/c)²): a user's own loss that is bounded.
+    """Σ x²/(1 + (x/c)²), a user's own bounded loss.
 
-    It is so flat far out that slopes are small differences.
+    The loss is so flat for large x that slopes are small differences.
     """
 
     convex = False

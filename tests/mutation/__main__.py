@@ -78,10 +78,7 @@ def pytest_of(copy: Path, *options: str) -> tuple[list[str], dict[str, str]]:
 def run_tests(
     copy: Path, *options: str, seconds: float | None = None, **variables: str
 ) -> int | None:
-    """Run pytest on the copy and return its exit code.
-
-    None when it takes longer than the given time.
-    """
+    """Run pytest on the copy and return its exit code, or None after the given time."""
     command, environment = pytest_of(copy, *options)
     silent = {
         "stdin": subprocess.DEVNULL,
@@ -125,7 +122,7 @@ def read(path: Path) -> Tests:
 def guards_of(mutant: Mutant, tests: Tests) -> tuple[list[str], list[str]]:
     """Return golden rows and other tests that call a mutant's function.
 
-    They call its module where it is in no function.
+    A mutant outside functions is guarded by the tests that call its module.
 
     The shortest row comes first, then defaults and constants, the shortest test of every file and
     the second of every file, up to `MAX_SECONDS` seconds.

@@ -100,10 +100,7 @@ def sites(node: ast.AST, names: tuple[str, ...]) -> Iterator[tuple[ast.expr, str
 
 
 def enclosing_function(definitions: tuple[ast.AST, ...]) -> str:
-    """Return the name of the innermost function as `code.co_qualname` has it.
-
-    It is "" outside functions.
-    """
+    """Return the innermost function's `code.co_qualname`, or "" outside functions."""
     if not definitions or isinstance(definitions[-1], ast.ClassDef):
         return ""
     parts = []

@@ -143,7 +143,7 @@ def test_absolute_losses_leave_a_degree_of_freedom_for_each_plateau(term: Term) 
 def test_a_cell_at_a_bound_is_released_separately() -> None:
     """Each cell that a penalty holds at its lower bound has the variance of a free one.
 
-    It is the variance of a panel on which it is free, too.
+    The reference is a panel where this cell is free, too.
     """
     measured = two_point_resistance(panel_cells())
     sigma = 0.003 * measured
@@ -256,9 +256,9 @@ def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
 
 
 def test_an_interval_exceeds_the_bounds_only_by_the_noise_of_the_reading() -> None:
-    """Cells of 100 Ω ± 10 %.
+    """Cells of 100 Ω ± 10 % have different bounds.
 
-    They are free, near the lower and the upper bound, between two that are one, and held at either.
+    The cells are free, near the lower or the upper bound, between equal bounds, or held at either.
     """
     cells = np.full((1, 1, 6), 100.0)
     lower, upper = np.log(

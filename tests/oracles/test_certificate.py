@@ -150,9 +150,9 @@ def test_estimates_of_extreme_panels_meet_every_reading(name: str, formulation: 
 
 @pytest.mark.parametrize("place", [(16, 10), 16], ids=["cell", "row"])
 def test_a_large_panel_without_noise_is_verified_by_every_reading(place: object) -> None:
-    """Readings of shorts are nothing beside the others.
+    """Readings of shorts count, although they are small against the others.
 
-    They were off by 3·10⁻⁶, and in a row by a thousandth.
+    Earlier verdicts let them deviate by 3·10⁻⁶, and a row of them by a thousandth.
     """
     cells = 5000 * 10 ** np.random.default_rng([32, 5]).uniform(-0.15, 0.15, (32, 32))
     cells[place] *= 1e-9
@@ -304,10 +304,7 @@ def test_undetermined_cells_are_called_a_plateau() -> None:
 
 @pytest.mark.parametrize("noise", [None, 0.05])
 def test_a_decrease_below_the_noise_needs_no_further_step(noise: float | None) -> None:
-    """Cells three millionths off are verified where the noise is large, and only there.
-
-    It is ten thousand times as large.
-    """
+    """Cells three millionths off are verified only where the noise is 10,000 times as large."""
     measured = in_digits(USUAL_CELLS)
     sigma = None if noise is None else noise * measured
     point = evaluation((Misfit(),), USUAL_CELLS * (1 + 3e-6), measured, sigma)

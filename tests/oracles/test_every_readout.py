@@ -1,7 +1,4 @@
-"""Every readout against netlists that are solved resistor by resistor.
-
-They are solved with ideal sources and without Z.
-"""
+"""Every readout against netlists with ideal sources, solved resistor by resistor without Z."""
 
 from dataclasses import replace
 from itertools import product
@@ -94,6 +91,8 @@ READOUTS: dict[str, Any] = {
     "loaded, columns": replace(LOADED, driven="columns"),
     "loaded, ideal": replace(LOADED, drive_ohm=0.0),
     "loaded, converter": replace(LOADED, input_ohm=50e3),
+    "loaded, converter, down": replace(LOADED, input_ohm=50e3, polarity="down"),
+    "loaded, lists, converter, down": replace(LOADED_LISTS, input_ohm=50e3, polarity="down"),
     "loaded, lists": LOADED_LISTS,
     "loaded, lists, columns down": replace(LOADED_TURNED, polarity="down"),
     "all": SENSED_ALL,
@@ -105,6 +104,7 @@ READOUTS: dict[str, Any] = {
     "all, lists": LISTS,
     "one, lists": replace(LISTS, sense="one"),
     "all, converter": replace(SENSED_ALL, input_ohm=20e3),
+    "all, converter, down": replace(SENSED_ALL, input_ohm=20e3, polarity="down"),
     "one, converter": replace(SENSED_ONE, input_ohm=20e3),
     "all, ideal": replace(SENSED_ALL, drive_ohm=0.0),
     "one, ideal": replace(SENSED_ONE, drive_ohm=0.0),
@@ -247,9 +247,9 @@ def test_slopes_of_all_addresses_give_the_change_of_each_reading(name: str) -> N
 @pytest.mark.parametrize("driven", ["rows", "columns"])
 @pytest.mark.parametrize("groups", [None, 2, 3])
 def test_any_states_of_idle_lines_agree_with_the_netlist(driven: Any, groups: int | None) -> None:
-    """Idle lines that float, are held, pulled by less and by more than Rd, on both sides.
+    """Idle lines float, are held, or are pulled by less or more than Rd, on both sides.
 
-    They are with outlines and wire.
+    The panel has an outline and wire.
     """
     rng = np.random.default_rng(3)
     shape = (4, 6) if driven == "rows" else (6, 4)
@@ -307,9 +307,9 @@ def test_any_states_of_idle_lines_agree_with_the_netlist(driven: Any, groups: in
 
 @pytest.mark.parametrize("input_ohm", [None, 30e3])
 def test_dividers_in_parallel_share_the_driven_row(input_ohm: float | None) -> None:
-    """Two-point readings of two and three groups against netlists.
+    """Two-point readings of two and three groups agree with netlists.
 
-    Their channels are told for each line.
+    The scene specifies the channel of each line.
     """
     rng = np.random.default_rng(4)
     rows, columns = (tuple(np.round(rng.uniform(50, 90, size=count), 1)) for count in (5, 6))
@@ -415,7 +415,7 @@ def wired_volts(cells: Array, scene: Scene) -> Array:
 def test_a_dead_driven_line_leaves_the_model(readout: Any) -> None:
     """The cells of a dead line are open.
 
-    Its voltages affect neither bounds nor starts of other cells.
+    The line's voltages affect neither bounds nor starts of other cells.
     """
     sound = panel_of(readout, 0.0, shape=(8, COLUMNS))
     broken = np.where(np.arange(8)[:, None] == 4, 1e15, 1.0)
@@ -500,14 +500,14 @@ def through_diode(cells: Array, readout: LoadedColumnsReadout, driven: int) -> A
 
     def excess(volt: float) -> float:
         current = (
-            volt - potentials(network, {"high": volt, "low": 0.0})["d", driven]
+            volt - potentials(network, {"high": volt, "low": 0.0, "ground": 0.0})["d", driven]
         ) / readout.drive_ohm
         return (
             volt + readout.diode.slope_volt * np.log1p(current / saturation) - readout.supply_volt
         )
 
     behind = float(brentq(excess, 0.0, readout.supply_volt, xtol=1e-15, rtol=1e-14))
-    volt = potentials(network, {"high": behind, "low": 0.0})
+    volt = potentials(network, {"high": behind, "low": 0.0, "ground": 0.0})
     return np.array([volt["load", column] for column in range(cells.shape[1])])
 
 
@@ -518,7 +518,11 @@ def test_the_model_contains_a_diode_and_the_converter(
     diode: Diode, driven: Any, polarity: Any
 ) -> None:
     readout = replace(
-        UNLIKE_READOUT, diode=diode, driven=driven, polarity=polarity, input_ohm=100e3
+        UNLIKE_READOUT,
+        diode=diode,
+        driven=driven,
+        polarity=polarity,
+        input_ohm=100e3 if polarity == "up" else None,
     )
     cells = cells_of()
     volt = np.stack([through_diode(cells, readout, row) for row in range(len(cells))])
@@ -712,9 +716,9 @@ def test_the_true_one_of_two_panels_that_read_alike_is_found() -> None:
 
 @pytest.mark.slow
 def test_starts_of_random_circuits_equal_their_cells() -> None:
-    """Before there was a choice of panels, two of five were wrong by half and more.
+    """The choice among several panels keeps starts close to the cells.
 
-    Some cells are truly alike.
+    Without it two of five were wrong by half and more. Some cells are truly ambiguous.
     """
     rng = np.random.default_rng(5)
     wrong = 0
@@ -737,10 +741,7 @@ def test_starts_of_random_circuits_equal_their_cells() -> None:
 
 @promise('theory/circuit: the verdict is "doubtful" and names both panels')
 def test_a_second_panel_with_equal_readings_is_reported_as_a_doubt() -> None:
-    """The unloaded readings of cells of 1 kilo-ohm are those of cells of 7 kilo-ohm.
-
-    They are so cell for cell.
-    """
+    """Cells of 1 kΩ and other cells of 7 kΩ have the same unloaded readings, one by one."""
     readout = DrivenReadout(
         idle_load_ohm=0.0, drive_ohm=120.0, load_ohm=1000.0, adc_bits=16, noise_lsb=1.0
     )

@@ -103,10 +103,7 @@ def test_intervals_contain_read_cells_despite_missing_readings(terms: list[objec
 
 @pytest.mark.parametrize("term", [lampest.RelativeChange(), lampest.GradientOfRelativeChange()])
 def test_penalties_compare_with_a_substitute_for_an_unread_baseline(term: object) -> None:
-    """Nothing told the baseline of that cell.
-
-    It went open, and took all others along by 1 %; bars held 45 %.
-    """
+    """Without a substitute the cell opened, all others moved by 1 %, and bars covered 45 %."""
     rng = np.random.default_rng(8)
     resting = 1000 * np.exp(0.2 * rng.standard_normal(SHAPE))
     pressed = resting.copy()
@@ -126,9 +123,9 @@ def test_penalties_compare_with_a_substitute_for_an_unread_baseline(term: object
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_the_profile_of_a_held_cell_follows_the_valley(side: int) -> None:
-    """Ends of the way are optima with that cell held.
+    """Ends of the profile are optima with that cell held.
 
-    They are found again by a solve within bounds that leave it no choice.
+    Solves within bounds that fix the cell confirm them.
     """
     recording = with_holes(3, 1)
     terms = (lampest.Misfit(weighting="noise"), lampest.Gradient(weight=1e-4))

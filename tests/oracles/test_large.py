@@ -1,6 +1,6 @@
-"""Conjugate gradients on larger panels find what a factorisation finds.
+"""Conjugate gradients on larger panels reach the solution of a factorisation.
 
-Their preconditioner is what it says.
+Their preconditioner equals its formula.
 """
 
 from collections.abc import Callable
@@ -122,9 +122,9 @@ def by_products(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def crowded(noise: float, seed: int, shape: tuple[int, int] = (6, 7)) -> Evaluation:
-    """The readings' own start with much relative noise.
+    """Return the readings' own start with much relative noise.
 
-    It is so much that a third of its cells, or most, stand at a bound.
+    The noise holds a third of the cells, or most, at a bound.
     """
     generator = np.random.default_rng(seed)
     scene = Scene(Panel(*shape), TwoPointReadout())
@@ -205,9 +205,7 @@ def test_a_step_of_the_barrier_solves_its_newton_equations(barrier: Barrier) -> 
 
 
 def test_negative_curvature_under_a_large_mouth_is_overcome() -> None:
-    """From equal cells to a verified minimum in few iterations.
-
-    They are fewer than one for every ten cells of the patch.
+    """Equal cells lead to a verified minimum in fewer iterations than a tenth of the patch's cells.
 
     The patch has a hundredth of its resistance: in log r the cost of LSR-∇CR is concave there.
     """

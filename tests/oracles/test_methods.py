@@ -89,10 +89,7 @@ def test_one_step_from_the_baseline_errs_by_the_square_of_the_change(
 
 
 def test_one_step_recovers_a_single_cell_without_a_factorisation() -> None:
-    """Lines outweigh cells in what conjugate gradients minimise.
-
-    They must not stop before a cell is resolved.
-    """
+    """Conjugate gradients resolve a single cell although lines outweigh it in their objective."""
     shape = (30, 30)
     single = resting(shape)
     single[11, 17] *= 0.7
@@ -113,10 +110,7 @@ def test_one_step_recovers_a_single_cell_without_a_factorisation() -> None:
 def test_the_converged_published_method_reaches_the_verified_optimum(
     method: str, term: CellResistance
 ) -> None:
-    """Three frames of a panel whose middle is pressed harder and harder.
-
-    They are exact to a tenth of a percent.
-    """
+    """The middle of the panel is pressed harder from frame to frame; readings have 0.1 % noise."""
     rng = np.random.default_rng(4)
     panel = Panel(4, 5)
     cells = np.stack([2000 * np.exp(0.2 * rng.standard_normal(panel.shape))] * 3)

@@ -1,6 +1,6 @@
-"""A right circuit is not called wrong, a wrong one is noticed and the right one named.
+"""Check of a circuit: a right one passes, a wrong one is noticed, and the right one is named.
 
-This holds where the data can show it.
+The statements hold where the data can show the difference.
 """
 
 from dataclasses import replace

@@ -24,7 +24,7 @@ from lampest.inference.prepared import Prepared
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.scene import Scene
-from lampest.posterior.memory import SampledMemory
+from lampest.posterior.sampled import SampledMemory
 from lampest.recording.simulation import Simulation, simulate
 
 SCENE = """

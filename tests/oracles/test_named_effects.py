@@ -27,7 +27,16 @@ from lampest import (
     TwoPointReadout,
 )
 from lampest.audit import advice, effects
-from lampest.inference import memory, prepared, resolve
+from lampest.inference import model_check, resolve
+from lampest.inference import warnings as objections
+from lampest.inference.effects import (
+    converter_ends,
+    converter_memory,
+    creep,
+    gain_and_ripple,
+    motion,
+    static_errors,
+)
 from lampest.inference.prepared import Prepared
 from tests.estimates import recording_of
 
@@ -43,9 +52,9 @@ WEIGHTED = Misfit(weighting="noise")
 
 
 def standing_load(seed: int, **keys: object) -> Recording:
-    """A load with sharp edges on a mat with an outline.
+    """Return a recording of a load with sharp edges on a mat with an outline.
 
-    It stands from the first measured frame and sways by 2 %.
+    The load stands from the first measured frame and sways by 2 %.
     """
     rng = np.random.default_rng(seed)
     row, column = np.indices((ROWS, COLUMNS))
@@ -95,12 +104,16 @@ def test_an_effect_without_an_entry_in_the_scene_is_not_estimated(
         raise AssertionError("was not asked for")
 
     for module, names in (
-        (resolve, ("shared_errors", "share_of_motion", "without_effects", "fitted")),
-        (memory, ("estimated_memory",)),
-        (prepared, ("warnings_of",)),
+        (resolve, ("without_effects",)),
+        (static_errors, ("shared_errors",)),
+        (motion, ("share_of_motion",)),
+        (creep, ("fitted",)),
+        (converter_memory, ("estimated_memory",)),
+        (converter_ends, ("saturated",)),
+        (gain_and_ripple, ("unloaded_scatter",)),
+        (objections, ("warnings_of",)),
         (advice, ("unnamed_effects",)),
-        (prepared.Question, ("of", "check", "effects")),
-        (effects, ("saturated", "unloaded_scatter")),
+        (model_check.Question, ("of", "check", "effects")),
     ):
         for name in names:
             monkeypatch.setattr(module, name, refuse)

@@ -20,11 +20,12 @@ from lampest.apps.studies.study import read_settings
 from lampest.audit.effects import unnamed_effects
 from lampest.estimate.sequence import reconstruct
 from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, TWO_SIDED, UNUSUAL
-from lampest.inference import still_cells
 from lampest.inference.cells_fit import CellsFit
 from lampest.inference.compared_frames import noise_factor
+from lampest.inference.effects import static_errors
 from lampest.inference.outliers import detect_outliers, frozen_readings
 from lampest.inference.prepared import Prepared
+from lampest.inference.unloaded_cells import READING_ERRORS, unloaded_costs
 from lampest.inference.variance_components import Scatter, posterior_size, scatter
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
@@ -66,9 +67,9 @@ USUAL_SERIES_OHM = 35
 def drawn(
     rng: np.random.Generator, frames: int, gain: float = 0.0, offset: float = 0.0, wave: float = 0.0
 ) -> Array:
-    """Deviations about their mean, in σ.
+    """Return deviations about their mean, in σ.
 
-    They are noise, a gain a frame, an offset a line, a wave that all lines share.
+    The deviations consist of noise, a gain a frame, an offset a line, and a wave on all lines.
     """
     loud = 3000.0
     noise = rng.standard_normal((frames, LINES, CHANNELS))
@@ -147,10 +148,7 @@ def test_loads_and_wrong_noise_cause_no_outliers() -> None:
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 1.3])
 def test_a_frozen_reading_is_named_and_treated_as_missing(factor: float) -> None:
-    """Under the load it would move the cells of its row and column by a tenth and more.
-
-    It would do so whatever its value is.
-    """
+    """Under the load a frozen value would move the cells of its lines by a tenth and more."""
     recording = Recording.load(Path(__file__).parents[2] / "data" / "lamprey_35mm.h5", slice(9))
     frozen = recording.recorded.copy()
     missing = recording.recorded.copy()
@@ -227,9 +225,9 @@ def recorded(
     frames: int = 8,
     unloaded: int = 5,
 ) -> Recording:
-    """Frames of a panel pressed on a few cells.
+    """Return frames of a panel pressed on a few cells.
 
-    They are means of 20 readings of 12 bits of a divider across 1000 ohm.
+    A divider across 1000 ohm takes the means of 20 readings of 12 bits.
 
     gain : of each frame. static : of each reading, the same in all frames. series : ohm beside the
         scene's.
@@ -466,17 +464,17 @@ def test_an_error_of_readings_is_estimated_only_where_a_coarse_scan_shows_one(
 ) -> None:
     """Eleven values of the error cost a quarter of all."""
     scans: list[int] = []
-    costs_of = still_cells._unloaded_costs
+    costs_of = unloaded_costs
 
     def noted(scene: Scene, resting: Readings, fit: CellsFit | None, tried: Array) -> Array:
         scans.append(len(tried))
         return costs_of(scene, resting, fit, tried)
 
-    monkeypatch.setattr(still_cells, "_unloaded_costs", noted)
+    monkeypatch.setattr(static_errors, "unloaded_costs", noted)
     assert STATIC_LINE not in lines_of(recorded(9, scene_of(0.7)))
-    assert scans == [len(still_cells.COARSE)] == [11]
+    assert scans == [len(static_errors.COARSE)] == [11]
     assert STATIC_LINE in lines_of(recorded(9, scene_of(0.7), static=0.005))
-    assert scans[1:] == [11, len(still_cells.READING_ERRORS)]
+    assert scans[1:] == [11, len(READING_ERRORS)]
 
 
 def lines_of(recording: Recording) -> set[str]:

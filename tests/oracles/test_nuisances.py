@@ -186,10 +186,7 @@ def test_the_edge_of_a_large_load_is_not_taken_for_a_contact() -> None:
 
 @pytest.mark.slow
 def test_differing_channels_under_a_mouth_are_not_taken_for_a_contact() -> None:
-    """Channels of 3 ohm shift the cells of a rim by several percent.
-
-    These are as low as 100 ohm.
-    """
+    """Channels of 3 ohm shift the cells of a rim, as low as 100 ohm, by several percent."""
     for mouth in ("lamprey_25mm", "lamprey_35mm"):
         assert not [
             line

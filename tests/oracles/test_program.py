@@ -1,6 +1,6 @@
-"""The program of node voltages: IPOPT solves it alone.
+"""The program of node voltages, solved by IPOPT alone.
 
-Its optima are those of the solver without voltages.
+The optima are those of the solver without voltages.
 """
 
 import subprocess

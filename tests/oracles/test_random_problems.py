@@ -311,9 +311,9 @@ def test_more_starts_find_the_lower_of_two_minima() -> None:
 
 
 def solution_of_a_skin(kind: str, *terms: Term) -> Solution:
-    """A foam skin, nearly open where nothing presses.
+    """Solve a foam skin that is nearly open where nothing presses.
 
-    It has contacts, memory and joined rows that its scene omits.
+    The skin has contacts, memory and joined rows that its scene omits.
     """
     random = np.random.default_rng(3)
     side = 16

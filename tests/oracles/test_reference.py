@@ -227,10 +227,7 @@ def test_a_missing_reading_has_a_wider_interval_that_holds_it() -> None:
 
 @promise("howto/weights: Error bars include this uncertainty.")
 def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
-    """The bars of the same weight, given as a number, are smaller.
-
-    They are so most where the weight matters most.
-    """
+    """Bars of a weight given as a number are smaller, most where the weight matters most."""
     recording = frames_under_load(STATIC, 2)
     chosen = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
     weight = chosen.steps[0].weights[1]

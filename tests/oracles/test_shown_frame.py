@@ -1,6 +1,6 @@
 """The frame that pictures show.
 
-It is the one in which the film feels what was applied, suction included.
+The film feels the applied load, suction included, in this frame.
 """
 
 from pathlib import Path

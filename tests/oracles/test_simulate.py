@@ -1,6 +1,6 @@
 """Simulated recordings against closed forms, the shipped files and the published figures.
 
-Each unmodelled effect is tested too.
+A test covers each unmodelled effect.
 """
 
 import dataclasses
@@ -79,10 +79,7 @@ def shipped(name: str) -> Recording:
 
 
 def change(values: Array) -> Array:
-    """Change in percent of a full frame against the mean of the three unloaded frames.
-
-    All loads are in place in the full frame.
-    """
+    """Return the change in percent of a fully loaded frame against the mean unloaded frame."""
     return 100 * (values[10] / values[:3].mean(axis=0) - 1)
 
 

@@ -18,7 +18,7 @@ from lampest import (
     TwoPointReadout,
 )
 from lampest.files.levels import MIN_EVIDENCE_GAIN
-from lampest.inference.memory import estimated_memory, memory_gain
+from lampest.inference.effects.converter_memory import estimated_memory, memory_gain
 from lampest.inference.prepared import Prepared
 from lampest.inference.rivals import Rival
 from lampest.panel.readouts.readout import Readout, with_memory
@@ -94,10 +94,7 @@ def test_understated_noise_is_not_taken_for_memory() -> None:
 
 
 def test_the_edge_of_a_load_is_not_taken_for_memory() -> None:
-    """Edge cells have changed by a share of what the load has.
-
-    These are the ones that follow the load in the order of the scan.
-    """
+    """Edge cells, next in the order of the scan, change by a share of the load's change."""
     generator = np.random.default_rng(100)
     cells = 2000 * np.exp(generator.choice([0.05, 0.3]) * generator.standard_normal((8, 8)))
     cells = np.repeat(cells[None], 2 * FRAMES, axis=0)

@@ -183,9 +183,9 @@ def test_a_joint_step_solves_the_normal_equations_of_all_frames(chance: int) -> 
 
 @pytest.mark.slow
 def test_the_smoothed_frames_minimise_the_stated_cost() -> None:
-    """Φ of six frames written out once more, from Kirchhoff's laws.
+    """BFGS, from the smoothed frames and from points near them, finds no lower value of Φ.
 
-    It is minimised by BFGS from the end and beside it.
+    Φ of the six frames is written out once more, from Kirchhoff's laws.
     """
     recording = panel(3, 3, SHARED_ERRORS)
     estimator = Estimator(ROBUST, "smoother")

@@ -33,10 +33,9 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import Scene
-from lampest.posterior.covariance import DenseErrors
+from lampest.posterior.covariance import DenseErrors, DenseMemory
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.memory import DenseMemory, SampledMemory
-from lampest.posterior.sampled import SampledErrors
+from lampest.posterior.sampled import SampledErrors, SampledMemory
 from lampest.recording.shapes import OralDisc, Rod, Shape, SuctionCup
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -145,10 +144,7 @@ WINS: dict[
 
 @pytest.mark.parametrize("claim", WINS)
 def test_a_term_wins_on_its_scene(claim: str) -> None:
-    """Against plain least squares and the terms before it.
-
-    Each has its best weight in hindsight.
-    """
+    """A term beats plain least squares and earlier terms, with the best weights in hindsight."""
     place, own, alternatives, margin = WINS[claim]
     recorded = scene(*place)
     assert best(recorded, *own) < margin * min(
@@ -178,9 +174,9 @@ def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
 
 @pytest.mark.parametrize("reads_both", [False, True])
 def test_error_bars_include_the_error_of_the_baseline(reads_both: bool) -> None:
-    """What errors of the baseline and of the previous frame add.
+    """Errors of the baseline and of the previous frame add to those of the estimate.
 
-    It is held against estimates from displaced ones.
+    The added errors are those of estimates from displaced baselines and previous frames.
     """
     rng = np.random.default_rng(8)
     shape = (3, 4)
@@ -196,10 +192,7 @@ def test_error_bars_include_the_error_of_the_baseline(reads_both: bool) -> None:
     data = Data(given, measured / 9, measured * 1e3)
 
     def moved(step: Array) -> Array:
-        """log r from a previous frame and a baseline that are displaced.
-
-        They are displaced by `step` in their logarithms.
-        """
+        """Return log r from a previous frame and a baseline displaced by `step` in ln r."""
         previous, baseline = known * np.exp(step.reshape(2, *shape))
         shifted = replace(data, given=replace(data.given, previous=previous, baseline=baseline))
         return np.log(best_solution(solver, shifted, known[:1]).cell_resistance.ravel())
@@ -235,9 +228,9 @@ def recorded(cells: Array, seed: int, noise: float = NOISY) -> Recording:
 
 @cache
 def arriving(kind: str, seed: int, frames: int = 18) -> Recording:
-    """The whole panel pressed in rhythm, and three loads.
+    """Return a recording of the whole panel pressed in rhythm, or of one of three loads.
 
-    These are a disc that breathes; a rod that stands; a disc that attaches at frame 5.
+    The loads are a disc that breathes, a rod that stands, and a disc that attaches at frame 5.
     """
     rng = np.random.default_rng(seed)
     count = np.arange(frames + 2) - 2

@@ -1,8 +1,9 @@
 """Weights chosen by the data, their curves and rules.
 
-They are held against definitions, the cost stated anew, and hindsight.
+The references are definitions, the cost stated anew, and hindsight.
 
-Error bars of draws of the prior are calibrated, and withheld readings are predicted."""
+Error bars of draws of the prior are calibrated, and withheld readings are predicted.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -372,9 +373,9 @@ def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> Wei
 
 
 def test_the_evidence_at_each_estimate_is_that_of_laplace() -> None:
-    """−2 log ∫ exp(−cost/2s²) du over a Gaussian prior of rank m − 1.
+    """The evidence equals −2 log ∫ exp(−cost/2s²) du over a Gaussian prior of rank m − 1.
 
-    It is so up to what λ does not change.
+    A constant that does not depend on λ may differ.
     """
     recording = bump()
     problem = subject(Gradient(weight="auto"), recording, Bounds("none", "none"))

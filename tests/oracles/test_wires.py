@@ -25,13 +25,12 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.panel.readouts.readout import with_memory, without_memory
+from lampest.panel.readouts.wired_network import WiredNetwork, wire_responses
 from lampest.panel.readouts.wiring import (
     ContactPrior,
     Contacts,
     Lines,
-    WiredNetwork,
     Wiring,
-    wire_responses,
 )
 from lampest.recording.readings import AT_LEAST, AT_MOST, Readings, touching_columns, touching_rows
 from lampest.recording.simulation.measure import true_contacts
@@ -202,9 +201,9 @@ def test_a_reading_bounds_the_cell_with_its_wire() -> None:
 @each_readout
 @pytest.mark.parametrize("lines", [None, Lines(1.0, 0.5)], ids=["bare", "wire"])
 def test_joined_lines_leave_the_other_cells_exact(readout: Readout, lines: Lines | None) -> None:
-    """Of cells on one crossing the sum of conductances is right.
+    """The sum of conductances of the cells on a joined crossing is right.
 
-    Each alone has bars without end, and says so.
+    A single one of these cells has infinite error bars.
     """
     recording = simulated(
         Scene(Panel(7, 8), readout, faults=TOUCHING, lines=lines, systematic="none")
@@ -296,10 +295,7 @@ def test_plain_least_squares_leaves_contacts_as_uncertain_as_before(readout: Rea
 @pytest.mark.slow
 @each_readout
 def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:
-    """The whole cost of a baseline, with everything unknown at once.
-
-    It is in the hands of a quasi-Newton method.
-    """
+    """A quasi-Newton method minimises the whole cost of a baseline, with all unknowns at once."""
     recording = contacted(readout, 2, spread=0.02, shape=(4, 5))
     terms = (*LSM, Gradient(weight=1e-3))
     solution = solved(recording, terms=terms)

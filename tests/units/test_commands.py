@@ -1,6 +1,6 @@
 """Commands as a newcomer meets them.
 
-These are help, mistakes of typing, overrides, pictures, what stays, what is refused.
+The topics are help, mistakes of typing, overrides, pictures, remaining files and refusals.
 """
 
 import re

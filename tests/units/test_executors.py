@@ -1,6 +1,6 @@
-"""Where cases run changes nothing but time.
+"""The place where cases run changes nothing but time.
 
-They run here, in processes, on a Dask cluster, with workers that die.
+Cases run in this process, in others, on a Dask cluster, and with workers that die.
 """
 
 import ctypes
@@ -316,9 +316,9 @@ def test_frames_are_counted_while_cases_are_solved(
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with an authority's certificate and one that it signed.
+    """Return a folder with an authority's certificate and one that it signed.
 
-    It has a blank and quotes in its name.
+    The folder's name has a blank and a quote.
     """
     if shutil.which("openssl") is None:
         pytest.skip("openssl makes the certificates")

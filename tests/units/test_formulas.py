@@ -46,9 +46,9 @@ def test_an_additional_error_is_scored_by_the_density_of_the_change(seed: int) -
 
 
 def evidence(change: Array, covariance: Array, moved: NDArray[np.bool_]) -> float:
-    """−2 ln of N(d; 0, C + 1 of moved cells) over that of no moved cells.
+    """Return −2 ln of N(d; 0, C + 1 of moved cells) over that of no moved cells.
 
-    It is with the odds of each moved cell.
+    Every moved cell adds its prior odds.
     """
     with_moved = covariance + np.diag(moved.astype(float))
     volume = np.linalg.slogdet(with_moved)[1] - np.linalg.slogdet(covariance)[1]

@@ -1,6 +1,6 @@
-"""File, live replay, a board's frames and the user's own loop: the same cells.
+"""Cells of a file, of live replay, of a board's frames and of the user's own loop are equal.
 
-They are the same whatever the scene names.
+The scene may name any effect.
 """
 
 from dataclasses import dataclass, replace

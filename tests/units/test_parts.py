@@ -1,6 +1,6 @@
 """Recordings too long for memory: their parts make one result, killed or not.
 
-They do so in memory that does not grow.
+The memory does not grow with the recording.
 """
 
 import os

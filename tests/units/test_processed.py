@@ -1,6 +1,6 @@
 """Readings that firmware changed before it sent them.
 
-They are recognised, refused and, where possible, restored.
+lampest recognises and refuses such readings and, where possible, restores them.
 """
 
 from dataclasses import replace

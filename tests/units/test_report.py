@@ -116,10 +116,7 @@ def test_a_page_is_self_contained_and_recommends_nothing_without_truth_and_noise
 
 @pytest.mark.parametrize("shape", [(1, 4, 4), (2, 1, 1), (2, 1, 7), (2, 7, 1), (2, 2, 30)])
 def test_a_report_of_any_shape_is_written_despite_failures(shape: tuple[int, int, int]) -> None:
-    """Also where no frame was solved, or where a change is NaN.
-
-    It is NaN because the unloaded panel was not solved.
-    """
+    """In one case no frame was solved; in another changes are NaN without an unloaded panel."""
     cases = [certain(invented_case(method, shape=shape)) for method in METHODS[:2]]
     cases.append(invented_case("failed", shape=shape, failed=tuple(range(shape[0]))))
     cases.append(invented_case("unsure", shape=shape, relative_change=np.full(shape, np.nan)))
@@ -157,9 +154,9 @@ def test_reports_are_reproducible_and_wrong_input_gives_one_sentence(tmp_path: P
 
 
 def pressing(estimator: str = "LSM", **maps: np.ndarray) -> CaseResult:
-    """An estimate in which 1 kPa presses clearly.
+    """Return an estimate in which 1 kPa presses clearly.
 
-    All errors are own ones unless `maps` has common ones.
+    The common errors are zero unless `maps` has them.
     """
     known = {
         "pressure_common": np.zeros(SHAPE),

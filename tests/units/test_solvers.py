@@ -77,10 +77,7 @@ def test_the_minimum_equals_that_of_scipy_with_and_without_bounds() -> None:
 def test_second_derivatives_are_factored_once_and_reused(
     monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
-    """Evaluations of the cost, products with ∇²φ and factorisations are counted.
-
-    They are counted in the third frame.
-    """
+    """The third frame needs one factorisation, few products with ∇²φ and few evaluations."""
     bench = BenchFile(schema=1, sizes=(8,))
     counts = dict[str, int]()
     recording = bench.recording((8, 8), number)

@@ -1,6 +1,6 @@
 """Several threads estimate at the same time: the same cells as one after the other.
 
-They do so also beside cancellation and forks.
+Cancellation and forks do not change them.
 
 CasADi corrupts the heap where this is wrong, so each scene runs in a process of its own whose end
 is looked at. The threads of BLAS are a state of the process.

@@ -7,9 +7,9 @@ import pytest
 
 import lampest
 from lampest.cost.given import Background
-from lampest.inference.memory import memory_gain
+from lampest.inference.effects.converter_ends import with_saturated_stage
+from lampest.inference.effects.converter_memory import memory_gain
 from lampest.inference.prepared import Prepared
-from lampest.inference.saturation import with_saturated_stage
 from lampest.solvers.multistart import evaluated
 
 ROWS = 3

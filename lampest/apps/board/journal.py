@@ -254,7 +254,7 @@ def _refusal(storage: PatientFile) -> str:
 
 
 def _most_bytes(rows: Rows, scene: Scene, frames: int) -> int:
-    """Return the most bytes that so many further frames take, with their events.
+    """Return the most bytes that a number of further frames take, with their events.
 
     Each dataset begins one chunk more than it fills, and a block of their addresses.
     """
@@ -390,7 +390,7 @@ def _with_sigma(recording: Recording, noise: float | None) -> Recording:
 def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
     """Return the noise of a reading in LSB from differences of successive unloaded codes.
 
-    None below MIN_REPEATS.
+    The result is None below MIN_REPEATS.
     """
     total = 0.0
     count = 0

@@ -19,9 +19,9 @@ def board_rows(recording: Recording) -> tuple[tuple[str, str], ...]:
 
 
 def board_sentence(recording: Recording) -> str:
-    """Return what the board estimated, and its difference from lampest's default estimate.
+    """Return a sentence on the board's estimate and its difference from lampest's default one.
 
-    '' without a board's.
+    Without an estimate of the board the sentence is ''.
     """
     if recording.board_log_change is None:
         return ""

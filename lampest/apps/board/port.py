@@ -1,6 +1,6 @@
 """Serial port of a board: search, opening, HELLO, settings, start and reading.
 
-Also keys pressed meanwhile. No other module uses pyserial.
+The module also reads keys that are pressed meanwhile. No other module uses pyserial.
 """
 
 import contextlib

@@ -250,7 +250,7 @@ def record(  # noqa: PLR0913 # the options of a command
 
 
 def _end_of(out: Path) -> str:
-    """Finish a recording that ended early, and return what remains to be done, or ''."""
+    """Finish a recording that ended early, and return a sentence on the remaining steps, or ''."""
     try:
         finished(out)
     except InputError:

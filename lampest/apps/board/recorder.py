@@ -111,7 +111,7 @@ class Recorder:
     def _grow(self, journal: Journal, samples: tuple[Sample, ...], unloaded: int) -> None:
         """Append samples, and report the progress.
 
-        Of the samples, the first `unloaded` ones are unloaded.
+        The first `unloaded` samples are unloaded.
         """
         journal.append(samples, unloaded)
         refused = f"; {journal.trouble}; it is tried again" if journal.pending else ""

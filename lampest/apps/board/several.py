@@ -1,10 +1,10 @@
 """Several boards as one.
 
-Each scans a module, and their simultaneous frames form a frame of the whole image. A board's time
-on the host's steady clock is its own time plus the least delay of its newest frames,
-s = min(arrival − time). The board of the first module leads, or the next one while it is absent:
-its frames define the times of the image. Every other board contributes its frame nearest in time.
-An absent board is missing from the image until it returns.
+Each board scans a module, and their simultaneous frames form a frame of the whole image. A board's
+time on the host's steady clock is its own time plus the least delay of its newest frames, s =
+min(arrival − time). The board of the first module leads, or the next one while it is absent: its
+frames define the times of the image. Every other board contributes its frame nearest in time. An
+absent board is missing from the image until it returns.
 """
 
 from collections import deque
@@ -123,7 +123,7 @@ class Alignment:
     def frame(self, now: float) -> dict[int, Sample] | None:
         """Advance to the next frame and return its samples by board.
 
-        None while a present board may still send.
+        The result is None while a present board may still send.
         """
         led = self._led(now)
         if led is None:
@@ -160,7 +160,7 @@ class Alignment:
     def _led(self, now: float) -> Stamped | None:
         """Return the frame that defines the next time, from the first present board.
 
-        None before it has arrived.
+        The result is None before it has arrived.
         """
         if self.moment is None:
             if not all(self.waiting):

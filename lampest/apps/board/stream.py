@@ -334,8 +334,8 @@ class Scanning:
     def _resumed(self, frame: Frame, after: Frame) -> Sample | None:
         """Return the first sample after a jump of the clock or a restart of the numbers.
 
-        None for a repetition. `after` is the next frame, whose clock follows that of `frame` if the
-        numbers have restarted.
+        The result is None for a repetition. `after` is the next frame, whose clock follows that of
+        `frame` if the numbers have restarted.
         """
         assert self.before is not None and self.last is not None
         steps, elapsed_ms = _since(self.before.frame, frame)

@@ -34,7 +34,7 @@ from lampest.panel.readouts.lines import SeriesPerLine, of_side
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.panel.systematic import USUAL, systematic_of
-from lampest.posterior.matrices import positive_inverse
+from lampest.posterior.linear import positive_inverse
 from lampest.recording.recording import Recording
 
 BLOCK = 50  # frames that are solved together; ten blocks take as long as one of all their frames

@@ -293,8 +293,8 @@ class MemoryErrors:
     Attributes
     ----------
     unloaded, drift : float
-        Standard deviation of ln r/r0 of an untouched cell, beside the estimate's error: constant,
-        and for each minute.
+        Standard deviation of ln r/r0 of an untouched cell, in addition to the estimate's error:
+        constant, and for each minute.
     memory, cell_memory : float
         Relative errors of a cell's predicted memory, because peaks fall between frames; the second
         where cells differ.
@@ -357,7 +357,7 @@ class FilmKnown:
 
     @classmethod
     def specified(cls, film: Film) -> "FilmKnown":
-        """Return the film as its scene specifies it, before recordings tell more."""
+        """Return the film as its scene specifies it, without information from recordings."""
         return cls(film, film.strength("creep_per_decade"))
 
     @property

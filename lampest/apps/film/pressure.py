@@ -1,7 +1,7 @@
 """Pressures of loads from the ratio of cell resistances to their unloaded values.
 
-`PressureTrack` follows the film from frame to frame and gives pressures with their errors. Also the
-pressure of water, and the force of a frame.
+`PressureTrack` follows the film from frame to frame and gives pressures with their errors.
+`total_force` gives the force of a frame.
 """
 
 from collections.abc import Callable, Iterable
@@ -138,7 +138,7 @@ class PressureTrack:
         The mean film, then films with one strength increased by a standard deviation, (films, rows,
         columns).
     zeros : array, shape (films, rows, columns)
-        ln(r/r_rest) of the present zero, beside the memory.
+        ln(r/r_rest) of the present zero, without the memory.
     peak : array, shape (rows, columns)
         Largest |ln(r/r_rest)| so far.
     residue : float
@@ -272,7 +272,7 @@ class PressureTrack:
         )
 
     def _saturated(self, least: Array, most: Array) -> NDArray[np.bool_]:
-        """Return whether an interval, water included, exceeds what the response determines."""
+        """Return whether an interval, water included, exceeds the range of the response."""
         lowest, highest = self.films.response.told_kpa
         return np.asarray((least + self.films.water < lowest) | (most + self.films.water > highest))
 
@@ -411,9 +411,14 @@ KPA_MM2 = 1e-3  # force of one kPa on a square millimetre, newton
 
 
 class Force(NamedTuple):
-    """Force and its standard deviation, newton; NaN where unknown.
+    """Total force.
 
-    saturated : number of saturated cells; with any the force is a lower bound.
+    Attributes
+    ----------
+    newton, deviation : float
+        Force and its standard deviation in newtons; NaN where unknown.
+    saturated : int
+        Number of saturated cells; with any the force is a lower bound.
     """
 
     newton: float

@@ -100,8 +100,15 @@ def joined_frames(parts: Sequence[Frames], files: Sequence[str], source: str, no
 
     A note that some files lack names those that have it.
 
-    files : names of the files.
-    source : name of all of them, which have no times.
+    Parameters
+    ----------
+    parts : sequence of Frames
+        Frames of each file.
+    files : sequence of str
+        Names of the files.
+    source : str
+        Name of all files together, which have no times.
+    note : str
     """
     ends = np.cumsum([len(part.numbers) for part in parts])
     begins = (ends - [len(part.numbers) for part in parts]).tolist()
@@ -300,10 +307,7 @@ def _of_mat(path: Path) -> Arrays:
 
 
 def _element(view: memoryview, at: int, order: str) -> tuple[str, memoryview, int]:
-    """Return kind and content of the data element at a position.
-
-    Also returns the position of the next one.
-    """
+    """Return kind and content of the data element at a position, and the next position."""
     kind, size = struct.unpack_from(order + "II", view, at)
     small = kind >> 16  # its size: a small one holds both in eight bytes
     name = ELEMENTS.split()[kind & 0xFFFF]
@@ -321,7 +325,7 @@ def _element(view: memoryview, at: int, order: str) -> tuple[str, memoryview, in
 def _matrix(body: memoryview, order: str) -> Arrays:
     """Return the values of a matrix element by name.
 
-    Empty for texts, structures, cells and complex values.
+    The result is empty for texts, structures, cells and complex values.
     """
     _, flags, at = _element(body, 0, order)
     _, size, at = _element(body, at, order)

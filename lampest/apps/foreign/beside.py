@@ -112,7 +112,7 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
 def _named(table: ReadingsTable, names: Sequence[str], lead: int) -> ReadingsTable:
     """Return the table with its named fields first, and without those called '-'.
 
-    Of the named fields, `lead` stood first already.
+    The first `lead` of the named fields already stand before the readings.
     """
     trailing = len(names) - lead
     order = [
@@ -138,9 +138,9 @@ def _named(table: ReadingsTable, names: Sequence[str], lead: int) -> ReadingsTab
 def _names_beside(
     table: ReadingsTable, fields: Sequence[int], lead: int, rows: int, marks: NDArray[np.bool_]
 ) -> list[str] | None:
-    """Return names of the fields beside the readings; None if one is unclear.
+    """Return names of the additional fields; None if one is unclear.
 
-    Of these fields, `lead` stand before the readings.
+    The first `lead` of them stand before the readings.
     """
     leading = [_is_row(table.fields[:, field], rows) for field in fields[:lead]] if rows > 1 else []
     names: list[str | None] = [
@@ -168,10 +168,7 @@ def _names_beside(
 
 
 def _name_of(table: ReadingsTable, field: int, rows: int, *, mark: bool) -> str | None:
-    """Return what a field beside the readings is: 'time', 'frame', or '-' for a mark.
-
-    None if nothing fits.
-    """
+    """Return the role of an additional field: 'time', 'frame', or '-' for a mark; else None."""
     texts = table.fields[:, field]
     values = unwrapped(table.values[:, field])
     words = table.words[:, field]

@@ -132,6 +132,6 @@ def _distances(values: Array, lag: int) -> Array:
 
 
 def _sums(values: Array, length: int) -> Array:
-    """Return the sums of so many successive values."""
+    """Return the sums of `length` successive values."""
     total = np.cumsum(np.concatenate([[0.0], values]))
     return np.asarray(total[length:] - total[:-length])

@@ -1,4 +1,4 @@
-"""Data frames and labelled arrays as frames: what other libraries hold in memory."""
+"""Data frames and labelled arrays of other libraries as frames."""
 
 from typing import Any
 

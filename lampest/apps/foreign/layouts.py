@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -77,19 +77,18 @@ def _begins_with_a_separator(table: ReadingsTable, shape: Shape) -> bool:
 def _frames_of_numbers(table: ReadingsTable, shape: Shape) -> Frames:
     """Return the frames of a table with one number a line, row by row."""
     cells = shape[0] * shape[1]
-    frame, cell, begins, left_out, title = _blocks(table, cells, [0])
-    row, column = np.divmod(cell, shape[1])
-    note = f"one number a line, {cells} lines a frame; row by row{left_out}"
-    at = (frame[:, None], row[:, None], column[:, None])
-    return table.frames(
-        at, [0], shape, table.timing([], begins) or table.title_timing(begins, title), note
-    )
+    blocks = _blocks(table, cells, [0])
+    row, column = np.divmod(blocks.row, shape[1])
+    timing = table.timing([], blocks.begins) or table.title_timing(blocks.begins, blocks.title)
+    note = f"one number a line, {cells} lines a frame; row by row{blocks.left_out}"
+    at = (blocks.frame[:, None], row[:, None], column[:, None])
+    return table.frames(at, [0], shape, timing, note)
 
 
 def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cells, str] | None:
     """Return (row, column) of the cells in the names of columns, by column, and a sentence.
 
-    None without such names.
+    The result is None without such names.
     """
     named: dict[int, tuple[int, int]] = {}
     for field, name in enumerate(names):
@@ -245,7 +244,7 @@ def _count_cells(table: ReadingsTable, cells: int) -> bool:
 def _line_numbers(table: ReadingsTable, field: int) -> Array:
     """Return the row or column numbers in a field of all lines, from 3, R3 or 'row 3'.
 
-    NaN for any other text.
+    The result is NaN for any other text.
     """
     values = table.values[:, field].copy()
     unread = table.words[:, field]
@@ -373,10 +372,8 @@ def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
     labels, times = _before_the_row(table, extra, shape[0])
     columns, order = _column_order(table, extra, shape[1])
     fields = list(range(extra, table.width))
-    title = None
-    left_out = ""
     if labels is None:
-        frame, row, begins, left_out, title = _blocks(table, shape[0], fields)
+        blocks = _blocks(table, shape[0], fields)
     else:
         often = Counter(kind for kinds in table.kinds for kind in kinds)
         frames = int(np.bincount(labels).max())
@@ -390,13 +387,14 @@ def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
         ended = [
             bool(kinds & ends) or bool(new) for kinds, new in zip(table.kinds, changes, strict=True)
         ]
-        frame = np.cumsum(_begins_again(labels, ended))
-        row = labels
+        frame = np.cumsum(_begins_again(labels, ended), dtype=np.intp)
         begins = np.unique(frame, return_index=True)[1].tolist()
-    timing = table.timing(times, begins) or table.title_timing(begins, title)
+        blocks = _Blocks(frame, labels, begins, "", None)
+    timing = table.timing(times, blocks.begins) or table.title_timing(blocks.begins, blocks.title)
     named = "rows from top to bottom" if labels is None else "rows by their names"
-    note = f"one row a line, {shape[0]} lines a frame; {named}, {order}{left_out}"
-    return table.frames((frame[:, None], row[:, None], columns), fields, shape, timing, note)
+    note = f"one row a line, {shape[0]} lines a frame; {named}, {order}{blocks.left_out}"
+    at = (blocks.frame[:, None], blocks.row[:, None], columns)
+    return table.frames(at, fields, shape, timing, note)
 
 
 def _before_the_row(table: ReadingsTable, extra: int, rows: int) -> tuple[Index | None, list[int]]:
@@ -442,24 +440,34 @@ def _column_order(table: ReadingsTable, extra: int, columns: int) -> tuple[list[
     return [number - first for number in numbers], f"columns by their names from {first}"
 
 
-def _blocks(
-    table: ReadingsTable, rows: int, fields: Sequence[int]
-) -> tuple[Index, Index, list[int], str, str | None]:
-    """Return the assignment of lines without row names to frames and rows.
+@dataclass(frozen=True, eq=False)
+class _Blocks:
+    """Assignment of lines without row names to frames and rows.
 
-    `fields` are those with readings. Without marks between frames the readings show whether lines
-    are lost or doubled; raises InputError if lines are, and the readings do not show which.
-
-    Returns
-    -------
+    Attributes
+    ----------
     frame, row : array of int, shape (lines,)
         Frame, -1 for none, and row of every line.
     begins : list of int
         First line of every frame.
-    note : str
+    left_out : str
         Note on skipped lines.
     title : str or None
         Kind of the titles between frames.
+    """
+
+    frame: Index
+    row: Index
+    begins: list[int]
+    left_out: str
+    title: str | None
+
+
+def _blocks(table: ReadingsTable, rows: int, fields: Sequence[int]) -> _Blocks:
+    """Return the assignment of lines without row names to frames and rows.
+
+    `fields` are those with readings. Without marks between frames the readings show whether lines
+    are lost or doubled; raises InputError if lines are, and the readings do not show which.
     """
     groups, title = _grouped(table, rows)
     parts = whole_parts(table.values[:, fields], rows) if len(groups) == 1 else ()
@@ -508,13 +516,18 @@ def _blocks(
             skipped += [place for text, place in before.items() if text and kind_of(text) != title]
     if skipped:
         notes.append(f"skipped between rows: {', '.join(skipped)}")
-    return frame, row, begins, "".join(f"; {sentence}" for sentence in notes), title
+    return _Blocks(frame, row, begins, "".join(f"; {sentence}" for sentence in notes), title)
 
 
 def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:
-    """Return the lines of every frame, and the kind of the titles between frames.
+    """Group the lines of a table into frames.
 
-    None for any kind, or no titles.
+    Returns
+    -------
+    frames : list of range
+        Lines of every frame.
+    kind : str or None
+        Kind of the titles between frames; None for titles of any kind, or none.
     """
     kinds = table.kinds
     separators = [line for line in range(1, len(kinds)) if kinds[line]]

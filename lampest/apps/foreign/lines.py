@@ -1,7 +1,7 @@
 """Lines and fields of texts and sheets.
 
-Encoding, separators, comments, a terminal's time before a line. Nothing here knows readings;
-`lampest.apps.foreign.table` finds the lines and columns that hold some.
+The module handles encoding, separators, comments, and a terminal's time before a line, but no
+readings; `lampest.apps.foreign.table` finds the lines and columns that hold some.
 """
 
 import csv
@@ -252,7 +252,7 @@ def _utf16_of(data: bytes) -> str:
 def _delimiter(lines: Sequence[str]) -> str:
     """Return the sign that gives most numeric fields in the first lines.
 
-    Of equal signs the earlier in the list.
+    If several signs give as many, the earliest in the list counts.
     """
     sample = "\n".join(lines[:SAMPLED_LINES])[:SAMPLED].split("\n")
 

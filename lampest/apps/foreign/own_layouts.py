@@ -1,4 +1,4 @@
-"""Layouts of tables beside those that are recognised. To add one, name it in LAYOUTS."""
+"""Further layouts of tables. To add one, name it in LAYOUTS."""
 
 from lampest.apps.foreign.arrays import Layout
 

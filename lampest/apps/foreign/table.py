@@ -86,7 +86,7 @@ class ReadingsTable:
     def before(self) -> list[dict[str, str]]:
         """Texts between each line and the previous one, with their places such as 'line 3'.
 
-        '' for a blank line.
+        The value is '' for a blank line.
         """
         between = []
         for last, line in pairwise([-1, *self.lines.tolist()]):
@@ -209,7 +209,7 @@ class ReadingsTable:
     def title_timing(self, begins: Sequence[int], title: str | None) -> Timing:
         """Return the times of frames from titles of a kind before each block.
 
-        None if a block has none.
+        The result is None if a block has none.
         """
         before = [self.before[line] for line in begins]
         time_texts = [
@@ -318,7 +318,9 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     )
     parsed = Parsed.of(source.fields, comma=comma)
     data = _data_lines(source, parsed.words)
-    usual = _usual_count(source.counts[data])
+    # the most frequent number of fields, of equally frequent ones the largest
+    often = Counter(source.counts[data].tolist())
+    usual = max(often, key=lambda count: (often[count], count), default=0)
     complete = source.counts == usual
     # A damaged byte in a line with one field less was a separator: the fields on both sides of it
     # are missing.
@@ -376,15 +378,6 @@ def _laid_out(table: ReadingsTable, layout: str) -> ReadingsTable:
     note = f"fields {first_and_more([field + 1 for field in skipped])} left out, as `layout` says"
     named = [field for field in range(table.width) if field not in skipped]
     return replace(table.only(columns=named), notes=(*table.notes, note))
-
-
-def _usual_count(counts: Index) -> int:
-    """Return the most frequent number of fields; 0 without a line.
-
-    Of equally frequent ones it is the largest one.
-    """
-    often = Counter(counts.tolist())
-    return max(often, key=lambda count: (often[count], count), default=0)
 
 
 def _width(fields: NDArray[Any], usual: int) -> int:

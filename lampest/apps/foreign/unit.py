@@ -73,7 +73,7 @@ def _possible_units(readout: Readout | None) -> Sequence[str]:
 def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tuple[list[str], str]:
     """Return the allowed units that explain the values, and the reason.
 
-    The reason is of one unit, why it is; of several, a remark.
+    The reason explains a single unit; for several units it is a remark.
     """
     top = 2**readout.adc_bits - 1
     supply = readout.full_scale_volt
@@ -178,7 +178,7 @@ def _are_means(finite: Array, readings: int) -> bool:
 def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
     """Return whether values in this unit would be means of the converter's codes.
 
-    None if undecidable.
+    The result is None if undecidable.
     """
     values = np.unique(finite)
     digit = _rounding(values)

@@ -221,7 +221,7 @@ def _units_of_one(name: str) -> tuple[str, ...]:
 def load_named(name: str) -> str:
     """Return the word for a load's quantity or unit in a name, such as 'mmHg' or 'pressure'.
 
-    '' without one.
+    The result is '' without one.
     """
     stem, unit = parted(name)
     if unit.lower() in UNITS_OF_WORD or unit in ("v", "V"):
@@ -249,7 +249,7 @@ def names_pressure(name: str) -> bool:
 def pressures_in(text: str) -> str:
     """Return the unit of pressure that a line with numbers states, or ''.
 
-    Such as in 'Max: 200 mmHg' and 'Mean (kPa) 3'.
+    Examples are 'Max: 200 mmHg' and 'Mean (kPa) 3'.
     """
     match = STATED_PRESSURE.search(text)
     return match[1] if match else ""
@@ -518,7 +518,7 @@ def grows(values: Array) -> bool:
 def _longest_growing(values: Array) -> NDArray[np.bool_]:
     """Return the longest increasing subsequence of values, boolean (n,).
 
-    Of equally long ones it is the last one.
+    If several are equally long, the last one is returned.
     """
     ends = list[float]()
     numbers = list[int]()

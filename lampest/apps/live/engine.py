@@ -1,6 +1,6 @@
 """Live estimation in one solver thread.
 
-Baseline from the first frames, then always the newest frame.
+The first frames give the baseline; then the newest frame is always the next one.
 """
 
 import logging

@@ -139,7 +139,7 @@ class Beside(Generic[T]):
 def _open_desk(desk: Callable[[Any], Any]) -> None:
     """Lower the priority of this process, and keep the function that answers tasks.
 
-    The function is kept with what it remembers.
+    The function keeps its state between tasks.
     """
     with suppress(AttributeError, OSError):  # available on Linux only
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))

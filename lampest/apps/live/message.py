@@ -270,7 +270,7 @@ class Message:
     def content(self, sent_at: float) -> dict[str, Any]:
         """Return the content by docs/reference/stream.schema.json.
 
-        sent_at : s since 1970-01-01 UTC.
+        `sent_at` is in s since 1970-01-01 UTC.
         """
         picture = self.picture
         view = self.view
@@ -318,8 +318,7 @@ def view_text(view: View, sent_at: float, known: int = 0) -> str:
 
     The message is that of other programs without `cells` and `pressure`, with `measured` (percent),
     `passed` (frames skipped for this one), `centre`, and `board` (percent) where the board
-    estimated; `detection` and `alarm` stand in
-    the view. sent_at : s since 1970-01-01 UTC.
+    estimated; `detection` and `alarm` stand in the view. `sent_at` is in s since 1970-01-01 UTC.
     """
     first = bisect_right(view.history, known, key=lambda point: point.number)
     message = Message.of(view)

@@ -40,8 +40,7 @@ Say = Callable[[str], None]
 class Publish(ABC):
     """A protocol with its address `KIND://USER:PASSWORD@HOST:PORT/PATH`.
 
-    token : required of listeners. Subclasses have their own defaults for missing parts of the
-    address.
+    Subclasses have their own defaults for missing parts of the address. Listeners need `token`.
     """
 
     kind: ClassVar[str]
@@ -78,9 +77,8 @@ class Publish(ABC):
     def opened(self, say: Say) -> AbstractContextManager[tuple[str, Send]]:
         """Yield the public address and a function that sends a message.
 
-        Sending never waits for listeners: slow ones miss messages. say : receives sentences about
-        the connection.
-        Raises InputError for a missing library and an unreachable peer.
+        Sending never waits for listeners: slow ones miss messages. `say` receives sentences about
+        the connection. Raises InputError for a missing library and an unreachable peer.
         """
 
 
@@ -165,7 +163,8 @@ def _describe(element: Any, content: dict[str, Any]) -> None:
 class OscPublish(Publish):
     """`osc://HOST:PORT/PREFIX`: a bundle of messages for each frame over UDP, without confirmation.
 
-    What one datagram does not hold follows in further ones; a message that none holds is left out.
+    Messages beyond the size of a datagram follow in further ones. A message that is larger than a
+    datagram is left out.
     """
 
     kind: ClassVar[str] = "osc"
@@ -345,7 +344,7 @@ class WebsocketPublish(Publish):
     """`websocket://ADDRESS:PORT`: a server that sends each message to all listeners.
 
     A message is sent as a line of JSON. Pages of this computer and programs may listen; from
-    elsewhere a token is needed. port : 0 is any that is free.
+    elsewhere a token is needed. Port 0 stands for any free port.
     """
 
     kind: ClassVar[str] = "websocket"
@@ -455,9 +454,7 @@ WAYS: tuple[type[Publish], ...] = (LslPublish, OscPublish, MqttPublish, Websocke
 def publish_at(where: str, token: str | None = None) -> Publish:
     """Parse an address such as `mqtt://localhost:1883/lampest` or `mqtt`.
 
-    token : required of listeners.
-
-    Raises InputError for an unknown protocol and an invalid address.
+    Listeners need `token`. Raises InputError for an unknown protocol and an invalid address.
     """
     kind, _, address = where.partition("://")
     ways = {way.kind: way for way in WAYS}
@@ -484,10 +481,8 @@ def waited(done: Callable[[], bool], seconds: float) -> bool:
 def publishing(ways: Sequence[Publish], shown: Newest[View], say: Say) -> Iterator[tuple[str, ...]]:
     """Send new pictures, answers and alarms by each protocol, until the series ends.
 
-    Each protocol has a thread of its own.
-
-    Yields the public addresses. say : receives a sentence at the first failure of a protocol.
-    Raises InputError if one cannot be opened.
+    A protocol has a thread of its own. The context has the public addresses. `say` receives a
+    sentence at the first failure of a protocol. Raises InputError if one cannot be opened.
     """
     with ExitStack() as opened:
         outlets = [opened.enter_context(way.opened(say)) for way in ways]

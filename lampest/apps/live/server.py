@@ -1,6 +1,6 @@
 """HTTP server of the live page and its views (server-sent events).
 
-GET of two paths, POST of three requests.
+The server answers GET of two paths and POST of three requests.
 """
 
 import os
@@ -71,7 +71,7 @@ class Access:
     def of(cls, token: str | None, port: int, *, local: bool) -> "Access":
         """Return access by the given token.
 
-        Without one, visitors from elsewhere need a generated token.
+        If None, visitors from elsewhere need a generated token.
         """
         return cls(token or ("" if local else secrets.token_urlsafe(24)), f"lampest-{port}")
 
@@ -329,7 +329,7 @@ def is_local_name(host: str) -> bool:
 def ip_named(name: str) -> IPv4Address | IPv6Address | None:
     """Return the address of localhost or of an IP literal, in brackets or not.
 
-    None for other names.
+    The result is None for other names.
     """
     try:
         return ip_address(

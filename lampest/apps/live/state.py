@@ -197,10 +197,7 @@ class PanelState:
     def second_look(
         self, number: int, time: float, readings: Readings, step: Step
     ) -> SecondLook | None:
-        """Return the second look at a frame that was solved in haste.
-
-        None if nothing is open.
-        """
+        """Return the second look at a frame that was solved in haste; None if nothing is open."""
         stream = self.stream
         due = self.stream.weights_due(readings)
         if (
@@ -216,10 +213,7 @@ class PanelState:
         return SecondLook(number, time, stream, self.load, readings, step.solution.objective, due)
 
     def ratio(self, step: Step) -> Array | None:
-        """Return r/r_baseline (rows, columns) of a frame.
-
-        None without a solution or a baseline.
-        """
+        """Return r/r_baseline (rows, columns) of a frame; None without a solution or a baseline."""
         baseline = self.stream.baseline_resistance
         if not step.solution.solved or np.isnan(baseline[~self.stream.scene.broken]).any():
             return None

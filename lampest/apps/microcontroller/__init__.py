@@ -1,7 +1,4 @@
-"""Estimators for microcontrollers.
-
-Constants of the C library `lampest_estimate`, and what its budget buys.
-"""
+"""Estimators for microcontrollers: constants of the C library `lampest_estimate`, and budgets."""
 
 from lampest.files.applications import Application
 

@@ -262,7 +262,10 @@ class Constants:
         content = parse_document(case.case_yaml, f"{case.recording} × {case.estimator}").content
         terms = content["terms"]
         (data,) = [term for term in terms if term["kind"] == "misfit"]
-        plain = _plain_sigma(case) if data.get("weighting", "plain") == "plain" else 0.0
+        plain = 0.0  # typical σ of a reading in its own unit
+        if data.get("weighting", "plain") == "plain":
+            assert case.sigma is not None
+            plain = float(np.median(case.sigma[case.valued]))
         scale = (plain or 1.0) ** 2 * data.get("weight", 1.0)
         penalties = tuple(_penalty(term, case, scale) for term in terms if term is not data)
         loss, corner = _loss(data)
@@ -499,12 +502,6 @@ def _median(values: Array, otherwise: float) -> float:
     return float(np.median(finite)) if finite.size else otherwise
 
 
-def _plain_sigma(case: CaseResult) -> float:
-    """Return the typical σ of a reading in its own unit."""
-    assert case.sigma is not None
-    return float(np.median(case.sigma[case.valued]))
-
-
 def _largest(case: CaseResult) -> float:
     """Return the upper bound of all cells in ohm.
 
@@ -535,7 +532,7 @@ def _loss(term: Mapping[str, Any]) -> tuple[str, float]:
 def _penalty(term: Mapping[str, Any], case: CaseResult, scale: float) -> Penalty:
     """Return a penalty with its weight of the strongest frame.
 
-    The weight is divided by what the misfit is divided by.
+    The divisor of the weight is that of the misfit.
     """
     kind = term["kind"]
     if kind not in PENALTIES:

@@ -100,9 +100,9 @@ class Sketch:
     ----------
     files : tuple of Path
     about : tuple of str
-        Which estimator, and what it takes.
+        Sentences on the estimator and its effort.
     table : tuple of Trade
-        What budgets buy; empty without a C compiler or error bars.
+        Accuracy of each budget; empty without a C compiler or error bars.
     budget : Budget
         The chosen one.
     notes : tuple of str
@@ -136,7 +136,7 @@ class Wishes:
 
     @property
     def any(self) -> bool:
-        """Whether anything is asked."""
+        """Whether any wish is stated."""
         return self.within is not None or self.milliseconds is not None
 
 
@@ -159,7 +159,7 @@ def export_sketch(
     recording, estimator : str, optional
         The case; by default the first one.
     wishes : Wishes, optional
-        What the budget is chosen by.
+        Criteria for the choice of the budget.
 
     Raises
     ------
@@ -172,8 +172,8 @@ def export_sketch(
     folder = source.with_name("panel_sketch") if out is None else Path(out)
     with sparing((source,)), ExitStack() as files:
         case = _case_of(source, recording, estimator)
-        constants = Constants.of(case)
-        table, constants, vector, notes = _measured(constants, case, wishes)
+        measured = _measured(Constants.of(case), case, wishes)
+        constants = measured.constants
         budget = constants.budget
         about = (
             f"{case.recording} × {case.estimator}: {constants.scene.circuit.description()}",
@@ -197,7 +197,7 @@ def export_sketch(
         contents = {
             sketch: SKETCH,
             "panel_constants.h": text.replace("static const", readings, 1),
-            "test_vector.h": vector,
+            "test_vector.h": measured.vector,
         } | {path.name: path.read_text(encoding="utf-8") for path in sources()}
         output_folder(folder)
         written = tuple(folder / name for name in contents)
@@ -205,7 +205,7 @@ def export_sketch(
         for path, content in zip(written, contents.values(), strict=True):
             files.enter_context(whole_file(path)).write_text(content, encoding="utf-8")
         (folder / sketch).unlink(missing_ok=True)
-    return Sketch(written, about, table, budget, notes)
+    return Sketch(written, about, measured.table, budget, measured.notes)
 
 
 def _case_of(source: Path, recording: str | None, estimator: str | None) -> CaseResult:
@@ -222,10 +222,29 @@ def _case_of(source: Path, recording: str | None, estimator: str | None) -> Case
     return cases[0]
 
 
-def _measured(
-    constants: Constants, case: CaseResult, wishes: Wishes
-) -> tuple[tuple[Trade, ...], Constants, str, tuple[str, ...]]:
-    """Return what budgets buy, the constants with the chosen one, the test vector, and sentences.
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """Measurement of budgets, and the choice of one.
+
+    Attributes
+    ----------
+    table : tuple of Trade
+        Accuracy of each budget; empty without a C compiler or error bars.
+    constants : Constants
+        Constants with the chosen budget.
+    vector : str
+        Test vector as a header.
+    notes : tuple of str
+    """
+
+    table: tuple[Trade, ...]
+    constants: Constants
+    vector: str
+    notes: tuple[str, ...]
+
+
+def _measured(constants: Constants, case: CaseResult, wishes: Wishes) -> _Measured:
+    """Measure the budgets on the first frames of a case, and choose one.
 
     Without a C compiler the budget is the usual one, and the vector holds the optimum.
     """
@@ -244,7 +263,7 @@ def _measured(
             "no C compiler here (cc, gcc or clang): "
             "budgets are not measured, the usual one is taken"
         )
-        return (), constants, _vector(sums, optimum, 0.1), (note,)
+        return _Measured((), constants, _vector(sums, optimum, 0.1), (note,))
     notes: list[str] = []
     table: tuple[Trade, ...] = ()
     with compiled(constants) as host:
@@ -259,7 +278,7 @@ def _measured(
             constants = constants.within(replace(trade.budget, within=aim))
         notes.append(f"working memory {host.bytes / 1000:.1f} kB")
         answers = host.frames(sums, constants.budget).log_change
-    return table, constants, _vector(sums, answers, SAME), tuple(notes)
+    return _Measured(table, constants, _vector(sums, answers, SAME), tuple(notes))
 
 
 def _vector(sums: NDArray[np.uint32], changes: Array, tolerance: float) -> str:
@@ -272,11 +291,11 @@ def _vector(sums: NDArray[np.uint32], changes: Array, tolerance: float) -> str:
     codes = rows(map(str, frame.ravel()) for frame in sums)
     answers = rows((number(float(value)) for value in frame.ravel()) for frame in changes)
     return (
-        "/* Frames of the recording, and the log changes that the computer found for them, from "
-        "the baseline on. */\n"
+        "/* Frames of the recording, and the log changes that the computer found for them, "
+        "from the baseline on. */\n"
         "#ifndef TEST_VECTOR_H\n#define TEST_VECTOR_H\n\n#include <stdint.h>\n\n"
-        f"#define VECTOR_FRAMES {len(sums)}\n#define VECTOR_TOLERANCE {number(tolerance)} /* ln r "
-        "*/\n\n"
+        f"#define VECTOR_FRAMES {len(sums)}\n"
+        f"#define VECTOR_TOLERANCE {number(tolerance)} /* ln r */\n\n"
         f"static const uint32_t vector_sums[{len(sums)}][{cells}] = {{\n{codes}}};\n\n"
         f"static const float vector_log_change[{len(sums)}][{cells}] = {{\n{answers}}};\n\n#endif\n"
     )

@@ -1,6 +1,6 @@
-"""What a budget buys, measured on a recording's own frames.
+"""Trade-off of budgets, measured on a recording's own frames.
 
-Deviation from the optimum, operations, and time.
+A budget is judged by its deviation from the optimum, its operations, and its time.
 """
 
 from collections.abc import Sequence
@@ -105,10 +105,7 @@ def operations_of(constants: Constants) -> int:
 
 
 def instructions(constants: Constants, products: Array, steps: Array) -> Array:
-    """Return the instructions of frames on a Cortex-M4F.
-
-    products : conjugate-gradient iterations.
-    """
+    """Return the instructions of frames on a Cortex-M4F by their conjugate-gradient iterations."""
     longer, shorter = sorted(constants.scene.panel.shape, reverse=True)
     cells = longer * shorter
     operations = operations_of(constants)
@@ -121,7 +118,7 @@ def instructions(constants: Constants, products: Array, steps: Array) -> Array:
 
 
 def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, ...]:
-    """Return what each budget buys on the first frames of a case.
+    """Return effort and accuracy of each budget on the first frames of a case.
 
     Raises InputError without error bars.
     """
@@ -225,7 +222,7 @@ def chosen_budget(
 
 
 def table_of(table: Sequence[Trade]) -> Table:
-    """Return the table of what budgets buy."""
+    """Return the table of budgets with their effort and accuracy."""
     headers = (
         "steps",
         "products",

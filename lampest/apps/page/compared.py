@@ -97,8 +97,8 @@ def first_of(cases: Mapping[str, CaseResult]) -> CaseResult:
 def read_batch(paths: Sequence[Path], frames: range | None = None) -> Batch:
     """Return the cases of all files, grouped by recording.
 
-    If two files use a name for different cases, the number of the file is added: 'LSM [2]'. frames
-    : as in `read_results`. Raises InputError for unreadable, repeated and empty files.
+    If two files use a name for different cases, the number of the file is added: 'LSM [2]'.
+    `frames` is as in `read_results`. Raises InputError for unreadable, repeated and empty files.
     """
     if len({path.resolve() for path in paths}) < len(paths):
         raise InputError("a results file is named twice")

@@ -64,7 +64,10 @@ def write_report(
 def report(
     batch: Batch, on_recording: Callable[[int, int], None] = lambda done, total: None
 ) -> str:
-    """Return the page as HTML; on_recording : as in `write_report`."""
+    """Return the page as HTML.
+
+    `on_recording` is called as in `write_report`.
+    """
     distinct, _ = compared.without_copies(batch.recordings)
     comparison = compared.comparison_of(batch)
     advice = compared.advise(batch, comparison)
@@ -106,7 +109,7 @@ def report(
 def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> dict[str, Any]:
     """Return the content of a recording's section: contours and a table.
 
-    For the first recordings it has all figures.
+    The sections of the first recordings have all figures.
     """
     name, by_estimator, number, drawn = task
     in_full = number < MAX_SHOWN
@@ -156,9 +159,19 @@ class Disagreement(NamedTuple):
 
 @dataclass(frozen=True)
 class Illustration:
-    """Image as a data URI with alternative text; kind : its key in the captions of the page.
+    """Image of the page.
 
-    pairs : number of pairs that differ, of which it shows some; 0 for an image that spans the page.
+    Attributes
+    ----------
+    kind : str
+        Key in the captions of the page.
+    uri : str
+        Image as a data URI.
+    alternative : str
+        Alternative text.
+    pairs : int
+        Number of pairs that differ, of which the image shows some; 0 for an image that spans the
+        page.
     """
 
     kind: str

@@ -29,8 +29,8 @@ def lies_on(panel: Panel, logarithm: Array) -> bool:
 def touched(recording: Recording) -> bool:
     """Return whether a load came or left in the unloaded frames.
 
-    False where they scatter as specified. Their gain may vary by MAX_GAIN, as with the supply, and
-    water may move them.
+    The result is False where they scatter as specified. Their gain may vary by MAX_GAIN, as with
+    the supply, and water may move them.
     """
     if recording.scene.panel.modules is not None:
         return any(touched(module) for module in recording.modules)

@@ -88,7 +88,7 @@ class Attachment:
     def breathes(self) -> float:
         """Probability that its suction oscillates like breathing, given that it sucks.
 
-        1/2 before any observation.
+        The value is 1/2 before any observation.
         """
         return self.breath.probability
 
@@ -130,7 +130,7 @@ class Attachment:
     def pumps(self) -> float:
         """Probability that its suction is pumped up after a decay, given that it sucks.
 
-        1/2 before any observation.
+        The value is 1/2 before any observation.
         """
         return 1 / (1 + exp(-self._pumping))
 
@@ -363,7 +363,7 @@ def _contacts(frame: Observation) -> list[NDArray[np.bool_]]:
 
     The misfit rises by more than SIGNIFICANT² where the cells of such a contact are as at rest and
     all others are free. The test is a likelihood ratio: where a load lowers the sensitivity, as
-    beside large pull-ups, the standard deviation of a pressed cell does not tell whether it is
+    with large pull-ups, the standard deviation of a pressed cell does not show whether it is
     pressed.
     """
     sd = np.hypot(frame.mean_sd, _drift_sd(frame))

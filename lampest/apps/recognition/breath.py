@@ -47,7 +47,7 @@ Pair = tuple[float, float]
 def too_slow(rate: float) -> str:
     """Return the reason why a frame rate is too low to determine breathing, in words.
 
-    '' where it suffices.
+    The result is '' where it suffices.
     """
     if rate >= MIN_RATE_HZ:
         return ""
@@ -106,9 +106,10 @@ def _steady_breath(
 ) -> Breath | None:
     """Return the breath of a window in which it is steady.
 
-    None where it is too short or frames are too few. Other movements hide a breath that is weaker
-    than they are, unless they are its background. The strongest rate, and that at which the suction
-    swings most besides, therefore have backgrounds of their own; each is as probable as the other.
+    The result is None where it is too short or frames are too few. Other movements hide a breath
+    that is weaker than they are, unless they are its background. The strongest rate, and that at
+    which the suction swings most besides, therefore have backgrounds of their own; each is as
+    probable as the other.
 
     Parameters
     ----------
@@ -198,10 +199,10 @@ class _Window(NamedTuple):
     ) -> list[tuple[int, NDArray[np.bool_], NDArray[np.bool_]]]:
         """Return the rates that may be the breath's, with the rates of its background.
 
-        Each has its number, the rates that it stands for, and those of the background, (rates,).
-        The first is the strongest of all readings. The second is the strongest of the suction
-        elsewhere. Its background lacks the rates whose double it may be, because the square of a
-        movement resembles a breath.
+        A rate comes with its number, the rates that it stands for, and those of the background,
+        (rates,). The first is the strongest of all readings. The second is the strongest of the
+        suction elsewhere. Its background lacks the rates whose double it may be, because the square
+        of a movement resembles a breath.
 
         Parameters
         ----------

@@ -1,8 +1,8 @@
 """Breathing of an attachment: the odds of all windows together.
 
-Also whether suction or the rim alone oscillates. Each window has a `Breath`. Windows of one load
-share the form of its rim, the film and the amplitude of a steady swing, so that their ln odds w are
-correlated by ρ, and N of them have the ln odds
+The odds that the rim alone oscillates are combined likewise. Each window has a `Breath`. Windows of
+one load share the form of its rim, the film and the amplitude of a steady swing, so that their ln
+odds w are correlated by ρ, and N of them have the ln odds
 
     Σ w / (1 + (N − 1) ρ).
 
@@ -118,9 +118,9 @@ class Breathing:
 
         The odds of a full window are kept. Assumptions: one mouth in twenty never shows its breath,
         because it is faint or at half the frame rate, and a mouth pauses in one window of twenty.
-        Of incomplete windows, two successive ones have to agree
-        that the suction oscillates: with the last one alone, two of 75 shaken cups were taken for
-        lampreys for a second (docs/studies/mouths.md).
+        Of incomplete windows, two successive ones have to agree that the suction oscillates: with
+        the last one alone, two of 75 shaken cups were taken for lampreys for a second
+        (docs/studies/mouths.md).
         """
         judged = replace(self, judged_s=time, full_s=time if full else self.full_s)
         if breath is None:

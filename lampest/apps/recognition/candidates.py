@@ -85,7 +85,7 @@ class Several(Candidate):
 class Uniform(Candidate):
     """An equal pressure φ on all cells, which resembles a drift of the whole panel.
 
-    Without numbers, it is no load.
+    A uniform pressure without numbers is no load.
     """
 
     numbers: tuple[str, ...] = ()

@@ -1,10 +1,10 @@
 """Contacts: neighbouring cells that conduct more than at rest.
 
-A cover spreads pressure, and errors of the circuit change cells beside a heavy load a little. Both
-join what lies apart. Contacts are therefore divided where the change between them is faint, as a
-watershed divides two lakes, and a contact has the cells that changed by more than a share of its
-strongest one. Errors of the cells must not explain a division: between the cells of one foot on a
-real insole they did.
+A cover spreads pressure, and errors of the circuit change the neighbours of a heavy load a little.
+Both join separate contacts. Contacts are therefore divided where the change between them is faint,
+as a watershed divides two lakes, and a contact has the cells that changed by more than a share of
+its strongest one. Errors of the cells must not explain a division: between the cells of one foot on
+a real insole they did.
 """
 
 import numpy as np

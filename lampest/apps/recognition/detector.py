@@ -94,7 +94,7 @@ class Detector:
         """Return the verdict on a frame.
 
         Cells that have risen decide whether something sucks, and where. Every place under suction
-        is then fitted with a load that sucks, and cells beside it are free. Where nothing sucks,
+        is then fitted with a load that sucks, and its neighbours are free. Where nothing sucks,
         the loads that press are compared.
         """
         undisturbed = self.calm(frame)
@@ -120,7 +120,8 @@ class Detector:
         single = self._settled(frame, coarse if shaped else (), field, without)
         groups = groups_of(frame.panel, states(frame.panel, field.change) > 1)
         verdict = single
-        if 2 <= len(groups) <= self.most_loads and self._doubtful(frame, single, field):
+        poor = single.best.candidate is FIELD or single.goodness > MAX_MEAN_SQUARE
+        if 2 <= len(groups) <= self.most_loads and (poor or self._incomplete(frame, single, field)):
             several = self._together(
                 kinds, without, field, [self._under(frame.panel, group) for group in groups]
             )
@@ -141,9 +142,8 @@ class Detector:
     ) -> Verdict:
         """Return the verdict with one load at each place under suction, of the most probable kind.
 
-        The area of the risen cells gives the starts. Cells beside the loads have whatever they
-        changed by as their standard deviation, so that a body beside a mouth does not pull at its
-        rim.
+        The area of the risen cells gives the starts. The standard deviation of other cells is their
+        change, so that a body next to a mouth does not pull at its rim.
         """
         loose = np.abs(field.change)
         panel = frame.panel
@@ -347,8 +347,8 @@ class Detector:
     ) -> Fit:
         """Return the coarse fit of several loads at once.
 
-        Each is of the kind with which the fit is most probable. Kinds are exchanged greedily, load
-        by load.
+        Every load is of the kind with which the fit is most probable. Kinds are exchanged greedily,
+        load by load.
 
         Parameters
         ----------
@@ -397,14 +397,9 @@ class Detector:
         ]
         return Verdict.of((*uniform, *fits), frame, places)
 
-    def _doubtful(self, frame: Observation, verdict: Verdict, field: Fit) -> bool:
-        """Return whether the best fit is poor, or leaves changes unexplained."""
-        poor = verdict.best.candidate is FIELD or verdict.goodness > MAX_MEAN_SQUARE
-        return poor or self._incomplete(frame, verdict, field)
-
     @staticmethod
     def _incomplete(frame: Observation, verdict: Verdict, field: Fit) -> bool:
-        """Return whether cells beside the loads of the best fit have clearly changed."""
+        """Return whether cells outside the loads of the best fit have clearly changed."""
         if verdict.best.candidate in (*UNIFORM, FIELD):
             return False
         explained = [

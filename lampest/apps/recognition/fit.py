@@ -1,10 +1,10 @@
-"""Fit of one candidate, or of a field of any form, to one frame.
+"""Fit of one candidate, or of a field of any form, to one frame, and comparison of fits.
 
-Also the comparison of fits by their evidence. The evidence is Laplace's approximation. In a field
-each cell has one of four states, from quiet to strongly changed, with a Potts prior on neighbours.
-The posterior is P(fit | frame) ∝ e^(evidence·EVIDENCE_SHARE)·P(fit). The prior is equal for all
-kinds, except that further loads, and loads in one place, are improbable. Whether a load sucks is
-not decided by fits, but by its cells (`lampest.apps.recognition.suction`).
+The evidence is Laplace's approximation. In a field each cell has one of four states, from quiet to
+strongly changed, with a Potts prior on neighbours. The posterior is P(fit | frame) ∝
+e^(evidence·EVIDENCE_SHARE)·P(fit). The prior is equal for all kinds, except that further loads, and
+loads in one place, are improbable. Whether a load sucks is not decided by fits, but by its cells
+(`lampest.apps.recognition.suction`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -318,7 +318,7 @@ class Fitting:
         return Whitening.about(self.frame, fit.change, self.film(fit, scatter), scatter)
 
     def film(self, fit: Fit, scatter: float) -> Array:
-        """Return the covariance of ln r beside the change that a fit explains, (cells, cells).
+        """Return the covariance of ln r about the change that a fit explains, (cells, cells).
 
         Its causes are the deviations of the film, and the loose cells of the frame that the fit's
         loads do not cover.
@@ -352,7 +352,7 @@ def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fi
     A profile may lead over a ridge of the cost into a deeper valley. The fit then begins again
     there.
 
-    No reading depends on a rim between patches: the cost is flat there and steep beside it, and the
+    No reading depends on a rim between patches: the cost is flat there and steep around it, and the
     curvature at the best φ̂ underestimates the width. δ = ln d is stepped, and all other parameters
     are fitted for each δ:
 
@@ -587,8 +587,8 @@ class Verdict:
     def changed(self) -> Array:
         """ln r/r0 of the cells that have clearly changed, and 0 of the others, (rows, columns).
 
-        A shape that is of one mind with them says by how much, because the prior of free cells
-        draws large ones in.
+        A shape that agrees with these cells determines their change, because the prior of free
+        cells shrinks large changes.
         """
         cells = self.frame.free_map
         shaped = self.best.change

@@ -123,7 +123,7 @@ class ImageWatch:
     def change(self) -> Array | None:
         """ln r/r0 (rows, columns) of the loads that the windows recognised last.
 
-        0 elsewhere; None without any.
+        The value is 0 elsewhere; None without any.
         """
         image = np.zeros(self.setup.scene.panel.shape)
         for window, watch, _ in self.opened:

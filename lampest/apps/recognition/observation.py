@@ -1,6 +1,4 @@
-"""Likelihood of a frame: the model of readings under a pressure on the cells.
-
-Also the unloaded panel.
+"""Unloaded panel and likelihood of a frame: the model of readings under a pressure on the cells.
 
     R = f(r0·e^x) + E δ + noise,   x = κ·(ln F(p + p_w) − ln F(p_w))
 
@@ -361,7 +359,7 @@ class Baseline:
     def near(self) -> Array:
         """exp(−½ (distance/near_pitches)²) between all cells, (cells, cells).
 
-        0 for crossings without a cell.
+        The value is 0 for crossings without a cell.
         """
         places = self.scene.panel.places_mm.reshape(2, -1) / self.scene.panel.pitch_mm
         square = ((places[:, :, None] - places[:, None]) ** 2).sum(axis=0)

@@ -152,8 +152,8 @@ class Pumping:
     def _predicted(self, seconds: float) -> "Pumping":
         """Return the state after an interval in s, with one more hypothesis: a jump within it.
 
-        u decays by λ Δt, and its variance grows by q² Δt. A jump has the probability
-        1 − e^(−rate Δt).
+        u decays by λ Δt, and its variance grows by q² Δt. A jump has the probability 1 − e^(−rate
+        Δt).
         """
         leak = LEAKS[:, None, None, None]
         drift = DRIFTS[:, None]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lampest.apps.recognition.fit import Fit
@@ -77,8 +78,8 @@ class SteadyFrames(NamedTuple):
     def pulled(self, series: Array, axes: Array) -> tuple[float, ...]:
         """Return the times between which a series, (frames,), is at another level.
 
-        () where a wave alone explains it as well. Both ends of the best level, or one, are compared
-        beside the best wave.
+        The result is () where a wave alone explains it as well. Both ends of the best level, or
+        one, are compared together with the best wave.
 
         Parameters
         ----------
@@ -157,10 +158,8 @@ def settled(series: Array) -> Array:
 
     The level is the running median of LEVEL_FRAMES, which a pull moves.
     """
-    # Estimates import this module and do not need scipy.ndimage.
-    from scipy.ndimage import median_filter
-
-    size = (LEVEL_FRAMES, *(1 for _ in series.shape[1:]))
-    level = median_filter(series, size, mode="nearest")
+    half = LEVEL_FRAMES // 2
+    around = np.pad(series, ((half, half), *((0, 0) for _ in series.shape[1:])), mode="edge")
+    level = np.median(sliding_window_view(around, LEVEL_FRAMES, axis=0), axis=-1)
     most = 4 * MAD_TO_SIGMA * np.median(np.abs(series - level), axis=0)
     return np.asarray(np.clip(series, level - most, level + most))

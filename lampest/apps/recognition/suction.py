@@ -53,10 +53,7 @@ class Suction:
     y_mm: float
 
     def disc(self, panel: Panel, larger: float = 1.0) -> Disc:
-        """Return the disc of the same area of suction with a usual rim.
-
-        Its diameter is multiplied by a factor.
-        """
+        """Return the disc of the same area of suction with a usual rim, scaled by a factor."""
         inner = 2 * (float(self.cells.sum()) / pi) ** 0.5 * panel.pitch_mm * larger
         width, suction = RIM_MM
         outer = inner + 2 * width
@@ -78,7 +75,7 @@ def suctions(frame: Observation) -> list[Suction]:
     A group of neighbouring cells has risen if each of them has, by more than MIN_FALL and
     NOISE_REACH standard deviations. The group is under suction if MIN_ENCLOSED of the cells around
     it have fallen as clearly. Nothing is concluded if the cells of the unloaded panel are as uneven
-    as under loads: what rises may then have been relieved.
+    as under loads: a rising cell may then have been relieved.
     """
     panel = frame.panel
     change = frame.free_map

@@ -371,7 +371,7 @@ class Watch:
     def _left(self, frame: Observation) -> bool:
         """Return whether a frame shows no more of the load before any pull than the film's residue.
 
-        True without a load. The common change by temperature is subtracted.
+        The result is True without a load. The common change by temperature is subtracted.
         """
         if self.look is None or self.look.over:
             return True
@@ -421,8 +421,8 @@ class Watch:
     def _with_brief_load(self) -> "Watch":
         """Return the watch with a load that has left before it was looked at.
 
-        On a mat its contacts are recognised, from the frames in which it stood. What sucks is not
-        known so soon, so elsewhere it is noted alone.
+        On a mat its contacts are recognised, from the frames in which it stood. Suction is not
+        known so soon, so on other panels only the time of the load is noted.
         """
         if self._recognised:
             return self

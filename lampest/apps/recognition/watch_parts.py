@@ -184,8 +184,8 @@ class Look:
     def after(cls, former: "Look | None", verdict: Verdict, size: Array, time: float) -> "Look":
         """Return the recognition at a time in s that follows a former one of the same loads.
 
-        Another pattern of the change follows no former recognition. A weaker change is what the
-        load holds by; a stronger one is a pull.
+        Another pattern of the change follows no former recognition. A weaker change shows the
+        strength with which the load holds; a stronger one is a pull.
         """
         # Every load presses, and a pull hardly changes what is pressed. A film under suction may
         # keep more of a pull than the load caused before.

@@ -46,7 +46,7 @@ def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Cours
     """Return loads and time course of recording `number`, periodic in 3.
 
     0: a breathing mouth over a third of the shorter side, with increasing suction. 1: three
-    standing rods. 2: a mouth of 35 mm that presses, then sucks, beside a rod.
+    standing rods. 2: a mouth of 35 mm that presses, then sucks, with a rod next to it.
 
     Returns
     -------
@@ -74,7 +74,12 @@ def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Cours
 class BenchLimits(Configuration):
     """Largest side, max(rows, columns), of panels for each solver; 0: none.
 
-    joint : largest side on which relative methods solve the first frame jointly with the baseline.
+    Attributes
+    ----------
+    reduced, nodal : int
+        Limits of the formulations.
+    joint : int
+        Largest side on which relative methods solve the first frame jointly with the baseline.
     """
 
     reduced: int = common.MAX_SIDE
@@ -181,8 +186,8 @@ class BenchFile(Configuration):
 class BenchFrame(TimedFrame):
     """A frame of the benchmark.
 
-    gap : (φ − φ_best)/(φ_best + 1e-9·Σ R²); the last part is the cost of missing every reading by
-        0.003 %.
+    The gap is (φ − φ_best)/(φ_best + 1e-9·Σ R²); the last part is the cost of missing every reading
+    by 0.003 %.
     """
 
     kind: str = column(
@@ -231,9 +236,8 @@ class Bench(NamedTuple):
 def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
     """Measure commands, then solvers as far as the budget allows.
 
-    The first recordings of all panels come first, and small panels before large ones.
-
-    on_step : receives the numbers of finished and of all parts, and the name of the next one.
+    The first recordings of all panels come first, and small panels before large ones. `on_step`
+    receives the numbers of finished and of all parts, and the name of the next one.
     """
     end = perf_counter() + bench.budget_s
     frames = list[BenchFrame]()
@@ -398,9 +402,9 @@ def _row(method: str, measured: Sequence[BenchFrame]) -> study.Row:
 def growth(rows: Sequence[study.Row]) -> list[study.Row]:
     """Fit time ∝ side^exponent, side = (rows + columns)/2, by solver, method and kind of frames.
 
-    A least-squares line through the logarithms of `ms` of two or more panels with sides of at least
-    32.
-    standard_error : of the exponent; None with two panels. largest : the largest side.
+    The fit is a least-squares line through the logarithms of `ms` of two or more panels with sides
+    of at least 32. A row has the standard error of the exponent, None with two panels, and the
+    largest side.
     """
     large = [row for row in rows if min(row.rows, row.columns) >= GROWTH_FROM and row.method != ALL]
     exponents = []

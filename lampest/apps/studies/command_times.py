@@ -1,4 +1,4 @@
-"""Processor time of whole commands in fresh processes, beside the time of their solves.
+"""Processor time of whole commands in fresh processes, and the time of their solves.
 
 The other tables of the benchmark time solvers. A user waits for commands, which load libraries,
 prepare recordings, check circuits, write files and draw pictures, too.

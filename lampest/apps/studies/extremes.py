@@ -147,9 +147,8 @@ class Solve(AtlasSample):
 def run_atlas(atlas: AtlasFile, on_step: OnStep = lambda done, total: None) -> tuple[Solve, ...]:
     """Solve all scenes in the order of the atlas.
 
-    on_step : receives the numbers of finished and of all scenes.
-
-    Raises InputError if mpmath is not installed.
+    `on_step` receives the numbers of finished and of all scenes. Raises InputError if mpmath is not
+    installed.
     """
     fifty_digit_library()
 
@@ -261,7 +260,7 @@ def judged(
 
 
 class SolvedPart(NamedTuple):
-    """A solve of a scene, with what it is judged by.
+    """A solve of a scene, with the truth and the problem.
 
     Attributes
     ----------
@@ -299,9 +298,9 @@ def _audit(part: SolvedPart, scene: Scene, audit_cells: int) -> dict[str, float]
 def _row(group: Sequence[Solve]) -> study.Row:
     """Summarise solves; digits are the least, residuals the largest.
 
-    verified : confirmed estimates; named : failures with a reason; doubtful : estimates that the
-    audit does not confirm; crashed : failures without a reason; worse : estimates that cost more
-    than the truth.
+    Solves are counted as verified (confirmed estimates), named (failures with a reason), doubtful
+    (estimates that the audit does not confirm), crashed (failures without a reason), and worse
+    (estimates that cost more than the truth).
     """
     solved = [solve for solve in group if solve.solved]
     statuses = Counter(solve.status for solve in group).most_common()

@@ -21,7 +21,7 @@ from lampest.report.compare import Columns, Table, comma_separated, grouped, scr
 from lampest.report.plots.style import save
 from lampest.runs.config import Case, Run
 from lampest.runs.executors import Serial, each_of
-from lampest.runs.filling import library_versions
+from lampest.runs.provenance import library_versions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -199,7 +199,7 @@ def read_settings(kind: type[Kind]) -> Callable[..., Kind]:
 
 
 class Cases(NamedTuple, Generic[Measured]):
-    """Measurements of the cases of a run; left_out : sentences on omitted cases."""
+    """Measurements of the cases of a run, and sentences on omitted cases."""
 
     measured: Sequence[Measured]
     left_out: Sequence[str]
@@ -213,10 +213,8 @@ def of_cases(
 ) -> Cases[Measured]:
     """Return the measurements of a function for all cases of a run in order.
 
-    A text is the reason of an omission.
-
-    on_step : receives the numbers of finished and of all cases. Raises InputError if all cases are
-        omitted.
+    If the function returns a text, the case is omitted for this reason. `on_step` receives the
+    numbers of finished and of all cases. Raises InputError if all cases are omitted.
     """
     results = each_of(function, run.cases, on_step, Serial())
     names = [f"{case.recording}/{case.name}" for case in run.cases]

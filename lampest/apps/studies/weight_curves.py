@@ -56,7 +56,7 @@ class WeightSubject:
     def of(cls, case: Case, recording: Recording) -> "WeightSubject | None":
         """Return the deciding frame of a recording, with the baseline if terms need it.
 
-        None without usable frames.
+        The result is None without usable frames.
         """
         readings = recording.readings()
         scene = recording.scene
@@ -266,7 +266,7 @@ class Curves:
     def extended(self, weights: Iterable[float]) -> "Curves":
         """Return the curves with further weights, solved in this order.
 
-        Each is solved from its nearest neighbour.
+        Every solve starts at its nearest neighbour.
         """
         points = {point.weight: point for point in self.points}
         for weight in weights:

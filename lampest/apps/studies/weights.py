@@ -19,7 +19,7 @@ from lampest.runs.config import Case, Run, read_run
 
 
 def why_not(estimator: Estimator, readings: int) -> str | None:
-    """Return why an estimator cannot be tuned with that number of readings, or None."""
+    """Return the reason why an estimator cannot be tuned with that number of readings, or None."""
     terms: tuple[Term, ...] = estimator.terms
     misfits = sum(term.reads_measurement for term in terms)
     if misfits != 1 or len(terms) != 2:
@@ -35,10 +35,7 @@ def why_not(estimator: Estimator, readings: int) -> str | None:
 
 
 def tuned(case: Case) -> list[Curves] | str:
-    """Tune a case with one penalty, or return why it cannot be tuned.
-
-    Raises InputError if a rule requires an unknown noise.
-    """
+    """Tune a case with one penalty, or return the reason why it cannot be tuned."""
     recording = Recording.load(case.path)
     frames = 2 if case.estimator.relative else 1
     reason = why_not(case.estimator, frames * recording.scene.panel.crossings)
@@ -83,10 +80,7 @@ SCREEN: Columns = {
 
 
 def _groups(cases: study.Cases[Curves]) -> Iterator[study.RecordGroup]:
-    """Yield the groups /entry/<recording>/<estimator>, with the curves.
-
-    Their subgroups `choices` are yielded, too.
-    """
+    """Yield the groups /entry/<recording>/<estimator> of the curves and their `choices`."""
     for curves in cases.measured:
         subject = curves.subject
         path = f"{curves.subject.case.recording}/{curves.subject.case.name}"

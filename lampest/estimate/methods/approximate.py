@@ -33,9 +33,12 @@ MAX_STEP = 3.0  # of log r: a factor of 20
 class UncorrectedMethod(Method):
     """Closed forms without any solve.
 
-    naive : each reading as if its cell were alone, r = R_m for two-point readings, otherwise the
-        voltage divider.
-    scaled : each reading as if all cells were equal, r = R_m·MN/(M + N − 1) for two-point readings.
+    Attributes
+    ----------
+    kind : {'naive', 'scaled'}
+        'naive': each reading as if its cell were alone, r = R_m for two-point readings, otherwise
+        the voltage divider. 'scaled': each reading as if all cells were equal, r = R_m·MN/(M + N −
+        1) for two-point readings.
 
     >>> lampest.UncorrectedMethod().kind
     'naive'
@@ -130,7 +133,7 @@ class LinearisedMethod(Method):
     ) -> Solution:
         """Return the point after the step, of which |log r| is at most `MAX_STEP`.
 
-        Without a factor it is the optimum.
+        If there is no factor, the solution is the optimum.
         """
         if prepared is not None:
             with suppress(*BROKEN):

@@ -26,8 +26,7 @@ from lampest.panel.systematic import Shared
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.chain import Chain
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.posterior.linear import IGNORANCE, LinearModel
-from lampest.posterior.matrices import positive_inverse
+from lampest.posterior.linear import IGNORANCE, LinearModel, positive_inverse
 from lampest.posterior.track import Bars
 
 ROUNDING = 1e-11  # relative error of Φ, a sum of some thousand terms

@@ -1,7 +1,4 @@
-"""Methods of estimation: from a frame's data to its cells and the state for the next frame.
-
-Their optima are verified.
-"""
+"""Methods of estimation: from a frame's data to verified cells and the state for the next frame."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -20,17 +17,15 @@ from lampest.cost.terms import Term
 from lampest.estimate.objective import Objective
 from lampest.estimate.state import AnyState, SequenceState, Step
 from lampest.estimate.weights import with_chosen_weights
-from lampest.estimate.witness import compared, testimony
 from lampest.files.errors import BROKEN
 from lampest.files.levels import Witness
 from lampest.files.process import delayed_interrupt, ended_where_hung
 from lampest.files.typed import Configuration
-from lampest.inference.assumptions import UNKNOWN_SD
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
-from lampest.posterior.linear import LinearModel
+from lampest.posterior.linear import UNKNOWN_SD, LinearModel
 from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
 from lampest.solvers.multistart import best_solution, lower_of, settles
@@ -143,9 +138,10 @@ class Method(Configuration):
         return data, np.minimum(panels[0][1], data.upper[0])[None]
 
     def _nearest_panel(self, state: SequenceState, readings: Readings) -> Array:
-        """Return the panel of a frame that differs least from the unloaded one.
+        """Return the panel that gives a frame's readings and differs least from the unloaded one.
 
-        Of those that give its readings, found from known panels; the previous cells where none is.
+        The panels are found from known panels. The result are the previous cells where none is
+        found.
         """
         from lampest.inference.alike import nearest_panel, noise_share
 
@@ -281,6 +277,8 @@ class Method(Configuration):
         after, step
             State after the frame, and its step with the comparison.
         """
+        from lampest.estimate.witness import compared, testimony
+
         weighted = state.estimator.with_weights(
             step.weights, step.weight_sigma, step.prior_variance
         )
@@ -296,7 +294,7 @@ class Method(Configuration):
         return replace(after, estimator=state.estimator), lower
 
     def after(self, state: AnyState, step: Step, readings: Readings) -> tuple[AnyState, Step]:
-        """Follow a solved frame with the state.
+        """Update the state by a solved frame.
 
         Returns
         -------
@@ -383,8 +381,13 @@ class OptimalMethod(Method):
 
     A certificate verifies the optimum independently of the solver.
 
-    joint : whether terms that compare frames solve the baseline together with the first frame
-    (paper, equations 15 and 21), rather than the baseline alone and the first frame against it.
+    Attributes
+    ----------
+    kind : {'per_pixel', 'nodal', 'reduced', 'auto'}
+        Formulation, see `solver`.
+    joint : bool
+        Whether terms that compare frames solve the baseline together with the first frame (paper,
+        equations 15 and 21), rather than the baseline alone and the first frame against it.
 
     >>> lampest.Estimator((lampest.Misfit(),), lampest.OptimalMethod(kind="reduced")).method.kind
     'reduced'
@@ -405,10 +408,11 @@ class OptimalMethod(Method):
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
         """Return the solver of the formulation.
 
-        per_pixel, nodal : IPOPT with node voltages as unknowns. reduced : Newton with potentials
-        eliminated. auto : nodal where IPOPT takes a few hundredths of the time between frames, else
-        reduced: on panels of up to NODAL_CELLS with squared losses, if frames are at least
-        NODAL_PERIOD apart, and one panel gives their readings.
+        'per_pixel' and 'nodal' are solved by IPOPT with node voltages as unknowns, 'reduced' by
+        Newton's method with potentials eliminated. 'auto' is nodal where IPOPT takes a few
+        hundredths of the time between frames, else reduced: on panels of up to NODAL_CELLS with
+        squared losses, if frames are at least NODAL_PERIOD apart, and one panel gives their
+        readings.
         """
         kind = self.kind
         if kind == "auto":
@@ -424,9 +428,9 @@ class OptimalMethod(Method):
     ) -> Solution:
         """Return the lowest optimum of a frame's starts.
 
-        `prepared` is what an earlier solution carries, or None. With auto a frame that one solver
-        does not end at an optimum is given to the other one, from the same starts; so is one that
-        IPOPT does not end at a strict optimum, because the other one holds more digits.
+        `prepared` is the carried state of an earlier solution, or None. With auto a frame that one
+        solver does not end at an optimum is given to the other one, from the same starts; so is one
+        that IPOPT does not end at a strict optimum, because the other one holds more digits.
         """
         solution = best_solution(solver, data, previous, prepared)
         is_newton = solver.cells_alone
@@ -447,7 +451,7 @@ class OptimalMethod(Method):
         return second if settles(second, solution) else lower_of(solution, second)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
-        """Return what the solution of a single frame carries for the next one, else None."""
+        """Return the state of a single frame's solution that the next one carries, else None."""
         single = len(solution.cell_resistance) == 1
         return solution.carried if solution.solved and single else None
 

@@ -39,8 +39,7 @@ from lampest.inference.assumptions import ASSUMED
 from lampest.inference.changed_cells import touching
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
-from lampest.posterior.linear import IGNORANCE
-from lampest.posterior.matrices import positive_inverse
+from lampest.posterior.linear import IGNORANCE, positive_inverse
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.solution import (

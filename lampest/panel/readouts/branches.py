@@ -45,14 +45,7 @@ MIN_FACTOR = 1.3  # of the cells of a line beyond its fold
 def uniform_panels(log_medians: Array, measured: Array) -> list[Array]:
     """Return the uniform panels whose median reading is the measured one.
 
-    Shape (rows, columns), ohm each. Where none is, the one that comes nearest.
-
-    Parameters
-    ----------
-    log_medians : array, shape (levels,)
-        Logarithms of the median readings of uniform panels of LEVELS.
-    measured : array, shape (rows, columns)
-        Positive readings.
+    The panels are (rows, columns) ohm each. If there is none, the nearest one is returned.
     """
     excess = log_medians - np.log(np.median(measured))
     crossings = np.flatnonzero(excess[:-1] * excess[1:] <= 0)
@@ -167,7 +160,7 @@ def _beyond_folds(
 
 
 def _distinct(panels: Sequence[Array]) -> list[Array]:
-    """Return the panels without those that are an earlier one once more."""
+    """Return the panels without repetitions."""
     distinct: list[Array] = []
     for cells in panels:
         if not any(np.allclose(np.log(cells), np.log(panel), atol=SAME) for panel in distinct):

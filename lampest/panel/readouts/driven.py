@@ -15,8 +15,7 @@ from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import check_ranges
 from lampest.panel.panel import Array
 from lampest.panel.readouts.channels import errors_of_channels
-from lampest.panel.readouts.characteristic import MAX_VOLT
-from lampest.panel.readouts.converter import MIN_VOLT
+from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
 from lampest.panel.readouts.driven_starts import DrivenStarts
 from lampest.panel.readouts.lines import (
     LineNumber,

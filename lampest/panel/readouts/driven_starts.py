@@ -239,7 +239,8 @@ def uniform_readings(circuit: DrivenNetwork, rows: int, columns: int) -> tuple[A
 def uniform_responses(circuit: DrivenNetwork, rows: int, columns: int) -> Array:
     """Return the largest |∂y/∂g|, (rows, columns), of each cell of uniform panels of LEVELS.
 
-    In volt·ohm: over the noise it is the resistance that an open cell is told from.
+    The unit is volt·ohm. Divided by the noise, the response is the largest resistance that differs
+    from an open cell.
     """
     responses = []
     for level in LEVELS:

@@ -144,7 +144,7 @@ class Stencil:
     ) -> "Stencil":
         """Return the stencil over the free cells of a network.
 
-        All are (rows, columns), siemens and ohm.
+        All arrays are (rows, columns), siemens and ohm.
         """
         cells, lines = _parts(conductance, two_point_resistance)
         diagonal = np.where(free, 1 / cells, 0.0)

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
-from lampest.panel.readouts.characteristic import MAX_VOLT
+from lampest.panel.readouts.converter import MAX_VOLT
 from lampest.panel.readouts.lines import Groups
 
 FOLLOWS = "follows"

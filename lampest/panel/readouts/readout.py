@@ -197,7 +197,7 @@ class Readout(Converter, ABC):
     def reading(self, row: Any, column: Any, mutual: Any) -> Any:
         """Return y = h(Z_jj, Z_kk, Z_jk) > 0 of impedances (rows, columns) ohm, elementwise.
 
-        For NumPy and CasADi.
+        The arguments are arrays of NumPy or matrices of CasADi.
         """
 
     @abstractmethod
@@ -267,8 +267,8 @@ class Readout(Converter, ABC):
     def panels_alike(self, measured: Array) -> list[tuple[float, Array]]:
         """Return the panels that give readings, the most probable one first.
 
-        Each is ln p and cells (rows, columns) ohm. Empty where uniform panels give the median
-        reading with one resistance alone; see `lampest.panel.readouts.branches`.
+        A panel is ln p and cells (rows, columns) ohm. The list is empty where uniform panels give
+        the median reading with one resistance alone; see `lampest.panel.readouts.branches`.
         """
         del measured
         return []
@@ -283,7 +283,7 @@ class Readout(Converter, ABC):
     ) -> list[Array]:
         """Return panels that give readings, (rows, columns) ohm each.
 
-        Empty for circuits that do not have `several_panels`.
+        The result is empty for circuits that do not have `several_panels`.
 
         Parameters
         ----------
@@ -292,7 +292,7 @@ class Readout(Converter, ABC):
         tolerance : float
             Largest root mean square of the differences to them, over the median reading.
         firsts : sequence of array, shape (rows, columns)
-            Cells beside uniform ones at which searches begin, ohm.
+            Cells at which searches begin, in addition to uniform ones, ohm.
         """
         del measured, tolerance, firsts
         return []
@@ -336,7 +336,7 @@ class Readout(Converter, ABC):
     def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
         """Return the common factor of all cells relative to a prediction.
 
-        1 if the kind cannot determine it.
+        The result is 1 if the kind cannot determine it.
 
         Parameters
         ----------
@@ -368,8 +368,8 @@ class Readout(Converter, ABC):
     def most_in_series(self, measured: Array, sigma: Array) -> float:
         """Return the largest possible resistance in series with the panel, ohm.
 
-        0 if the kind has none. `measured` and `sigma` are those of `free_tests`, computed for a
-        circuit without resistance in series.
+        The result is 0 if the kind has none. `measured` and `sigma` are those of `free_tests`,
+        computed for a circuit without resistance in series.
         """
         return 0.0
 

@@ -120,7 +120,7 @@ class TwoPointReadout(Divider):
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
         """Return the solved network.
 
-        Without wiring it is solved by the arithmetic of floating lines, which costs less.
+        A network without wiring is solved by the arithmetic of floating lines, which costs less.
         """
         if wiring is not None:
             return super().network(cell_resistance, ties, wiring)

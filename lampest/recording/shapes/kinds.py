@@ -246,8 +246,8 @@ class Ring(RoundShape):
 class SuctionCup(RoundShape):
     """p = pressure_kpa < 0 inside d_i, against the surroundings.
 
-    p_rim = −p·d_i²/(d² − d_i²) under the rim bears it. A single frame does not distinguish a cup
-    from a mouth: recognition fits both as an oral disc.
+    The rim bears the suction with the pressure p_rim = −p·d_i²/(d² − d_i²). A single frame does not
+    distinguish a cup from a mouth: recognition fits both as an oral disc.
 
     Example: {kind: suction_cup, centre_mm: [45, 45], inner_diameter_mm: 27, outer_diameter_mm: 35,
     pressure_kpa: -10}

@@ -1,6 +1,6 @@
 """Simulated electronics from cells to readings.
 
-Circuit, multiplexers, converter, and effects outside the scene.
+The simulation includes circuit, multiplexers, converter, and effects outside the scene.
 """
 
 import zlib

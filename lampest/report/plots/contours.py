@@ -161,10 +161,7 @@ class MapsPlot(Plot):
 
 
 def misfit_text(cases: Sequence[CaseResult]) -> str:
-    """Return a sentence for the picture where the check of the circuit said no.
-
-    '' where it did not.
-    """
+    """Return a sentence on estimators whose circuit does not explain the readings, or ''."""
     names = [case.estimator for case in cases if case.model_mark == "no"]
     whose = "" if len(names) == len(cases) else f" of {', '.join(names)}"
     return (

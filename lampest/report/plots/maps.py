@@ -345,10 +345,7 @@ class MapPainter:
         return look | {"levels": self.scale.norm.boundaries}
 
     def _cut(self, values: Array) -> Array:
-        """Clip values to just beyond the scale.
-
-        Thus no cell spreads its colour over its neighbours.
-        """
+        """Clip values to just beyond the scale, so that no cell spreads its colour over others."""
         beyond = 1.1 * float(self.scale.norm.vmax or 0.0)
         return np.clip(values, -beyond, beyond)
 

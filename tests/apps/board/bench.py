@@ -68,9 +68,9 @@ def bench(
     wiring: str = "two_point",
     sketch: str = "lampest_board",
 ) -> Iterator[Bench]:
-    """A board whose panel shows `cells` (frames, rows, columns) ohm.
+    """Run a board whose panel shows the frames of `cells` (frames, rows, columns), in ohm.
 
-    It shows one frame after another every `period` s.
+    The panel changes every `period` s.
     """
     words = (built(wiring) / "simulated_board", "--firmware", built(wiring) / f"{sketch}.elf")
     with _running(folder, words, cells, options, period) as running:
@@ -86,9 +86,9 @@ def portable_bench(
     period: float = 1.0,
     sketch: str = ESTIMATING,
 ) -> Iterator[Bench]:
-    """A board with a sketch that estimates, as a program of this computer.
+    """Run a board with an estimating sketch, compiled for this computer.
 
-    It estimates by the constants of an exported folder.
+    The sketch uses the constants of an exported folder.
     """
     build = constants / "build"
     path = FIRMWARE / sketch
@@ -140,10 +140,7 @@ def scene(rows: int = 10, columns: int = 10, readings: int = 20, **changes: Any)
 
 
 def loaded_scene(rows: int = 10, columns: int = 10, readings: int = 20, **changes: Any) -> Scene:
-    """The same board wired with loaded columns.
-
-    It has a multiplexer of 70 ohm before the rows, 10 kΩ at every column.
-    """
+    """Return a scene with 10 kΩ at every column and a multiplexer of 70 Ω before the rows."""
     known = {
         "load_ohm": 10_000.0,
         "drive_ohm": MULTIPLEXER_OHM,

@@ -112,10 +112,7 @@ def test_flash_and_memory_match_the_readme() -> None:
 def test_a_board_keeps_the_shortest_period_of_the_table(
     tmp_path: Path, rows: int, columns: int, readings: int, period_ms: float, rate: float
 ) -> None:
-    """At the shortest period that the board accepts no tick is missed and no frame lost.
-
-    It is the table's.
-    """
+    """The board accepts the shortest period of the table, misses no tick and loses no frame."""
     frames = 40
     with bench(
         tmp_path, random_cells(np.random.default_rng(1), 1, rows, columns), "--no-reset-on-open"

@@ -142,9 +142,9 @@ WIRINGS = {"two_point": scene, "loaded_columns": loaded_scene}
     "wiring", [pytest.param("two_point", marks=pytest.mark.slow), "loaded_columns"]
 )
 def test_live_readings_equal_those_of_the_file(tmp_path: Path, wiring: str) -> None:
-    """One unloaded frame: without repeats the file's σ is the readout's, as it is for live.
+    """Live and file use the readout's σ, because a single unloaded frame has no repeats.
 
-    One has a dead row.
+    The two-point panel has a dead row.
     """
     truth = np.repeat(random_cells(np.random.default_rng(8), 1, 8, 7), 4, axis=0)
     truth[1:, 5:7, 2:5] *= np.array([0.3, 0.2, 0.1])[:, None, None]
@@ -185,9 +185,9 @@ def test_a_recording_without_a_scene_takes_that_of_the_board(tmp_path: Path, wir
 
 
 def node_voltages(cells: Array, drive_ohm: Array, load_ohm: Array) -> Array:
-    """Volts of every column while each row is driven, (rows, columns).
+    """Return the voltages (rows, columns) of all columns while each row is driven.
 
-    They follow from Kirchhoff's current law, node by node.
+    Kirchhoff's current law gives them node by node.
     """
     volts = np.zeros(cells.shape)
     for row, ohm in enumerate(drive_ohm):
@@ -212,10 +212,7 @@ def node_voltages(cells: Array, drive_ohm: Array, load_ohm: Array) -> Array:
 def test_noise_free_readings_of_any_size_are_exact_to_the_converter(
     tmp_path: Path, wiring: str, rows: int, columns: int, readings: int
 ) -> None:
-    """Sums are readings · ⌊1024·V/5⌋.
-
-    Every channel, input (A8 to A15 too), switch and byte is where it belongs.
-    """
+    """Sums equal readings · ⌊1024·V/5⌋ for all channels, inputs (A8 to A15 too) and switches."""
     rng = np.random.default_rng(rows)
     cells = random_cells(rng, 3, rows, columns)
     volts = 5 * 1000 / (two_point_resistance(cells) + 140 + 1000)

@@ -1,6 +1,6 @@
-"""The C library of the estimate: the same as lampest's optimum.
+"""The C library of the estimate against the optimum of lampest.
 
-It is so on the computer and on an emulated Cortex-M4F.
+The library runs on the computer and on an emulated Cortex-M4F.
 """
 
 import ctypes
@@ -65,10 +65,7 @@ SAME = 0.02  # of log r, of a frame that is estimated again
 
 
 def deviations(case, changes):
-    """Return the rms deviation of each frame from the optimum.
-
-    It is in standard deviations of the cells.
-    """
+    """Return the rms deviation of each frame from the optimum, in standard deviations."""
     optimum = np.log(case.cell_resistance / case.baseline_resistance)
     square = ((changes - optimum) / case.sigma_own) ** 2
     return np.sqrt(np.nanmean(square, axis=(1, 2)))

@@ -1,6 +1,6 @@
-"""Skins of the package flexitac, live.
+"""Live skins of the package flexitac.
 
-They go with its own reader over a pseudo-terminal, and the lines of the page around it.
+The package's own reader, called by the code of the page, reads from a pseudo-terminal.
 """
 
 import os

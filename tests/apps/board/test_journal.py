@@ -105,10 +105,7 @@ def test_recordings_of_boards_without_estimates_lack_that_dataset(killed: Path) 
 
 @pytest.mark.parametrize("damaged", [None, 5])
 def test_a_journal_without_a_salt_is_readable(killed: Path, damaged: int | None) -> None:
-    """Checksums of older versions: of the columns of a row alone.
-
-    They are without a salt and the row's number.
-    """
+    """Older versions computed checksums of a row's columns without a salt and the row's number."""
     meant = Recording.load(killed).recorded
     with h5py.File(killed.with_name("growing.h5"), "r+") as file:
         for rows in (Rows.of_frames(SCENE.circuit), EVENTS):

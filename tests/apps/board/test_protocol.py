@@ -1,6 +1,6 @@
-"""The wire: what is sent comes back, and damage is never a frame.
+"""The wire protocol: messages arrive as sent, and damaged bytes never become a frame.
 
-It comes back whole or in single bytes, garbage before and after.
+Messages arrive whole or in single bytes, with garbage before and after.
 """
 
 from collections.abc import Callable

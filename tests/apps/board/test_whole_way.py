@@ -1,6 +1,6 @@
-"""A board that estimates, from its pins to record, info and live.
+"""A board that estimates, from its pins to the commands record, info and live.
 
-Its sketch runs as a program of this computer.
+The board's sketch is compiled for this computer.
 """
 
 import dataclasses

@@ -183,9 +183,9 @@ def complete_frames(count: int, session: int = 0) -> list[tuple[int, int, int]]:
 
 
 def ticked(count: int, jumps: dict[int, int], gone: range = range(0)) -> list[tuple[int, int]]:
-    """Frames every 10 ms, without those that are gone.
+    """Return (number, clock in ms) of frames every 10 ms, without the frames in `gone`.
 
-    They are on a clock that jumps by so many ms at a frame.
+    The clock jumps by `jumps[number]` ms at a frame.
     """
     clock = (
         100_000 + 10 * number + sum(ms for at, ms in jumps.items() if at <= number)
@@ -532,9 +532,9 @@ def shown(alignment: Alignment, moment: float) -> list[tuple[int | None, ...]]:
 
 
 def images(arrivals: Iterable[tuple[int, int, float, float]]) -> list[tuple[int | None, ...]]:
-    """Images of two boards' frames (board, number, time, arrival).
+    """Return the images of two boards' frames (board, number, time, arrival) at every arrival.
 
-    They are looked at on each arrival; board −1 sends none.
+    Board −1 sends no frame.
     """
     image = Alignment(2)
     complete = list[tuple[int | None, ...]]()
@@ -849,10 +849,7 @@ def test_invalid_messages_are_counted_by_kind_until_a_valid_frame() -> None:
 
 
 def test_a_frame_has_the_estimate_sent_before_it() -> None:
-    """A lost, garbled, late or failed estimate costs nothing but itself.
-
-    It is no reason to give a line up.
-    """
+    """A lost, garbled, late or failed estimate costs only itself, and the line stays in use."""
     line = stream._Line("url", None, None, lambda: False)
     run = Scanning(replace(IDLE, running=True), BOARD_SCENE, 0, None)
     change = np.arange(12, dtype=np.float32).reshape(3, 4)
@@ -877,10 +874,7 @@ def test_a_frame_has_the_estimate_sent_before_it() -> None:
 
 
 def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A silent board is identified anew.
-
-    One that scans on is believed, one that does not has restarted.
-    """
+    """A silent board is identified anew: its run goes on if it still scans, and ends otherwise."""
     monkeypatch.setattr(stream, "SILENCE_SECONDS", -1.0)
     for arrived, answers, ending, sizes, since in ENDED_RUNS:
         messages = iter(arrived)

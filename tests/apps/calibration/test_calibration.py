@@ -180,9 +180,9 @@ def test_resistors_of_several_values_determine_every_number_of_every_line(kind: 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_sound_calibrations_are_accepted_and_within_their_deviations(kind: str) -> None:
-    """50 boards and sets of resistors of 1 %, 3 to 12 frames.
+    """No calibration is refused, and errors are as large as stated.
 
-    None is refused, and errors are as large as stated.
+    The 50 boards, sets of 1 % resistors and counts of 3 to 12 frames are random.
     """
     scores = []
     for seed in range(50):
@@ -387,10 +387,7 @@ def test_cells_without_load_have_the_common_curve_and_the_spread() -> None:
 
 @pytest.mark.slow
 def test_wrong_lists_of_loads_are_refused_or_named() -> None:
-    """Units, a radius, frames that are late, and lines that lie on each other.
-
-    One weight is doubled, too.
-    """
+    """A list has wrong units, a wrong diameter, late frames, a doubled weight or equal loads."""
     bench = Bench(5, Panel(5, 5), repeat=0.03, frames=3)
     groups, known = moved_over(bench, [5.0], 25.0, 10.0)
     recording = bench.recorded(groups, "units")

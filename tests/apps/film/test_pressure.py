@@ -83,10 +83,7 @@ def test_the_simulation_applies_the_response_of_the_scene() -> None:
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("sd", [0.003, 0.05, 0.2])
 def test_the_interval_covers_the_truth(name: str, sd: float) -> None:
-    """4,000 draws of estimate, response and temperature coefficient.
-
-    Each has the error that it is said to have.
-    """
+    """Estimate, response and temperature coefficient are drawn 4,000 times with their errors."""
     generator = np.random.default_rng([7, round(1000 * sd)])
     scene = SCENES[name]
     draws = 4000

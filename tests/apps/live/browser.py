@@ -1,6 +1,6 @@
 """A headless Chromium for the tests, driven through chromedriver's plain HTTP.
 
-It takes nothing beyond the standard library.
+The module needs only the standard library.
 """
 
 import base64

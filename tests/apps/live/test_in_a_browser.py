@@ -50,9 +50,9 @@ HIDDEN = (
 
 @contextmanager
 def live(folder: Path, *words: object) -> Iterator[tuple[Browser, "subprocess.Popen[str]"]]:
-    """A browser that looks at a running `lampest live`.
+    """Open a browser on a running `lampest live`, and end both.
 
-    It ends by Ctrl-C unless it has ended before.
+    Ctrl-C ends the command unless it has ended before.
     """
     arguments = [str(word) for word in (COMMAND, "live", "--http", "127.0.0.1:0", *words)]
     pipes = {
@@ -95,12 +95,10 @@ def truth_of(path: Path) -> tuple[Array, int]:
 
 
 def blueness(window: Browser, path: Path, *canvases: str) -> list[Array]:
-    """How blue each cell of the maps is on a screenshot (rows, columns).
+    """Return how blue each cell of the maps is on a screenshot, (rows, columns).
 
-    It is taken from the pixels around its centre.
-
-    A sentence that appears moves the maps, so the screenshot is one before and after which they are
-    at the same place.
+    A cell's value is the mean of the pixels around its centre. A new sentence moves the maps, so
+    the screenshot is repeated until the maps keep their places.
     """
     boxes = window.run(PLACES, canvases)
     previous = None
@@ -291,9 +289,9 @@ def test_an_unplugged_board_is_waited_for_and_every_frame_is_recorded(tmp_path: 
 
 @pytest.mark.slow
 def test_a_plugged_in_board_raises_the_alarm(tmp_path: Path) -> None:
-    """The board is there before lampest.
+    """A board that was plugged in before the start raises the alarm.
 
-    Its mouth comes after TOUCH_S and breathes by 8 % at 1.1 Hz.
+    The mouth arrives later and breathes by 8 % at 1.1 Hz.
     """
     watched = "return document.getElementById('sentence').innerText"
     rng = np.random.default_rng(5)
@@ -362,10 +360,7 @@ def test_a_button_records_the_frames_of_the_port(tmp_path: Path) -> None:
     "seconds", [pytest.param(5, marks=pytest.mark.slow), pytest.param(600, marks=pytest.mark.soak)]
 )
 def test_the_open_page_shows_thirty_frames_a_second(tmp_path: Path, seconds: int) -> None:
-    """10 × 10 cells, 2 readings, 30 frames a second in real time, recorded and shown at once.
-
-    None is lost.
-    """
+    """All frames of 10 × 10 cells, 2 readings each, are recorded and shown in real time."""
     cells, _ = truth_of(LAMPREY)
     with (
         bench(tmp_path, cells, "--real-time", "--loop") as board,

@@ -75,9 +75,9 @@ def pictures(estimator: Estimator, recording: Recording, baseline: int = 3) -> l
 
 
 def of_every_frame(name: str) -> Estimator:
-    """A method that takes every frame's own weight.
+    """Return a method that chooses a weight for every frame.
 
-    It does so since only a batch knows which will be the strongest.
+    Only a batch knows the strongest frame, so live cannot choose by it.
     """
     return dataclasses.replace(METHODS[name], auto_weight=AutoWeight(per="frame"))
 

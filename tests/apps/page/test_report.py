@@ -135,10 +135,7 @@ def test_estimates_differ_where_their_joint_interval_excludes_zero() -> None:
 
 
 def test_the_prediction_error_is_the_deviation_of_fresh_readings() -> None:
-    """Shrunk readings, model = s·y: E|fresh − model|² = 1 + s² + (1 − s)²·signal.
-
-    It is in units of the noise.
-    """
+    """For the model s·y, E|fresh − model|² = 1 + s² + (1 − s)²·signal, in units of the noise."""
     rng = np.random.default_rng(5)
     shape = (400, 5, 5)
     signal = 0.7 * rng.standard_normal(shape) + 50

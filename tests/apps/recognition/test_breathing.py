@@ -1,6 +1,6 @@
-"""Whether suction moves, or something else.
+"""Breathing: recognition of swings of suction, and of swings with another cause.
 
-It is told from windows and courses of suction of which every reading is known.
+Every reading of these windows and courses of suction is known.
 """
 
 import numpy as np
@@ -33,15 +33,28 @@ def window(
     strong: float = 1.0,
     adjoins: bool = False,
 ) -> Breath:
-    """8 s at four frames a second in which parts swing by so much at 1.1 Hz.
+    """Return the breath in 8 s at four frames a second, whose parts swing at 1.1 Hz.
 
-    They are on a film that answers unevenly.
+    Each reading is that of a cell; half of the cells lie under the rim.
 
-    Each reading is that of a cell; half of them lie under the rim. edges : six cells swing, as no
-    fit knows. slower : by so much does the place swing more slowly. waves : what all readings share
-    swings. wild : outliers of fifty
-    standard deviations. strong : so many times the readings change with suction. adjoins : a body
-    lies beside.
+    Parameters
+    ----------
+    own, rim, place : float
+        Swings of suction, rim and place.
+    edges : float
+        Swing of six cells that no fit predicts.
+    uneven : float
+        Scatter of the film's answer.
+    slower : float
+        Factor by which the place swings more slowly.
+    waves : float
+        Swing that all readings share.
+    wild : bool
+        Whether there are outliers of fifty standard deviations.
+    strong : float
+        Factor of the readings' change with suction.
+    adjoins : bool
+        Whether a body adjoins the load.
     """
     rng = np.random.default_rng(seed)
     rise = np.repeat([-2.0, 1.0], READINGS // 2)

@@ -1,6 +1,6 @@
-"""What `lampest detect` is made of, and what it cannot say.
+"""Outputs and limits of `lampest detect`.
 
-It is made of sentences, events, --json, detections.h5 and the timeline.
+The outputs are sentences, events, --json, detections.h5 and the timeline.
 """
 
 from dataclasses import replace

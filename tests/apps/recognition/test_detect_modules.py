@@ -1,6 +1,6 @@
-"""Recognition on panels of modules, and of mouths that no package made.
+"""Recognition on panels of modules, and of mouths that the package did not make.
 
-It is also of a load's size against a random walk.
+Sizes of loads are compared with a random walk.
 """
 
 from dataclasses import replace
@@ -111,10 +111,7 @@ def test_a_window_equals_the_network_of_its_modules() -> None:
 def test_recognition_examines_only_changed_places(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One of 36 modules carries a rod.
-
-    One window opens, and a bounded number of looks examines this module alone.
-    """
+    """Of 36 modules one carries a rod; recognition examines it alone, at most five times."""
     examined = list[tuple[int, ...]]()
     verdict = Detector.verdict
 

@@ -229,10 +229,7 @@ def test_two_mouths_are_recognised_as_two(
 @pytest.mark.slow
 @pytest.mark.parametrize("reading_error", [0.0, 0.05])
 def test_static_errors_of_readings_are_allowed_for(reading_error: float) -> None:
-    """A panel of which every reading is off by 5 %, the same in all frames.
-
-    Its unloaded cells are off by a half.
-    """
+    """All readings have a constant error of 5 %, which shifts unloaded cells by a half."""
     recording = recorded(MOUTH, unmodelled=Unmodelled(reading_error=0.05), frames=1)
     verdict = verdicts_of(frames_of(recording, errors=ModelErrors(reading_error=reading_error)))[-1]
     if reading_error:
@@ -573,9 +570,9 @@ def test_a_bare_panel_shows_nothing_for_ten_minutes(seed: int) -> None:
 
 @pytest.mark.parametrize("minutes", [1.0, 10.0])
 def test_memory_of_another_kind_is_not_detected(minutes: float) -> None:
-    """15 % of what cells have answered stays and fades exponentially.
+    """About 15 % of a cell's change remains after the load and fades exponentially.
 
-    Each cell's does by a fifth more or less.
+    The share scatters by a fifth between cells.
     """
     recording = load_that_leaves(None, frames=60)
     cells = recording.truth_cell_resistance

@@ -1,6 +1,6 @@
 """Visits as a biologist counts them.
 
-They are rows with clock times over recordings and folders, which nothing ends.
+Tables of visits have clock times, over recordings and folders.
 """
 
 import csv
@@ -189,9 +189,9 @@ def test_a_reason_applies_to_its_time() -> None:
 def test_a_folder_of_recordings_gives_one_table(
     tmp_path: Path, lampest: Callable[..., Any]
 ) -> None:
-    """Two recordings of one name, with clocks and in folders of their own.
+    """Two recordings have the same name, clocks and folders of their own.
 
-    Their visits are exported from the file.
+    `export` writes their visits from detections.h5.
     """
     recording, *_ = attached("ring", 1.0, 5, 6, 6.0)
     season = tmp_path / "season"

@@ -1,6 +1,7 @@
 """Loads that come and go at awkward times.
 
-These are in unloaded frames, before them, beside another, in the last moment.
+A load is there in unloaded frames, before them, at the same time as another load, or in the last
+frame alone.
 """
 
 import dataclasses

@@ -201,7 +201,7 @@ class Detected:
 
     @property
     def _headline(self) -> str:
-        """Counts of what sucks, in words, such as '7 lamprey visits, 2 unsure'."""
+        """Counts of sucking loads, in words, such as '7 lamprey visits, 2 unsure'."""
         return headline(self.called)
 
     def _described(self, load: Attachment, present: Sequence[Attachment]) -> str:
@@ -309,7 +309,7 @@ def answer_of(
 
 
 def _pumps_in_words(load: Attachment) -> str:
-    """Return what is known of pumps, where breathing does not show."""
+    """Return the evidence of pumps in words, where breathing does not show."""
     minutes = 0.0 if load.track is None else load.track.observed_s / 60
     if minutes < MIN_PUMP_MINUTES:
         return "whether suction is pumped up again shows within minutes"
@@ -320,7 +320,7 @@ def _pumps_in_words(load: Attachment) -> str:
 
 
 def _silence_in_words(load: Attachment) -> str:
-    """Return why no breath is known yet."""
+    """Return the reason why no breath is known yet."""
     if np.isfinite(load.breath.judged_s):
         return (
             "its readings are never steady for long enough to show breathing, "
@@ -333,7 +333,7 @@ def _silence_in_words(load: Attachment) -> str:
 def headline(called: Sequence[str]) -> str:
     """Return the counts of visits in words, such as '7 lamprey visits, 2 unsure, 1 suction cup'.
 
-    Of contacts alone it is their number, '3 contacts'.
+    If there are only contacts, the text is their number, such as '3 contacts'.
     """
     lampreys = called.count(LAMPREY)
     unsure = called.count(SUCKS)

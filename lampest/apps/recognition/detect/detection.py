@@ -23,10 +23,10 @@ from lampest.files.errors import InputError
 from lampest.files.hdf5 import format_of
 from lampest.files.levels import NOISE_REACH
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
+from lampest.inference.effects.converter_ends import with_saturated_stage
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import CircuitEffects, without_effects_of
 from lampest.inference.prepared import Prepared
-from lampest.inference.saturation import with_saturated_stage
 from lampest.inference.warnings import warnings_of
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -45,7 +45,6 @@ from lampest.recording.stored import StoredRecording
 from lampest.runs.case import CaseResult
 from lampest.runs.checks import kept_check
 from lampest.runs.executors import each_of
-from lampest.runs.filling import frame_noise_of
 from lampest.runs.results import Results
 
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
@@ -301,6 +300,8 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
     frames : iterable of (array, array, float)
         Values and σ, (rows, columns), and the time in s of each measured frame.
     """
+    from lampest.runs.filling import frame_noise_of  # of results alone
+
     side = np.where(case.valued, case.measured, np.nan)
     spread = case.sigma
     notes = tuple[str, ...]()

@@ -83,7 +83,7 @@ def _frame(
 ) -> tuple[Array, Array]:
     """Return the figures of one frame and their standard deviations, (5,) each.
 
-    NaN without touched cells.
+    The result is NaN without touched cells.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def pressed_table(all_pressed: Sequence[PressedCells]) -> Table:
 def figure(value: float, error: float) -> str:
     """Return 'value ± error' with two significant digits of the error.
 
-    The value alone where the error is 0.
+    If the error is 0, the value stands alone.
     """
     if error == 0:
         return f"{value:.3g}"

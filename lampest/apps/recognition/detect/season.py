@@ -28,7 +28,7 @@ def plot_season(path: str | Path, visits: Sequence[Visit]) -> Path:
 def season(visits: Sequence[Visit]) -> Figure:
     """Draw each visit as a bar at its day and hour, and visits of lampreys by hour of the day.
 
-    Without a clock the hours are those since the begin of each recording.
+    Hours are counted from the begin of a recording if it has no clock.
     """
     figure = new_figure(3.4)
     left, right = figure.subplots(1, 2, width_ratios=(2.2, 1), sharey=True)
@@ -71,7 +71,7 @@ def _row(visit: Visit) -> str:
 def _hour(visit: Visit) -> float:
     """Return the hour of the day of the arrival.
 
-    Without a clock it is that since the begin of the recording.
+    Hours are counted from the begin of the recording if it has no clock.
     """
     if visit.clock is None:
         return visit.begin_s / HOUR_S

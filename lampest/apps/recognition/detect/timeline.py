@@ -38,7 +38,7 @@ def plot_timelines(
 ) -> list[Path]:
     """Draw every recording into timeline_<recording>.png in a folder; return the files.
 
-    on_picture : as in `write_all`. Raises InputError if the folder cannot be written.
+    `on_picture` is called as in `write_all`. Raises InputError if the folder cannot be written.
     """
     shown = [answer for answer in answers if answer.course is not None]
     return write_all(
@@ -58,7 +58,7 @@ def timeline_files(answers: Sequence[Detected], folder: str | Path) -> list[Path
 def timeline(answer: Detected) -> Figure:
     """Draw the difference of the readings from rest over time, and a map.
 
-    Each attachment has a band.
+    A band marks each attachment.
     """
     figure = new_figure(3.4)
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.45, 1))
@@ -99,7 +99,7 @@ def _course(axes: Axes, answer: Detected) -> None:
 def _map(axes: Axes, answer: Detected) -> None:
     """Draw the relative change of the cells at the last recognition with its circle.
 
-    Of several visits, or of a mat's contacts, their places are drawn.
+    If there are several visits, or contacts of a mat, their places are drawn.
     """
     if len(answer.attachments) > 1 and answer.panel is not None:
         _visits(axes, answer, answer.panel)
@@ -127,9 +127,9 @@ def _map(axes: Axes, answer: Detected) -> None:
 
 
 def _visits(axes: Axes, answer: Detected, panel: Panel) -> None:
-    """Draw the places of all visits.
+    """Draw the places of all visits with their numbers.
 
-    Each has a circle of the diameter, or a cross where the diameter is not known, and the number.
+    A place is a circle of the diameter, or a cross where the diameter is not known.
     """
     across, down = panel.places_mm[:, panel.present]
     axes.plot(across, down, ".", color="0.8", ms=2)

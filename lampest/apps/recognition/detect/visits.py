@@ -173,7 +173,7 @@ def _with_error(name: str, load: dict[str, Any]) -> Any:
 def _clock(start: str | None, seconds: float) -> str | None:
     """Return the date and time that many seconds after the start, to a tenth of a second.
 
-    None without a start.
+    The result is None without a start.
     """
     if not start:
         return None
@@ -191,14 +191,16 @@ def _earlier(visits: Sequence[Visit]) -> dict[int, int]:
     visit is continued at most once, so that the sum of 4 − z² is largest (an assignment problem).
     Without a clock only visits of one recording are compared.
     """
-    # Only visits are assigned; most commands need none.
-    from scipy.optimize import linear_sum_assignment
-
     sized = [
         visit
         for visit in visits
         if visit.answer == LAMPREY and visit.diameter_mm is not None and visit.diameter_sd_mm
     ]
+    if len(sized) < 2:
+        return {}
+    # Only visits are assigned; most commands need none.
+    from scipy.optimize import linear_sum_assignment
+
     gain = np.zeros((len(sized), len(sized)))
     for row, visit in enumerate(sized):
         for column, earlier in enumerate(sized[:row]):
@@ -237,7 +239,7 @@ def write_visits(path: str | Path, visits: Sequence[Visit]) -> Path:
 
 
 def count_table(answers: Sequence[Detected], visits: Sequence[Visit]) -> Table:
-    """Return the visits of lampreys, and of what may be one, of each day.
+    """Return the certain and the possible visits of lampreys of each day.
 
     Visits are counted by day and by night, and per recorded hour. Recordings without a clock are
     one row.

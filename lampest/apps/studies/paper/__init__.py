@@ -1,7 +1,7 @@
 """`lampest study paper`: the paper's figures and table compared with ours.
 
 The comparison is written as one HTML file, pictures and numbers.csv. The shipped scenes are solved
-by the five methods. Figures show the published numbers as marks or in words beside ours.
+by the five methods. Figures show the published numbers as marks or in words, together with ours.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -99,7 +99,7 @@ class MouthMap(NamedTuple):
 class ErrorRow(NamedTuple):
     """A row of table I: time of a step in s, and |f(r) − R_m|/R_m in percent.
 
-    Both have mean and standard deviation.
+    A number is given by its mean and standard deviation.
     """
 
     method: str
@@ -282,7 +282,7 @@ def unloaded(recording: Recording) -> Array:
 
 
 class Paper(NamedTuple):
-    """Published numbers and ours; figures : by the names of their files."""
+    """Published numbers and ours, and the figures by the names of their files."""
 
     published: Published
     names: tuple[str, ...]
@@ -364,7 +364,7 @@ def page_of(paper: Paper) -> str:
 
 
 class PublishedNumber(NamedTuple):
-    """A published number and ours; ours : one for each side, NaN if unavailable."""
+    """A published number and ours for each side, NaN if unavailable."""
 
     figure: str
     quantity: str

@@ -6,16 +6,20 @@ load ends: where several channels of the unloaded panel stand at one lowest code
 for that potential.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
+from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
+from lampest.inference.noise import NoiseEstimate
 from lampest.panel.panel import Array
-from lampest.panel.readouts.characteristic import Characteristic
+from lampest.panel.readouts.converter import Characteristic
 from lampest.panel.readouts.divider import Divider
 from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.scene import specified
 from lampest.panel.sizes import ESTIMATED
 from lampest.posterior.interval import binomial_tail
 from lampest.recording.readings import Readings
@@ -25,6 +29,8 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 # all are alike.
 MIN_EXTENT = 10.0
 COMPARED_FRAMES = 8  # frames, about, in which the voltages of lines are compared
+ZERO = "readout.converter.zero_volt"
+PASSES = "readout.passes_volt"
 MIN_OPEN = 6  # channels at the lowest code
 TOGETHER = 1.0  # steps within which they stand
 
@@ -69,9 +75,9 @@ class Saturated:
 def saturated(recording: Recording) -> Saturated | None:
     """Return the voltage at which several channels end.
 
-    None where there is none, or where the scene states one. Channels that moved under load are
-    tested by their largest or smallest voltage over the measured frames, all channels by their
-    unloaded voltage.
+    The result is None where there is none, or where the scene states one. Channels that moved under
+    load are tested by their largest or smallest voltage over the measured frames, all channels by
+    their unloaded voltage.
     """
     scene = recording.scene
     unloaded = recording.role == UNLOADED
@@ -135,7 +141,7 @@ def _channels_at_end(
 def with_saturated_stage(recording: Recording) -> Recording:
     """Return the recording with a number for `passes_volt: estimated`.
 
-    None in its place where its frames show none.
+    If frames show no saturated stage, the scene states None instead.
     """
     recording, _ = with_converter_ends(recording)
     readout = recording.scene.readout
@@ -249,3 +255,47 @@ def _zero_of_open_cells(recording: Recording) -> tuple[float, float] | None:
         at_open - readout.lsb_volt * float(lowest.mean()),
         readout.lsb_volt * spread,
     )
+
+
+def with_resolved_ends(
+    noise: NoiseEstimate, recording: Recording, cleaned: Recording
+) -> NoiseEstimate:
+    """Return the noise with the ends of the converter and of the stage before it.
+
+    Parameters
+    ----------
+    noise : NoiseEstimate
+    recording, cleaned : Recording
+        With the scene as specified, and with numbers.
+    """
+    if specified(recording.scene, ZERO) == ESTIMATED:
+        _, zero = with_converter_ends(recording)
+        if zero is None:
+            noise = noise.undetermined(
+                ZERO, "no cells of the unloaded panel are open above the converter's end"
+            )
+        else:
+            noise = noise.determined(ZERO, zero)
+    if specified(recording.scene, PASSES) == ESTIMATED:
+        passes = specified(cleaned.scene, PASSES)
+        if passes is None:
+            noise = noise.undetermined(
+                PASSES, "channels of its frames end at no common voltage: load more cells"
+            )
+        else:
+            noise = noise.determined(PASSES, passes)
+    return noise
+
+
+class ConverterEnds(SceneEffect):
+    """Ends of the converter, and of a stage before it that saturates.
+
+    They are determined before any reading is taken: `readout.passes_volt`,
+    `readout.converter.zero_volt`.
+    """
+
+    def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
+        """Yield advice on a stage before the converter that saturates."""
+        stage = saturated(evidence.recording) if evidence.names_none(PASSES) else None
+        if stage is not None:
+            yield Unnamed.of(stage.sentence, PASSES)

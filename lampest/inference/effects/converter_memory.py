@@ -7,12 +7,15 @@ before, relative to the misfit of still cells. Nothing is determined where most 
 share then explains them.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
+from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
 from lampest.inference.compared_frames import ComparedFrames
+from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.explanation import MEMORIES as TRIED
 from lampest.inference.explanation import Explanation, may_gain_by_memory
 from lampest.panel.panel import Array
@@ -142,3 +145,27 @@ def with_estimated_memory(
     estimate = estimated_memory(recording)
     share = None if isinstance(estimate, str) else estimate[0]
     return replace(recording, scene=replace(recording.scene, converter_memory=share)), estimate
+
+
+class ConverterMemory(SceneEffect):
+    """A converter that keeps a share of the channel before: `converter_memory`.
+
+    It is determined before any reading is taken, because readings are freed of it.
+    """
+
+    def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
+        """Yield advice on a converter that remembers the channel before."""
+        if not evidence.names_none("converter_memory"):
+            return
+        question = evidence.prepared.question
+        if not memory_gain(question, question.explanation) > MIN_EVIDENCE_GAIN:
+            return
+        estimate = estimated_memory(evidence.recording)
+        if not isinstance(estimate, str):
+            share, deviation = estimate
+            yield Unnamed.of(
+                f"the converter keeps {100 * share:.2g} +- {100 * deviation:.1g} % of the "
+                "channel before: so fewer "
+                "cells have moved under the load",
+                "converter_memory",
+            )

@@ -13,24 +13,29 @@ then seem stillest at less than the scan's share, as the slope of a regression i
 errors of its variable (Fuller, Measurement Error Models, 1987, section 1.1).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted, well_determined
 from lampest.inference.changed_cells import MOVED_COST, mostly_still, usual_starts
+from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.fitted_pair import FittedPair
+from lampest.inference.noise import NoiseEstimate, Share
+from lampest.inference.nuisances import Besides
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_panel_order
-from lampest.panel.scene import Scene
-from lampest.panel.systematic import own_errors
+from lampest.panel.scene import Scene, specified
+from lampest.panel.sizes import ESTIMATED
+from lampest.panel.systematic import READING_ERROR, estimated_errors, own_errors
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
-from lampest.recording.recording import MAX_NEIGHBOURS
+from lampest.recording.recording import MAX_NEIGHBOURS, MEASURED, UNLOADED, Recording
 
 SHARES = np.linspace(0, 1, 6)  # of the time between frames that a scan takes
 # Sizes of each reading's own error that are tried beside a share, all equally probable.
@@ -38,25 +43,6 @@ READING_ERRORS = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
 # Error of a value interpolated between two frames, over √(τ(1 − τ)) times the second difference of
 # the frames: 0.7 for a change at once, 0.2 to 0.4 for one that takes a frame or longer.
 INTERPOLATION_ERROR = 0.5
-
-
-class Share(NamedTuple):
-    """Share of the time between frames that a scan takes.
-
-    Attributes
-    ----------
-    mean, deviation : float
-        Share at which still cells are stillest, and its standard deviation as that of the scan.
-    reach : float
-        Mean of the share without attenuation: the interpolation is wrong over that time.
-    gain : float
-        Decrease of −2 ln evidence from no share to the best one.
-    """
-
-    mean: float
-    deviation: float
-    reach: float
-    gain: float = 0.0
 
 
 # Of a scan of which nothing is known: it may take the whole time, and readings stay as they are.
@@ -153,12 +139,12 @@ def share_of_motion(
 ) -> Share | None:
     """Return the share of the time between frames that a scan takes.
 
-    None where it is unknown. A load that moves displaces all readings of a frame along one known
-    direction, by share · displacement. Cells that no load touches seem to move by K times as much,
-    K the inverse of the Jacobian. The evidence of the changes since rest is compared over SHARES,
-    all equally probable before, for the frames with the largest motion, and summed over sizes of
-    each reading's own error. The reach is the share over the reliability of the displacements, 1 −
-    Σ errors²/Σ displacements², at most the whole time.
+    The result is None where it is unknown. A load that moves displaces all readings of a frame
+    along one known direction, by share · displacement. Cells that no load touches seem to move by K
+    times as much, K the inverse of the Jacobian. The evidence of the changes since rest is compared
+    over SHARES, all equally probable before, for the frames with the largest motion, and summed
+    over sizes of each reading's own error. The reach is the share over the reliability of the
+    displacements, 1 − Σ errors²/Σ displacements², at most the whole time.
 
     Parameters
     ----------
@@ -344,3 +330,88 @@ def _joint_cost(frames: Sequence[_Explained]) -> float:
         cost += float(frame.change @ weighted[:, -1] + np.linalg.slogdet(frame.noise)[1])
         cost += frame.beside
     return cost + float(np.linalg.slogdet(precision)[1] - pull @ np.linalg.solve(precision, pull))
+
+
+def interpolated(
+    noise: NoiseEstimate, scene: Scene, measured: NDArray[np.intp], share: Share
+) -> NoiseEstimate:
+    """Return the noise with readings that are interpolated to the middle of their scan.
+
+    Their σ contains what the interpolation leaves.
+
+    Parameters
+    ----------
+    noise : NoiseEstimate
+    scene : Scene
+    measured : integer array
+        Numbers of the measured frames.
+    share : Share
+        Share of the time between frames that a scan takes.
+    """
+    readings = noise.readings
+    displaced, doubt, weight = displacement(scene, readings, measured)
+    variance = readings.known_sigma**2
+    # A reading less its displacement is a mean of two frames, whose noise is independent.
+    own = variance * ((1 - share.mean * weight) ** 2 + (share.mean * weight) ** 2)
+    moved = np.maximum(displaced**2 - 2 * variance * weight**2, 0.0)
+    sigma = np.sqrt(own + (share.reach * doubt) ** 2 + share.deviation**2 * moved)
+    readings = replace(readings, value=readings.value - share.mean * displaced, sigma=sigma)
+    return replace(noise, readings=readings, motion=share)
+
+
+class ScanMotion(SceneEffect):
+    """Loads that move while a frame is scanned: `motion`."""
+
+    if_unexplained = "loads may move while a frame is scanned"
+    if_unexplained_key = "motion"
+
+    def resolve(
+        self, noise: NoiseEstimate, recording: Recording, besides: Besides
+    ) -> NoiseEstimate:
+        """Interpolate the readings to the middle of their scan."""
+        scene = recording.scene
+        readings = noise.readings
+        measured = np.flatnonzero(recording.role == MEASURED)
+        share = scene.motion
+        if readings.sigma is None or share is None or len(measured) < 2:
+            return noise
+        if share != ESTIMATED:
+            number = Share(mean=float(share), deviation=0.0, reach=float(share))
+            return interpolated(noise, scene, measured, number) if share else noise
+        unloaded = recording.role == UNLOADED
+        unknown_errors = READING_ERROR.setting in estimated_errors(scene)
+        errors_tried = READING_ERRORS if unknown_errors else (0.0,)
+        size = (
+            share_of_motion(scene, readings[unloaded].mean(), readings, measured, errors_tried)
+            if unloaded.any()
+            else None
+        )
+        if size is None:
+            return interpolated(noise, scene, measured, UNKNOWN_SHARE).undetermined(
+                "motion",
+                "no frame has still cells beside a load that moves. Error bars allow for any share "
+                "of the time between frames; give the share, or record five unloaded frames and a "
+                "load that leaves most cells free",
+            )
+        noise = interpolated(noise, scene, measured, size)
+        return noise.determined("motion", (size.mean, size.deviation))
+
+    def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
+        """Yield advice on loads that move while a frame is scanned."""
+        readings = evidence.noise.readings
+        unloaded = evidence.unloaded
+        if readings.sigma is None or not unloaded.any() or not evidence.names_none("motion"):
+            return
+        named = isinstance(specified(evidence.scene, "systematic.reading_error"), float)
+        compared = (evidence.scene, readings[unloaded].mean(), readings, evidence.measured)
+        share = share_of_motion(*compared, (0.0,))
+        # Errors of readings explain some of what seems to be motion: they are tried where some is.
+        if share is not None and share.gain > MIN_EVIDENCE_GAIN and not named:
+            share = share_of_motion(*compared, READING_ERRORS)
+        if share is not None and share.gain > MIN_EVIDENCE_GAIN:
+            yield Unnamed.of(
+                f"still cells seem to move with the load; a scan takes {share.mean:.2g} +- "
+                f"{share.deviation:.1g} of the time "
+                "between frames",
+                "motion",
+            )

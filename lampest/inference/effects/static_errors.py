@@ -13,21 +13,23 @@ Given e, the still cells determine the posterior of z. Of errors that are too la
 theory only e is estimated.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.cost.problem import Data
 from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, UNUSUAL
 from lampest.inference.assumptions import ASSUMED
-from lampest.inference.cells_fit import FIT, CellsFit, data_of_cells, fitted
+from lampest.inference.cells_fit import CellsFit, data_of_cells, fitted
 from lampest.inference.changed_cells import MIN_STILL_SHARE, Changes, Chosen, away_from_changed
-from lampest.panel.least_squares import SumOfSquares
+from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
+from lampest.inference.noise import NoiseEstimate
+from lampest.inference.nuisances import Besides
+from lampest.inference.unloaded_cells import READING_ERRORS, unloaded_costs
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.panel.sizes import Systematic
+from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.panel.systematic import (
     CHANNELS,
     READING_ERROR,
@@ -37,16 +39,15 @@ from lampest.panel.systematic import (
     SharedError,
     error_columns,
     estimated_errors,
-    recorded_share,
     systematic_of,
 )
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
-from lampest.recording.readings import Readings
+from lampest.recording.readings import Readings, strongest_frame
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-# Tried values of e. None is as probable as all others together, whose prior is uniform in ln e,
-# that of a scale.
-READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))
+# None is as probable as all other errors together, whose prior is uniform in ln e, that of a
+# scale.
 PRIOR_ODDS = np.where(READING_ERRORS > 0, 0.5 / np.count_nonzero(READING_ERRORS), 0.5)
 # Tried spreads of the channels, over the usual one.
 CHANNEL_FACTORS = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
@@ -59,14 +60,11 @@ LINEAR_LIMIT = 0.15
 EVERY_SECOND = np.arange(0, len(READING_ERRORS), 2)
 COARSE = np.append(0, np.arange(1, len(READING_ERRORS), 4))
 COARSE_GAIN = 3.0
-# Tried scatters s of unloaded cells, and the logarithms of their prior probabilities. Steps are a
-# tenth, because a hundred cells show their scatter to some percent: where crosstalk is small an
-# error e would fill a gap between two of them.
-SCATTERS = np.geomspace(0.01, 1.0, 48)
-LOG_PRIOR = -np.square(np.log(SCATTERS / ASSUMED.scatter) / np.log(ASSUMED.scatter_factor)) / 2
 # Tried sizes of a load's skirt, of log r. Always the largest would hide errors where no load has a
 # skirt.
 SKIRTS = ASSUMED.skirt * np.array([0.0, 0.03, 0.1, 0.3, 1.0])
+# Of the unloaded readings that are values: with fewer, films look uneven (tests/golden/checks.py).
+MIN_SHARE_READ = 0.9
 # Of log r: only loads move cells by more, errors within the limit do not.
 LOADED_CHANGE = NOISE_REACH * LINEAR_LIMIT
 
@@ -124,8 +122,12 @@ def shared_errors(
         possible = replace(possible, sizes=prior)
     own = SharedErrors(possible, {})
     if READING_ERROR.setting in estimated_errors(scene):
-        costs = _unloaded_costs(scene, resting, fit, READING_ERRORS)
-        own = _own_errors(_odds(costs + _error_costs(scene, moves, EVERY_SECOND)), prior)
+        costs = unloaded_costs(scene, resting, fit, READING_ERRORS)
+        odds = _odds(costs + _error_costs(scene, moves, EVERY_SECOND))
+        # √E[e²] exceeds the most probable e where e is uncertain
+        size = float(np.sqrt(odds @ np.square(READING_ERRORS)))
+        possible = Possible(replace(prior, reading_error=size), in_sigma=_median(odds))
+        own = SharedErrors(possible, {READING_ERROR.setting: _moments(odds)})
     if moves is not None:
         return _with_common_errors(own, moves, prior, scene)
     if loaded is None:
@@ -156,11 +158,11 @@ def significant_reading_error(
     if resting.sigma is None or resting.value.size > MAX_CELLS:
         return None
     fit, moves = _fit_and_changes(scene, resting, loaded, noise)
-    coarse = _unloaded_costs(scene, resting, fit, READING_ERRORS[COARSE])
+    coarse = unloaded_costs(scene, resting, fit, READING_ERRORS[COARSE])
     coarse = coarse + _error_costs(scene, moves, COARSE)[COARSE]
     if coarse[0] - coarse.min() < COARSE_GAIN:
         return None
-    costs = _unloaded_costs(scene, resting, fit, READING_ERRORS)
+    costs = unloaded_costs(scene, resting, fit, READING_ERRORS)
     odds = _odds(costs + _error_costs(scene, moves, EVERY_SECOND))
     return _moments(odds) if odds[0] < SIGNIFICANCE else None
 
@@ -199,13 +201,6 @@ def _channel_factor(scene: Scene, moves: "SharedChanges") -> float:
     marginal = np.logaddexp.reduce(-costs / 2, axis=1)
     odds = np.exp(marginal - marginal.max())
     return float(np.sqrt(odds @ np.square(CHANNEL_FACTORS) / odds.sum()))
-
-
-def _own_errors(odds: Array, prior: Systematic) -> SharedErrors:
-    """Return each reading's own error, given the probabilities of READING_ERRORS."""
-    size = _root_mean_square(odds)
-    possible = Possible(replace(prior, reading_error=size), in_sigma=_median(odds))
-    return SharedErrors(possible, {READING_ERROR.setting: _moments(odds)})
 
 
 def _undetermined(errors: SharedErrors, reason: str, scene: Scene) -> SharedErrors:
@@ -474,18 +469,10 @@ def _odds(costs: Array) -> Array:
     return np.asarray(odds / odds.sum())
 
 
-def _root_mean_square(odds: Array) -> float:
-    """Return √E[e²] by the probabilities of READING_ERRORS.
-
-    The root exceeds the most probable e where e is uncertain.
-    """
-    return float(np.sqrt(odds @ np.square(READING_ERRORS)))
-
-
 def _median(odds: Array) -> float:
     """Return the median of e by the probabilities of READING_ERRORS.
 
-    0 where none is more probable than any.
+    The result is 0 where none is more probable than any.
     """
     return float(np.interp(0.5, np.cumsum(odds), READING_ERRORS))
 
@@ -521,133 +508,76 @@ def _steadied(scene: Scene, fit: CellsFit, near: Array) -> CellsFit:
     )
 
 
-def _unloaded_costs(scene: Scene, resting: Readings, fit: CellsFit | None, tried: Array) -> Array:
-    """Return −2 ln likelihood of errors of the readings, up to a constant, (errors,).
+class StaticErrors(SceneEffect):
+    """Errors that all frames share: the sizes of `systematic`."""
 
-    The unloaded cells are log r ~ N(μ, s²). The readings are linearised at the most probable log
-    cells u, with t = y − f(u) + J u. Let τ² = σ² + (e y')², where y' is the derivative of a reading
-    with respect to the logarithm of its recorded value, and A = J/τ, A Aᵀ = QΛQᵀ:
+    if_unexplained = "each reading may be off, the same in all frames"
+    if_unexplained_key = "systematic.reading_error"
 
-        −2 log p(y | e, s) = Σ a²/v − (Σ a b/v)²/Σ(b²/v) + Σ log v + log Σ(b²/v) + Σ log τ²,
-        v = 1 + s²λ,
+    def resolve(
+        self, noise: NoiseEstimate, recording: Recording, besides: Besides
+    ) -> NoiseEstimate:
+        """Determine the errors that all frames share."""
+        scene = recording.scene
+        readings = noise.readings
+        requested = tuple(name for name in estimated_errors(scene) if name != "model_error")
+        if not requested:
+            sizes = systematic_of(scene)
+            size = 0.0 if sizes is None else READING_ERROR.size(sizes)
+            if sizes is None or not size:
+                return noise
+            possible = Possible(sizes, in_sigma=size)
+            return replace(noise, possible_errors=possible).with_reading_error(recording)
+        unloaded = np.flatnonzero(recording.role == UNLOADED)
+        measured = np.flatnonzero(recording.role == MEASURED)
+        if not len(unloaded):
+            for name in requested:
+                noise = noise.undetermined(
+                    f"systematic.{name}", "record five or more unloaded frames"
+                )
+            return noise
+        resting = readings[unloaded].mean()
+        loaded = None
+        if len(measured):
+            loaded = readings[strongest_frame(readings.plain_values, resting.value, measured)]
+        errors = shared_errors(scene, resting, loaded, noise.frame)
+        noise = replace(noise, possible_errors=errors.possible).with_reading_error(recording)
+        for name in requested:
+            if name in errors.sizes:
+                noise = noise.determined(f"systematic.{name}", errors.sizes[name])
+            else:
+                reason = errors.undetermined or "no frame shows it; `lampest calibrate` measures it"
+                noise = noise.undetermined(f"systematic.{name}", reason)
+        return noise
 
-    with a = Qᵀ t/τ and b = Qᵀ A 1. The likelihood is averaged over the prior of SCATTERS. u is
-    first the point of the largest error, then that of the most probable one of a few errors. Where
-    the cells are not alike, e is overestimated rather than underestimated. Linear theory lets cells
-    explain readings that no cells give; but no likelihood exceeds that of the best fit, so that −2
-    log p is at least χ²/max(τ/σ)² + Σ log τ².
-
-    Parameters
-    ----------
-    scene : Scene
-    resting : Readings
-        Mean of the unloaded frames, (rows, columns).
-    fit : CellsFit or None
-        Fit of the unloaded panel: no cells have a smaller χ². None: without this limit.
-    tried : array, shape (errors,)
-        Values of e.
-
-    Raises
-    ------
-    Errors of `BROKEN`.
-    """
-    data = data_of_cells(scene, resting)
-    plain = resting.plain.ravel()
-    share = np.abs(recorded_share(resting.value, scene))
-    cells = np.log(data.uniform_start[0])
-    costs = np.zeros((1, len(SCATTERS)))
-    few_errors = READING_ERRORS[1::4]
-    least = 0.0 if fit is None else fit.chi_square
-    for errors, previous_errors in (
-        (few_errors, READING_ERRORS[-1:]),
-        (tried, few_errors),
-    ):
-        row, column = np.unravel_index(np.argmin(costs), costs.shape)
-        deviation = np.where(
-            resting.plain, np.hypot(resting.known_sigma, previous_errors[row] * share), np.inf
-        )
-        cells, jacobian = _most_probable(
-            data, resting.value, deviation, float(SCATTERS[column]), cells
-        )
-        missed = resting.value - data.network(0, np.exp(cells)).reading()
-        target = missed.ravel() + jacobian @ cells.ravel()
-        costs = np.empty((len(errors), len(SCATTERS)))
-        for number, error in enumerate(errors):
-            tau = np.hypot(resting.known_sigma, error * share).ravel()[plain]
-            linear = _linear_costs(jacobian[plain], target[plain], tau)
-            widening = np.max(tau / resting.known_sigma.ravel()[plain])
-            logarithms = 2 * np.log(tau).sum()
-            costs[number] = np.maximum(linear + logarithms, least / widening**2 + logarithms)
-    # −2 ln Σ_s p(y | e, s) p(s)
-    marginal = -2 * np.logaddexp.reduce(LOG_PRIOR - costs / 2, axis=1)
-    return np.asarray(marginal - marginal.min())
-
-
-def _linear_costs(jacobian: Array, target: Array, tau: Array) -> Array:
-    """Return −2 ln likelihood of linearised readings for SCATTERS, less Σ ln τ², (scatters,).
-
-    The formula is that of `_unloaded_costs`.
-
-    Parameters
-    ----------
-    jacobian : array, shape (readings, cells)
-        J.
-    target, tau : array, shape (readings,)
-        t and τ.
-    """
-    scaled = jacobian / tau[:, None]
-    values, vectors = np.linalg.eigh(scaled @ scaled.T)
-    # a = Qᵀ t/τ, b = Qᵀ A 1, and v = 1 + s²λ, (scatters, readings)
-    a = vectors.T @ (target / tau)
-    b = vectors.T @ scaled.sum(axis=1)
-    v = 1 + np.square(SCATTERS)[:, None] * np.maximum(values, 0.0)
-    # Σ b²/v is the precision of μ, which is integrated out.
-    precision = (b**2 / v).sum(axis=1)
-    squares = (a**2 / v).sum(axis=1) - (a * b / v).sum(axis=1) ** 2 / precision
-    return np.asarray(squares + np.log(v).sum(axis=1) + np.log(precision))
-
-
-def _most_probable(
-    data: Data, value: Array, deviation: Array, spread: float, start: Array
-) -> tuple[Array, Array]:
-    """Return the most probable log cells u and the Jacobian J of the readings there.
-
-    The minimum is that of Σ ((f(u) − y)/τ)² + Σ (u − mean u)²/s².
-
-    Parameters
-    ----------
-    data : Data
-    value, deviation : array, shape (rows, columns)
-        y and τ; τ is infinite where there is no reading.
-    spread : float
-        s.
-    start : array, shape (rows, columns)
-        Log cells.
-
-    Returns
-    -------
-    array, shape (rows, columns)
-    array, shape (readings, cells)
-    """
-    free = data.lower[0] < data.upper[0]
-    # (1 − 1 1ᵀ/n)/s over the cells that the panel has: residuals of the prior, whose mean μ is
-    # free. The others stay.
-    unlike = (np.eye(value.size) - np.outer(free, free) / free.sum()) / spread
-    anchor = np.where(free, 0.0, data.log_bounds[0][0]).ravel()
-    lower, upper = (
-        np.where(free, far, bound[0]).ravel()
-        for far, bound in zip((-np.inf, np.inf), data.log_bounds, strict=True)
-    )
-
-    def model(cells: Array) -> SumOfSquares:
-        network = data.network(0, np.exp(cells).reshape(value.shape))
-        missed = ((network.reading() - value) / deviation).ravel()
-        jacobian = network.sensitivity() / deviation.reshape(-1, 1) * free.ravel()
-        return SumOfSquares(
-            np.concatenate([missed, unlike @ (cells - anchor)]), np.vstack([jacobian, unlike])
-        )
-
-    begin = np.where(free, start, data.log_bounds[0][0]).ravel()
-    position, _ = replace(FIT, evaluations=25, share=0.0).minimum(model, begin, (lower, upper))
-    cells = position.reshape(value.shape)
-    return cells, data.network(0, np.exp(cells)).sensitivity() * free.ravel()
+    def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
+        """Yield advice on errors of each reading that stay the same in all frames."""
+        scene = evidence.scene
+        noise = evidence.noise
+        unloaded = evidence.unloaded
+        if (
+            noise.readings.sigma is None
+            or not unloaded.any()
+            or not evidence.names_none("systematic.reading_error")
+        ):
+            return
+        sizes = scene.systematic if isinstance(scene.systematic, Systematic) else Systematic()
+        estimating = replace(scene, systematic=replace(sizes, reading_error=ESTIMATED))
+        # without the error of the model: the same misses would count for it and for errors of the
+        # readings
+        readings = replace(noise.readings, sigma=noise.readings.sigma / noise.model_factor)
+        resting = readings[unloaded].mean()
+        loaded = None
+        if resting.plain[scene.requested].mean() < MIN_SHARE_READ:
+            return
+        if len(evidence.measured):
+            strongest = strongest_frame(readings.plain_values, resting.value, evidence.measured)
+            loaded = readings[strongest]
+        error = significant_reading_error(estimating, resting, loaded, noise.frame)
+        if error is not None:
+            mean, deviation = error
+            yield Unnamed.of(
+                f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, the same "
+                "in all frames: cells are rougher than those of films",
+                "systematic.reading_error",
+            )

@@ -1,0 +1,40 @@
+"""Gain of a frame and ripple along a scan: errors that the readings of a frame share.
+
+They are determined with the noise of the frames (`lampest.inference.noise`).
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from lampest.files.levels import SIGNIFICANCE
+from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
+from lampest.inference.variance_components import unloaded_scatter
+from lampest.panel.sizes import ESTIMATED
+
+
+class GainAndRipple(SceneEffect):
+    """Errors that the readings of a frame share: `gain`, `ripple`."""
+
+    def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
+        """Yield advice on gain and ripple, from the scatter of the unloaded frames."""
+        scene = evidence.scene
+        readings = evidence.noise.readings
+        unloaded = evidence.unloaded
+        unknown = scene.readout is None or readings.sigma is None or unloaded.sum() < 2
+        if unknown or scene.readout is None or not evidence.names_none("gain", "ripple"):
+            return
+        estimated = replace(scene, gain=ESTIMATED, ripple=ESTIMATED)
+        estimating = replace(evidence.recording, scene=estimated)
+        unscaled = replace(readings, sigma=readings.known_sigma / evidence.noise.sigma_factor)
+        parts = unloaded_scatter(estimating, unscaled[unloaded])
+        if parts is None:
+            return
+        if parts.gain_tail < SIGNIFICANCE:
+            yield Unnamed.of(f"the gain of a frame varies by {100 * parts.gain:.2g} %", "gain")
+        roots = np.hstack([parts.common_ripple, parts.line_ripple])
+        if parts.ripple_tail < SIGNIFICANCE or parts.line_ripple.size:
+            noise_lsb = np.mean(scene.readout.sigma_code())
+            size = float(np.sqrt((roots**2).sum() / len(roots)) * noise_lsb)
+            yield Unnamed.of(f"the lines of a scan vary together by {size:.2g} LSB", "ripple")

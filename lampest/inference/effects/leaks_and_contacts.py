@@ -1,0 +1,53 @@
+"""Leaks between lines and bad contacts: taken off the readings where still cells show them."""
+
+from collections.abc import Iterator
+
+from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
+from lampest.inference.noise import NoiseEstimate, without_effects
+from lampest.inference.nuisances import Besides
+from lampest.panel.effects import Effect, LineLeak, LooseContact
+from lampest.panel.scene import specified
+from lampest.panel.sizes import ESTIMATED
+from lampest.recording.recording import Recording
+
+BESIDES: dict[str, type[Effect]] = {kind.key: kind for kind in (LineLeak, LooseContact)}
+
+
+class LeaksAndContacts(SceneEffect):
+    """Leaks between lines, and resistances of contacts: `leaks`, `contacts`."""
+
+    def resolve(
+        self, noise: NoiseEstimate, recording: Recording, besides: Besides
+    ) -> NoiseEstimate:
+        """Take leaks and bad contacts off the readings."""
+        requested = [key for key in BESIDES if specified(recording.scene, key) == ESTIMATED]
+        if not requested:
+            return noise
+        effects = besides(tuple(BESIDES[key] for key in requested))
+        pair = effects.pair
+        if pair is None:
+            reason = "untouched cells show none"
+            if effects.name:
+                reason = f"{effects.name}, but others explain the readings as well"
+            return noise.with_warnings(
+                f"{' and '.join(requested)}: estimated, and not taken off the readings: {reason}"
+            )
+        noise = without_effects(noise, recording, effects).with_warnings(effects.corrections)
+        deviations = pair.explained(pair.columns(pair.effects)).sd[1:]
+        for key, kind in BESIDES.items():
+            for effect, deviation in zip(pair.effects, deviations, strict=True):
+                if isinstance(effect, kind):
+                    name = f"{key} of {effect.where(recording.scene.panel.rows)}"
+                    noise = noise.determined(name, (effect.size, float(deviation) * effect.prior))
+        return noise
+
+    def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
+        """Yield the leaks and contacts with which the circuit explains the readings better."""
+        effects = evidence.prepared.effects
+        if (
+            effects.name
+            and evidence.prepared.check.by_effect
+            and evidence.names_none("leaks", "contacts")
+        ):
+            sentence = f"{effects.name} explains the readings better: {effects.reason}"
+            yield Unnamed(sentence, effects.addition)

@@ -1,0 +1,153 @@
+"""Likelihood of errors of the readings by the unloaded panel: its cells are alike, to a scatter."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from lampest.cost.problem import Data
+from lampest.inference.assumptions import ASSUMED
+from lampest.inference.cells_fit import FIT, CellsFit, data_of_cells
+from lampest.panel.least_squares import SumOfSquares
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.panel.systematic import recorded_share
+from lampest.recording.readings import Readings
+
+READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))  # tried sizes e
+# Tried scatters s of unloaded cells, and the logarithms of their prior probabilities. Steps are a
+# tenth, because a hundred cells show their scatter to some percent: where crosstalk is small an
+# error e would fill a gap between two of them.
+SCATTERS = np.geomspace(0.01, 1.0, 48)
+LOG_PRIOR = -np.square(np.log(SCATTERS / ASSUMED.scatter) / np.log(ASSUMED.scatter_factor)) / 2
+
+
+def unloaded_costs(scene: Scene, resting: Readings, fit: CellsFit | None, tried: Array) -> Array:
+    """Return −2 ln likelihood of errors of the readings, up to a constant, (errors,).
+
+    The unloaded cells are log r ~ N(μ, s²). The readings are linearised at the most probable log
+    cells u, with t = y − f(u) + J u. Let τ² = σ² + (e y')², where y' is the derivative of a reading
+    with respect to the logarithm of its recorded value, and A = J/τ, A Aᵀ = QΛQᵀ:
+
+        −2 log p(y | e, s) = Σ a²/v − (Σ a b/v)²/Σ(b²/v) + Σ log v + log Σ(b²/v) + Σ log τ²,
+        v = 1 + s²λ,
+
+    with a = Qᵀ t/τ and b = Qᵀ A 1. The likelihood is averaged over the prior of SCATTERS. u is
+    first the point of the largest error, then that of the most probable one of a few errors. Where
+    the cells are not alike, e is overestimated rather than underestimated. Linear theory lets cells
+    explain readings that no cells give; but no likelihood exceeds that of the best fit, so that −2
+    log p is at least χ²/max(τ/σ)² + Σ log τ².
+
+    Parameters
+    ----------
+    scene : Scene
+    resting : Readings
+        Mean of the unloaded frames, (rows, columns).
+    fit : CellsFit or None
+        Fit of the unloaded panel: no cells have a smaller χ². None: without this limit.
+    tried : array, shape (errors,)
+        Values of e.
+
+    Raises
+    ------
+    Errors of `BROKEN`.
+    """
+    data = data_of_cells(scene, resting)
+    plain = resting.plain.ravel()
+    share = np.abs(recorded_share(resting.value, scene))
+    cells = np.log(data.uniform_start[0])
+    costs = np.zeros((1, len(SCATTERS)))
+    few_errors = READING_ERRORS[1::4]
+    least = 0.0 if fit is None else fit.chi_square
+    for errors, previous_errors in (
+        (few_errors, READING_ERRORS[-1:]),
+        (tried, few_errors),
+    ):
+        row, column = np.unravel_index(np.argmin(costs), costs.shape)
+        deviation = np.where(
+            resting.plain, np.hypot(resting.known_sigma, previous_errors[row] * share), np.inf
+        )
+        cells, jacobian = _most_probable(
+            data, resting.value, deviation, float(SCATTERS[column]), cells
+        )
+        missed = resting.value - data.network(0, np.exp(cells)).reading()
+        target = missed.ravel() + jacobian @ cells.ravel()
+        costs = np.empty((len(errors), len(SCATTERS)))
+        for number, error in enumerate(errors):
+            tau = np.hypot(resting.known_sigma, error * share).ravel()[plain]
+            linear = _linear_costs(jacobian[plain], target[plain], tau)
+            widening = np.max(tau / resting.known_sigma.ravel()[plain])
+            logarithms = 2 * np.log(tau).sum()
+            costs[number] = np.maximum(linear + logarithms, least / widening**2 + logarithms)
+    # −2 ln Σ_s p(y | e, s) p(s)
+    marginal = -2 * np.logaddexp.reduce(LOG_PRIOR - costs / 2, axis=1)
+    return np.asarray(marginal - marginal.min())
+
+
+def _linear_costs(jacobian: Array, target: Array, tau: Array) -> Array:
+    """Return −2 ln likelihood of linearised readings for SCATTERS, less Σ ln τ², (scatters,).
+
+    The formula is that of `unloaded_costs`.
+
+    Parameters
+    ----------
+    jacobian : array, shape (readings, cells)
+        J.
+    target, tau : array, shape (readings,)
+        t and τ.
+    """
+    scaled = jacobian / tau[:, None]
+    values, vectors = np.linalg.eigh(scaled @ scaled.T)
+    # a = Qᵀ t/τ, b = Qᵀ A 1, and v = 1 + s²λ, (scatters, readings)
+    a = vectors.T @ (target / tau)
+    b = vectors.T @ scaled.sum(axis=1)
+    v = 1 + np.square(SCATTERS)[:, None] * np.maximum(values, 0.0)
+    # Σ b²/v is the precision of μ, which is integrated out.
+    precision = (b**2 / v).sum(axis=1)
+    squares = (a**2 / v).sum(axis=1) - (a * b / v).sum(axis=1) ** 2 / precision
+    return np.asarray(squares + np.log(v).sum(axis=1) + np.log(precision))
+
+
+def _most_probable(
+    data: Data, value: Array, deviation: Array, spread: float, start: Array
+) -> tuple[Array, Array]:
+    """Return the most probable log cells u and the Jacobian J of the readings there.
+
+    The minimum is that of Σ ((f(u) − y)/τ)² + Σ (u − mean u)²/s².
+
+    Parameters
+    ----------
+    data : Data
+    value, deviation : array, shape (rows, columns)
+        y and τ; τ is infinite where there is no reading.
+    spread : float
+        s.
+    start : array, shape (rows, columns)
+        Log cells.
+
+    Returns
+    -------
+    array, shape (rows, columns)
+    array, shape (readings, cells)
+    """
+    free = data.lower[0] < data.upper[0]
+    # (1 − 1 1ᵀ/n)/s over the cells that the panel has: residuals of the prior, whose mean μ is
+    # free. The others stay.
+    unlike = (np.eye(value.size) - np.outer(free, free) / free.sum()) / spread
+    anchor = np.where(free, 0.0, data.log_bounds[0][0]).ravel()
+    lower, upper = (
+        np.where(free, far, bound[0]).ravel()
+        for far, bound in zip((-np.inf, np.inf), data.log_bounds, strict=True)
+    )
+
+    def model(cells: Array) -> SumOfSquares:
+        network = data.network(0, np.exp(cells).reshape(value.shape))
+        missed = ((network.reading() - value) / deviation).ravel()
+        jacobian = network.sensitivity() / deviation.reshape(-1, 1) * free.ravel()
+        return SumOfSquares(
+            np.concatenate([missed, unlike @ (cells - anchor)]), np.vstack([jacobian, unlike])
+        )
+
+    begin = np.where(free, start, data.log_bounds[0][0]).ravel()
+    position, _ = replace(FIT, evaluations=25, share=0.0).minimum(model, begin, (lower, upper))
+    cells = position.reshape(value.shape)
+    return cells, data.network(0, np.exp(cells)).sensitivity() * free.ravel()
