@@ -1,6 +1,6 @@
-"""Docstrings of the house → Markdown.
+"""Conversion of the docstrings of the house to Markdown.
 
-They are no reStructuredText, so autodoc would misread them.
+The docstrings are no reStructuredText, so autodoc would misread them.
 """
 
 import inspect

@@ -21,9 +21,9 @@ EXAMPLE = re.compile(r"^Example: (.+)$", re.MULTILINE)
 
 
 def commands_page() -> str:
-    """Every command with its arguments and options, by typer's own generator.
+    """Return every command with its arguments and options, by typer's own generator.
 
-    These are not the words of the release before.
+    The page shows the current commands, not those of the last release.
     """
     command = typer.main.get_command(commands)
     command.commands = {name: each for name, each in command.commands.items() if not each.hidden}  # type: ignore[attr-defined]

@@ -34,9 +34,9 @@ def names_page() -> str:
 
 
 def room_of(name: str) -> str:
-    """The room that a name comes from.
+    """Return the room that a name comes from.
 
-    Other objects have the room of the module that defines their type.
+    An object that is no class has the room of the module that defines its type.
     """
     if name == "reconstruct":
         return "report"

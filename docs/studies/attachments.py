@@ -210,10 +210,10 @@ def courses(
 
 
 def _pumped(rng: np.random.Generator, since: Array, pumps: list[float] | None = None) -> Array:
-    """Suction over that after a pump (frames).
+    """Return the suction over that after a pump, (frames).
 
-    It decays until the next one, which takes half a second to two. Their times are appended to
-    `pumps`, s after the touch.
+    Suction decays until the next pump, which takes half a second to two. The times of the pumps, in
+    s after the touch, are appended to `pumps`.
     """
     factor = np.ones_like(since)
     begin = 1.5
@@ -312,9 +312,9 @@ def cells(
 
 
 def recorded(rng: np.random.Generator, resistance: Array, time: Array) -> Array:
-    """Two-point resistances, 140 ohm in series included.
+    """Return two-point resistances, with 140 ohm in series, as a divider reads them.
 
-    They come from a divider of 1 kohm, 10 bit, 20 readings, with ripple.
+    The divider has 1 kohm, 10 bits, 20 readings and a ripple.
     """
     rows, columns = resistance.shape[1:]
     drift = rng.standard_normal((rows, columns)) * 0.005 + rng.standard_normal() * 0.02
@@ -719,9 +719,9 @@ def table(everything: Sequence[Seen]) -> None:
 
 
 def plot(everything: Sequence[Seen], path: Path) -> None:
-    """ROC curves of both questions, and how often what is called lamprey is one.
+    """Draw ROC curves of both questions, and the share of lampreys among the loads called so.
 
-    They are at four frames a second and more.
+    Recordings with less than four frames a second are left out.
     """
     from matplotlib import pyplot
 

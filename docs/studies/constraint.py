@@ -1,7 +1,4 @@
-"""Picture of docs/howto/adding/constraint.md.
-
-It shows error bars without and with nine cells that are tied to each other.
-"""
+"""Picture of docs/howto/adding/constraint.md: error bars without and with nine tied cells."""
 
 from pathlib import Path
 

@@ -1,6 +1,6 @@
-"""A recording of a million frames run from the disk, killed in the middle, resumed.
+"""A recording of a million frames, run from the disk, killed in the middle and resumed.
 
-It shows memory, time, and what it finds.
+The study prints memory, time and results.
 
 Run it with: python -m docs.studies.endless --frames 1000000 --formulation naive --folder
 results/endless

@@ -1,6 +1,6 @@
-"""How near methods come to what readings tell.
+"""Errors of methods against LSR-ΔCR and against the Cramér–Rao bound of the readings.
 
-It is shown on recordings of 21 frames, against LSR-ΔCR and the Cramér–Rao bound.
+The recordings have 21 frames.
 
 Every scene is drawn anew from the seed; nothing is what methods were tuned for but `attached`.
 Run it with: python -m docs.studies.limit --recordings 6 --seed 501
@@ -60,9 +60,9 @@ METHODS: dict[str, tuple[tuple[Term, ...], str | SmootherMethod]] = {
 
 
 def mouth(rng: np.random.Generator, side: int, moved_mm: float = 0.0) -> Array:
-    """Contact and suction (2, rows, columns) kPa of a mouth.
+    """Return contact and suction (2, rows, columns) of a random mouth, in kPa.
 
-    It is that of a seed, moved by so much along the rows.
+    The mouth lies `moved_mm` further along the rows.
     """
     place = rng.uniform(0.3, 0.7, 2) * (side - 1) * PITCH_MM
     load = OralDisc(

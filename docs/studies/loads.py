@@ -1,6 +1,4 @@
-"""Forces of two or three touches on panels that no calibration has seen them on.
-
-They are naive, and after `calibrate --loads`.
+"""Forces of two or three fresh touches, naive and after `calibrate --loads`.
 
 Run it with: python -m docs.studies.loads --panels 6 --seed 2001
 

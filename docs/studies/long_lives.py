@@ -89,9 +89,9 @@ def stream_figures(marks: Sequence[int], trace: bool = True) -> list[Figures]:
 
 
 def live_figures(marks: Sequence[int], trace: bool = True) -> list[Figures]:
-    """Figures of the live page's engine after so many frames.
+    """Return figures of the live page's engine after each count of frames in `marks`.
 
-    It solves as many of them as it can.
+    The engine solves as many frames as it can.
     """
     frames = recorded()
     found = []

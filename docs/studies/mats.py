@@ -1,6 +1,6 @@
-"""Random mats of as many readings as cells, solved by our solver and by published ones.
+"""Random mats with as many readings as cells, solved by our solver and by published ones.
 
-They are solved without bounds or penalties.
+The solvers have neither bounds nor penalties.
 
 Run it with: python -m docs.studies.mats [--sides 16] [--draws 2] [--noise 0 1]; prints the table of
 the page.
@@ -52,12 +52,18 @@ STEP_TOLERANCE = 1e-8  # the published test's xtol of least squares
 
 @dataclass(frozen=True)
 class Mats:
-    """sides : of square mats.
+    """Random square mats with conductances that are uniform between 20 µS and 20 mS.
 
-    Their conductances are uniform between 20 µS and 20 mS, read as R·(1 + noise·z), z standard
-    normal.
+    Readings are R·(1 + noise·z), z standard normal.
 
-    draws : mats of each side and noise.
+    Attributes
+    ----------
+    sides : tuple of int
+        Lines on each side of the mats.
+    draws : int
+        Mats of each side and noise.
+    noise_percent : tuple of float
+        Standard deviations of the relative noise.
     """
 
     sides: tuple[int, ...] = (16,)
@@ -79,9 +85,9 @@ class MatAnswer:
 
 
 class CountedNetwork:
-    """G(g) of a network whose ground is chosen by the readings (rows, columns) ohm.
+    """G(g) of a network, and the number of its evaluations.
 
-    It counts how often it is asked.
+    The readings (rows, columns) in ohm choose the ground.
     """
 
     def __init__(self, measured: Array) -> None:
@@ -104,9 +110,9 @@ class CountedNetwork:
 
 
 def fixed_point(measured: Array) -> MatAnswer:
-    """g ← max(g − β(G(g) − G_m), 0) from g = G_m, β = 0.1.
+    """Iterate g ← max(g − β(G(g) − G_m), 0) from g = G_m, β = 0.1.
 
-    It goes on until |G(g) − G_m| < 10⁻¹² S or 1,000 times.
+    The iteration ends at |G(g) − G_m| < 10⁻¹² S or after 1,000 steps.
     """
     network = CountedNetwork(measured)
     conductance = network.wanted

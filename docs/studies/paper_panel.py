@@ -237,9 +237,9 @@ def distance(place: Array, fitted: Sequence[str], bound: float) -> float:
 def search(
     seconds: float, seed: int, fitted: Sequence[str], first: Sequence[Mapping[str, float]]
 ) -> None:
-    """Random places, then differences and small steps of the best ones.
+    """Try random places, then differences and small steps of the best ones.
 
-    It prints what is better than all before.
+    Each new best place is printed.
     """
     rng = np.random.default_rng(seed)
     started = time.monotonic()

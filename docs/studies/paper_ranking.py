@@ -54,10 +54,7 @@ def _true_change(case: CaseResult) -> Array:
 
 
 def main() -> None:
-    """Two tables for each folder of results.
-
-    They are of clean recordings, and those of a panel like the paper's.
-    """
+    """Print two tables a folder: clean recordings, and those of a panel like the paper's."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,6 +1,6 @@
 """The smoother under real electronics, by an independent simulator.
 
-It stands against LSR-ΔCR, and after `--from-recording`.
+The references are LSR-ΔCR, and the smoother after `--from-recording`.
 
 Scenes are those of `docs.studies.mouth_scenes`, of eight kinds in turn: film uneven by 12 %, cells
 that drift by 1 % a minute, channels of 3 ohm, a reference within 1 %, a ripple of 0.4 LSB along the
@@ -127,9 +127,9 @@ def measure(made: Recording, method: str) -> Array:
 
 
 def study(count: int, seed: int, calibrate: int, loads: int) -> None:
-    """Print both methods on `count` recordings, and again with a calibrated scene.
+    """Print both methods on `count` recordings, before and after a calibration of the scene.
 
-    They are printed again once `calibrate` further ones have calibrated the scene.
+    The calibration uses `calibrate` further recordings.
     """
 
     def made(number: int) -> Recording:
