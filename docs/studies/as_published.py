@@ -337,20 +337,24 @@ class _Problem:
         none = np.zeros((count, count))
 
         def residual(both: Array) -> Array:
-            rest = both[:count]
+            baseline = both[:count]
             cells = both[count:]
             return np.concatenate(
-                [_misfit(rest, resting), _misfit(cells, measured), rows @ (cells / rest - 1)]
+                [
+                    _misfit(baseline, resting),
+                    _misfit(cells, measured),
+                    rows @ (cells / baseline - 1),
+                ]
             )
 
         def jacobian(both: Array) -> Array:
-            rest = both[:count]
+            baseline = both[:count]
             cells = both[count:]
             return np.block(
                 [
-                    [_slopes(rest, resting), none],
+                    [_slopes(baseline, resting), none],
                     [none, _slopes(cells, measured)],
-                    [-rows * (cells / rest**2), rows / rest],
+                    [-rows * (cells / baseline**2), rows / baseline],
                 ]
             )
 

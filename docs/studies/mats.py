@@ -139,7 +139,7 @@ def _krylov(measured: Array, tolerance: float) -> MatAnswer:
     network = CountedNetwork(measured)
     steps = count()
     try:
-        found = newton_krylov(
+        conductance = newton_krylov(
             network.misfit,
             network.wanted,
             f_tol=tolerance,
@@ -149,23 +149,26 @@ def _krylov(measured: Array, tolerance: float) -> MatAnswer:
         converged = True
     except (NoConvergence, ValueError, np.linalg.LinAlgError) as error:
         converged = False
-        found = error.args[0] if isinstance(error, NoConvergence) else network.wanted * np.nan
+        conductance = error.args[0] if isinstance(error, NoConvergence) else network.wanted * np.nan
     return MatAnswer(
-        np.reshape(found, measured.shape), next(steps), network.evaluations(), converged
+        np.reshape(conductance, measured.shape), next(steps), network.evaluations(), converged
     )
 
 
 def bounded_least_squares(measured: Array) -> MatAnswer:
     """min Σ (G(g) − G_m)² over g ≥ 0 from g = G_m by scipy's trf with finite differences."""
     network = CountedNetwork(measured)
-    found = least_squares(
+    solution = least_squares(
         lambda position: network.misfit(position).ravel(),
         network.wanted.ravel(),
         bounds=(0.0, np.inf),
         xtol=STEP_TOLERANCE,
     )
     return MatAnswer(
-        found.x.reshape(measured.shape), int(found.njev), network.evaluations(), found.status > 0
+        solution.x.reshape(measured.shape),
+        int(solution.njev),
+        network.evaluations(),
+        solution.status > 0,
     )
 
 
@@ -282,7 +285,7 @@ COLUMNS: dict[str, Callable[[Any], str]] = {
     "cell %": lambda own: _percent(np.median([record.cell_error for record in own])),
     "worst %": lambda own: _percent(max(record.worst_cell_error for record in own)),
     "g < 0": lambda own: str(sum(record.negative for record in own)),
-    "ended": lambda own: f"{sum(one.converged for one in own)}/{len(own)}",
+    "ended": lambda own: f"{sum(record.converged for record in own)}/{len(own)}",
 }
 
 

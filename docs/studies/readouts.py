@@ -124,10 +124,8 @@ def conditioning(seed: int) -> None:
             sigma = readout.sigma_of_reading(recorded, readout.sigma(recorded))
             factor = np.linalg.inv(network.sensitivity() / sigma.reshape(-1, 1))
             deviations.append(100 * np.sqrt(np.mean(np.sum(factor**2, axis=1))))
-        print(
-            f"{name}: {' / '.join(f'{one:.1f}' for one in deviations)} % rms at 10, 16 and 32 "
-            "lines a side"
-        )
+        numbers = " / ".join(f"{percent:.1f}" for percent in deviations)
+        print(f"{name}: {numbers} % rms at 10, 16 and 32 lines a side")
 
 
 def contrast(draws: int, seed: int) -> None:
