@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from lampest.files.document import in_one_line, parse_document, plain_content, to_yaml, validated
+from lampest.files.document import in_one_line, parse_document, plain_content, to_yaml
 from lampest.files.errors import InputError
 from lampest.files.typed import members_of
 from lampest.panel.readouts import AnyReadout
-from lampest.panel.scene import Scene
+from lampest.panel.scene import Scene, validated_scene
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def with_addition(scene: Scene, addition: Mapping[str, Any]) -> Scene:
     Raises InputError where the scene cannot have them.
     """
     content = merged(_fitting(plain_content(scene), addition), addition)
-    made: Scene = validated(parse_document(to_yaml(content), "the scene"), Scene)
+    made = validated_scene(parse_document(to_yaml(content), "the scene"))
     return replace(made, assumed=scene.assumed)
 
 

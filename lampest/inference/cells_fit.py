@@ -41,8 +41,10 @@ SMALL_CHI_SQUARE = 3.0
 FIT = LevenbergMarquardt(
     evaluations=16, settled=EXACT_CHI_SQUARE / 2, share=0.1, damping=0.0, longest=1.5
 )
-# Fits with cells at the boundary r = 0 take some 20 iterations, circuits that cannot explain the
-# readings hundreds.
+# Fits with cells at the boundary r = 0 or r = ∞ take 2 to 30 further iterations.
+LONG_FIT = replace(FIT, evaluations=40, share=0.0)
+# On panels of more than MAX_CELLS some 20 iterations of the solver of the estimates, where circuits
+# that cannot explain the readings take hundreds.
 BRIEF = Settings(max_iterations=25)
 # Factor on the lower bound that estimates have: a short behind a drive resistor of a kilo-ohm is
 # smaller than that.
@@ -252,8 +254,6 @@ def fitted(
         data = data_of_cells(scene, readings)
         data = replace(data, lower=MIN_CELL_FACTOR * data.lower)
         start = data.start()[0] if near is None else near
-        # The Levenberg-Marquardt method suffices where cells explain the readings exactly, which is
-        # usual.
         fit = _levenberg_marquardt_fit(scene, data, readings, start, effects)
         if fit.chi_square <= EXACT_CHI_SQUARE or effects:
             return fit
@@ -261,8 +261,12 @@ def fitted(
             return fit
         if not patient and fit.chi_square > MAX_CHI_SQUARE * readings.value.size:
             return None
-        # Elsewhere cells stand at the boundary r = 0, and the solver of the estimates finds the
-        # minimum.
+        # Elsewhere cells stand at the boundary r = 0 or r = ∞, which takes more iterations.
+        if fit.jacobian.size:
+            fit = _levenberg_marquardt_fit(scene, data, readings, fit.cells, loop=LONG_FIT)
+            if not patient or near is not None or fit.within_noise:
+                return fit
+        # A minimum that noise does not give may not be the lowest: other starts are tried.
         from lampest.solvers.projected_newton import ProjectedNewton
 
         cost = cost_of_solve(LEAST_SQUARES, scene, partial=data.partial)
@@ -278,7 +282,12 @@ def fitted(
 
 
 def _levenberg_marquardt_fit(
-    scene: Scene, data: Data, readings: Readings, start: Array, effects: "Sequence[Effect]"
+    scene: Scene,
+    data: Data,
+    readings: Readings,
+    start: Array,
+    effects: "Sequence[Effect]" = (),
+    loop: LevenbergMarquardt = FIT,
 ) -> CellsFit:
     """Return the fit that the Levenberg-Marquardt method reaches from a start.
 
@@ -294,6 +303,7 @@ def _levenberg_marquardt_fit(
     start : array, shape (rows, columns)
         Cells in ohm.
     effects : sequence of Effect
+    loop : LevenbergMarquardt
     """
 
     def model(position: Array) -> CellsFit:
@@ -303,6 +313,7 @@ def _levenberg_marquardt_fit(
     def is_exact(fit: CellsFit, evaluations: int) -> bool:
         return fit.chi_square <= EXACT_CHI_SQUARE
 
-    loop = FIT if start.size <= MAX_CELLS else replace(FIT, evaluations=1)
+    if start.size > MAX_CELLS:
+        loop = replace(loop, evaluations=1)
     bounds = (data.log_bounds[0].ravel(), data.log_bounds[1].ravel())
     return loop.minimum(model, np.log(start).ravel(), bounds, is_exact)[1]

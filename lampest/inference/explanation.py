@@ -82,7 +82,6 @@ class Explanation:
         near: "Explanation | None" = None,
         *,
         patient: bool = False,
-        specified: "Explanation | None" = None,
     ) -> "Explanation | None":
         """Return a circuit's explanation of the frames; None where no fit is found.
 
@@ -93,17 +92,37 @@ class Explanation:
         near : Explanation or None
             Explanation by a similar circuit: the fits begin at its cells, and `like` applies.
         patient : bool
-            Whether the fit is searched for from every start and accepted with any misfit. Otherwise
-            the fit of the loaded frame begins at the cells of the unloaded panel, and the circuit
-            is given up at the first frame that it does not explain.
+            See `fits_of`.
+        """
+        fits = fits_of(rival, frames, near.fits if near else (), patient=patient)
+        return cls.by(fits, rival, frames, near)
+
+    @classmethod
+    def by(
+        cls,
+        fits: tuple[CellsFit, ...],
+        rival: Rival,
+        frames: ComparedFrames,
+        near: "Explanation | None" = None,
+        specified: "Explanation | None" = None,
+    ) -> "Explanation | None":
+        """Return a circuit's explanation by fits; None where they lack a frame.
+
+        Parameters
+        ----------
+        fits : tuple of CellsFit
+            Those of `fits_of`.
+        rival : Rival
+        frames : ComparedFrames
+        near : Explanation or None
+            Explanation by a similar circuit, to which `like` applies.
         specified : Explanation or None
             Explanation by the scene's circuit, for a rival of it. A rival whose score is larger by
             FAR with the channels and moved cells of that explanation keeps them.
         """
+        if len(fits) < (2 if len(frames.standing) else 1):
+            return None
         with suppress(InputError, *BROKEN):
-            fits = _fits(rival, frames, near, patient=patient)
-            if not fits:
-                return None
             pair = None
             if len(fits) == 2 and fits[0].jacobian.size:
                 pair = FittedPair(fits)
@@ -152,28 +171,70 @@ def _costs(fits: Sequence[CellsFit]) -> float:
     return sum(fit.chi_square + PARAMETER_COST * int(fit.readings.bounds.sum()) for fit in fits)
 
 
-def _fits(
-    rival: Rival, frames: ComparedFrames, near: Explanation | None, *, patient: bool
+def fits_of(
+    rival: Rival,
+    frames: ComparedFrames,
+    near: Sequence[CellsFit] = (),
+    *,
+    patient: bool = False,
 ) -> tuple[CellsFit, ...]:
-    """Return the fits of the frames, see `Explanation.of`; () where one is not explained."""
-    readings = frames.readings(rival)
+    """Return the fits of the frames under a circuit, up to the first frame without a fit.
+
+    Parameters
+    ----------
+    rival : Rival
+    frames : ComparedFrames
+    near : sequence of CellsFit
+        Fits of the first frames under a similar circuit, at whose cells the fits begin.
+    patient : bool
+        Whether a fit is searched for from every start and accepted with any misfit. Otherwise the
+        fit of the loaded frame begins at the cells of the unloaded panel, and a frame has a fit
+        only if the circuit explains it.
+    """
     fits: list[CellsFit] = []
-    chosen = frames.panels if rival is frames.specified else None
-    for number, frame in enumerate(readings):
-        start = None if near is None else near.fits[number].cells
-        if start is None and chosen is not None:
-            start = (chosen.resting, chosen.loaded)[number]
-        if start is None and fits and not patient:
-            start = fits[0].cells
-        fit = fitted(rival.scene, frame, start, patient=patient)
-        # of two panels that read alike the one that continues the unloaded panel is meant
-        elsewhere = chosen is None and fit is not None and bool(fits)
-        if elsewhere and fit and fit.network.branch != fits[0].network.branch:
-            fit = fitted(rival.scene, frame, fits[0].cells, patient=patient)
-        if fit is None or not (patient or fit.within_noise):
-            return ()
-        fits.append(fit)
+    with suppress(InputError, *BROKEN):
+        chosen = frames.panels if rival is frames.specified else None
+        for number, frame in enumerate(frames.readings(rival)):
+            start = near[number].cells if number < len(near) else None
+            if start is None and chosen is not None:
+                start = (chosen.resting, chosen.loaded)[number]
+            if start is None and fits and not patient:
+                start = fits[0].cells
+            fit = fitted(rival.scene, frame, start, patient=patient)
+            # of two panels that read alike the one that continues the unloaded panel is meant
+            elsewhere = chosen is None and fit is not None and bool(fits)
+            if elsewhere and fit and fit.network.branch != fits[0].network.branch:
+                fit = fitted(rival.scene, frame, fits[0].cells, patient=patient)
+            if fit is None or not (patient or fit.within_noise):
+                break
+            fits.append(fit)
     return tuple(fits)
+
+
+def _rival_fits(
+    rival: Rival,
+    frames: ComparedFrames,
+    near: tuple[CellsFit, ...] = (),
+    specified: Explanation | None = None,
+) -> tuple[CellsFit, ...]:
+    """Return the fits under a rival, from the cells of the scene's circuit where these suffice.
+
+    They do not where several panels read alike: the readout's start tells which is meant.
+
+    Parameters
+    ----------
+    rival : Rival
+    frames : ComparedFrames
+    near : tuple of CellsFit
+        Fits under a circuit that is nearer; () without any.
+    specified : Explanation or None
+        Explanation by the scene's circuit.
+    """
+    if near or specified is None or rival.order is not None:
+        return fits_of(rival, frames, near)
+    if rival.scene.circuit.several_panels:
+        return fits_of(rival, frames)
+    return fits_of(rival, frames, specified.fits[:1]) or fits_of(rival, frames)
 
 
 def better_rival(frames: ComparedFrames, specified: Explanation | None) -> BetterExplanation:
@@ -231,8 +292,11 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
     explanations = []
     for rival in rivals:
         lawful = rival.ohm == 0 or not broken_law(rival, frames)
-        explanation = Explanation.of(rival, frames, specified=specified) if lawful else None
-        explanations.append(explanation or some_in_series(rival, frames, specified=specified))
+        fits = _rival_fits(rival, frames, specified=specified) if lawful else ()
+        explanation = Explanation.by(fits, rival, frames, specified=specified)
+        if explanation is None:
+            explanation = some_in_series(rival, frames, fits=fits, specified=specified)
+        explanations.append(explanation)
     if specified is None:
         explanations.append(some_in_series(frames.specified, frames))
         down = rounded_down(frames.specified)
@@ -318,21 +382,38 @@ def some_in_series(
     rival: Rival,
     frames: ComparedFrames,
     near: Explanation | None = None,
+    *,
+    fits: tuple[CellsFit, ...] = (),
     specified: Explanation | None = None,
 ) -> Explanation | None:
     """Return a circuit's explanation with the best of SERIES_POINTS other resistances in series.
 
-    A fit begins at the cells of the one before. The result is None without any fit.
+    Each fit begins at the cells of the one before, also where only the unloaded panel was
+    explained. The result is None without any explanation.
+
+    Parameters
+    ----------
+    rival : Rival
+    frames : ComparedFrames
+    near : Explanation or None
+        Explanation with the given resistance.
+    fits : tuple of CellsFit
+        Fits with the given resistance where they explain only the unloaded panel.
+    specified : Explanation or None
+        See `Explanation.by`.
     """
     most = most_in_series(rival, frames)
     best = None
+    begin = fits if near is None else near.fits
     for ohm in np.linspace(0.0, most, SERIES_POINTS) if most else ():
         if ohm == rival.ohm:
             continue
         tried = replace(rival.with_series(ohm), at_limit=ohm in (0.0, most))
         if broken_law(tried, frames):  # and with every larger one
             break
-        explanation = Explanation.of(tried, frames, near, specified=specified)
+        fits = _rival_fits(tried, frames, begin, specified)
+        begin = fits or begin
+        explanation = Explanation.by(fits, tried, frames, near, specified)
         if explanation is None:
             continue
         near = explanation

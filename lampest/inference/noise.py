@@ -298,6 +298,8 @@ def estimate_noise(
     noise = _with_estimated_frame_noise(noise, recording, parts)
     if not parts.motion.size:
         return noise
+    from lampest.posterior.frame_noise import FrameNoise  # for frames that move
+
     none = np.zeros((len(parts.common_ripple), 0))
     frame = noise.frame or FrameNoise(scene, unloaded, 0.0, none, none)
     moved = MOVED.format(100 * float(np.hypot.reduce(parts.motion)))

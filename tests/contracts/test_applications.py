@@ -37,6 +37,7 @@ SCENE = "panel: {rows: 3, columns: 4, pitch_mm: 10}\nreadout: {kind: two_point}\
 # Every use of an application by the core → the application that its sentence names.
 ASKED = {
     "read_scene": "film",
+    "read purpose": "recognition",
     "tare": "film",
     "compare --report": "page",
     "export --to c": "microcontroller",
@@ -89,6 +90,7 @@ for line in (["run", "run.yaml", "--out", "out"], ["info", "mine.h5"], ["info", 
     assert code == 0, (line, out, err)
 sentences = {
     "read_scene": sentence(lampest.read_scene, "film.yaml"),
+    "read purpose": sentence(lampest.read_scene, "purpose.yaml"),
     "tare": sentence(lampest.reconstruct, recording, tare=lampest.Tare()),
     "compare --report": of_command("compare", "out/results.h5", "--report", "page.html"),
     "export --to c": of_command("export", "out/results.h5", "--to", "c", "--out", "c"),
@@ -135,6 +137,7 @@ class Copy:
     def without(self, gone: set[str], work: Path) -> tuple[dict[str, list[str]], dict[str, str]]:
         """The commands, and the sentences of all uses, without some applications."""
         (work / "film.yaml").write_text(f"{SCENE}film: {{hysteresis: 0.1}}\n")
+        (work / "purpose.yaml").write_text(f"{SCENE}purpose: mat\n")
         (work / "run.yaml").write_text(
             "schema: 1\nrecordings: [mine.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n"
         )

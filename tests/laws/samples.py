@@ -18,6 +18,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import numpy as np
 
 import lampest
+from lampest.files.document import INLINE
 from lampest.files.typed import ByKind, shipped
 
 # Ordinary numbers, the ends of usual ranges, and such as lose digits or change type where text is
@@ -79,9 +80,10 @@ def configurations() -> tuple[type, ...]:
 
 
 def hints(kind: type) -> dict[str, Any]:
-    """Field → type of a configuration."""
+    """Field → type of a configuration, but for keys that installed applications add."""
     types = get_type_hints(kind, include_extras=True)
-    return {field.name: types[field.name] for field in dataclasses.fields(kind)}
+    fields = (field for field in dataclasses.fields(kind) if not field.metadata.get(INLINE))
+    return {field.name: types[field.name] for field in fields}
 
 
 def parts(hint: Any) -> Iterator[Any]:
@@ -150,10 +152,10 @@ def arguments(kind: type, rng: np.random.Generator) -> dict[str, Any]:
 
     The few are there as some classes need one of several.
     """
-    given = (
-        field.name for field in dataclasses.fields(kind) if is_open(field) or rng.random() < 0.1
-    )
-    return {name: value(hints(kind)[name], rng) for name in given}
+    types = hints(kind)
+    fields = (field for field in dataclasses.fields(kind) if field.name in types)
+    given = (field.name for field in fields if is_open(field) or rng.random() < 0.1)
+    return {name: value(types[name], rng) for name in given}
 
 
 def is_settled(hint: Any) -> bool:

@@ -1,16 +1,23 @@
 """Laws of the search for rival circuits: what it may leave out without another verdict."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import lampest
 from lampest import DrivenReadout, GroundedReadout, LoadedColumnsReadout, Panel, Scene
 from lampest.inference import explanation
+from lampest.inference.cells_fit import LEAST_SQUARES, CellsFit, data_of_cells, fitted
 from lampest.inference.compared_frames import broken_law
-from lampest.inference.explanation import Explanation
 from lampest.inference.prepared import Prepared
 from lampest.inference.rivals import Rival
 from lampest.panel.readouts.readout import Readout
+from lampest.recording.readings import Readings
+from lampest.solvers.multistart import best_solution
+from lampest.solvers.posed import cost_of_solve
+from lampest.solvers.projected_newton import ProjectedNewton
+from lampest.solvers.solution import Settings
 
 CIRCUITS = (
     lampest.TwoPointReadout(),
@@ -56,22 +63,70 @@ def test_the_effect_of_channels_is_that_of_one_simulation_for_each(circuit: Read
     np.testing.assert_allclose(several, one_by_one, atol=1e-9 * np.abs(one_by_one).max())
 
 
-def test_rivals_whose_laws_the_readings_break_are_not_fitted(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+@pytest.fixture(scope="module")
+def pressed() -> lampest.Recording:
+    """A rod on 5 x 5 two-point cells."""
     scene = Scene(Panel(5, 5, 10.0), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
     load = lampest.Rod(centre_mm=(20.0, 20.0), diameter_mm=25, mass_g=900)
-    recording = lampest.simulate(lampest.Simulation(1, 3, scene, frames=3, loads=(load,)))
-    question = Prepared(recording).question
+    return lampest.simulate(lampest.Simulation(1, 3, scene, frames=3, loads=(load,)))
+
+
+def test_rivals_whose_laws_the_readings_break_are_not_fitted(
+    monkeypatch: pytest.MonkeyPatch, pressed: lampest.Recording
+) -> None:
+    question = Prepared(pressed).question
     tried: list[Rival] = []
-    of = Explanation.of.__func__  # type: ignore[attr-defined]
+    fits_of = explanation.fits_of
 
-    def counted(cls: type[Explanation], rival: Rival, *further: object, **named: object) -> object:
+    def counted(rival: Rival, *further: object, **named: object) -> object:
         tried.append(rival)
-        return of(cls, rival, *further, **named)
+        return fits_of(rival, *further, **named)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(Explanation, "of", classmethod(counted))
+    monkeypatch.setattr(explanation, "fits_of", counted)
     assert question.explanation is not None
     explanation.better_rival(question, question.explanation)
     assert len(tried) > 3
     assert not any(broken_law(rival, question) for rival in tried if rival.kind)
+
+
+def test_fits_of_rivals_begin_at_the_cells_of_a_neighbour(
+    monkeypatch: pytest.MonkeyPatch, pressed: lampest.Recording
+) -> None:
+    question = Prepared(pressed).question
+    cold = list[Scene]()
+    fits = list[bool]()
+    fitted = explanation.fitted
+
+    def noted(scene: Scene, frame: Readings, near: object = None, **named: object) -> object:
+        fits.append(near is None)
+        if near is None:
+            cold.append(scene)
+        return fitted(scene, frame, near, **named)  # type: ignore[arg-type]
+
+    assert question.explanation is not None
+    monkeypatch.setattr(explanation, "fitted", noted)
+    explanation.better_rival(question, question.explanation)
+    assert len(fits) > 10
+    assert not [scene.readout for scene in cold if not scene.circuit.several_panels]
+
+
+@pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: str(circuit.kind))
+def test_a_fit_to_readings_that_no_cells_give_ends_at_the_minimum_of_the_solver(
+    circuit: Readout,
+) -> None:
+    scene = Scene(Panel(4, 5), circuit).with_series(0.0)
+    cells = panel_cells(4, 5)
+    recorded = circuit.to_recorded(circuit.exact_reading(cells), scene)[None]
+    # no cells give these beside the other readings of most circuits
+    factor = np.ones((4, 5))
+    factor[1, 2] = factor[0, 4] = 5.0
+    factor[3, 1] = 0.2
+    frame = Rival(scene, factor * recorded, None).readings[0]
+    fit = fitted(scene, frame, cells, patient=True)
+    assert fit is not None
+    data = replace(data_of_cells(scene, frame), lower=np.full((1, 4, 5), 1e-3))
+    solver = ProjectedNewton(cost_of_solve(LEAST_SQUARES, scene, partial=data.partial), Settings())
+    solution = best_solution(solver, data, cells[None])
+    assert solution.solved
+    least = CellsFit.at(scene, data, frame, solution.cell_resistance[0])
+    assert fit.chi_square <= 1.01 * least.chi_square + 0.1
