@@ -179,7 +179,7 @@ def volt_of(matrix: Array, readout: Any, driven: int, sensed: int) -> float:
     ]
     if has_potentials(readout):
         return with_potentials(network, readout, low, sensed)
-    volt = potentials(network, {"high": high, "low": low})
+    volt = potentials(network, {"high": high, "low": low, "ground": 0.0})
     if isinstance(readout, VirtualGroundReadout):
         through = [
             (volt["d", line] - volt["s", sensed]) / ohm
@@ -208,6 +208,7 @@ def with_potentials(network: list[Resistor], readout: Any, low: float, sensed: i
     held = {
         "high": source,
         "low": low,
+        "ground": 0.0,
         "load end": load,
         "idle load end": load if readout.idle_load_volt is None else readout.idle_load_volt,
     }
@@ -266,7 +267,7 @@ def load_of(
         (("s", line), ("load", line), channel),
         (("load", line), end, load),
     ]
-    return resistors + ([] if input_ohm is None else [(("load", line), "low", input_ohm)])
+    return resistors + ([] if input_ohm is None else [(("load", line), "ground", input_ohm)])
 
 
 def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:

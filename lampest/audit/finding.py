@@ -114,16 +114,21 @@ def same_values(scene: Scene, changed: Scene) -> bool:
 
 
 def _fitting(content: dict[str, Any], addition: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a scene's content without the entries that a readout of another kind does not have."""
+    """Return a scene's content without entries of the readout that an addition replaces.
+
+    Those are entries that a readout of another kind does not have, and lists of lines.
+    """
     readout = content.get("readout")
-    kind = addition.get("readout", {}).get("kind")
+    further = addition.get("readout", {})
     keys_by_kind = {
         member.kind: {entry.name for entry in fields(member)} for member in members_of(AnyReadout)
     }
-    if readout is None or kind not in keys_by_kind:
+    if readout is None or not isinstance(further, Mapping):
         return content
-    keys = keys_by_kind[kind]
-    return content | {"readout": {key: value for key, value in readout.items() if key in keys}}
+    keys = keys_by_kind.get(further.get("kind", ""), set(readout))
+    lists = {key for key, value in further.items() if isinstance(value, list)}
+    kept = {key: value for key, value in readout.items() if key in keys - lists}
+    return content | {"readout": kept}
 
 
 def merged(content: Any, addition: Any) -> Any:

@@ -14,8 +14,9 @@ from lampest.report.info import describe
 from lampest.runs import batch
 from lampest.runs.batch import Report, run_batch
 from lampest.runs.checks import NOT_CHECKED, CheckTask, RecordingCheck
-from lampest.runs.config import digest, read_run
+from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
+from lampest.runs.provenance import digest
 from lampest.runs.results import read_results
 
 RUN = """

@@ -178,7 +178,7 @@ def test_odds_and_cause_of_a_window_count_together() -> None:
     """A load keeps still, and after a step its place swings; a step leaves it at that."""
     still, shaken = (
         Breath(odds, suction, (1.1, 0.1), (0.08, 0.01))
-        for odds, suction in ((-3.0, 0.9), (8, 0.02))
+        for odds, suction in ((-3.0, 0.9), (8, 0.005))
     )
     stepped = Breathing().after(still, 6.0, full=False).parted((6.25,))
     swinging = stepped.after(shaken, 13.0, full=False)
@@ -338,3 +338,11 @@ def test_a_moved_mouth_keeps_its_odds() -> None:
         track = track.after(np.full((3, 1), value), float(time))
     restarted = Pumping.begin(np.ones(2), np.zeros(2), 300.0, 1, track)
     assert restarted.odds == pytest.approx(track.odds) and restarted.odds > ANSWER_LOG_ODDS
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_breath_is_seen_whose_rim_swings_less_than_the_suction_lets_expect(seed: int) -> None:
+    """The rim bears a body, or is pressed: its share cancels that of the suction in a mean."""
+    shown = window(own=0.05, rim=-0.07, seed=seed)
+    assert shown.odds > CLEAR_LOG_ODDS and shown.hertz[0] == pytest.approx(1.1, abs=0.1)
+    assert shown.suction > 0.9

@@ -45,7 +45,6 @@ from lampest.recording.stored import StoredRecording
 from lampest.runs.case import CaseResult
 from lampest.runs.checks import kept_check
 from lampest.runs.executors import each_of
-from lampest.runs.filling import frame_noise_of
 from lampest.runs.results import Results
 
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
@@ -301,6 +300,8 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
     frames : iterable of (array, array, float)
         Values and σ, (rows, columns), and the time in s of each measured frame.
     """
+    from lampest.runs.filling import frame_noise_of  # of results alone
+
     side = np.where(case.valued, case.measured, np.nan)
     spread = case.sigma
     notes = tuple[str, ...]()
