@@ -443,7 +443,7 @@ def test_the_figure_of_the_packages_has_the_floors() -> None:
     assert " · ".join(sorted(APPLICATIONS)) in figure
 
 
-def test_the_page_states_what_each_application_adds() -> None:
+def test_the_page_states_the_additions_of_each_application() -> None:
     page = (REFERENCE / "architecture.md").read_text(encoding="utf-8")
     for name, application in APPLICATIONS.items():
         needs, commands = (
@@ -456,7 +456,7 @@ def test_the_page_states_what_each_application_adds() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(APPLICATIONS))
-def test_an_application_imports_what_it_says_that_it_needs(name: str) -> None:
+def test_an_application_imports_its_stated_needs(name: str) -> None:
     imported = {
         room_of(target).removeprefix("apps.")
         for module, tree in MODULES.items()

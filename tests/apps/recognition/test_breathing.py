@@ -132,7 +132,7 @@ def test_a_stronger_movement_at_another_rate_hides_no_breath(seed: int) -> None:
     assert shown.hertz[0] == pytest.approx(1.1, abs=0.05)
 
 
-def test_a_body_beside_makes_swings_of_the_rim_likelier() -> None:
+def test_a_neighbouring_body_makes_swings_of_the_rim_likelier() -> None:
     """Cells that swing on one side may be moved by it; a swing of the whole suction is not."""
     alone, beside = (window(rim=0.02, seed=1, adjoins=adjoins) for adjoins in (False, True))
     assert beside.odds == alone.odds and beside.suction < alone.suction / 10
