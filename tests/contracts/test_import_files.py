@@ -286,8 +286,8 @@ def shown(path: Path) -> None:
 
 def in_two_encodings(path: Path) -> None:
     folder(csv_of, ".csv")(path)
-    other = path / "frame7.csv"
-    other.write_bytes(other.read_text().encode("utf-16"))
+    reencoded = path / "frame7.csv"
+    reencoded.write_bytes(reencoded.read_text().encode("utf-16"))
 
 
 def each_with_a_cut_block(path: Path) -> None:

@@ -307,8 +307,8 @@ def test_constants_of_another_version_are_refused(tmp_path):
     assert f".version = {library_version()}," in text
     with compiled(constants) as host:
         host.begin(BUDGET)
-    other = re.sub(r"\.version = \d+", ".version = 101", text)
-    (tmp_path / "panel_constants.h").write_text(other)
+    outdated = re.sub(r"\.version = \d+", ".version = 101", text)
+    (tmp_path / "panel_constants.h").write_text(outdated)
     (tmp_path / "host.c").write_text(HOST)
     from apps.board.test_estimate import built
 

@@ -278,9 +278,9 @@ def test_a_profile_leads_a_fit_out_of_a_shallower_valley(away: float) -> None:
     start = best.parameters + away * (np.arange(len(best.parameters)) == 2)
     held = fitting.best(start, whitening, held=2)
     assert held.cost > best.cost + 10
-    found = along_diameter(fitting, held, fitting.about(held.parameters, whitening))
-    assert found.cost < best.cost + 1
-    assert found.parameters[2] == pytest.approx(best.parameters[2], abs=0.02)
+    released = along_diameter(fitting, held, fitting.about(held.parameters, whitening))
+    assert released.cost < best.cost + 1
+    assert released.parameters[2] == pytest.approx(best.parameters[2], abs=0.02)
 
 
 @pytest.mark.slow

@@ -192,11 +192,12 @@ def test_a_poorly_visible_load_arrives_and_leaves() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "other", [OralDisc(centre_mm=(68, 66), diameter_mm=30, rim_width_mm=5, pressure_kpa=-7), ROD]
+    "second_load",
+    [OralDisc(centre_mm=(68, 66), diameter_mm=30, rim_width_mm=5, pressure_kpa=-7), ROD],
 )
-def test_the_leaving_one_of_two_loads_is_reported_without_its_memory(other: Shape) -> None:
+def test_the_leaving_one_of_two_loads_is_reported_without_its_memory(second_load: Shape) -> None:
     mouth = OralDisc(centre_mm=(25, 68), diameter_mm=34, rim_width_mm=5.5, pressure_kpa=-10)
-    answer = answered(recording_with((mouth, 8, 30), (other, 16, 50), frames=50, side=10))
+    answer = answered(recording_with((mouth, 8, 30), (second_load, 16, 50), frames=50, side=10))
     assert [attachment.until_s for attachment in answer.attachments] == [30.0, None]
     moved = dataclasses.replace(mouth, centre_mm=(68, 24))  # it jumps there
     answer = answered(recording_with((mouth, 8, 20), (moved, 20, 40), frames=40, side=10))
