@@ -31,6 +31,7 @@ from lampest import (
 from lampest.apps.recognition.attachment import Attachment, attachments_of
 from lampest.apps.recognition.candidates import AND, UNIFORM, Several
 from lampest.apps.recognition.candidates import LOADS as SHAPED
+from lampest.apps.recognition.detect.answer import PRESSES, answer_of
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.fit import (
@@ -178,6 +179,21 @@ SINGLE: dict[str, tuple[Any, str, float, Panel]] = {
         for rows, columns, pitch in ((6, 6, 10.0), (8, 14, 7.0), (16, 12, 12.0))
     },
 }
+
+
+@pytest.mark.parametrize(("width", "small"), [(16, True), (40, False)])
+def test_a_load_presses_surely_only_where_suction_would_show(width: float, small: bool) -> None:
+    """It stands between four cells; on a mat nothing sucks."""
+    rod = Rod(centre_mm=(45, 45), diameter_mm=width, mass_g=400)
+    verdict = verdict_on(rod)
+    (load,) = attachments_of(verdict.frame, verdict, 0.0)
+    answer, probability, why = answer_of(load, 4.0)
+    assert answer == PRESSES
+    assert (
+        (probability == 0.5 and "too small" in why) if small else (probability > 0.99 and not why)
+    )
+    (contact,) = attachments_of(verdict.frame, verdict, 0.0, any_form=True)
+    assert contact.sucks < 0.01 and not contact.small
 
 
 @pytest.mark.slow
