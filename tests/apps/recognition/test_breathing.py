@@ -104,7 +104,7 @@ def test_a_swinging_rim_or_place_is_not_breath(seed: int, moving: dict[str, floa
 
 @pytest.mark.parametrize("uneven", [0.1, 0.25])
 def test_the_depth_of_breath_lies_within_its_error(uneven: float) -> None:
-    """Also where the rim swings by less than its pattern, as on a film that it saturates."""
+    """The rim may swing by less than its pattern, as on a film that it saturates."""
     depths = [
         window(own=0.08, rim=rim, seed=seed, uneven=uneven).depth
         for rim in (0.0, -0.04)

@@ -199,7 +199,7 @@ def test_a_load_presses_surely_only_where_suction_would_show(width: float, small
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SINGLE)
 def test_a_load_is_recognised_as_its_kind(name: str) -> None:
-    """Also where a mouth is neither round nor even, or hangs over the edge of the panel."""
+    """A mouth may be uneven or not round, or may hang over the edge of the panel."""
     load, label, tolerance, panel = SINGLE[name]
     verdict = verdict_on(load, panel=panel)
     disc = disc_of(verdict)
@@ -472,7 +472,7 @@ def test_an_outlier_does_not_move_the_mouth(ohm: float, place: tuple[int, int]) 
 def test_strong_suction_excludes_a_smaller_disc(tmp_path: Path) -> None:
     """Cells that suction opens change the readings by little more.
 
-    But they change them by much where they would close again.
+    Under a smaller disc they would close again and change the readings by much.
     """
     scene = Scene(Panel(10, 10), TwoPointReadout(), series_resistance_ohm=140.0)
     load = OralDisc(
@@ -512,7 +512,7 @@ def load_that_leaves(
 def watched(
     recordings: list[Recording], minutes: float = 0.0, drift: float = 0.0
 ) -> tuple[Attachment, ...]:
-    """What is attached in recordings, one after the other; the first has the baseline.
+    """Return the attachments of successive recordings; the first one has the baseline.
 
     minutes : between the first frames of the load and its last. drift : of ln y a decade, of each
     reading by itself a tenth of that.

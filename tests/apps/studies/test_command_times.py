@@ -1,4 +1,4 @@
-"""Processor time of whole commands: what is counted, and that every command works."""
+"""Processor time of whole commands: its parts, and that every command works."""
 
 from collections.abc import Callable
 from pathlib import Path
