@@ -259,8 +259,8 @@ def test_every_formulation_finds_the_cells(name: str, formulation: str) -> None:
     scene = Scene(Panel(*SHAPE), replace(readout, adc_bits=16, noise_lsb=0.1, readings=1))
     frames = np.stack([volts(resting, readout), volts(loaded, readout)])
     recording = Recording.from_array(frames, unit="volt", scene=scene, baseline=1)
-    found = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation=formulation)
-    assert_allclose(found.cell_resistance[0], loaded, rtol=2e-3)
+    estimate = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation=formulation)
+    assert_allclose(estimate.cell_resistance[0], loaded, rtol=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -285,5 +285,5 @@ def test_bounds_of_a_hard_press_contain_its_cells(
     scene = Scene(Panel(*shape), replace(readout, adc_bits=16, noise_lsb=0.1, readings=1))
     frames = np.stack([volts(resting, readout), volts(loaded, readout)])
     recording = Recording.from_array(frames, unit="volt", scene=scene, baseline=1)
-    found = lampest.reconstruct(recording, [Misfit(weighting="noise")])
-    assert_allclose(found.cell_resistance[0], loaded, rtol=2e-3)
+    estimate = lampest.reconstruct(recording, [Misfit(weighting="noise")])
+    assert_allclose(estimate.cell_resistance[0], loaded, rtol=2e-3)
