@@ -1,4 +1,4 @@
-"""Laws of the search for rival circuits: what it may leave out without another verdict."""
+"""Laws of the search for rival circuits: its shortcuts do not change the verdict."""
 
 from dataclasses import replace
 
