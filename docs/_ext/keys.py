@@ -87,7 +87,9 @@ def words(value: dict[str, Any], labels: dict[str, str]) -> str:
     choices = value.get("anyOf") or value.get("oneOf")
     if choices:
         return ", ".join(
-            dict.fromkeys(words(one, labels) for one in choices if one.get("type") != "null")
+            dict.fromkeys(
+                words(choice, labels) for choice in choices if choice.get("type") != "null"
+            )
         )
     if "const" in value or "enum" in value:
         return ", ".join(f"`{word}`" for word in value.get("enum", [value.get("const")]))

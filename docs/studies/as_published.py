@@ -1,6 +1,4 @@
-"""The five methods as the paper writes and solves them.
-
-They are equations (11) to (24), left where `lsqnonlin` stops.
+"""The five methods as the paper writes and solves them: equations (11) to (24) by `lsqnonlin`.
 
 Cost = Σ (f(r) − R_m)² + λ Σ penalty², r ≥ R_m and no upper bound. Baseline: for absolute methods by
 itself; for relative ones together with the first frame, from where on every solution is the next
@@ -121,9 +119,9 @@ class Quadratic:
 
 
 def lsqnonlin(residual: Function, jacobian: Function, start: Array, lower: Array) -> Stopped:
-    """Σ residual² made less within point ≥ lower, until one of MATLAB's limits is met.
+    """Minimise Σ residual² within point ≥ lower, until one of MATLAB's limits is met.
 
-    It is made less from a start above lower.
+    The start is moved above `lower`.
     """
     point = np.maximum(start, lower + 1e-10 * np.maximum(1.0, np.abs(lower)))
     values = residual(point)
@@ -339,20 +337,24 @@ class _Problem:
         none = np.zeros((count, count))
 
         def residual(both: Array) -> Array:
-            rest = both[:count]
+            baseline = both[:count]
             cells = both[count:]
             return np.concatenate(
-                [_misfit(rest, resting), _misfit(cells, measured), rows @ (cells / rest - 1)]
+                [
+                    _misfit(baseline, resting),
+                    _misfit(cells, measured),
+                    rows @ (cells / baseline - 1),
+                ]
             )
 
         def jacobian(both: Array) -> Array:
-            rest = both[:count]
+            baseline = both[:count]
             cells = both[count:]
             return np.block(
                 [
-                    [_slopes(rest, resting), none],
+                    [_slopes(baseline, resting), none],
                     [none, _slopes(cells, measured)],
-                    [-rows * (cells / rest**2), rows / rest],
+                    [-rows * (cells / baseline**2), rows / baseline],
                 ]
             )
 

@@ -266,8 +266,8 @@ def compared(options: argparse.Namespace) -> None:
             excess[problem.loss, kind].append(value)
         equal[problem.loss].append(max(costs.values()) / min(costs.values()) - 1 <= SAME)
         if max(above.values()) > SAME:
-            told = ", ".join(f"{kind} {value:.1e}" for kind, value in above.items())
-            print(f"problem {number}, {problem.loss}: {told}", flush=True)
+            excesses = ", ".join(f"{kind} {value:.1e}" for kind, value in above.items())
+            print(f"problem {number}, {problem.loss}: {excesses}", flush=True)
     print("| loss | " + " | ".join(SOLVERS) + " | equal |")
     for loss in LOSSES:
         figures = [

@@ -287,9 +287,9 @@ def false_alarms(first: int, count: int) -> None:
 
 
 def detections(first: int, count: int, sides: Sequence[int], bits: Sequence[int]) -> None:
-    """Print the share of wrong circuits that are noticed, and named.
+    """Print the shares of wrong circuits that are noticed, and named.
 
-    It is the share of all, and of those that the data can show.
+    A line counts all of them, or those that the data can show.
     """
     for side, of_bits in product(sides, bits):
         noticed = Counter[str]()

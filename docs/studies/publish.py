@@ -64,10 +64,7 @@ def long_recording(path: Path, frames: int) -> None:
 
 
 def heard(kind: str, where: str, seconds: float) -> None:
-    """Listen, and print (sequence, latency in s, solve in s) as JSON at the end.
-
-    It is run in a process of its own.
-    """
+    """Listen in a process of its own, and print (sequence, latency in s, solve in s) as JSON."""
     came: list[tuple[int, float, float]] = []
 
     def on_text(text: str | bytes) -> None:

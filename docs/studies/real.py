@@ -1,6 +1,4 @@
-"""Real recordings: withheld readings, predicted with every penalty and rule.
-
-They are predicted by established methods as well.
+"""Real recordings: withheld readings, predicted with every penalty, rule and published method.
 
 Run it with: python -m docs.studies.real [RECORDING ...] [--share 0.1] [--seed 3]
 

@@ -46,11 +46,11 @@ def tally(case: Case, random_starts: int, seed: int) -> Tally:
     excess = []
     minima = []
     ended = 0
-    for results, others, unit in _objectives(case, random_starts, np.random.default_rng(seed)):
-        least = min([results, *others])
-        ended = ended + len(others)
+    for results, objectives, unit in _objectives(case, random_starts, np.random.default_rng(seed)):
+        least = min([results, *objectives])
+        ended = ended + len(objectives)
         excess.append((results - least) / (least + unit))
-        ordered = np.sort(np.array([results, *others]) / (least + unit))
+        ordered = np.sort(np.array([results, *objectives]) / (least + unit))
         ordered = ordered[np.isfinite(ordered)]
         minima.append(int(1 + np.sum(np.diff(ordered) > 1e-6)) if len(ordered) else 0)
     at_best = sum(value <= 1e-6 for value in excess)

@@ -117,11 +117,13 @@ def predictions(
             held.flat[
                 rng.choice(np.flatnonzero(plain), max(1, round(share * plain.sum())), replace=False)
             ] = True
-            rest = Readings.of(scene, np.where(held | impossible[frame], np.nan, recorded), sigma)
-            used = rest.plain & scene.panel.present
-            apparent = scene.circuit.apparent_resistance(rest.value)
-            without = interpolated(scene.panel, shown, (rest.seen > 0) & scene.panel.present)
-            for factor, weights, cells in _estimates(estimator, scene, rest):
+            remaining = Readings.of(
+                scene, np.where(held | impossible[frame], np.nan, recorded), sigma
+            )
+            used = remaining.plain & scene.panel.present
+            apparent = scene.circuit.apparent_resistance(remaining.value)
+            without = interpolated(scene.panel, shown, (remaining.seen > 0) & scene.panel.present)
+            for factor, weights, cells in _estimates(estimator, scene, remaining):
                 model = scene.circuit.to_recorded(
                     scene.circuit.exact_reading(cells, scene.wiring), scene
                 )

@@ -94,11 +94,11 @@ def test_an_open_cell_would_change_no_reading_by_more_than_its_noise_if_it_were_
     estimate = lampest.reconstruct(
         recording_of(Scene(Panel(5, 7), readout), recorded[None]), [lampest.Misfit()]
     )
-    found = estimate.cell_resistance[0]
+    estimated = estimate.cell_resistance[0]
     opened = estimate.open_cell[0].astype(bool)
     assert opened[3, 4] and not opened[cells < 1e9].any()
-    larger = np.where(opened, np.inf, found)
-    change = np.abs(two_point_resistance(larger) - two_point_resistance(found))
+    larger = np.where(opened, np.inf, estimated)
+    change = np.abs(two_point_resistance(larger) - two_point_resistance(estimated))
     assert np.all(change <= readout.sigma(exact))
 
 

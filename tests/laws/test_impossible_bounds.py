@@ -38,11 +38,11 @@ def test_an_infinite_reading_among_good_ones_is_an_outlier(scene: Scene, seed: i
     assert outliers(scene, wrong).tolist() == [[4, row, column]]
     missing = wrong.copy()
     missing[4, row, column] = np.nan
-    found, expected = (
+    estimate, expected = (
         lampest.reconstruct(Recording.from_array(values, baseline=3, scene=scene), (Misfit(),))
         for values in (wrong, missing)
     )
-    np.testing.assert_allclose(found.cell_resistance, expected.cell_resistance, rtol=1e-6)
+    np.testing.assert_allclose(estimate.cell_resistance, expected.cell_resistance, rtol=1e-6)
 
 
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)

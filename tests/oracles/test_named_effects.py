@@ -198,7 +198,7 @@ def test_a_scan_without_time_has_no_share(depth: float) -> None:
     share, deviation = Prepared(swaying).noise.estimated["motion"]
     assert share < 2 * deviation
     unnamed = Prepared(replace(swaying, scene=replace(swaying.scene, motion=None)))
-    assert not [found for found in effects.unnamed_effects(unnamed) if "motion" in found.line]
+    assert not [effect for effect in effects.unnamed_effects(unnamed) if "motion" in effect.line]
 
 
 @pytest.mark.parametrize(("seed", "kind"), [(0, "rod"), (2, "rock")])

@@ -53,8 +53,8 @@ def test_codes_of_a_rounding_converter_leave_cells_unbiased() -> None:
     volt = circuit.exact_reading(cells)
     codes = np.rint(volt / STEP + 0.5 * rng.standard_normal((400, 8, 8))).mean(0, keepdims=True)
     recording = Recording.from_array(codes, unit="code", scene=scene, baseline=0)
-    found = lampest.reconstruct(recording, [lampest.Misfit()])
-    assert abs(np.median(found.cell_resistance / cells - 1)) < 1e-3  # half a step: 4e-3
+    estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    assert abs(np.median(estimate.cell_resistance / cells - 1)) < 1e-3  # half a step: 4e-3
 
 
 @pytest.mark.parametrize("characteristic", [DEAD_ZONE, FALLING, CURVE])
@@ -137,8 +137,8 @@ def test_the_zero_of_a_converter_follows_from_open_cells() -> None:
     assert zero == pytest.approx(-offset * STEP, abs=4 * deviation + 0.1 * STEP)
     numbers = resolved_scene(scene, noise)
     assert numbers.readout is not None and numbers.readout.zero_volt == pytest.approx(zero)
-    found = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise")])
-    assert found.cell_resistance[-1, 2:4, 2:4] == pytest.approx(2000.0, rel=0.02)
+    estimate = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise")])
+    assert estimate.cell_resistance[-1, 2:4, 2:4] == pytest.approx(2000.0, rel=0.02)
 
 
 ESP32 = {"supply_volt": 3.3, "adc_bits": 12, "readings": 1}

@@ -14,6 +14,7 @@ from lampest.apps.recognition.fit import Fit
 from lampest.apps.recognition.observation import Observation
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
 from lampest.panel.panel import Array
+from lampest.posterior.frame_noise import motion_patterns
 
 LEVEL_FRAMES = 9  # two seconds at four frames a second: more than one breath
 MIN_PART = 4  # frames between two steps, with which a part says more than its mean
@@ -123,7 +124,8 @@ def changes_without_water(interval: SteadyFrames, frame: Observation, fit: Fit) 
     """Return the changes of ln y since the recognised frame, without the water's pressure.
 
     The result has shape (frames, readings). Outliers of each part between steps are drawn in. The
-    water's effect is estimated from lines without a load; it is 0 if all lines are loaded.
+    water presses in common and along both sides of the panel. Its effect is estimated from lines
+    without a load; it is 0 if all lines are loaded.
 
     Parameters
     ----------
@@ -144,10 +146,11 @@ def changes_without_water(interval: SteadyFrames, frame: Observation, fit: Fit) 
         response.pressure(fit.change / response.gains + response.logarithm(frame.water))
         - frame.water
     )
-    slope = frame.slope(fit.change) @ frame.change(pressure)[1].ravel() / frame.measured.ravel()
-    return changes - np.outer(
-        changes[:, free] @ slope[free] / max(float(slope[free] @ slope[free]), 1e-300), slope
-    )
+    patterns = motion_patterns(frame.panel.shape) * frame.change(pressure)[1]
+    by_cell = frame.slope(fit.change) / frame.measured.ravel()[:, None]
+    slopes = by_cell @ patterns.reshape(len(patterns), -1).T
+    water = np.linalg.pinv(slopes[free]) @ changes[:, free].T
+    return np.asarray(changes - (slopes @ water).T)
 
 
 def settled(series: Array) -> Array:
