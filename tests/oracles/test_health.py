@@ -34,7 +34,7 @@ def health(plan: Plan, codes: np.ndarray | None = None) -> Health:
 
 
 def faulty(recording: Health) -> list[str]:
-    """What the table says beside the shares of missing readings and of those at a rail."""
+    """Return findings other than the shares of missing readings and of readings at a rail."""
     return [finding.text for finding in recording.findings if finding.room != "readings"]
 
 
@@ -100,10 +100,7 @@ def shorted_cell(plan: Plan) -> tuple[str, Health]:
 def test_faults_of_lines_and_cells_are_reported_with_their_line(
     fault: Callable[[Plan], tuple[str, Health]], share: float
 ) -> None:
-    """On even films lines that touch read as single ones do where idle lines are driven.
-
-    So films are uneven here.
-    """
+    """The films are uneven: on even ones, touching lines may read as single ones."""
     uneven = [plan for plan in map(Plan.drawn, range(120)) if np.std(np.log(plan.cells)) > 0.1]
     lines = [
         (line in [finding.line for finding in report.findings])
