@@ -61,9 +61,9 @@ def forces(pressure: Array, loads: Sequence[Shape], panel: Panel) -> Array:
 
 
 def measured_forces(bench: Bench, scene: Scene, groups: list[list[Shape]]) -> Array:
-    """(touches and figures): |error| of the force, the same against the weight.
+    """Return |error| of the forces, the same against the weights, and the share of held pressures.
 
-    Also the share of pressures held.
+    The shape is (touches, figures).
     """
     recording = bench.recorded(
         groups, "fresh", replace(scene, response=scene.response or PublishedResponse())

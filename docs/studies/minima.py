@@ -1,4 +1,4 @@
-"""How often each solver ends at the lowest minimum known, for losses with corners.
+"""Solves that end at the lowest known minimum, for losses with corners.
 
 Problems are drawn: 4 × 4 to 8 × 8 cells under a load, two-point readings and loaded columns, noise
 of 0.1 to 2 %, 2 to 10 % of the readings far off. The misfit has Student's loss with a corner of 2
@@ -279,7 +279,7 @@ def compared(options: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    """Print what is asked for."""
+    """Print the requested tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--problems", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)

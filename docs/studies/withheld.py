@@ -206,7 +206,7 @@ def withheld_study(
 
 
 def _row(records: Sequence[Withheld]) -> study.Row:
-    """Of a case at one weight: medians over frames and draws."""
+    """Return medians over frames and draws of a case at one weight."""
     solved = [
         (record.error, record.error / record.interpolated, record.hidden)
         for record in records
