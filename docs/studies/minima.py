@@ -220,7 +220,7 @@ def _loss(loss: lampest.Loss, x: Array) -> tuple[float, Array]:
     return float(x @ x), 2 * x
 
 
-def kept(side: int, terms: tuple[lampest.Term, ...]) -> str:
+def search_gain(side: int, terms: tuple[lampest.Term, ...]) -> str:
     """Return how much lower the search of a first frame ends than the frame before leads to."""
     recording = jumping_between_rods(side, 0.1)
     readings = Prepared(recording).noise.readings
@@ -293,7 +293,7 @@ def main() -> None:
     print("| panel | penalty | lower by a search | at most | largest difference of ln r |")
     for side in options.sides:
         for terms in list(METHODS.values())[1:]:
-            print(kept(side, terms), flush=True)
+            print(search_gain(side, terms), flush=True)
 
 
 if __name__ == "__main__":
