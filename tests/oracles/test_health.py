@@ -10,15 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from promises import promise
+from ruamel.yaml import YAML
 
 from lampest import Faults, Panel, Recording
 from lampest.audit.health import ROOMS, WELL, Health
-from lampest.runs.starter import RECORDING, write_starter
+from lampest.inference.prepared import Prepared
+from lampest.runs.starter import RECORDING, TEMPLATES, write_starter
 from tests.panels import Plan, recorded
 
 # All circuits, with loads that stand, sway, move, tap, jump and arrive
 CLEAN_SEEDS = [range(100), pytest.param(range(100, 500), marks=pytest.mark.slow)]
 PLANS = range(60)
+CIRCUITS = YAML(typ="safe").load(TEMPLATES / "circuits.yaml")
 MIN_UNEVEN = 20  # of 120 films
 # of loaded recordings
 MIN_CUT_NOTICED = 0.6
@@ -47,6 +50,13 @@ def test_examples_of_init_raise_no_alarm(circuit: str, tmp_path: Path) -> None:
     write_starter(tmp_path, circuit)
     table = Health.of(Recording.load(tmp_path / RECORDING)).table
     assert table == tuple((room, WELL[room]) for room in ROOMS)
+
+
+@pytest.mark.parametrize("circuit", CIRCUITS)
+def test_the_circuit_of_each_starter_explains_its_readings(circuit: str, tmp_path: Path) -> None:
+    write_starter(tmp_path, circuit)
+    check = Prepared(Recording.load(tmp_path / RECORDING)).check
+    assert check.explains, check.sentence
 
 
 def dead_row(plan: Plan) -> tuple[str, Health]:
