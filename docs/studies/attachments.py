@@ -697,7 +697,7 @@ def table(everything: Sequence[Seen]) -> None:
     )
     print("|---|---|---|---|---|---|")
     for rate in sorted({record.rate for record in everything}):
-        mouths, harmless = (
+        mouths, decoys = (
             [
                 record
                 for record in everything
@@ -708,13 +708,13 @@ def table(everything: Sequence[Seen]) -> None:
         minutes = (
             np.array([record.lamprey for record in mouths if np.isfinite(record.lamprey)]) / 60
         )
-        hours = sum(record.watched for record in harmless) / 3600
-        false = sum(np.isfinite(record.lamprey) for record in harmless)
+        hours = sum(record.watched for record in decoys) / 3600
+        false = sum(np.isfinite(record.lamprey) for record in decoys)
         times = f"{np.median(minutes):.1f}, {minutes.max():.1f}" if len(minutes) else "–"
         bound = 24 * POISSON_95[min(false, 3)] / max(hours, 1e-9)
         stated = f"{false} ({24 * false / max(hours, 1e-9):.0f} a day, below {bound:.0f} with 95 %)"
         print(
-            f"| {rate:g} | {len(mouths)} | {len(minutes)} | {times} | {len(harmless)}, {hours:.1f} | "
+            f"| {rate:g} | {len(mouths)} | {len(minutes)} | {times} | {len(decoys)}, {hours:.1f} | "
             f"{stated} |"
         )
 
