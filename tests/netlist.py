@@ -157,10 +157,7 @@ def per_line(ohm: float | tuple[float, ...], lines: int) -> tuple[float, ...]:
 
 
 def volts(cells: Array, readout: Any) -> Array:
-    """Return the voltage at the converter, (rows, columns).
-
-    There is a netlist of its own for every reading.
-    """
+    """Return the voltage at the converter, (rows, columns), by a netlist for every reading."""
     turned = getattr(readout, "driven", "rows") == "columns"
     matrix = cells.T if turned else cells
     volt = np.empty(matrix.shape)
@@ -179,7 +176,7 @@ def volt_of(matrix: Array, readout: Any, driven: int, sensed: int) -> float:
     ]
     if has_potentials(readout):
         return with_potentials(network, readout, low, sensed)
-    volt = potentials(network, {"high": high, "low": low})
+    volt = potentials(network, {"high": high, "low": low, "ground": 0.0})
     if isinstance(readout, VirtualGroundReadout):
         through = [
             (volt["d", line] - volt["s", sensed]) / ohm
@@ -208,6 +205,7 @@ def with_potentials(network: list[Resistor], readout: Any, low: float, sensed: i
     held = {
         "high": source,
         "low": low,
+        "ground": 0.0,
         "load end": load,
         "idle load end": load if readout.idle_load_volt is None else readout.idle_load_volt,
     }
@@ -266,7 +264,7 @@ def load_of(
         (("s", line), ("load", line), channel),
         (("load", line), end, load),
     ]
-    return resistors + ([] if input_ohm is None else [(("load", line), "low", input_ohm)])
+    return resistors + ([] if input_ohm is None else [(("load", line), "ground", input_ohm)])
 
 
 def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
@@ -303,9 +301,9 @@ def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Re
 
 
 def network_of_states(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
-    """The same of a circuit that names what idle lines have.
+    """Return the netlist of a circuit that specifies its idle lines.
 
-    Or it is of one whose sensed lines are behind multiplexers.
+    The sensed lines may be behind multiplexers.
     """
     count, sense_count = matrix.shape
     drive = per_line(readout.drive_ohm, count)

@@ -1,6 +1,6 @@
-"""Docstrings of the house → Markdown.
+"""Conversion of the docstrings of the house to Markdown.
 
-They are no reStructuredText, so autodoc would misread them.
+The docstrings are no reStructuredText, so autodoc would misread them.
 """
 
 import inspect
@@ -28,10 +28,10 @@ def _block(block: str) -> str:
         return f"```python\n{inspect.cleandoc(block)}\n```"
     if all(line.startswith("    ") for line in block.splitlines()):
         return f"```\n{inspect.cleandoc(block)}\n```"
-    plain = re.sub(r"(`[^`]*`)|([<$*|\[\]])", lambda found: found[1] or "\\" + found[2], block)
+    plain = re.sub(r"(`[^`]*`)|([<$*|\[\]])", lambda match: match[1] or "\\" + match[2], block)
     return re.sub(r"^([A-Za-z_][\w, ]*) : ", r"- `\1`: ", plain, flags=re.MULTILINE)
 
 
 def documentation(thing: Any) -> str:
-    """What a class, function or property says of itself, as Markdown."""
+    """Return the docstring of a class, function or property as Markdown."""
     return markdown(inspect.getdoc(thing) or "")

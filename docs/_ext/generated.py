@@ -21,9 +21,9 @@ EXAMPLE = re.compile(r"^Example: (.+)$", re.MULTILINE)
 
 
 def commands_page() -> str:
-    """Every command with its arguments and options, by typer's own generator.
+    """Return every command with its arguments and options, by typer's own generator.
 
-    These are not the words of the release before.
+    The page shows the current commands, not those of the last release.
     """
     command = typer.main.get_command(commands)
     command.commands = {name: each for name, each in command.commands.items() if not each.hidden}  # type: ignore[attr-defined]
@@ -32,20 +32,20 @@ def commands_page() -> str:
     )
     _, _, chapters = text.partition("\n## ")
     chapters = EXAMPLE.sub(r"**Example**:\n\n```console\n$ \1\n```", chapters)
-    return "## " + re.sub(r"(`[^`\n]*`)|<", lambda found: found[1] or r"\<", chapters)
+    return "## " + re.sub(r"(`[^`\n]*`)|<", lambda match: match[1] or r"\<", chapters)
 
 
 def columns_table() -> str:
     """Every dataset of an estimate, in the file's order."""
     rows = [
-        f"| `{one.path}` | {', '.join(one.axes)} | {one.units} | {one.long_name} |"
-        for one in all_columns()
+        f"| `{column.path}` | {', '.join(column.axes)} | {column.units} | {column.long_name} |"
+        for column in all_columns()
     ]
     return "\n".join(("| dataset | over | unit | what it is |", "|---|---|---|---|", *rows)) + "\n"
 
 
 def status_table() -> str:
-    """Every way in which a solve can end, and what to do."""
+    """Return every status of a solve with its advice."""
     rows = [f"| {status.value} | {advice} |" for status, advice in ADVICE.items()]
     return "\n".join(("| status | what you can do |", "|---|---|", *rows)) + "\n"
 
@@ -61,7 +61,7 @@ PARTS: dict[str, Callable[[], str]] = {
 
 def fill(app: Sphinx, page: str, source: list[str]) -> None:
     """Put the parts into a page that is read."""
-    source[0] = MARKED.sub(lambda found: PARTS[found[1]]() + "\n", source[0])
+    source[0] = MARKED.sub(lambda match: PARTS[match[1]]() + "\n", source[0])
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

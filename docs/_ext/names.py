@@ -1,4 +1,4 @@
-"""The public names of lampest as a page: what each is, its fields, and what it can do."""
+"""The public names of lampest as a page: their meaning, fields and methods."""
 
 import dataclasses
 import inspect
@@ -34,9 +34,9 @@ def names_page() -> str:
 
 
 def room_of(name: str) -> str:
-    """The room that a name comes from.
+    """Return the room that a name comes from.
 
-    Other objects have the room of the module that defines their type.
+    An object that is no class has the room of the module that defines its type.
     """
     if name == "reconstruct":
         return "report"
@@ -84,18 +84,18 @@ def entry(name: str) -> str:
 def signature(thing: Any) -> str:
     """(a, b=1): parameters with their defaults; types stand in the table of fields."""
     try:
-        found = inspect.signature(thing)
+        header = inspect.signature(thing)
     except ValueError:  # an exception's, for one
         return ""
     parameters = [
         each.replace(annotation=each.empty)
-        for each in found.parameters.values()
+        for each in header.parameters.values()
         if each.name != "self"
     ]
     shown = [
         p.replace(default=Shown(p.default)) if p.default is not p.empty else p for p in parameters
     ]
-    return str(found.replace(parameters=shown, return_annotation=found.empty))
+    return str(header.replace(parameters=shown, return_annotation=header.empty))
 
 
 class Shown:

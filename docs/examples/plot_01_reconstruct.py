@@ -9,7 +9,8 @@ estimate shows the rim, which presses, and the centre, which sucks. The report s
 import lampest
 
 recording = lampest.datasets.load("lamprey_35mm")
-found = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise"), lampest.LogGradient()])
-print(found.fit_report())
-figure = found.plot("change")
+terms = [lampest.Misfit(weighting="noise"), lampest.LogGradient()]
+estimate = lampest.reconstruct(recording, terms)
+print(estimate.fit_report())
+figure = estimate.plot("change")
 figure

@@ -16,8 +16,8 @@ for name, terms in {
     "plain least squares": [lampest.Misfit()],
     "gradient penalty, chosen weight": [lampest.Misfit(), lampest.Gradient(weight="auto")],
 }.items():
-    found = lampest.reconstruct(recording, terms, formulation="reduced")
-    error = 100 * np.median(np.abs(found.cell_resistance / truth - 1))
+    estimate = lampest.reconstruct(recording, terms, formulation="reduced")
+    error = 100 * np.median(np.abs(estimate.cell_resistance / truth - 1))
     print(f"{name}: median cell error {error:.1f} %")
-figure = found.plot()
+figure = estimate.plot()
 figure

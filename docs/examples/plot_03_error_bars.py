@@ -12,11 +12,11 @@ import numpy as np
 import lampest
 
 recording = lampest.datasets.load("ring")
-found = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
+estimate = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
 truth = recording.truth_cell_resistance[-1].ravel()
 order = np.argsort(truth)
-low = found.cell_resistance_lower[-1].ravel()
-high = found.cell_resistance_upper[-1].ravel()
+low = estimate.cell_resistance_lower[-1].ravel()
+high = estimate.cell_resistance_upper[-1].ravel()
 print(
     f"{100 * np.mean((low <= truth) & (truth <= high)):.0f} % of the 95 % intervals cover the truth"
 )

@@ -16,6 +16,6 @@ rod = lampest.Rod(centre_mm=(50, 40), diameter_mm=30, mass_g=500)
 recording = lampest.simulate(
     lampest.Simulation(schema=1, seed=7, scene=scene, baseline_frames=3, frames=5, loads=(rod,))
 )
-found = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
-figure = found.plot()
+estimate = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
+figure = estimate.plot()
 figure

@@ -18,9 +18,9 @@ missing = np.zeros(readings.shape[1:], dtype=bool)
 missing[[1, 2, 4, 7, 8], [3, 7, 4, 0, 6]] = True
 readings[:, missing] = np.nan
 terms = [lampest.Misfit(), lampest.Gradient(weight="auto")]
-found = lampest.reconstruct(replace(recording, recorded=readings), terms, formulation="reduced")
-error = 100 * found.cell_resistance_errors[-1] / found.cell_resistance[-1]
+estimate = lampest.reconstruct(replace(recording, recorded=readings), terms, formulation="reduced")
+error = 100 * estimate.cell_resistance_errors[-1] / estimate.cell_resistance[-1]
 print(f"median error bar of measured cells: {np.median(error[~missing]):.1f} %")
 print(f"median error bar of missing cells: {np.median(error[missing]):.1f} %")
-figure = found.plot("certainty")
+figure = estimate.plot("certainty")
 figure

@@ -26,6 +26,6 @@ recording = lampest.simulate(
 truth = recording.truth_cell_resistance[recording.role == lampest.MEASURED]
 for readout in (right, wrong):
     read = replace(recording, scene=replace(scene, readout=readout))
-    found = lampest.reconstruct(read, [lampest.Misfit()], formulation="reduced")
-    error = 100 * np.nanmedian(np.abs(found.cell_resistance / truth - 1))
-    print(f"{readout.kind}: median cell error {error:.0f} %; {found.model_check.sentence}")
+    estimate = lampest.reconstruct(read, [lampest.Misfit()], formulation="reduced")
+    error = 100 * np.nanmedian(np.abs(estimate.cell_resistance / truth - 1))
+    print(f"{readout.kind}: median cell error {error:.0f} %; {estimate.model_check.sentence}")

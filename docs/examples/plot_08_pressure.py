@@ -9,13 +9,13 @@ flagged as saturated.
 import lampest
 
 recording = lampest.datasets.load("lamprey_25mm")
-found = lampest.reconstruct(
+estimate = lampest.reconstruct(
     recording, [lampest.Misfit(), lampest.Gradient(weight="auto")], formulation="reduced"
 )
 print(
-    f"largest pressure {found.pressure[-1].max():.0f} kPa, largest suction "
-    f"{found.pressure[-1].min():.0f} kPa"
+    f"largest pressure {estimate.pressure[-1].max():.0f} kPa, largest suction "
+    f"{estimate.pressure[-1].min():.0f} kPa"
 )
-print(f"{found.saturated[-1].sum()} cells are saturated")
-figure = found.plot("pressure")
+print(f"{estimate.saturated[-1].sum()} cells are saturated")
+figure = estimate.plot("pressure")
 figure

@@ -27,9 +27,9 @@ class CommonLevel(lampest.Term):
 
 
 recording = lampest.datasets.load("rod")
-found = lampest.reconstruct(
+estimate = lampest.reconstruct(
     recording, [lampest.Misfit(), CommonLevel(weight=1.0)], formulation="reduced"
 )
-print(found.status[-1])
-figure = found.plot()
+print(estimate.status[-1])
+figure = estimate.plot()
 figure

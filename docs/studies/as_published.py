@@ -1,6 +1,4 @@
-"""The five methods as the paper writes and solves them.
-
-They are equations (11) to (24), left where `lsqnonlin` stops.
+"""The five methods as the paper writes and solves them: equations (11) to (24) by `lsqnonlin`.
 
 Cost = Σ (f(r) − R_m)² + λ Σ penalty², r ≥ R_m and no upper bound. Baseline: for absolute methods by
 itself; for relative ones together with the first frame, from where on every solution is the next
@@ -48,12 +46,12 @@ class Weights:
 
 @dataclass(frozen=True, eq=False)
 class LeftBySolver:
-    """What one method leaves of a recording.
+    """Results of one method on a recording, where its solver stopped.
 
     baseline : (rows, columns) ohm. cells, model, measured : (frames, rows, columns) ohm.
     evaluations : (frames) solves of the forward problem that MATLAB would have needed, derivatives
-    included. why : (frames) what ended it.
-    joint : whether the first frame was solved together with the baseline.
+    included. why : (frames) reason of the stop. joint : whether the first frame was solved together
+    with the baseline.
     """
 
     baseline: Array
@@ -121,9 +119,9 @@ class Quadratic:
 
 
 def lsqnonlin(residual: Function, jacobian: Function, start: Array, lower: Array) -> Stopped:
-    """Σ residual² made less within point ≥ lower, until one of MATLAB's limits is met.
+    """Minimise Σ residual² within point ≥ lower, until one of MATLAB's limits is met.
 
-    It is made less from a start above lower.
+    The start is moved above `lower`.
     """
     point = np.maximum(start, lower + 1e-10 * np.maximum(1.0, np.abs(lower)))
     values = residual(point)
@@ -287,7 +285,7 @@ def left_by_solver(
 
 
 def _operator(penalised: str, panel: Panel) -> Array | None:
-    """What the penalty takes of a vector of cells."""
+    """Return the matrix of the penalty, which acts on a vector of cells."""
     if penalised == "gradient":
         down = np.kron(difference_matrix(panel.rows), np.eye(panel.columns))
         return np.vstack([down, np.kron(np.eye(panel.rows), difference_matrix(panel.columns))])
@@ -333,26 +331,30 @@ class _Problem:
         return lsqnonlin(residual, jacobian, np.maximum(before, measured.ravel()), measured.ravel())
 
     def joint(self, resting: Array, measured: Array) -> tuple[Array, Stopped]:
-        """(15), (21): the baseline, and the first frame with what both needed."""
+        """Solve (15), (21): the baseline, and the first frame with the effort of both."""
         rows = self._relative_rows()
         count = self.panel.crossings
         none = np.zeros((count, count))
 
         def residual(both: Array) -> Array:
-            rest = both[:count]
+            baseline = both[:count]
             cells = both[count:]
             return np.concatenate(
-                [_misfit(rest, resting), _misfit(cells, measured), rows @ (cells / rest - 1)]
+                [
+                    _misfit(baseline, resting),
+                    _misfit(cells, measured),
+                    rows @ (cells / baseline - 1),
+                ]
             )
 
         def jacobian(both: Array) -> Array:
-            rest = both[:count]
+            baseline = both[:count]
             cells = both[count:]
             return np.block(
                 [
-                    [_slopes(rest, resting), none],
+                    [_slopes(baseline, resting), none],
                     [none, _slopes(cells, measured)],
-                    [-rows * (cells / rest**2), rows / rest],
+                    [-rows * (cells / baseline**2), rows / baseline],
                 ]
             )
 

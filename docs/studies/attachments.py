@@ -1,6 +1,6 @@
-"""Attachments and what is none, at 1 to 10 frames a second.
+"""Attachments and other loads, at 1 to 10 frames a second.
 
-The questions are whether it sucks, whether it breathes, how large, when.
+The questions are whether a load sucks and breathes, its size, and its time.
 
 Pressures come from `mouth_scenes`, whose films, rims and electronics are not the package's; here
 they get a course over time: touch, suction, breathing with a phase that wanders, leaks, hands that
@@ -210,10 +210,10 @@ def courses(
 
 
 def _pumped(rng: np.random.Generator, since: Array, pumps: list[float] | None = None) -> Array:
-    """Suction over that after a pump (frames).
+    """Return the suction over that after a pump, (frames).
 
-    It decays until the next one, which takes half a second to two. Their times are appended to
-    `pumps`, s after the touch.
+    Suction decays until the next pump, which takes half a second to two. The times of the pumps, in
+    s after the touch, are appended to `pumps`.
     """
     factor = np.ones_like(since)
     begin = 1.5
@@ -236,12 +236,12 @@ def _pumped(rng: np.random.Generator, since: Array, pumps: list[float] | None = 
 def _wandering(rng: np.random.Generator, step: Array, seconds: float = 0.3) -> Array:
     """Noise of unit variance that is alike within some seconds."""
     value = 0.0
-    found = []
+    values = []
     for record in step:
         cached = np.exp(-record / seconds)
         value = cached * value + np.sqrt(1 - cached**2) * rng.standard_normal()
-        found.append(value)
-    return np.array(found)
+        values.append(value)
+    return np.array(values)
 
 
 def straight(pressure: Array) -> Array:
@@ -312,9 +312,9 @@ def cells(
 
 
 def recorded(rng: np.random.Generator, resistance: Array, time: Array) -> Array:
-    """Two-point resistances, 140 ohm in series included.
+    """Return two-point resistances, with 140 ohm in series, as a divider reads them.
 
-    They come from a divider of 1 kohm, 10 bit, 20 readings, with ripple.
+    The divider has 1 kohm, 10 bits, 20 readings and a ripple.
     """
     rows, columns = resistance.shape[1:]
     drift = rng.standard_normal((rows, columns)) * 0.005 + rng.standard_normal() * 0.02
@@ -346,7 +346,7 @@ def recording(
     attached_s: float = ATTACHED_S,
     curve: str = "published",
 ) -> tuple[Recording, Made, float, float]:
-    """(the recording, what stood there, breathing depth and rate)."""
+    """Return the recording, its loads, breathing depth and rate."""
     rng = np.random.default_rng([seed, side, KINDS.index(kind)])
     panel = Panel(side, side)
     made = MAKERS[OF_COURSE.get(kind, kind)](rng, panel)
@@ -508,7 +508,7 @@ def visited(seed: int, side: int = 6) -> tuple[Array, Array, list[tuple[str, flo
 
 
 def day(seed: int, side: int = 6) -> None:
-    """Print the visits of a day, and what `lampest detect` sees of them."""
+    """Print the visits of a day, and the visits that `lampest detect` reports."""
     time, values, visits = visited(seed, side)
     scene = _scene(Panel(side, side))
     role = (np.arange(len(time)) >= UNLOADED).astype(np.uint8)
@@ -532,12 +532,12 @@ def day(seed: int, side: int = 6) -> None:
         times = "; ".join(f"{load.since_s:.0f}, {load.until_s or np.nan:.0f}" for load in seen)
         answers = [Detected.of(kind, (load,), 1.0).answer for load in seen]
         print(f"| {kind} | {since:.0f}, {until:.0f} | {times} | {', '.join(answers)} |")
-    other = sum(
+    extra = sum(
         not any(_overlaps(load, since, until) for _, since, until in visits)
         for load in watch.attachments
     )
     print(
-        f"{other} other loads seen; {cpu:.0f} s of processor time for {len(time)} frames; at most "
+        f"{extra} other loads seen; {cpu:.0f} s of processor time for {len(time)} frames; at most "
         f"{memory[2]:.0f} MB until the third hour, {memory[-1]:.0f} MB until the last"
     )
 
@@ -581,7 +581,7 @@ def _overlaps(load: Attachment, since: float, until: float) -> bool:
 
 
 def read(path: Path) -> Iterator[Seen]:
-    """What an earlier run has seen."""
+    """Return the records of an earlier run."""
     kinds = {field.name: field.type for field in fields(Seen)}
     with path.open(newline="") as file:
         for row in csv.DictReader(file):
@@ -606,7 +606,7 @@ def area_under_curve(true: Array, false: Array) -> float:
 def report(everything: Sequence[Seen]) -> None:
     """Print the tables of docs/studies/mouths.md."""
     for rate in sorted({record.rate for record in everything}):
-        here = [record for record in everything if record.rate == rate]
+        of_rate = [record for record in everything if record.rate == rate]
         print(
             f"\n{rate:g} frames a second\n| scene | recordings | answers after 10 s | P(sucks) "
             "after 5 s "
@@ -614,7 +614,7 @@ def report(everything: Sequence[Seen]) -> None:
             "over true, in 95 % |"
         )
         for kind in KINDS:
-            some = [record for record in here if record.kind == kind]
+            some = [record for record in of_rate if record.kind == kind]
             if not some:
                 continue
             answers = {
@@ -630,11 +630,11 @@ def report(everything: Sequence[Seen]) -> None:
             print(
                 f"| {kind} | {len(some)} | "
                 f"{', '.join(f'{name} {n}' for name, n in answers.items())} "
-                f"| {np.median([one.early for one in some]):.2f} | "
-                f"{np.median([one.breathes for one in some]):.2f} "
-                f"| {_middle([one.touched for one in some])} | "
-                f"{_middle([one.released for one in some])} "
-                f"| {np.mean([one.count == 1 for one in some]):.0%} "
+                f"| {np.median([record.early for record in some]):.2f} | "
+                f"{np.median([record.breathes for record in some]):.2f} "
+                f"| {_middle([record.touched for record in some])} | "
+                f"{_middle([record.released for record in some])} "
+                f"| {np.mean([record.count == 1 for record in some]):.0%} "
                 f"| {_middle(np.abs(size[:, 0]))} mm, {_held(size[:, 0], size[:, 1])} "
                 f"| {_middle(force[:, 0] / force[:, 1])}, "
                 f"{_held(force[:, 0] - force[:, 1], force[:, 2])} |"
@@ -642,20 +642,22 @@ def report(everything: Sequence[Seen]) -> None:
         sucking = ("mouth", "cup")
         early = {
             record: [
-                seen.early for seen in here if any(word in seen.kind for word in sucking) is record
+                seen.early
+                for seen in of_rate
+                if any(word in seen.kind for word in sucking) is record
             ]
             for record in (True, False)
         }
         if all(early.values()):
             print(f"sucks, after 5 s: AUC {area_under_curve(*map(np.array, early.values())):.4f}")
         breathing = [
-            np.array([record.breathes for record in here if record.kind in kinds])
+            np.array([record.breathes for record in of_rate if record.kind in kinds])
             for kinds in (MOUTHS, ("cup",))
         ]
         if all(map(len, breathing)):
             print(f"breathes: AUC {area_under_curve(*breathing):.4f}")
-        called = np.array([record.sucks * record.breathes for record in here])
-        are = np.array([record.kind in LIVING for record in here])
+        called = np.array([record.sucks * record.breathes for record in of_rate])
+        are = np.array([record.kind in LIVING for record in of_rate])
         for low, high in ((0, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 1.01)):
             of = (called >= low) & (called < high)
             share = are[of].mean() if of.any() else np.nan
@@ -683,9 +685,8 @@ def report(everything: Sequence[Seen]) -> None:
     if len(force):
         covered = _held(force[:, 0] - force[:, 1], force[:, 2])
         print(f"suction over true {_middle(force[:, 0] / force[:, 1])}, {covered}")
-    print(
-        f"median {np.median([one.cpu for one in everything]):.2f} s of processor time a recording"
-    )
+    seconds = np.median([record.cpu for record in everything])
+    print(f"median {seconds:.2f} s of processor time a recording")
 
 
 def table(everything: Sequence[Seen]) -> None:
@@ -696,7 +697,7 @@ def table(everything: Sequence[Seen]) -> None:
     )
     print("|---|---|---|---|---|---|")
     for rate in sorted({record.rate for record in everything}):
-        mouths, others = (
+        mouths, decoys = (
             [
                 record
                 for record in everything
@@ -707,21 +708,21 @@ def table(everything: Sequence[Seen]) -> None:
         minutes = (
             np.array([record.lamprey for record in mouths if np.isfinite(record.lamprey)]) / 60
         )
-        hours = sum(record.watched for record in others) / 3600
-        false = sum(np.isfinite(record.lamprey) for record in others)
+        hours = sum(record.watched for record in decoys) / 3600
+        false = sum(np.isfinite(record.lamprey) for record in decoys)
         times = f"{np.median(minutes):.1f}, {minutes.max():.1f}" if len(minutes) else "–"
         bound = 24 * POISSON_95[min(false, 3)] / max(hours, 1e-9)
         stated = f"{false} ({24 * false / max(hours, 1e-9):.0f} a day, below {bound:.0f} with 95 %)"
         print(
-            f"| {rate:g} | {len(mouths)} | {len(minutes)} | {times} | {len(others)}, {hours:.1f} | "
+            f"| {rate:g} | {len(mouths)} | {len(minutes)} | {times} | {len(decoys)}, {hours:.1f} | "
             f"{stated} |"
         )
 
 
 def plot(everything: Sequence[Seen], path: Path) -> None:
-    """ROC curves of both questions, and how often what is called lamprey is one.
+    """Draw ROC curves of both questions, and the share of lampreys among the loads called so.
 
-    They are at four frames a second and more.
+    Recordings with less than four frames a second are left out.
     """
     from matplotlib import pyplot
 
@@ -807,14 +808,14 @@ if __name__ == "__main__":
     if given.day:
         day(given.seed)
         raise SystemExit
-    found = [record for path in given.read or () for record in read(path)]
+    records = [record for path in given.read or () for record in read(path)]
     for number in range(0 if given.read else given.scenes):
         for rate in given.rates:
             for kind in given.kinds or (TABLE if given.table else KINDS):
                 seed = 1000 * given.seed + number
-                found.append(seen(kind, rate, seed, given.side, given.attached, given.curve))
+                records.append(seen(kind, rate, seed, given.side, given.attached, given.curve))
                 if given.out is not None:
-                    write(given.out, found[-1])
-    (table if given.table else report)(found)
+                    write(given.out, records[-1])
+    (table if given.table else report)(records)
     if given.figure is not None:
-        plot(found, given.figure)
+        plot(records, given.figure)

@@ -39,9 +39,9 @@ LATE_S = 8.0  # when effects come that come during a recording
 
 
 def usual_effects() -> dict[str, Unmodelled]:
-    """What electronics, films and animals do that no scene states, most at two strengths.
+    """Effects of electronics, films and animals that no scene states, most at two strengths.
 
-    First of all comes nothing.
+    The first entry has no effect.
     """
     return {
         "as specified": Unmodelled(),
@@ -206,7 +206,7 @@ def _counted(task: AuditTask, name: str, method: StudyMethod, recording: Recordi
             results.pressure_lower, load, results.pressure_upper, np.abs(load) > 0.5
         ),
     }
-    counts: dict[str, Any] = {name: there for name, (there, _) in intervals.items()}
+    counts: dict[str, Any] = {name: number for name, (number, _) in intervals.items()}
     counts |= {f"{name}_covered": inside for name, (_, inside) in intervals.items()}
     if results.cell_resistance_errors is not None:
         counts["width"] = float(
@@ -228,13 +228,13 @@ def _own_part(results: Estimates, truth: Array) -> dict[str, Any]:
         return {}
     error = np.log(results.cell_resistance / truth)
     error = np.abs(error - np.nanmedian(error, axis=(1, 2), keepdims=True))
-    there = np.isfinite(own) & np.isfinite(error)
-    size = MAD_TO_SIGMA * float(np.median(error[there])) if there.any() else nan
-    inside = int((error[there] <= TWO_SIDED * own[there]).sum())
+    finite = np.isfinite(own) & np.isfinite(error)
+    size = MAD_TO_SIGMA * float(np.median(error[finite])) if finite.any() else nan
+    inside = int((error[finite] <= TWO_SIDED * own[finite]).sum())
     return {
-        "alone": int(there.sum()),
+        "alone": int(finite.sum()),
         "alone_covered": inside,
-        "ratio": float(np.median(own[there])) / size,
+        "ratio": float(np.median(own[finite])) / size,
     }
 
 
@@ -244,8 +244,10 @@ def _covered(
     """(how many of the counted have an interval, how many of those cover the truth)."""
     if lower is None or upper is None:
         return 0, 0
-    there = ~np.isnan(lower) & ~np.isnan(upper) & counted
-    return int(there.sum()), int((there & (lower <= truth) & (truth <= upper)).sum())
+    with_interval = ~np.isnan(lower) & ~np.isnan(upper) & counted
+    return int(with_interval.sum()), int(
+        (with_interval & (lower <= truth) & (truth <= upper)).sum()
+    )
 
 
 def repeats_chi_square(recording: Recording) -> float:
@@ -351,7 +353,7 @@ SCREEN: Columns = {
 
 
 def audit_remarks(results: Sequence[Audited]) -> list[str]:
-    """What the columns mean, where the promise is broken, and the sentences that results carry."""
+    """Return the meaning of the columns, the broken promises, and the sentences of the results."""
     rows = audit_rows(results)
     broken = [
         f"{row.effect} × {row.estimator}"

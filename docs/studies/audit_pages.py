@@ -25,9 +25,9 @@ def rows_of(folder: Path) -> dict[str, dict[str, dict[str, str]]]:
 
 
 def table(run: dict[str, dict[str, dict[str, str]]]) -> str:
-    """Percent of intervals of cells / changes / pressures that cover the truth.
+    """Return percent of intervals of cells / changes / pressures that cover the truth.
 
-    They are given for each estimator, with own part and reports.
+    The columns are the estimators, their own parts, and the reports.
 
     Of the own part: percent of cells within it × its size over the actual error.
     """

@@ -1,6 +1,6 @@
-"""The tables of a benchmark → the pages that show them.
+"""The tables of a benchmark, written into the pages that show them.
 
-They stand between <!-- bench: NAME --> and <!-- /bench -->.
+A table stands between <!-- bench: NAME --> and <!-- /bench -->.
 
 Run it with: python -m docs.studies.bench_pages results/bench
 NAME is that of a section of bench.md: solvers, methods, growth or remarks.

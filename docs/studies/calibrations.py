@@ -1,6 +1,4 @@
-"""Random boards calibrated: how often good calibrations are refused and bad ones are not.
-
-Also whether intervals hold.
+"""Random boards, calibrated: good calibrations refused, bad ones accepted, and intervals.
 
 Run it with: python -m docs.studies.calibrations --draws 200 --bad 25
 """
@@ -37,7 +35,7 @@ SECOND = {"loaded_columns": "load_ohm", "grounded": "load_ohm", "virtual_ground"
 class Draw:
     """A board as its user knows it and as it is, resistors as they are printed and as they are."""
 
-    told: Scene
+    specified: Scene
     actual: Readout
     truth: tuple[Array, Array]
     printed: Array
@@ -51,14 +49,16 @@ class Draw:
         frames = cells if cells.ndim == 3 else np.repeat(cells[None], self.frames, axis=0)
         series = (
             self.truth
-            if self.told.circuit.unit == "ohm"
-            else [np.zeros(n) for n in self.told.panel.shape]
+            if self.specified.circuit.unit == "ohm"
+            else [np.zeros(n) for n in self.specified.panel.shape]
         )
-        volt = self.actual.volt_from_recorded(self.actual.simulated(frames, self.told, *series))
+        volt = self.actual.volt_from_recorded(
+            self.actual.simulated(frames, self.specified, *series)
+        )
         sums = sums_of_codes(self.actual, volt, Unmodelled(outlier_probability=1e-4), seed)
-        values = self.told.circuit.recorded_from_sums(sums, self.actual.readings)
+        values = self.specified.circuit.recorded_from_sums(sums, self.actual.readings)
         time = np.arange(float(len(sums)))
-        return Recording(self.told, values, time, np.ones(len(sums), dtype=np.uint8), name="r")
+        return Recording(self.specified, values, time, np.ones(len(sums), dtype=np.uint8), name="r")
 
 
 def draw(kind: str, rng: np.random.Generator) -> Draw:
@@ -89,7 +89,7 @@ def draw(kind: str, rng: np.random.Generator) -> Draw:
         driven = "rows"
     else:
         driven = str(rng.choice(["rows", "columns"]))
-        lines, others = (rows, columns) if driven == "rows" else (columns, rows)
+        lines, sensed_lines = (rows, columns) if driven == "rows" else (columns, rows)
         nominal = float(rng.choice(NOMINAL[kind]))
         extra = 0.0
         options = {"driven": driven, SECOND[kind]: nominal}
@@ -107,7 +107,7 @@ def draw(kind: str, rng: np.random.Generator) -> Draw:
         }
         readout = makes[kind](**converter, **options)
         drive = channels(lines) + extra * (1 + apart * rng.uniform(-1, 1, lines))
-        truth = (drive, nominal * (1 + apart * rng.uniform(-1, 1, others)))
+        truth = (drive, nominal * (1 + apart * rng.uniform(-1, 1, sensed_lines)))
         ohm = {"drive_ohm": tuple(truth[0].tolist()), SECOND[kind]: tuple(truth[1].tolist())}
         actual = replace(readout, **ohm)
     placed = str(
@@ -156,7 +156,7 @@ def resistors(
 def errors(
     results: ResistorCalibration, truth: tuple[Array, Array]
 ) -> tuple[list[float], list[float]]:
-    """(found − true)/σ of means, and of what single lines add."""
+    """Return (estimated − true)/σ of means and of the deviations of single lines."""
     means = []
     single = []
     sides = iter(truth)

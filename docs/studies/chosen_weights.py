@@ -112,9 +112,9 @@ def excess(recording: lampest.Recording, cells: Array, penalty: lampest.Term) ->
 
     chosen = [fitted("auto", rule) for rule in RULES]
     middle = np.exp(np.mean([np.log(results.steps[-1].weights[1]) for results in chosen]))
-    others = [error(fitted(float(middle * factor))) for factor in FACTORS]
+    alternatives = [error(fitted(float(middle * factor))) for factor in FACTORS]
     errors = np.array([error(results) for results in chosen])
-    return np.asarray(errors / np.nanmin([*others, *errors]))
+    return np.asarray(errors / np.nanmin([*alternatives, *errors]))
 
 
 def table(mats: int, seed: int) -> Iterator[str]:

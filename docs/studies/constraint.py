@@ -1,7 +1,4 @@
-"""Picture of docs/howto/adding/constraint.md.
-
-It shows error bars without and with nine cells that are tied to each other.
-"""
+"""Picture of docs/howto/adding/constraint.md: error bars without and with nine tied cells."""
 
 from pathlib import Path
 
@@ -25,8 +22,8 @@ def main() -> None:
         "3 × 3 cells tied": program.subject_to("plate", plate[1:] - plate[0]).solve(),
     }
     maps = {
-        name: 100 * (found.cell_resistance_errors / found.cell_resistance)[0]
-        for name, found in solutions.items()
+        name: 100 * (solution.cell_resistance_errors / solution.cell_resistance)[0]
+        for name, solution in solutions.items()
     }
     figure, axes = plt.subplots(1, 2, figsize=(8, 3.6), layout="constrained")
     largest = max(float(values.max()) for values in maps.values())

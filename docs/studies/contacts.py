@@ -54,7 +54,7 @@ class Trial:
     detected: Detected
 
     @property
-    def found(self) -> list[bool]:
+    def recognised(self) -> list[bool]:
         """Whether each rod has a contact within its radius, or a pitch."""
         places = [load.place for load in self.detected.attachments if load.present]
         return [
@@ -67,14 +67,14 @@ class Trial:
 
     @property
     def invented(self) -> int:
-        """Number of contacts beyond those that are found."""
+        """Number of contacts beyond the recognised ones."""
         present = sum(load.present for load in self.detected.attachments)
-        return max(present - sum(self.found), 0)
+        return max(present - sum(self.recognised), 0)
 
     @property
     def right(self) -> bool:
-        """Whether every contact is found and none invented."""
-        return all(self.found) and not self.invented
+        """Whether every contact is recognised and none invented."""
+        return all(self.recognised) and not self.invented
 
 
 def rods_on(panel: Panel, count: int, rng: np.random.Generator) -> tuple[Rod, ...]:
@@ -144,7 +144,7 @@ def main() -> None:
             len(trials),
             sum(done.right for done in trials),
             sum(len(done.rods) for done in trials),
-            sum(sum(done.found) for done in trials),
+            sum(sum(done.recognised) for done in trials),
             sum(done.invented for done in trials),
         )
         print(

@@ -1,6 +1,4 @@
-"""How often 95 % intervals hold the truth on fresh scenes.
-
-Also how large errors are against standard deviations.
+"""Coverage of 95 % intervals on fresh scenes, and errors over standard deviations.
 
 Run it with: python -m docs.studies.coverage --scenes 200 --seed 101
 """
@@ -53,9 +51,9 @@ def mouth_cells(rng: np.random.Generator, side: int) -> Array:
 
 
 def mouth(rng: np.random.Generator) -> tuple[Recording, Array]:
-    """An unloaded frame and one with an attached mouth, 6 × 6 to 16 × 16.
+    """Return an unloaded frame, one with an attached mouth, and their true cells.
 
-    They are the true cells (2, rows, columns).
+    The panel has 6 × 6 to 16 × 16 cells; the cells have the shape (2, rows, columns).
     """
     side = int(rng.integers(6, 17))
     noise = float(np.exp(rng.uniform(np.log(0.001), np.log(0.03))))
@@ -92,9 +90,9 @@ def errors_of(results: Estimates, truth: Array) -> Errors | None:
 
 
 def study(scenes: int, seed: int) -> None:
-    """Print, for every method, coverage and error over standard deviation.
+    """Print coverage and error over standard deviation of every method.
 
-    They are those of the cells away from bounds.
+    Cells at bounds are left out.
     """
     rng = np.random.default_rng(seed)
     held: dict[str, list[Array]] = {name: [] for name in METHODS}

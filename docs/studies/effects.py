@@ -113,27 +113,29 @@ def figures(made: Recording, *, advised: bool = True) -> tuple[float, ...]:
     With the coverage of the own part stands its size over the error. `advised` states whether
     advice is searched for, which takes longer than the estimate.
     """
-    found = lampest.reconstruct(made)
+    estimate = lampest.reconstruct(made)
     truth = made.truth_cell_resistance
-    assert truth is not None and found.sigma_own is not None
-    assert found.cell_resistance_lower is not None and found.cell_resistance_upper is not None
-    assert found.relative_change_lower is not None and found.relative_change_upper is not None
-    cells = truth[found.frame]
-    change = 100 * (truth[found.frame] / truth[0] - 1)
-    error = np.log(found.cell_resistance / cells)
+    assert truth is not None and estimate.sigma_own is not None
+    assert estimate.cell_resistance_lower is not None and estimate.cell_resistance_upper is not None
+    assert estimate.relative_change_lower is not None and estimate.relative_change_upper is not None
+    cells = truth[estimate.frame]
+    change = 100 * (truth[estimate.frame] / truth[0] - 1)
+    error = np.log(estimate.cell_resistance / cells)
     own = error - np.median(error, axis=(1, 2), keepdims=True)
     size = MAD_TO_SIGMA * np.median(np.abs(own))
-    held = (found.cell_resistance_lower <= cells) & (cells <= found.cell_resistance_upper)
-    held_changes = (found.relative_change_lower <= change) & (change <= found.relative_change_upper)
-    within = np.abs(own) < TWO_SIDED * found.sigma_own
-    advice = float(advised and bool(found.advice))
+    held = (estimate.cell_resistance_lower <= cells) & (cells <= estimate.cell_resistance_upper)
+    held_changes = (estimate.relative_change_lower <= change) & (
+        change <= estimate.relative_change_upper
+    )
+    within = np.abs(own) < TWO_SIDED * estimate.sigma_own
+    advice = float(advised and bool(estimate.advice))
     rms = float(np.sqrt(np.mean(error**2)))
     shares = (100 * float(np.mean(part)) for part in (within, held, held_changes))
     own_share, cell_share, change_share = shares
     return (
         100 * rms,
         own_share,
-        float(np.median(found.sigma_own) / size),
+        float(np.median(estimate.sigma_own) / size),
         cell_share,
         change_share,
         advice,

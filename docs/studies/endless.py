@@ -1,6 +1,6 @@
-"""A recording of a million frames run from the disk, killed in the middle, resumed.
+"""A recording of a million frames, run from the disk, killed in the middle and resumed.
 
-It shows memory, time, and what it finds.
+The study prints memory, time and results.
 
 Run it with: python -m docs.studies.endless --frames 1000000 --formulation naive --folder
 results/endless
@@ -64,7 +64,7 @@ def run(config: Path, out: Path) -> None:
     write = batch.write_carried
     begin = time.process_time()
 
-    def told(path: Path, carried: object) -> None:
+    def report_part(path: Path, carried: object) -> None:
         seconds = time.process_time() - begin
         process = psutil.Process()
         size = process.memory_info().rss / 1e6
@@ -75,7 +75,7 @@ def run(config: Path, out: Path) -> None:
         )
         write(path, carried)
 
-    batch.write_carried = told
+    batch.write_carried = report_part
     run_batch(read_run(config), out, Serial())
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     print(

@@ -76,9 +76,9 @@ def _column(solve: Solve) -> tuple[str, float]:
 
 
 def _fill(axes: Axes, table: list[list[list[Solve]]]) -> None:
-    """Draw a square for every cell of the table, coloured by its share.
+    """Draw a square with its number of failures for every cell of the table.
 
-    It is drawn with the number of failures.
+    A square's colour is the share of verified solves.
     """
     share = [
         [np.mean([solve.verified for solve in solves]) if solves else np.nan for solves in line]

@@ -1,14 +1,12 @@
-"""What a film's memory costs pressures, and how often it is taken for a lamprey.
-
-The latter is after one has let go.
+"""Errors of pressures from a film's memory, and memories taken for a lamprey that has left.
 
 Run it with: python -m docs.studies.film --recordings 34 --seed 1001
 
 Films are drawn: hysteresis 10 to 30 % (24 % for pressures), creep 0.5 to 12 % for each decade, a
 fifth from cell to cell (for pressures 5 % as well). For pressures a rod of 10 to 24 kPa is put on
 and taken off a 10 × 10 panel; for recognition a lamprey lets go after 20 to 150 s and nothing
-touches the panel for 300 frames. `--film silent` does not tell the film; `told` tells it to a
-tenth.
+touches the panel for 300 frames. `--film silent` leaves the film out of the scene;
+`specified` states it to a tenth.
 """
 
 import argparse
@@ -37,11 +35,11 @@ from lampest.recording.simulation.simulation import Course, Simulation, simulate
 AFTER = 300
 PANEL = Panel(10, 10)
 READOUT = TwoPointReadout(readings=20, noise_lsb=0.7)
-TOLD = {
+SPECIFIED_FILMS = {
     "silent": lambda film: None,
     "all open": lambda film: Film("auto", "auto"),
     "creep open": lambda film: replace(film, creep_per_decade="auto"),
-    "told": lambda film: replace(film, deviation=0.1),
+    "specified": lambda film: replace(film, deviation=0.1),
 }
 
 
@@ -52,7 +50,7 @@ def film_of(rng: np.random.Generator, hysteresis: float | None = None, spread: f
 
 
 def pressed(
-    rng: np.random.Generator, seed: int, film: Film, told: Film | None, kpa: float
+    rng: np.random.Generator, seed: int, film: Film, specified: Film | None, kpa: float
 ) -> Recording:
     """A rod put on in 15 s, left for 30 s, taken off in 15 s, and 50 s of rest."""
     place = rng.uniform(35, 55, 2)
@@ -68,7 +66,7 @@ def pressed(
         READOUT,
         140.0,
         systematic=Systematic(response_sd=0.05),
-        film=told,
+        film=specified,
         response=PublishedResponse(),
     )
     course = Course(approach_s=15, release_at_s=45, release_s=15)
@@ -80,7 +78,7 @@ def pressures(count: int, seed: int) -> None:
 
     The errors are those of cells under the rod.
     """
-    for spread, (name, tell) in product((0.05, 0.2), TOLD.items()):
+    for spread, (name, tell) in product((0.05, 0.2), SPECIFIED_FILMS.items()):
         rng = np.random.default_rng(seed)
         errors = []
         held = []
@@ -99,9 +97,11 @@ def pressures(count: int, seed: int) -> None:
             )
         parts = {"loading": slice(0, 45), "unloading": slice(45, 60), "after": slice(62, None)}
         messages = [
-            f"{part} {np.percentile(np.concatenate([one[at].ravel() for one in errors]), 95):.1f} "
-            f"(worst {max(one[at].max() for one in errors):.1f})"
-            for part, at in parts.items()
+            f"{part} {np.percentile(error, 95):.1f} (worst {error.max():.1f})"
+            for part, error in (
+                (part, np.concatenate([frames[at].ravel() for frames in errors]))
+                for part, at in parts.items()
+            )
         ]
         within = 100 * np.mean(np.concatenate([record.ravel() for record in held]))
         print(
@@ -112,7 +112,7 @@ def pressures(count: int, seed: int) -> None:
 
 
 def left(
-    rng: np.random.Generator, seed: int, film: Film, told: Film | None
+    rng: np.random.Generator, seed: int, film: Film, specified: Film | None
 ) -> tuple[Recording, int]:
     """A lamprey that lets go, and the first frame after that."""
     place = rng.uniform(25, 65, 2)
@@ -131,7 +131,7 @@ def left(
         140.0,
         water=Water(50.0),
         systematic=Systematic(0.01, channel_spread_ohm=3),
-        film=told,
+        film=specified,
     )
     course = Course(-0.8, 0.6, 2.0, 1.15, 0.1, float(stays), 1.0)
     unmodelled = Unmodelled(
@@ -147,10 +147,7 @@ def left(
 
 
 def memories(count: int, seed: int, name: str) -> None:
-    """Print how many mouths are seen, and how soon after release they are gone.
-
-    Also what is seen after that.
-    """
+    """Print counts of recognised mouths, delays of their release, and later false loads."""
     rng = np.random.default_rng(seed)
     seen = 0
     late = []
@@ -158,15 +155,15 @@ def memories(count: int, seed: int, name: str) -> None:
     with TemporaryDirectory() as folder:
         for number in range(count):
             film = film_of(rng)
-            made, first = left(rng, seed + number, film, TOLD[name](film))
+            made, first = left(rng, seed + number, film, SPECIFIED_FILMS[name](film))
             made.save(Path(folder) / "left.h5")
             results = detect_recording(Path(folder) / "left.h5").attachments
             released = float(made.time[3 + first - 2])
-            here = [
+            mouths = [
                 record for record in results if record.sucks > 0.5 and record.since_s < released
             ]
-            seen += bool(here)
-            late += [record.until_s - released for record in here if record.until_s is not None]
+            seen += bool(mouths)
+            late += [record.until_s - released for record in mouths if record.until_s is not None]
             again += sum(record.since_s > released + 1 for record in results)
     print(
         f"{name}: {seen} of {count} mouths seen, {len(late)} released, {np.median(late):.1f} s "
@@ -181,7 +178,7 @@ if __name__ == "__main__":
     parser.add_argument("--recordings", type=int, default=34)
     parser.add_argument("--seed", type=int, default=1001)
     parser.add_argument("--part", choices=("pressure", "release"))
-    parser.add_argument("--film", choices=tuple(TOLD), default="silent")
+    parser.add_argument("--film", choices=tuple(SPECIFIED_FILMS), default="silent")
     given = parser.parse_args()
     if given.part != "release":
         pressures(given.recordings, given.seed)

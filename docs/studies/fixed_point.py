@@ -212,7 +212,7 @@ def optimum(frame: Frame, start: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Preconditioner:
-    """M⁻¹ = D⁻¹ - D⁻¹·G·U·T·Uᵀ·G·D⁻¹ of the library: own responses, and what lines share."""
+    """M⁻¹ = D⁻¹ - D⁻¹·G·U·T·Uᵀ·G·D⁻¹ of the library: own responses, and those shared by lines."""
 
     inverse: Array
     drawn: Array
@@ -228,8 +228,8 @@ class Preconditioner:
         row, column = np.divmod(np.arange(u.size), n)
         shared = []
         for line in (row, column):
-            others = (line[:, None] == line) & ~np.eye(u.size, dtype=bool)
-            along = others * conductance.ravel()
+            neighbours = (line[:, None] == line) & ~np.eye(u.size, dtype=bool)
+            along = neighbours * conductance.ravel()
             mean = np.sum(along * response, axis=1) / along.sum(axis=1)
             shared.append(np.bincount(line, weight * mean**2))
         own = (np.diag(response) * conductance.ravel()) ** 2 * weight + PRIOR
@@ -320,12 +320,12 @@ def deviations(
 ) -> list[float]:
     """Return the rms deviation of each frame from its optimum, in standard deviations."""
     u = optimum(frames[0], frames[0].resting)[0]
-    found = []
+    rms = []
     for frame in frames[1:]:
         u = estimate(frame, u, products, fixed, all_arrays)
         best, sigma = optimum(frame, u)
-        found.append(float(np.sqrt(np.mean(((u - best) / sigma) ** 2))))
-    return found
+        rms.append(float(np.sqrt(np.mean(((u - best) / sigma) ** 2))))
+    return rms
 
 
 def main() -> None:
@@ -347,11 +347,11 @@ def main() -> None:
             ("Q15", 15, True),
         ):
             fixed = FixedPoint(bits)
-            found = deviations(frames, options.products, fixed, all_arrays)
-            other = name if all_arrays else "double precision"
+            errors = deviations(frames, options.products, fixed, all_arrays)
+            arithmetic = name if all_arrays else "double precision"
             count = fixed.multiplications / options.frames
-            figures = f"{np.median(found):.2g} | {max(found):.2g} | {count:,.0f}"
-            print(f"| {side} × {side} | {name} | {other} | {figures} |", flush=True)
+            figures = f"{np.median(errors):.2g} | {max(errors):.2g} | {count:,.0f}"
+            print(f"| {side} × {side} | {name} | {arithmetic} | {figures} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""How time and memory grow with the panel.
+"""Growth of time and memory with the panel.
 
-They are those of first and later frames of each method on one of the bench's recordings.
+First and later frames of each method come from one of the bench's recordings.
 
 Run it as OMP_NUM_THREADS=1 python -m docs.studies.growth --sides 32 64 100 200 --methods LSR-CR
 LSR-gCR: seconds of the processor, iterations, how it ended, the process's largest memory until

@@ -1,6 +1,6 @@
 """`weight: auto` of losses with heavy tails against the best weight in hindsight.
 
-It is judged in the strongest frame of recordings.
+The study compares errors in the strongest frame of recordings.
 
 Recordings are `attached` and `rods, one taps` of `docs.studies.limit` in turn; with --real those of
 real electronics, whose errors are the same in all frames. Run it with: python -m
@@ -37,9 +37,9 @@ TERMS = [
 
 
 def excess(made: Recording, estimator: Estimator) -> Array:
-    """Rms log error of cells and of changes with the chosen weight over that of the best one.
+    """Return rms log errors with the chosen weight over those with the best weight.
 
-    It is given for each.
+    The first ratio is that of the cells, the second that of the changes.
     """
     readings = Prepared(made).noise.readings
     scene = made.scene

@@ -120,14 +120,14 @@ def trial(seed: int) -> Trial:
     recording = Recording.from_array(
         codes.mean(axis=0), unit="code", scene=scene, baseline=RESTING_FRAMES
     )
-    found = lampest.reconstruct(recording)
-    cells = np.median(found.cell_resistance, axis=0)
-    check = found.model_check
+    estimate = lampest.reconstruct(recording)
+    cells = np.median(estimate.cell_resistance, axis=0)
+    check = estimate.model_check
     return Trial(
         readout,
         shape,
         float(np.median(np.abs(cells / loaded - 1)[pressed])),
-        float(np.median(np.abs(found.baseline_resistance / resting - 1))),
+        float(np.median(np.abs(estimate.baseline_resistance / resting - 1))),
         check.mark,
         check.sentence,
     )
@@ -144,11 +144,11 @@ def main() -> None:
     print("| verdict | circuits | pressed cells more than 10 % off |")
     print("|---|---|---|")
     for mark in ("yes", "doubtful", "no"):
-        chosen = [one for one in trials if one.mark == mark]
-        print(f"| {mark} | {len(chosen)} | {sum(one.wrong for one in chosen)} |")
-    for number, one in enumerate(trials):
-        if options.list and (one.wrong or one.mark != "yes"):
-            print(options.seed + number, one)
+        chosen = [record for record in trials if record.mark == mark]
+        print(f"| {mark} | {len(chosen)} | {sum(record.wrong for record in chosen)} |")
+    for number, record in enumerate(trials):
+        if options.list and (record.wrong or record.mark != "yes"):
+            print(options.seed + number, record)
 
 
 if __name__ == "__main__":

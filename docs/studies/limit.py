@@ -1,6 +1,6 @@
-"""How near methods come to what readings tell.
+"""Errors of methods against LSR-ΔCR and against the Cramér–Rao bound of the readings.
 
-It is shown on recordings of 21 frames, against LSR-ΔCR and the Cramér–Rao bound.
+The recordings have 21 frames.
 
 Every scene is drawn anew from the seed; nothing is what methods were tuned for but `attached`.
 Run it with: python -m docs.studies.limit --recordings 6 --seed 501
@@ -43,7 +43,7 @@ PITCH_MM = 10.0
 # the latter as in the shipped recordings
 CLEAN = Unmodelled()
 REAL = Unmodelled(0.0, 3.0, 0.01, 0.01, 1e-4)
-TOLD = Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)
+SYSTEMATIC = Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)
 # of log r; of |x| in standard deviations
 STEPPED = 0.05
 NORMAL_MEDIAN = 0.6745
@@ -60,9 +60,9 @@ METHODS: dict[str, tuple[tuple[Term, ...], str | SmootherMethod]] = {
 
 
 def mouth(rng: np.random.Generator, side: int, moved_mm: float = 0.0) -> Array:
-    """Contact and suction (2, rows, columns) kPa of a mouth.
+    """Return contact and suction (2, rows, columns) of a random mouth, in kPa.
 
-    It is that of a seed, moved by so much along the rows.
+    The mouth lies `moved_mm` further along the rows.
     """
     place = rng.uniform(0.3, 0.7, 2) * (side - 1) * PITCH_MM
     load = OralDisc(
@@ -100,9 +100,9 @@ def moving(seed: int, side: int) -> Array:
 
 
 def rods(seed: int, side: int) -> Array:
-    """A rod that stands, one that leaves, one that taps for a single frame.
+    """Return a rod that stands, one that leaves, and one that taps for a single frame.
 
-    There is no suction, and places and times are other ones.
+    The rods have no suction, and other places and times.
     """
     rng = np.random.default_rng(seed)
     panel = Panel(side, side, PITCH_MM)
@@ -132,9 +132,9 @@ def hand(seed: int, side: int) -> Array:
 
 @dataclass(frozen=True)
 class Setting:
-    """What is measured, with what.
+    """Course, electronics and circuit of recordings.
 
-    noisier : the true noise over what is told. spread : of log r of unloaded cells.
+    noisier : the true noise over the specified noise. spread : of log r of unloaded cells.
     """
 
     course: Callable[[int, int], Array] = attached
@@ -151,7 +151,7 @@ class Setting:
         two_point = self.readout.unit == "ohm"
         scene = Scene(panel, self.readout, 140.0 if two_point else 0.0)
         if self.unmodelled.channel_spread_ohm:
-            scene = replace(scene, systematic=TOLD)
+            scene = replace(scene, systematic=SYSTEMATIC)
         pressure = np.concatenate([np.zeros((RESTING, *panel.shape)), self.course(seed, self.side)])
         resting = 3050 * np.exp(self.spread * rng.standard_normal(panel.shape))
         time = np.arange(len(pressure), dtype=float)
@@ -190,9 +190,9 @@ SETTINGS = {
 
 
 def bound(recording: Recording, frames: NDArray[np.intp], cells: Array) -> Array:
-    """What |error| of log r has as its median at the Cramér–Rao bound, no more than 1.
+    """Return the median |error| of log r at the Cramér–Rao bound, at most 1.
 
-    Shape (frames, rows, columns).
+    The shape is (frames, rows, columns).
     """
     readings = recording.readings()
     circuit = recording.scene.circuit

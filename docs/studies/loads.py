@@ -1,6 +1,4 @@
-"""Forces of two or three touches on panels that no calibration has seen them on.
-
-They are naive, and after `calibrate --loads`.
+"""Forces of two or three fresh touches, naive and after `calibrate --loads`.
 
 Run it with: python -m docs.studies.loads --panels 6 --seed 2001
 
@@ -38,34 +36,34 @@ COLUMNS = ("mean", "median", "90 %", "weight", "held")
 
 def touches(rng: np.random.Generator, panel: Panel, count: int) -> list[Shape]:
     """Rods that do not overlap, of 15 to 25 mm and 2 to 20 kPa."""
-    found: list[Rod] = []
-    while len(found) < count:
+    rods: list[Rod] = []
+    while len(rods) < count:
         diameter = float(rng.uniform(15, 25))
         ends = [(10.0 * (count - 1) - diameter / 2) for count in panel.shape[::-1]]
         x, y = (float(rng.uniform(diameter / 2, end)) for end in ends)
-        apart = [np.hypot(x - other.centre_mm[0], y - other.centre_mm[1]) for other in found]
+        apart = [np.hypot(x - placed.centre_mm[0], y - placed.centre_mm[1]) for placed in rods]
         if all(
-            far > (diameter + other.diameter_mm) / 2 + 10
-            for far, other in zip(apart, found, strict=True)
+            far > (diameter + placed.diameter_mm) / 2 + 10
+            for far, placed in zip(apart, rods, strict=True)
         ):
-            found.append(rod(x, y, diameter, float(np.exp(rng.uniform(np.log(2), np.log(20))))))
-    return list(found)
+            rods.append(rod(x, y, diameter, float(np.exp(rng.uniform(np.log(2), np.log(20))))))
+    return list(rods)
 
 
 def forces(pressure: Array, loads: Sequence[Shape], panel: Panel) -> Array:
     """Σ p·pitch² over the cells within 6 mm of each load, newton."""
     columns, rows = panel.centres_mm()
-    found = []
+    newton = []
     for load in loads:
         far = np.hypot(columns[None] - load.centre_mm[0], rows[:, None] - load.centre_mm[1])
-        found.append(pressure[far < load.reach_mm + 6].sum() * panel.pitch_mm**2 * 1e-3)
-    return np.array(found)
+        newton.append(pressure[far < load.reach_mm + 6].sum() * panel.pitch_mm**2 * 1e-3)
+    return np.array(newton)
 
 
 def measured_forces(bench: Bench, scene: Scene, groups: list[list[Shape]]) -> Array:
-    """(touches and figures): |error| of the force, the same against the weight.
+    """Return |error| of the forces, the same against the weights, and the share of held pressures.
 
-    Also the share of pressures held.
+    The shape is (touches, figures).
     """
     recording = bench.recorded(
         groups, "fresh", replace(scene, response=scene.response or PublishedResponse())
@@ -78,14 +76,14 @@ def measured_forces(bench: Bench, scene: Scene, groups: list[list[Shape]]) -> Ar
     for number, group in enumerate(groups):
         first, _ = bench.frames_of(number)
         at = first - RESTING
-        there = truth[first]
-        felt = there > 0.5
-        held = ((results.pressure_lower[at] <= there) & (there <= results.pressure_upper[at]))[
+        applied = truth[first]
+        felt = applied > 0.5
+        held = ((results.pressure_lower[at] <= applied) & (applied <= results.pressure_upper[at]))[
             felt
         ].mean()
         newton = forces(results.pressure[at], group, bench.panel)
         weights = np.array([load.mass_g * 9.81e-3 for load in group if isinstance(load, Rod)])
-        off = np.abs(newton / forces(there, group, bench.panel) - 1), np.abs(newton / weights - 1)
+        off = np.abs(newton / forces(applied, group, bench.panel) - 1), np.abs(newton / weights - 1)
         rows.append(np.stack([*off, np.full(len(group), held)], axis=1))
     return np.concatenate(rows)
 

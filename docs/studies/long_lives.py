@@ -43,7 +43,7 @@ class Figures:
 
     @classmethod
     def now(cls, frames: int) -> "Figures":
-        """Of this process."""
+        """Return the figures of this process."""
         gc.collect()
         process = psutil.Process()
         allocated = tracemalloc.get_traced_memory()[0] if tracemalloc.is_tracing() else 0
@@ -78,23 +78,23 @@ def traced(wanted: bool) -> Iterator[None]:
 def stream_figures(marks: Sequence[int], trace: bool = True) -> list[Figures]:
     """Figures of a stream after so many frames."""
     frames = recorded()
-    found = []
+    figures = []
     stream = lampest.Stream.begin(METHOD, SCENE, 0.1, lampest.Readings.of(SCENE, frames[:3]).mean())
     with traced(trace):
         for number in range(1, max(marks) + 1):
             stream, _ = stream.push(lampest.Readings.of(SCENE, frames[number % DISTINCT]))
             if number in marks:
-                found.append(Figures.now(number))
-    return found
+                figures.append(Figures.now(number))
+    return figures
 
 
 def live_figures(marks: Sequence[int], trace: bool = True) -> list[Figures]:
-    """Figures of the live page's engine after so many frames.
+    """Return figures of the live page's engine after each count of frames in `marks`.
 
-    It solves as many of them as it can.
+    The engine solves as many frames as it can.
     """
     frames = recorded()
-    found = []
+    figures = []
     source = FrameSource(SCENE, 0.1, "receiving")
     with traced(trace), Engine("a fast line", "gradient", METHOD, 3) as engine:
         for number in range(1, max(marks) + 1):
@@ -103,8 +103,8 @@ def live_figures(marks: Sequence[int], trace: bool = True) -> list[Figures]:
                 _wait_for(engine, number - 8)
             if number in marks:
                 _wait_for(engine, number)
-                found.append(Figures.now(number))
-    return found
+                figures.append(Figures.now(number))
+    return figures
 
 
 def _wait_for(engine: Any, number: int) -> None:

@@ -1,6 +1,6 @@
-"""Random mats of as many readings as cells, solved by our solver and by published ones.
+"""Random mats with as many readings as cells, solved by our solver and by published ones.
 
-They are solved without bounds or penalties.
+The solvers have neither bounds nor penalties.
 
 Run it with: python -m docs.studies.mats [--sides 16] [--draws 2] [--noise 0 1]; prints the table of
 the page.
@@ -38,12 +38,12 @@ from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import Settings
 
 # conductances of the published test
-LEAST_S = 2e-5
-MOST_S = 2e-2
+MIN_S = 2e-5
+MAX_S = 2e-2
 OURS = ("reduced", "scipy_exact")
 # the published test's step, iterations, what replaces g < 0, siemens
 BETA = 0.1
-MOST_STEPS = 1000
+MAX_STEPS = 1000
 SMALLEST_S = 1e-18
 FINE_S = 1e-12  # the published test's tolerance of the fixed point
 COARSE_S = 6e-6  # what newton_krylov tolerates where it is told nothing
@@ -52,12 +52,18 @@ STEP_TOLERANCE = 1e-8  # the published test's xtol of least squares
 
 @dataclass(frozen=True)
 class Mats:
-    """sides : of square mats.
+    """Random square mats with conductances that are uniform between 20 µS and 20 mS.
 
-    Their conductances are uniform between 20 µS and 20 mS, read as R·(1 + noise·z), z standard
-    normal.
+    Readings are R·(1 + noise·z), z standard normal.
 
-    draws : mats of each side and noise.
+    Attributes
+    ----------
+    sides : tuple of int
+        Lines on each side of the mats.
+    draws : int
+        Mats of each side and noise.
+    noise_percent : tuple of float
+        Standard deviations of the relative noise.
     """
 
     sides: tuple[int, ...] = (16,)
@@ -79,9 +85,9 @@ class MatAnswer:
 
 
 class CountedNetwork:
-    """G(g) of a network whose ground is chosen by the readings (rows, columns) ohm.
+    """G(g) of a network, and the number of its evaluations.
 
-    It counts how often it is asked.
+    The readings (rows, columns) in ohm choose the ground.
     """
 
     def __init__(self, measured: Array) -> None:
@@ -104,19 +110,19 @@ class CountedNetwork:
 
 
 def fixed_point(measured: Array) -> MatAnswer:
-    """g ← max(g − β(G(g) − G_m), 0) from g = G_m, β = 0.1.
+    """Iterate g ← max(g − β(G(g) − G_m), 0) from g = G_m, β = 0.1.
 
-    It goes on until |G(g) − G_m| < 10⁻¹² S or 1,000 times.
+    The iteration ends at |G(g) − G_m| < 10⁻¹² S or after 1,000 steps.
     """
     network = CountedNetwork(measured)
     conductance = network.wanted
-    for step in range(MOST_STEPS):
+    for step in range(MAX_STEPS):
         misfit = network.misfit(conductance)
         if np.abs(misfit).max() < FINE_S:
             return MatAnswer(conductance, step, network.evaluations(), True)
         moved = conductance - BETA * misfit
         conductance = np.where(moved < 0, SMALLEST_S, moved)
-    return MatAnswer(conductance, MOST_STEPS, network.evaluations(), False)
+    return MatAnswer(conductance, MAX_STEPS, network.evaluations(), False)
 
 
 def newton_krylov_coarse(measured: Array) -> MatAnswer:
@@ -133,33 +139,36 @@ def _krylov(measured: Array, tolerance: float) -> MatAnswer:
     network = CountedNetwork(measured)
     steps = count()
     try:
-        found = newton_krylov(
+        conductance = newton_krylov(
             network.misfit,
             network.wanted,
             f_tol=tolerance,
-            maxiter=MOST_STEPS,
+            maxiter=MAX_STEPS,
             callback=lambda *_: next(steps),
         )
         converged = True
     except (NoConvergence, ValueError, np.linalg.LinAlgError) as error:
         converged = False
-        found = error.args[0] if isinstance(error, NoConvergence) else network.wanted * np.nan
+        conductance = error.args[0] if isinstance(error, NoConvergence) else network.wanted * np.nan
     return MatAnswer(
-        np.reshape(found, measured.shape), next(steps), network.evaluations(), converged
+        np.reshape(conductance, measured.shape), next(steps), network.evaluations(), converged
     )
 
 
 def bounded_least_squares(measured: Array) -> MatAnswer:
     """min Σ (G(g) − G_m)² over g ≥ 0 from g = G_m by scipy's trf with finite differences."""
     network = CountedNetwork(measured)
-    found = least_squares(
+    solution = least_squares(
         lambda position: network.misfit(position).ravel(),
         network.wanted.ravel(),
         bounds=(0.0, np.inf),
         xtol=STEP_TOLERANCE,
     )
     return MatAnswer(
-        found.x.reshape(measured.shape), int(found.njev), network.evaluations(), found.status > 0
+        solution.x.reshape(measured.shape),
+        int(solution.njev),
+        network.evaluations(),
+        solution.status > 0,
     )
 
 
@@ -203,7 +212,7 @@ def solved_mats(mats: Mats, seed: int, settings: Settings) -> Iterator[MatSolve]
         for noise in mats.noise_percent:
             for draw in range(mats.draws):
                 generator = np.random.default_rng((seed, side, draw))
-                conductance = generator.uniform(LEAST_S, MOST_S, (side, side))
+                conductance = generator.uniform(MIN_S, MAX_S, (side, side))
                 measured = network_readings(conductance) * (
                     1 + noise / 100 * generator.standard_normal((side, side))
                 )
@@ -276,7 +285,7 @@ COLUMNS: dict[str, Callable[[Any], str]] = {
     "cell %": lambda own: _percent(np.median([record.cell_error for record in own])),
     "worst %": lambda own: _percent(max(record.worst_cell_error for record in own)),
     "g < 0": lambda own: str(sum(record.negative for record in own)),
-    "ended": lambda own: f"{sum(one.converged for one in own)}/{len(own)}",
+    "ended": lambda own: f"{sum(record.converged for record in own)}/{len(own)}",
 }
 
 

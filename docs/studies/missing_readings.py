@@ -1,4 +1,4 @@
-"""What missing readings cost the cells beside them, and whether the intervals say so.
+"""Errors of the cells at missing readings and next to them, and coverage of their intervals.
 
 Run it with: python -m docs.studies.missing_readings --recordings 20 --seed 101
 """
@@ -25,9 +25,9 @@ METHODS: dict[str, tuple[Term, ...]] = {
 
 
 def mouth(rng: np.random.Generator, seed: int) -> Recording:
-    """Three unloaded frames and three of a mouth, 6 × 6 to 14 × 14 cells.
+    """Return three unloaded frames and three of a mouth, 6 × 6 to 14 × 14 cells.
 
-    They have 10 bits and 20 readings.
+    The readings are means of 20 conversions of 10 bits.
     """
     side = int(rng.integers(6, 15))
     place = rng.uniform(0.3, 0.7, 2) * (side - 1) * 10

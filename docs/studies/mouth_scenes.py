@@ -1,6 +1,6 @@
 """Scenes for recognition, made without the package's simulation.
 
-They have other patches, other rims, other electronics.
+The patches, rims and electronics are other ones than those of the package.
 
 A film's patch is a square or a circle of 5 to 7 mm, sampled on a grid of its own; rims have hard or
 sloping edges. Cells answer with a factor of their own and all of them less than published, where
@@ -23,9 +23,9 @@ Pressure = Callable[[Array, Array], Array]  # x, y in mm → kPa
 
 @dataclass(frozen=True)
 class Film:
-    """How a film departs from its published curve.
+    """Departure of a film from its published curve.
 
-    All answer `bent` times as much in log, each cell scattered.
+    Cells answer `bent` times as much in log, each scattered by its own factor.
     """
 
     patch_mm: float
@@ -101,9 +101,9 @@ def _turned(x: Array, y: Array, place: tuple[float, float], turn: float) -> tupl
 def annulus(
     rng: np.random.Generator, place: tuple[float, float], outer: float, inner: float, **form: float
 ) -> Scene:
-    """A rim that presses with `rim` kPa in the mean and sucks with `inside`.
+    """Return a rim that presses with `rim` kPa in the mean and sucks with `inside`.
 
-    It is long, uneven, tilted, with soft edges.
+    The rim is long, uneven and tilted, with soft edges.
     """
     long = form.get("long", 1.0)
     turn = rng.uniform(0, np.pi)
@@ -153,9 +153,9 @@ def mouth(
     pressed: bool = False,
     least: float = 24,
 ) -> Scene:
-    """A lamprey's mouth of `least` to 45 mm.
+    """Return a lamprey's mouth of `least` to 45 mm.
 
-    It is one whose rim bears its suction, or presses with 30 to 80 kPa more.
+    The rim bears the suction, or presses with 30 to 80 kPa more.
     """
     most = min(45.0, 0.7 * panel.pitch_mm * min(panel.shape))
     outer = rng.uniform(min(least, most), most)
@@ -174,13 +174,11 @@ def mouth(
 
 
 def wavy_mouth(rng: np.random.Generator, panel: Panel) -> Scene:
-    """A mouth whose rim is a closed curve of uneven load.
+    """Return a mouth whose rim is a closed curve of uneven load.
 
-    It is long by up to 1.3, with waves of form and of load, tilt, teeth.
-
-    Its outer edge is R (1 + Σ a_k cos(kθ − φ_k)) with k of 2 to 5, its load (1 + Σ b_k cos(kθ −
-    ψ_k)) with k of 1 to 6, and teeth press inside the rim. The diameter is that of a circle of the
-    same area.
+    The rim is long by up to 1.3, with waves of form and of load, a tilt and teeth. The outer edge
+    is R (1 + Σ a_k cos(kθ − φ_k)) with k of 2 to 5, the load (1 + Σ b_k cos(kθ − ψ_k)) with k of 1
+    to 6, and teeth press inside the rim. The diameter is that of a circle of the same area.
     """
     outer = rng.uniform(25, min(45.0, 0.7 * panel.pitch_mm * min(panel.shape)))
     width = rng.uniform(4, 7)
@@ -458,9 +456,9 @@ def sampled(rng: np.random.Generator, codes: Array, wild_share: float = 1e-4) ->
 def recorded(
     rng: np.random.Generator, resistance: Array, real: bool, time: Array
 ) -> tuple[Array, Array]:
-    """(two-point resistances without the 140 ohm in series, σ) ohm.
+    """Return two-point resistances without the 140 ohm in series, and their σ, in ohm.
 
-    They come from a divider of 1 kohm, 10 bit, 20 readings.
+    A divider of 1 kohm, 10 bits and 20 readings measures them.
     """
     rows, columns = resistance.shape[1:]
     drift = rng.standard_normal((rows, columns)) * (0.01 / 60 if real else 0.0)

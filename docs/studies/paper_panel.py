@@ -164,7 +164,7 @@ def published() -> dict[tuple[str, str], float]:
 
 
 def off(ours: Mapping[tuple[str, str], float], methods: Sequence[str]) -> Array:
-    """How far off the numbers of these methods are, in quarters of the published one.
+    """Return the distance of these methods' numbers from the published ones, in quarters of them.
 
     Deviations count half.
 
@@ -237,9 +237,9 @@ def distance(place: Array, fitted: Sequence[str], bound: float) -> float:
 def search(
     seconds: float, seed: int, fitted: Sequence[str], first: Sequence[Mapping[str, float]]
 ) -> None:
-    """Random places, then differences and small steps of the best ones.
+    """Try random places, then differences and small steps of the best ones.
 
-    It prints what is better than all before.
+    Each new best place is printed.
     """
     rng = np.random.default_rng(seed)
     started = time.monotonic()
@@ -279,17 +279,17 @@ def search(
 
 
 def check(file: Path, seeds: int, weights: Weights) -> None:
-    """Every number of a shipped scene with its own seed, median and range over others.
+    """Print every number of a shipped scene with its own seed, and its range over others.
 
-    Also what each effect does.
+    The effect of each unmodelled part is printed, too.
     """
     ((_, stated),) = read_simulations(file)
     stated = dataclasses.replace(stated, frames=min(stated.frames, 3))
     runs = _seeds(stated, weights, seeds)
     for (method, what), target in published().items():
-        own, *others = (run[method, what] for run in runs)
-        within = np.mean([abs(other - target) <= 0.25 * abs(target) for other in others])
-        spread = f"{np.median(others):9.4g} ({min(others):.4g} to {max(others):.4g})"
+        own, *drawn = (run[method, what] for run in runs)
+        within = np.mean([abs(value - target) <= 0.25 * abs(target) for value in drawn])
+        spread = f"{np.median(drawn):9.4g} ({min(drawn):.4g} to {max(drawn):.4g})"
         print(
             f"{method:9} {what:13} paper {target:9.5g} own seed {own:9.4g} others {spread} within "
             f"{100 * within:.0f} %"
@@ -307,19 +307,21 @@ def check(file: Path, seeds: int, weights: Weights) -> None:
         print(f"{name}: {counts}; lost with its own seed: {', '.join(lost) or 'none'}", flush=True)
 
 
-def _seeds(told: Simulation, weights: Weights, seeds: int) -> list[dict[tuple[str, str], float]]:
-    """Its own seed first."""
+def _seeds(
+    simulation: Simulation, weights: Weights, seeds: int
+) -> list[dict[tuple[str, str], float]]:
+    """Return the figures of `seeds` + 1 seeds, that of the simulation first."""
     methods = ("measured", *METHODS)
     return [
-        figures_of(dataclasses.replace(told, seed=told.seed + more), weights, methods)
+        figures_of(dataclasses.replace(simulation, seed=simulation.seed + more), weights, methods)
         for more in range(seeds + 1)
     ]
 
 
-def _without(told: Simulation, weights: Weights) -> dict[str, tuple[Simulation, Weights]]:
-    """The scene with one thing different."""
-    hidden = told.unmodelled
-    mouth = mouth_of(told)
+def _without(simulation: Simulation, weights: Weights) -> dict[str, tuple[Simulation, Weights]]:
+    """Return variants of the simulation, one thing different in each."""
+    hidden = simulation.unmodelled
+    mouth = mouth_of(simulation)
     changed: dict[str, Unmodelled] = {
         "no static error": dataclasses.replace(hidden, reading_error=0.0),
         "static error twice": dataclasses.replace(
@@ -332,16 +334,16 @@ def _without(told: Simulation, weights: Weights) -> dict[str, tuple[Simulation, 
         "noise 10 times instead": dataclasses.replace(hidden, reading_error=0.0, noise_factor=10.0),
     }
     varied = {
-        name: (dataclasses.replace(told, unmodelled=record), weights)
+        name: (dataclasses.replace(simulation, unmodelled=record), weights)
         for name, record in changed.items()
     }
     varied["cells alike (spread 0.2)"] = (
-        dataclasses.replace(told, cells=Cells(3050.0, 0.2)),
+        dataclasses.replace(simulation, cells=Cells(3050.0, 0.2)),
         weights,
     )
-    varied["nothing on the other cells"] = dataclasses.replace(told, loads=(mouth,)), weights
+    varied["nothing on the other cells"] = dataclasses.replace(simulation, loads=(mouth,)), weights
     for name, relative in (("changes in percent: 10", 10.0), ("100 outside the square: 0.1", 0.1)):
-        varied[f"weight on {name}"] = told, dataclasses.replace(weights, relative=relative)
+        varied[f"weight on {name}"] = simulation, dataclasses.replace(weights, relative=relative)
     return varied
 
 

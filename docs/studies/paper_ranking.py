@@ -1,4 +1,4 @@
-"""What methods are good for, as the paper asks: the look of a map.
+"""Use of the methods by the paper's own criterion, the look of a map.
 
 Size and alarm: docs/studies/mouths.md.
 
@@ -27,7 +27,10 @@ def likeness(change: Array, truth: Array) -> Array:
     """Correlation of clipped maps, frame by frame."""
     drawn, true = (np.clip(maps, -100, 100).reshape(len(maps), -1) for maps in (change, truth))
     return np.array(
-        [np.corrcoef(record, other)[0, 1] for record, other in zip(drawn, true, strict=True)]
+        [
+            np.corrcoef(record, truth_map)[0, 1]
+            for record, truth_map in zip(drawn, true, strict=True)
+        ]
     )
 
 
@@ -54,10 +57,7 @@ def _true_change(case: CaseResult) -> Array:
 
 
 def main() -> None:
-    """Two tables for each folder of results.
-
-    They are of clean recordings, and those of a panel like the paper's.
-    """
+    """Print two tables a folder: clean recordings, and those of a panel like the paper's."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

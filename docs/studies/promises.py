@@ -65,7 +65,7 @@ BREAKS = {
         "report/plots/__init__.py", "plot_results", "return ()"
     ),
     "a_wrong_circuit_is_rejected_and_the_right_one_named": Break(
-        "inference/nuisances.py", "MIN_EVIDENCE_GAIN", "1e9"
+        "files/levels.py", "MIN_EVIDENCE_GAIN", "1e9"
     ),
     "a_wrong_pull_up_scales_cells_without_a_warning_and_leaves_changes": Break(
         "inference/warnings.py",

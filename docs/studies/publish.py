@@ -41,7 +41,7 @@ def addresses(broker: str) -> dict[str, str]:
 
 
 def long_recording(path: Path, frames: int) -> None:
-    """The lamprey forth and back, 30 frames a second: each step is what it moved in a second."""
+    """Return the lamprey forth and back, 30 frames a second; a step is the motion of a second."""
     lamprey = Recording.load(LAMPREY)
     first = int(np.flatnonzero(lamprey.role == MEASURED)[0])
     course = np.arange(first, len(lamprey.recorded))
@@ -64,10 +64,7 @@ def long_recording(path: Path, frames: int) -> None:
 
 
 def heard(kind: str, where: str, seconds: float) -> None:
-    """Listen, and print (sequence, latency in s, solve in s) as JSON at the end.
-
-    It is run in a process of its own.
-    """
+    """Listen in a process of its own, and print (sequence, latency in s, solve in s) as JSON."""
     came: list[tuple[int, float, float]] = []
 
     def on_text(text: str | bytes) -> None:

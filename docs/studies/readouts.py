@@ -1,6 +1,4 @@
-"""Every circuit through its own converter.
-
-The questions are what noise does to cells, how far off they are, whether bars hold them.
+"""Every circuit through its own converter: noise of the cells, errors, and error bars.
 
 Run it with: python -m docs.studies.readouts --draws 200 --seed 101
 """
@@ -111,7 +109,7 @@ def coverage(name: str, draws: int, seed: int) -> None:
 def conditioning(seed: int) -> None:
     """Print √mean diag (JᵀΣ⁻¹J)⁻¹ of log r at three sizes.
 
-    It is what the converter alone does to cells of 1 to 10 kohm.
+    The converter alone causes these errors of cells of 1 to 10 kohm.
     """
     for name, (readout, series) in CIRCUITS.items():
         rng = np.random.default_rng(seed)
@@ -124,16 +122,14 @@ def conditioning(seed: int) -> None:
             sigma = readout.sigma_of_reading(recorded, readout.sigma(recorded))
             factor = np.linalg.inv(network.sensitivity() / sigma.reshape(-1, 1))
             deviations.append(100 * np.sqrt(np.mean(np.sum(factor**2, axis=1))))
-        print(
-            f"{name}: {' / '.join(f'{one:.1f}' for one in deviations)} % rms at 10, 16 and 32 "
-            "lines a side"
-        )
+        numbers = " / ".join(f"{percent:.1f}" for percent in deviations)
+        print(f"{name}: {numbers} % rms at 10, 16 and 32 lines a side")
 
 
 def contrast(draws: int, seed: int) -> None:
     """Print the cell error of plain least squares and of the naive divider.
 
-    It is on 16 × 16 cells with a contrast of 77.
+    The panel has 16 × 16 cells with a contrast of 77.
     """
     rng = np.random.default_rng(seed)
     readout, series = CIRCUITS["loaded_columns"]

@@ -1,6 +1,4 @@
-"""Real recordings: withheld readings, predicted with every penalty and rule.
-
-They are predicted by established methods as well.
+"""Real recordings: withheld readings, predicted with every penalty, rule and published method.
 
 Run it with: python -m docs.studies.real [RECORDING ...] [--share 0.1] [--seed 3]
 
@@ -234,9 +232,9 @@ def fixed_point(frame: Frame) -> Array:
 
 
 def truncated(frame: Frame) -> Array:
-    """Truncated singular values.
+    """Estimate by truncated singular values.
 
-    The rank predicts the withheld readings best, which nobody could know.
+    The rank is the best one for the withheld readings, unknown in practice.
     """
 
     def step(share: float) -> Callable[[Array, Array, Array], Array]:

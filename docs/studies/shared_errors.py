@@ -1,6 +1,6 @@
 """The smoother under real electronics, by an independent simulator.
 
-It stands against LSR-ΔCR, and after `--from-recording`.
+The references are LSR-ΔCR, and the smoother after `--from-recording`.
 
 Scenes are those of `docs.studies.mouth_scenes`, of eight kinds in turn: film uneven by 12 %, cells
 that drift by 1 % a minute, channels of 3 ohm, a reference within 1 %, a ripple of 0.4 LSB along the
@@ -41,7 +41,7 @@ RESTING = 3
 FRAMES = 20
 SIDE = 10
 EACH = 8
-TOLD = Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)
+SYSTEMATIC = Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)
 
 
 def recording(seed: int, channels: Array, reference: float) -> Recording:
@@ -67,7 +67,7 @@ def _courses(rng: np.random.Generator, time: Array, on: int, off: int) -> Array:
 
 
 def in_turn(seed: int, channels: Array, reference: float, loads: int) -> Recording:
-    """As `recording`, with several loads of different kinds, each there for five of EACH frames."""
+    """Return a recording with several loads of different kinds, each for five of EACH frames."""
     rng = np.random.default_rng(seed)
     panel = Panel(SIDE, SIDE)
     film = replace(mouth_scenes.film(rng, "real"), scatter=0.12)
@@ -94,15 +94,15 @@ def measured(
     phase = rng.uniform(0, 2 * np.pi, len(time))
     ripple = 0.4 * np.sin(2 * np.pi * np.arange(SIDE) / SIDE + phase[:, None])[:, :, None]
     mean = mouth_scenes.sampled(rng, volt * 1023 + ripple)
-    scene = Scene(panel, TwoPointReadout(noise_lsb=0.7), 140.0, systematic=TOLD)
+    scene = Scene(panel, TwoPointReadout(noise_lsb=0.7), 140.0, systematic=SYSTEMATIC)
     role = (time >= RESTING).astype(np.uint8)
     return Recording(scene, 1000 * (1023 - mean) / mean, time, role, truth_cell_resistance=cells)
 
 
 def measure(made: Recording, method: str) -> Array:
-    """Median error of cells and of changes, rms error of changes, percent.
+    """Return median errors of cells and changes, the rms error of changes, and both coverages.
 
-    Also the coverage of cells and of changes.
+    All are in percent.
     """
     results = reconstruct(made, Estimator(*METHODS[method]))
     assert made.truth_cell_resistance is not None and results.relative_change_lower is not None
@@ -127,9 +127,9 @@ def measure(made: Recording, method: str) -> Array:
 
 
 def study(count: int, seed: int, calibrate: int, loads: int) -> None:
-    """Print both methods on `count` recordings, and again with a calibrated scene.
+    """Print both methods on `count` recordings, before and after a calibration of the scene.
 
-    They are printed again once `calibrate` further ones have calibrated the scene.
+    The calibration uses `calibrate` further recordings.
     """
 
     def made(number: int) -> Recording:
@@ -140,7 +140,7 @@ def study(count: int, seed: int, calibrate: int, loads: int) -> None:
     every = [made(seed + number) for number in range(count)]
     of_paper = np.stack([measure(record, "LSR-dCR") for record in every])
 
-    def told(name: str, rows: Array) -> None:
+    def print_row(name: str, rows: Array) -> None:
         ratios = rows[:, :3] / of_paper[:, :3]
         shown = "; ".join(f"{np.median(ratio):.2f} / {ratio.max():.2f}" for ratio in ratios.T)
         print(
@@ -148,8 +148,8 @@ def study(count: int, seed: int, calibrate: int, loads: int) -> None:
             flush=True,
         )
 
-    told("LSR-dCR", of_paper)
-    told("smoother", np.stack([measure(record, "smoother") for record in every]))
+    print_row("LSR-dCR", of_paper)
+    print_row("smoother", np.stack([measure(record, "smoother") for record in every]))
     if not calibrate:
         return
     results = calibrate_channels([made(seed + 10_000 + number) for number in range(calibrate)])
@@ -161,7 +161,7 @@ def study(count: int, seed: int, calibrate: int, loads: int) -> None:
     )
     again = [replace(record, scene=results.scene) for record in every]
     for method in ("LSR-dCR", "smoother"):
-        told(f"{method}, calibrated", np.stack([measure(record, method) for record in again]))
+        print_row(f"{method}, calibrated", np.stack([measure(record, method) for record in again]))
 
 
 if __name__ == "__main__":

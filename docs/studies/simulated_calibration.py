@@ -144,10 +144,7 @@ def calibration(
 
 
 def uniform_tail(values: Array) -> float:
-    """The probability that uniform values leave a narrower band than this distribution does.
-
-    It is the empirical distribution of uniform values that leaves the band.
-    """
+    """Return the probability that uniform values deviate from uniformity as clearly as these."""
     simulated = np.random.default_rng(0).uniform(size=(BAND_DRAWS, len(values)))
     return float(np.mean(_least_tail(simulated) <= _least_tail(values[None])[0]))
 

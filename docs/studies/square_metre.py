@@ -84,7 +84,7 @@ def recording_of(modules: int, frames: int) -> lampest.Recording:
 def took(
     recording: lampest.Recording, terms: tuple[lampest.Term, ...], bars: bool, alone: bool = False
 ) -> Took:
-    """Of one method; alone : every module by the solver for single panels."""
+    """Return the time of one method; alone : every module by the solver for single panels."""
     estimator = lampest.Estimator((lampest.Misfit(), *terms), "reduced", error_bars=bars)
     readings = recording.readings()
     begin = time.process_time()
@@ -156,12 +156,12 @@ def with_one_weight(penalty: lampest.Term, seed: int) -> str:
     apart = begin_networks(scene, networks, 1.0)
     for stream in (apart, first_stream(recording, readings, estimator)):
         state = stream
-        found = []
+        deviations = []
         for frame in recording.measured_frames():
             state, step = state.push(readings[frame])
             assert truth is not None
-            found.append(np.abs(np.log(step.cell_resistance / truth[frame])))
-        errors.append(np.stack(found))
+            deviations.append(np.abs(np.log(step.cell_resistance / truth[frame])))
+        errors.append(np.stack(deviations))
     alone, shared = (np.median(layout.split(each), axis=(0, 2, 3)) for each in errors)
     whole = np.median(errors[1]) / np.median(errors[0])
     return (
@@ -192,7 +192,7 @@ def from_disk_to_disk(frames: int) -> dict[str, tuple[float, float]]:
 
     The command runs on a recording of 100 modules.
     """
-    found = {}
+    measured = {}
     with TemporaryDirectory() as folder:
         recording_of(100, frames).save(Path(folder, "metre.h5"))
         for name, estimator in ESTIMATORS.items():
@@ -204,8 +204,8 @@ def from_disk_to_disk(frames: int) -> dict[str, tuple[float, float]]:
             )
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
             spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-            found[name] = spent, after.ru_maxrss / 1024
-    return found
+            measured[name] = spent, after.ru_maxrss / 1024
+    return measured
 
 
 def main() -> None:

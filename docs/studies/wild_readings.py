@@ -1,4 +1,4 @@
-"""What one wild reading does to a frame and to the next, with and without Huber's loss.
+"""Effect of one wild reading on a frame and on the next one, with and without Huber's loss.
 
 Run it with: python -m docs.studies.wild_readings --recordings 24 --seed 101
 """
@@ -57,10 +57,7 @@ def recordings(count: int, seed: int) -> list[tuple[Recording, Array]]:
 
 
 def study(count: int, seed: int) -> None:
-    """Print the errors for every method and loss.
-
-    They are those of the frame before, the frame with a wild reading, the next.
-    """
+    """Print errors of all methods and losses before, in and after a frame with a wild reading."""
     made = recordings(count, seed)
     print(
         f"{count} recordings; cell error median / 95th percentile / worst, and intervals that hold "

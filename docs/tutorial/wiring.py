@@ -58,9 +58,11 @@ def panel(axes: Axes) -> None:
         x = 8.4 + 0.43 * line
         wire(axes, LINE, (7.2, y), (11.7, y))
         wire(axes, LINE, (x, 2.2), (x, 6.4))
-        for other in range(LINES):
+        for crossed in range(LINES):
             axes.add_patch(
-                Rectangle((8.4 + 0.43 * other - 0.09, y - 0.09), 0.18, 0.18, fc="#555555", zorder=4)
+                Rectangle(
+                    (8.4 + 0.43 * crossed - 0.09, y - 0.09), 0.18, 0.18, fc="#555555", zorder=4
+                )
             )
     axes.text(7.25, 6.42, "rows", ha="left", va="bottom", fontsize=8)
     axes.text(11.55, 2.6, "columns", ha="left", va="center", fontsize=8)

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from lampest.files.document import in_one_line, parse_document, plain_content, to_yaml, validated
+from lampest.files.document import in_one_line, parse_document, plain_content, to_yaml
 from lampest.files.errors import InputError
 from lampest.files.typed import members_of
 from lampest.panel.readouts import AnyReadout
-from lampest.panel.scene import Scene
+from lampest.panel.scene import Scene, validated_scene
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def with_addition(scene: Scene, addition: Mapping[str, Any]) -> Scene:
     Raises InputError where the scene cannot have them.
     """
     content = merged(_fitting(plain_content(scene), addition), addition)
-    made: Scene = validated(parse_document(to_yaml(content), "the scene"), Scene)
+    made = validated_scene(parse_document(to_yaml(content), "the scene"))
     return replace(made, assumed=scene.assumed)
 
 
@@ -114,16 +114,21 @@ def same_values(scene: Scene, changed: Scene) -> bool:
 
 
 def _fitting(content: dict[str, Any], addition: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a scene's content without the entries that a readout of another kind does not have."""
+    """Return a scene's content without entries of the readout that an addition replaces.
+
+    The addition replaces entries that a readout of another kind does not have, and lists of lines.
+    """
     readout = content.get("readout")
-    kind = addition.get("readout", {}).get("kind")
+    further = addition.get("readout", {})
     keys_by_kind = {
         member.kind: {entry.name for entry in fields(member)} for member in members_of(AnyReadout)
     }
-    if readout is None or kind not in keys_by_kind:
+    if readout is None or not isinstance(further, Mapping):
         return content
-    keys = keys_by_kind[kind]
-    return content | {"readout": {key: value for key, value in readout.items() if key in keys}}
+    keys = keys_by_kind.get(further.get("kind", ""), set(readout))
+    lists = {key for key, value in further.items() if isinstance(value, list)}
+    kept = {key: value for key, value in readout.items() if key in keys - lists}
+    return content | {"readout": kept}
 
 
 def merged(content: Any, addition: Any) -> Any:

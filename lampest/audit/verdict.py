@@ -8,7 +8,7 @@ import numpy as np
 from lampest.audit.effects import unnamed_effects
 from lampest.audit.health import Health
 from lampest.files.errors import InputError
-from lampest.inference.explanation import MIN_RISEN
+from lampest.inference.explanation import MIN_RISEN, rises_only
 from lampest.inference.model_check import ModelCheck
 from lampest.inference.prepared import Prepared
 from lampest.inference.rivals import changes_beyond_noise
@@ -113,7 +113,7 @@ def _falling_codes(prepared: Prepared) -> Iterator[str]:
     if readout.converter is not None:
         return
     change = changes_beyond_noise(recording.scene, prepared.cleaned.readings, recording.role)
-    if (change > 0).any(axis=0).sum() >= MIN_RISEN and not (change < 0).any():
+    if (change > 0).any(axis=0).sum() >= MIN_RISEN and rises_only(change):
         yield (
             "loads raise resistances only: "
             "do codes fall behind an inverting amplifier (converter: inverting amplifier)?"

@@ -62,6 +62,9 @@ class Application:
         By their words: 'midi', or 'study bench' for a command of a group.
     groups : mapping of str to str
         Help of its groups of commands.
+    scene_keys : mapping of str to str
+        'module:Class' by a key at the top of a scene. The class is a frozen dataclass derived from
+        `lampest.files.typed.Configuration`; `Scene.own` returns its object.
     exports, figures, columns : tuple of str
         Objects of `lampest export --to`, `lampest plot --show` and results files, as
         docs/howto/adding describes them.
@@ -80,6 +83,7 @@ class Application:
     needs: tuple[str, ...] = ()
     commands: Mapping[str, Command] = field(default_factory=dict)
     groups: Mapping[str, str] = field(default_factory=dict)
+    scene_keys: Mapping[str, str] = field(default_factory=dict)
     exports: tuple[str, ...] = ()
     figures: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
@@ -125,6 +129,14 @@ class Applications:
         named = GROUPS[group]
         targets = (target for each in self.usable.values() for target in getattr(each, named))
         return tuple(map(loaded, targets))
+
+    @property
+    def scene_keys(self) -> dict[str, str]:
+        """'module:Class' of the objects of scenes' keys, by key."""
+        targets = dict[str, str]()
+        for each in self.usable.values():
+            targets |= each.scene_keys
+        return targets
 
     def advice(self, recording: Any) -> list[tuple[str, str]]:
         """Return the rows (heading, sentence) that applications add to a recording's `info`."""

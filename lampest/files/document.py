@@ -31,6 +31,7 @@ MIN_NUMBER = 1e-30
 MAX_NUMBER = 1e30
 NO_MEASURE = f"must be zero or lie between {MIN_NUMBER:g} and {MAX_NUMBER:g}, whatever its sign"
 UNKNOWN = "no such key"
+INLINE = "inline"
 
 
 @dataclass(frozen=True)
@@ -541,12 +542,19 @@ def plain_content(value: Any) -> Any:
 
     Dataclasses become mappings, tuples and arrays become lists, and NumPy's numbers plain ones.
     Entries that are None are omitted, and so are empty entries that are excluded from comparisons.
+    Pairs (key, entry) of a field with the metadata INLINE are entries of its object.
     """
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        entries = ((field, getattr(value, field.name)) for field in dataclasses.fields(value))
-        value = {field.name: entry for field, entry in entries if field.compare or entry}
+        content = dict[str, Any]()
+        for field in dataclasses.fields(value):
+            entry = getattr(value, field.name)
+            if field.metadata.get(INLINE):
+                content |= dict(entry)
+            elif field.compare or entry:
+                content[field.name] = entry
+        value = content
     if isinstance(value, dict):
         return {key: plain_content(item) for key, item in value.items() if item is not None}
     if isinstance(value, list | tuple):

@@ -30,6 +30,7 @@ from lampest.inference.rivals import (
     rounded_down,
 )
 from lampest.panel.panel import Array
+from lampest.panel.readouts.presets import VirtualGroundReadout
 
 # −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
 # with the right circuit nearly all gain less (docs/theory/model_check.md).
@@ -52,7 +53,12 @@ SAME_COST = SMALL_CHI_SQUARE
 # Of a circuit under which a load lowers no resistance, in -2 ln evidence, beside one of falling
 # codes: a press lowers some, and so does a cup's rim.
 RISING_COST = 24.0
+MAX_COUPLED = 0.3  # of the largest rise: falls that channels couple to it
 MIN_RISEN = 3  # cells: fewer may be a cup's alone
+# Shares beyond which moved cells show couplings that a circuit lacks: of a line's cells, and of the
+# moved cells in such lines.
+MIN_FILLED = 0.5
+MIN_IN_FILLED = 0.5
 FAR = 100.0  # in scores, beyond what channels and the selection of moved cells change
 
 
@@ -219,7 +225,7 @@ def _rival_fits(
 ) -> tuple[CellsFit, ...]:
     """Return the fits under a rival, from the cells of the scene's circuit where these suffice.
 
-    They do not where several panels read alike: the readout's start tells which is meant.
+    Where several panels read alike, the readout's start determines which one is meant.
 
     Parameters
     ----------
@@ -252,11 +258,11 @@ def better_rival(frames: ComparedFrames, specified: Explanation | None) -> Bette
     """
     if specified is not None and not _needs_rivals(specified):
         return BetterExplanation()
-    candidates = _likely_rivals(frames, specified)
+    candidates = _without_twins(_likely_rivals(frames, specified))
     assumed = [] if specified is None else [specified]
     candidates += [with_series(explanation, frames) for explanation in (*candidates, *assumed)]
     candidates += [with_converter_memory(explanation, frames) for explanation in assumed]
-    best = _best_candidate(candidates, frames)
+    best = _best_candidate(candidates, frames, at_fault=specified is None)
     return BetterExplanation() if best is None else _compared(specified, best, frames)
 
 
@@ -310,13 +316,37 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
     return [explanation.final for explanation in best]
 
 
+def _without_twins(candidates: Sequence[Explanation]) -> list[Explanation]:
+    """Return the explanations without those that are another one with other names of lines.
+
+    Readings in another order are so to circuits in which rows and columns change places. Of the
+    two, `_best_candidate` prefers the one that keeps the file's order.
+    """
+    kept = [candidate.score for candidate in candidates if candidate.rival.order is None]
+    return [
+        candidate
+        for candidate in candidates
+        if candidate.rival.order is None
+        or not np.isclose(candidate.score, kept, rtol=0.0, atol=SAME_COST).any()
+    ]
+
+
 def _best_candidate(
-    candidates: Sequence[Explanation], frames: ComparedFrames
+    candidates: Sequence[Explanation], frames: ComparedFrames, *, at_fault: bool
 ) -> Explanation | None:
     """Return the candidate with the largest evidence, less the costs of its parameters.
 
     Candidates do not count under which most cells have moved, whose inequalities the readings
-    break, or that do not differ from the scene's circuit.
+    break, or that do not differ from the scene's circuit. Where the scene's circuit is at fault,
+    the best one has to say more than that each reading has its cell (`_says_no_more`), and loads
+    have to lower some resistance.
+
+    Parameters
+    ----------
+    candidates : sequence of Explanation
+    frames : ComparedFrames
+    at_fault : bool
+        Whether the scene's circuit does not explain the readings.
     """
     specified_memory = frames.specified.scene.converter_memory
     valid = []
@@ -339,16 +369,46 @@ def _best_candidate(
     # of circuits that differ in the names of lines alone, the one that keeps the file's order
     least = min(map(cost, valid), default=0.0)
     tied = [candidate for candidate in valid if cost(candidate) <= least + SAME_COST]
-    return min(tied, key=lambda tie: (tie.rival.order is not None, cost(tie)), default=None)
+    best = min(tied, key=lambda tie: (tie.rival.order is not None, cost(tie)), default=None)
+    if best is None or not at_fault:
+        return best
+    apart = [cost(candidate) for candidate in valid if _reads_cells_apart(candidate)]
+    gain = min(apart, default=np.inf) - cost(best)
+    if _only_rises(best) or (gain < MIN_EVIDENCE_GAIN and _says_no_more(best)):
+        return None
+    return best
+
+
+def _reads_cells_apart(candidate: Explanation) -> bool:
+    """Return whether each line has an amplifier, so that any readings have cells."""
+    return isinstance(candidate.rival.scene.readout, VirtualGroundReadout)
+
+
+def _says_no_more(candidate: Explanation) -> bool:
+    """Return whether moved cells fill whole lines, as those of a wrong circuit do.
+
+    A press moves all readings of its lines, and a circuit without these couplings takes each for a
+    cell that moved. Without a loaded frame nothing is known of the couplings.
+    """
+    if candidate.pair is None:
+        return _reads_cells_apart(candidate)
+    moved = candidate.pair.moved
+    columns = moved.mean(axis=0) > MIN_FILLED
+    rows = moved.mean(axis=1) > MIN_FILLED
+    in_filled = moved & (columns | rows[:, None])
+    return bool(in_filled.sum() > MIN_IN_FILLED * moved.sum())
 
 
 def _only_rises(candidate: Explanation) -> bool:
-    """Return whether every moved cell has a larger resistance under load."""
+    """Return whether moved cells have larger resistances under load, but for small couplings."""
     if candidate.pair is None or candidate.pair.moved.sum() < MIN_RISEN:
         return False
-    resting, loaded = (fit.cells for fit in candidate.fits)
-    moved = candidate.pair.moved.reshape(resting.shape)
-    return bool(np.all(loaded[moved] > resting[moved]))
+    return rises_only(candidate.pair.change[candidate.pair.moved.ravel()])
+
+
+def rises_only(change: Array) -> bool:
+    """Return whether log resistances only rise: the largest fall is a share of the largest rise."""
+    return bool(-change.min(initial=0.0) < MAX_COUPLED * change.max(initial=0.0))
 
 
 def _compared(

@@ -38,6 +38,17 @@ CALLED = {
     "polarity": "polarity reversed",
     "measured_across": "read across the other resistor",
 }
+# Keys that alone make a rival of the specified kind, and what they mean.
+OF_ONE_KEY = {
+    "groups": "read in parallel",
+    "driven_groups": "multiplexers of driven lines",
+    "load_volt": "loads end at half the supply",
+    "input_ohm": "of the converter",
+}
+OF_STATES = ("idle_ohm", "idle_volt", "idle_load_ohm")  # that name a driven circuit
+SIDES: tuple[Side, ...] = ("rows", "columns")
+INPUT_OHM = 1e5  # of a converter behind a divider of its module; those of chips are larger
+USUAL_BITS = (8, 10)  # of converters that are described with more: of an ATmega, and half of it
 ESP32_BITS = 12  # of the ADC of an ESP32 (its technical reference manual, chapter on the SAR ADC)
 BY_COLUMNS = "readings listed column by column (lampest import --transpose)"
 PARALLEL = (2, 4)  # multiplexers in parallel: 16 lines on two of eight or four of four channels
@@ -185,10 +196,13 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
         return
     volt = readout.volt_from_recorded(specified.recorded)
     apparent = _logarithm(readout, scene, specified.recorded)
-    for circuit in _circuits_beside(readout, scene):
+    # With potentials a reading may rise and fall with its cell, so that no sense is known
+    with_potentials = tuple(_with_potentials(readout, scene))
+    for circuit in (*with_potentials, *_circuits_beside(readout, scene)):
         values = circuit.recorded_from_volt(volt)
         sense = _sense(apparent, _logarithm(circuit, scene, values))
-        if circuit == readout or not (sense > 0 or (reversed_too and sense < 0)):
+        known = circuit in with_potentials or sense > 0 or (reversed_too and sense < 0)
+        if circuit == readout or not known:
             continue
         sigma = specified.sigma if circuit.unit == readout.unit else None
         with suppress(ValueError):  # the kind may have no model of another entry of the scene
@@ -211,14 +225,16 @@ def rounded_down(specified: Rival) -> Rival | None:
     half = readout.lsb_volt / 2
     ends = Characteristic(zero_volt=half, full_volt=readout.full_scale_volt + half)
     kind = f"readout.converter.zero_volt near {half:.2g} (codes are rounded down)"
-    return _with_converter(specified, ends, kind, {"zero_volt": float(f"{half:.2g}")})
+    entry = {"converter": {"zero_volt": float(f"{half:.2g}")}}
+    return _with_converter(specified, kind, entry, converter=ends)
 
 
 def other_converters(specified: Rival, *, reversed_too: bool) -> Iterator[Rival]:
-    """Generate the specified circuit with converters of another range, where it states none.
+    """Generate the specified circuit with converters of another range or of fewer bits.
 
-    An esp32 is tried for readings of 12 bits. An inverting amplifier is tried where readings may
-    fall with a load (`reversed_too`).
+    None are generated where the scene states the converter. An esp32 is tried for readings of 12
+    bits, an inverting amplifier where readings may fall with a load (`reversed_too`), and fewer
+    bits where no code lies beyond them.
     """
     readout = specified.scene.readout
     if readout is None or readout.converter is not None:
@@ -227,23 +243,31 @@ def other_converters(specified: Rival, *, reversed_too: bool) -> Iterator[Rival]
     names += ["esp32"] if readout.adc_bits == ESP32_BITS else []
     for name in names:
         ends = known(name, readout.full_scale_volt)
-        yield _with_converter(specified, ends, f"readout.converter: {name}", name)
+        kind = f"readout.converter: {name}"
+        yield _with_converter(specified, kind, {"converter": name}, converter=ends)
+    codes = readout.steps_from_volt(readout.volt_from_recorded(specified.recorded))
+    for bits in USUAL_BITS:
+        if bits < readout.adc_bits and np.max(codes, where=np.isfinite(codes), initial=0) < 2**bits:
+            kind = f"readout.adc_bits: {bits}"
+            yield _with_converter(specified, kind, {"adc_bits": bits}, adc_bits=bits)
 
 
-def _with_converter(specified: Rival, ends: Characteristic, kind: str, entry: Any) -> Rival:
-    """Return the specified circuit whose codes stand for voltages of another range.
+def _with_converter(
+    specified: Rival, kind: str, entry: Mapping[str, Any], **settings: Any
+) -> Rival:
+    """Return the specified circuit whose codes stand for other voltages.
 
-    `entry` states the converter in a scene.
+    `entry` states the settings of its converter in a scene.
     """
     readout: Any = specified.scene.readout
-    circuit = _changed(readout, converter=ends)
+    circuit = _changed(readout, **settings)
     codes = readout.steps_from_volt(readout.volt_from_recorded(specified.recorded))
     return replace(
         specified,
         scene=replace(specified.scene, readout=circuit),
         recorded=circuit.recorded_from_volt(circuit.volt_from_code(codes)),
         kind=kind,
-        entries={"readout": {"converter": entry}},
+        entries={"readout": entry},
     )
 
 
@@ -298,24 +322,69 @@ def _changed(circuit: Any, **settings: Any) -> Any:
 
 
 def _in_parallel(specified: Readout, scene: Scene) -> Iterator[Any]:
-    """Generate the specified circuit with two and four multiplexers of sensed lines.
-
-    The multiplexers are in blocks of lines.
-    """
-    names = {setting.name for setting in fields(specified)}
-    if "groups" not in names or getattr(specified, "measured_across", "reference") == "sensor":
+    """Generate the specified circuit with two and four multiplexers of sensed lines."""
+    if getattr(specified, "measured_across", "reference") == "sensor":
         return
-    rows, columns = scene.panel.shape
-    sensed = rows if getattr(specified, "driven", "rows") == "columns" else columns
+    yield from _with_groups(specified, scene, "groups", opposite(_driven_side(specified)))
+
+
+def _driven_side(circuit: Any) -> Side:
+    """Return the side whose lines a circuit drives: rows, where it does not say."""
+    side: Side = getattr(circuit, "driven", "rows")
+    return side
+
+
+def _with_groups(specified: Any, scene: Scene, key: str, side: Side) -> Iterator[Any]:
+    """Generate the specified circuit with two and four multiplexers of a side's lines.
+
+    Each multiplexer has a block of lines, or every second or fourth line.
+    """
+    if not hasattr(specified, key):
+        return
+    lines = range(scene.panel.shape[0 if side == "rows" else 1])
     for count in PARALLEL:
-        size = -(-sensed // count)
-        blocks = tuple(
-            tuple(range(first, min(first + size, sensed))) for first in range(0, sensed, size)
-        )
-        if len(blocks) == count and size > 1:
+        size = -(-len(lines) // count)
+        blocks = tuple(tuple(lines[first : first + size]) for first in lines[::size])
+        taken_in_turn = tuple(tuple(lines[first::count]) for first in range(count))
+        if len(blocks) != count or size == 1:
+            continue
+        for groups in (blocks, taken_in_turn):
             # Lines in parallel have no one line that the idle ones could follow.
             with suppress(ValueError):
-                yield _changed(specified, groups=blocks)
+                yield _changed(specified, **{key: groups})
+
+
+def _with_potentials(specified: Any, scene: Scene) -> Iterator[Any]:
+    """Generate circuits with potentials that people build.
+
+    Loads end at half the supply, multiplexers hold driven lines, idle lines follow the sensed one,
+    and a converter has an input resistance beside resistors to the supply.
+    """
+    if getattr(specified, "load_volt", 0.0) is None and specified.polarity == "up":
+        with suppress(ValueError):
+            yield _changed(specified, load_volt=specified.driving_volt / 2)
+    if getattr(specified, "driven_groups", 0) is None:
+        yield from _with_groups(specified, scene, "driven_groups", _driven_side(specified))
+    to_supply = getattr(specified, "polarity", "up") == "down"
+    across_sensor = getattr(specified, "measured_across", "reference") == "sensor"
+    if (to_supply or across_sensor) and getattr(specified, "input_ohm", 0.0) is None:
+        with suppress(ValueError):
+            yield _changed(specified, input_ohm=INPUT_OHM)
+    resistor = _resistor_of(specified)
+    if resistor is None:
+        return
+    shared = _shared(specified)
+    idle_ohm = shared.get("drive_ohm", 0.0)
+    for side in SIDES:
+        with suppress(ValueError):
+            yield DrivenReadout(
+                driven=side,
+                idle_ohm=idle_ohm,
+                idle_volt="follows",
+                load_ohm=resistor,
+                idle_load_ohm=inf,
+                **shared,
+            )
 
 
 @cache
@@ -374,6 +443,19 @@ def _held_at_ground(specified: Any) -> Iterator[DrivenReadout]:
     resistor = _resistor_of(specified)
     if resistor is None:
         return
+    for driven, idle_load in product(SIDES, (None, 0.0, inf)):
+        with suppress(ValueError):
+            yield DrivenReadout(
+                driven=driven,
+                idle_ohm=0.0,
+                load_ohm=resistor,
+                idle_load_ohm=idle_load,
+                **_shared(specified),
+            )
+
+
+def _shared(specified: Any) -> dict[str, Any]:
+    """Return the converter's settings and the channels of a circuit, as far as it has them."""
     names = (
         "supply_volt",
         "adc_bits",
@@ -385,13 +467,7 @@ def _held_at_ground(specified: Any) -> Iterator[DrivenReadout]:
         "drive_ohm",
         "sense_ohm",
     )
-    shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
-    sides: tuple[Side, ...] = ("rows", "columns")
-    for driven, idle_load in product(sides, (None, 0.0, inf)):
-        with suppress(ValueError):
-            yield DrivenReadout(
-                driven=driven, idle_ohm=0.0, load_ohm=resistor, idle_load_ohm=idle_load, **shared
-            )
+    return {name: getattr(specified, name) for name in names if hasattr(specified, name)}
 
 
 def _entries(circuit: Readout, specified: Readout) -> dict[str, Any]:
@@ -402,12 +478,16 @@ def _entries(circuit: Readout, specified: Readout) -> dict[str, Any]:
     """
     groups = getattr(circuit, "groups", None)
     specified_groups = getattr(specified, "groups", None)
-    if groups is not None and groups != specified_groups:
-        return {"groups": [list(group) for group in groups]}
+    for name in OF_ONE_KEY:
+        value = getattr(circuit, name, None)
+        same_kind = type(circuit) is type(specified)
+        if same_kind and value not in (None, getattr(specified, name, None)):
+            return {name: [list(group) for group in value] if "groups" in name else value}
     ungrouped = {"groups": None} if specified_groups is not None and groups is None else {}
     words = {name: getattr(circuit, name) for name in choices(type(circuit))}
     if isinstance(circuit, DrivenReadout):
-        words |= {name: getattr(circuit, name) for name in ("idle_ohm", "idle_load_ohm")}
+        states = {name: getattr(circuit, name) for name in OF_STATES}
+        words |= {name: value for name, value in states.items() if value is not None}
     differ = [name for name, word in words.items() if getattr(specified, name, None) != word]
     if ungrouped and not differ:
         return ungrouped
@@ -424,10 +504,10 @@ def _in_words(entries: Mapping[str, Any]) -> str:
     for name, value in entries.items():
         if name == "groups" and value is None:
             names.append("no readout.groups (lines read one after the other)")
-        elif name == "groups":
-            names.append(f"readout.groups: {value} (read in parallel)")
         else:
-            names.append(f"readout.{name}: {f'{value:g}' if name in RESISTORS else value}")
+            text = f"{value:g}" if isinstance(value, float) else str(value)
+            reason = f" ({OF_ONE_KEY[name]})" if name in OF_ONE_KEY else ""
+            names.append(f"readout.{name}: {text}{reason}")
         if "kind" not in entries and name in CALLED:
             names[-1] += f" ({CALLED[name]})"
     return ", ".join(names)

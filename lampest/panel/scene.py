@@ -4,14 +4,15 @@ Effects that a scene does not specify are not modelled.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.applications import applications
+from lampest.files.applications import applications, loaded
+from lampest.files.document import INLINE, Document, validated
 from lampest.files.typed import Configuration
 from lampest.panel.conditions import Experiment, MeasuredSubject, Temperature, Water
 from lampest.panel.faults import Faults
@@ -27,6 +28,8 @@ from lampest.panel.readouts.lines import (
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
 from lampest.panel.response import AnyResponse, Film
 from lampest.panel.sizes import Size, Systematic, check_sizes, plain_size
+
+OF_APPLICATIONS = {"film": "film", "purpose": "recognition"}  # keys that only applications read
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,8 @@ class Scene(Configuration):
         Measured subject and purpose; None: unspecified. No estimate depends on them.
     modules : tuple of OwnOfModule, or None
         Deviations of single modules of a panel of modules.
+    own_keys : tuple of (str, object)
+        Keys that installed applications add, see `lampest.files.applications.Application`.
 
     >>> lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0).series_text
     '140 ohm'
@@ -145,10 +150,13 @@ class Scene(Configuration):
     modules: tuple[OwnOfModule, ...] | None = None
     assumed: tuple[str, ...] = field(default=(), compare=False)
     estimated: dict[str, tuple[float, float]] | None = field(default=None, compare=False)
+    own_keys: tuple[tuple[str, Any], ...] = field(default=(), metadata={INLINE: True})
 
     def __post_init__(self) -> None:
-        if self.film is not None:
-            applications().require("film", "film")
+        for key, application in OF_APPLICATIONS.items():
+            if getattr(self, key) is not None:
+                applications().require(application, key)
+        self._check_own_keys()
         if self.faults is not None:
             self.faults.check(self.panel)
         if self.response is not None:
@@ -168,6 +176,19 @@ class Scene(Configuration):
             self.contact_prior.mean(self.panel.shape)
             self.contact_prior.deviation(self.panel.shape)
         (self.readout or self.circuit).check(self)
+
+    def _check_own_keys(self) -> None:
+        """Raise ValueError unless an application has registered each key and its object."""
+        for key, value in self.own_keys:
+            target = applications().scene_keys.get(key)
+            if target is None:
+                raise ValueError(f"{key}: no installed application has this key")
+            if not isinstance(value, loaded(target)):
+                raise ValueError(f"{key}: an object of {target} is needed")
+
+    def own(self, key: str) -> Any:
+        """Return the object that a scene has under the key of an application; None without it."""
+        return dict(self.own_keys).get(key)
 
     def _check_modules(self) -> None:
         """Raise ValueError if an entry of `modules` is not allowed, or does not fit its scene."""
@@ -351,7 +372,7 @@ class Scene(Configuration):
         if self.circuit.in_series:
             return replace(self, **changes)
         circuit = self.circuit
-        return replace(self, readout=replace(circuit, **changes)) if circuit.series_name else self  # type: ignore[arg-type]
+        return replace(self, readout=replace(circuit, **changes)) if circuit.series_name else self
 
     @property
     def specified_in_series(self) -> float:
@@ -414,3 +435,38 @@ def specified(scene: Scene, key: str) -> Any:
     for part in key.split("."):
         entry = None if isinstance(entry, str) else getattr(entry, part, None)
     return entry
+
+
+def validated_scene(document: Document) -> Scene:
+    """Return the scene of a document, with the keys that installed applications add.
+
+    Raises InputError as `validated`.
+    """
+    document, own_keys = without_own_keys(document)
+    scene: Scene = validated(document, Scene)
+    return replace(scene, own_keys=own_keys) if own_keys else scene
+
+
+def without_own_keys(document: Document) -> tuple[Document, tuple[tuple[str, Any], ...]]:
+    """Return a scene's document without the keys of applications, and their objects.
+
+    Raises InputError as `validated`.
+
+    Returns
+    -------
+    document : Document
+    own_keys : tuple of (str, object)
+        See `Scene`.
+    """
+    content = document.content
+    own = {entry.name for entry in fields(Scene)} - {"own_keys"}
+    added = content.keys() - own if isinstance(content, dict) else set()
+    if not added:
+        return document, ()
+    registered = applications().scene_keys
+    objects = list[tuple[str, Any]]()
+    for key in sorted(added & registered.keys()):
+        part = replace(document, content={key: content[key]})
+        objects.append((key, validated(part, dict[str, loaded(registered[key])])[key]))  # type: ignore[misc]
+    left = {key: value for key, value in content.items() if key not in dict(objects)}
+    return replace(document, content=left), tuple(objects)

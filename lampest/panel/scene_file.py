@@ -5,10 +5,10 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from lampest.files.document import read_document, to_yaml, validated
+from lampest.files.document import read_document, to_yaml
 from lampest.files.typed import members_of, typed
 from lampest.panel.readouts import AnyReadout
-from lampest.panel.scene import Scene
+from lampest.panel.scene import Scene, validated_scene
 
 # Frames tell them: the check of the circuit names the other one where it fits better.
 CHECKED_DEFAULTS = {"polarity"}
@@ -31,7 +31,7 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
         document = replace(
             document, content=document.content["scene"], marks=document.marks["scene"]
         )
-    scene: Scene = validated(document, Scene)
+    scene = validated_scene(document)
     parts: dict[str, Any] = {"panel": scene.panel}
     if scene.readout is not None:
         parts["readout"] = scene.readout

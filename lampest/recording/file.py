@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from lampest.files import hdf5
 from lampest.files.checksums import check_datasets
-from lampest.files.document import parse_document, validated
+from lampest.files.document import parse_document
 from lampest.files.errors import InputError
 from lampest.files.process import check_memory
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.converter import Characteristic
-from lampest.panel.scene import Scene
+from lampest.panel.scene import Scene, validated_scene
 from lampest.panel.systematic import SERIES
 from lampest.recording.acquisition import (
     CODE_OFFSET,
@@ -72,8 +72,7 @@ def _scene_of(text: str, where: str) -> Scene:
             SERIES.setting if key == FORMER_SERIES else key: value for key, value in errors.items()
         }
         document = document.with_value(("systematic",), renamed)
-    scene: Scene = validated(document, Scene)
-    return scene
+    return validated_scene(document)
 
 
 def _with_codes_offset(scene: Scene, steps: float) -> Scene:

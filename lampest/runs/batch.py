@@ -40,9 +40,10 @@ from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import StoredCase
 from lampest.runs.checks import CASES, Checks, CheckTask, RecordingCheck, without_check
-from lampest.runs.config import Case, Run, digest
+from lampest.runs.config import Case, Run
 from lampest.runs.executors import Executor, LostError, Pairs
 from lampest.runs.filling import case_result
+from lampest.runs.provenance import digest
 from lampest.runs.results import (
     join_case,
     read_case_scene,

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Literal
 
 from lampest.files.whole import inner_folder, write_whole
 from lampest.runs.case import StoredCase
-from lampest.runs.config import digest
-from lampest.runs.filling import library_versions
+from lampest.runs.provenance import digest, library_versions
 
 if TYPE_CHECKING:
     from lampest.audit.advice import Audit

@@ -32,6 +32,7 @@ from lampest.recording.readings import Readings
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import check_name
 from lampest.runs.executors import AnyExecutor, Dask, Executor
+from lampest.runs.provenance import digest
 from lampest.runs.results import PublishedFigures
 from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import Settings
@@ -329,15 +330,6 @@ class _Source:
 def hash_of(resolved: str) -> str:
     """Return the identifier of a case, a hash of all entries that determine its result."""
     return hashlib.sha256(resolved.encode()).hexdigest()[:24]
-
-
-def digest(path: Path) -> str:
-    """Return the SHA-256 of a file. Raises InputError if it is unreadable."""
-    try:
-        with path.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def recording_paths(config: Path, patterns: list[str]) -> list[Path]:

@@ -8,7 +8,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from functools import cache
-from importlib.metadata import version
 
 import numpy as np
 
@@ -22,8 +21,8 @@ from lampest.runs.case import FIGURES, CaseResult, all_columns
 from lampest.runs.columns import Column
 from lampest.runs.config import Case, hash_of
 from lampest.runs.content import Content
+from lampest.runs.provenance import library_versions
 
-LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
 # Stored name → attribute of `FrameNoise`: two numbers, two patterns in volt, and
 # fractions of the readings.
 NOISE = {
@@ -114,11 +113,6 @@ def _filled(
 
 
 @cache
-def library_versions(*further: str) -> dict[str, str]:
-    """Return the versions of the libraries that determine results, and of further ones."""
-    return {library: version(library) for library in (*LIBRARIES, *further)}
-
-
 def _arrays_of(noise: FrameNoise | None) -> dict[str, Array]:
     """Return the numbers and the patterns in volt of a frame's noise by name, if any."""
     parts = {} if noise is None else {name: getattr(noise, part) for name, part in NOISE.items()}

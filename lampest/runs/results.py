@@ -12,12 +12,12 @@ import h5py
 import numpy as np
 
 from lampest.files import checksums, hdf5
-from lampest.files.document import adapter, parse_document, validated
+from lampest.files.document import adapter, parse_document
 from lampest.files.errors import InputError, brief, meant
 from lampest.files.parts import copy_group, join_parts
 from lampest.files.typed import Configuration, check_not_negative, typed
 from lampest.panel.panel import Array
-from lampest.panel.scene import Scene
+from lampest.panel.scene import Scene, validated_scene
 from lampest.panel.scene_file import scene_text
 from lampest.recording import stored
 from lampest.runs.case import (
@@ -424,8 +424,7 @@ def read_case_scene(case: StoredCase) -> Scene:
 def _read_scene(file: h5py.File, recording: str) -> Scene:
     path = f"/entry/{recording}/{SHARED}/scene"
     text = hdf5.read_text(file, path)
-    scene: Scene = validated(parse_document(text, f"{file.filename}:{path}"), Scene)
-    return scene
+    return validated_scene(parse_document(text, f"{file.filename}:{path}"))
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +12,15 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.files.errors import brief
 from lampest.files.typed import Validated, check_positive_fields, check_ranges, typed
-from lampest.formulation.instance import Multipliers
 from lampest.panel.panel import Array
 from lampest.solvers.bounds import MILLIONTH, bounds_matter
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Preconditioner
 from lampest.solvers.smoothing import Smoothing
+
+if TYPE_CHECKING:
+    from lampest.formulation.instance import Multipliers
 
 # KKT residual, relative to the cost's scale, up to which an optimum counts as verified.
 VERIFIED = MILLIONTH
@@ -183,7 +185,7 @@ class Outcome:
     status: Status
     iterations: int
     certificate: Certificate | None = None
-    carried: Preconditioner | Multipliers | None = None
+    carried: "Preconditioner | Multipliers | None" = None
     convex: bool = False
     at: Evaluation | None = None
 
@@ -245,7 +247,7 @@ class Solution:
     iterations: int
     at: Evaluation | None = None
     dual: Array | None = None
-    carried: Preconditioner | Multipliers | None = None
+    carried: "Preconditioner | Multipliers | None" = None
     convex: bool = False
     starts: int = 1
     solver: str = ""

@@ -248,12 +248,12 @@ def test_check_notices_exchanged_and_foreign_datasets(
 
 def test_the_header_of_another_recording_is_refused_by_every_reader(tmp_path: Path) -> None:
     """A sector of 512 bytes has the scene; a run took that of the other recording."""
-    path, other = (
+    path, foreign_path = (
         _long_recording(tmp_path / f"{name}.h5", np.random.default_rng(SEED), (20, 3, 4), series)
         for name, series in (("a", 100.0), ("b", 200.0))
     )
     content = path.read_bytes()
-    foreign = other.read_bytes()
+    foreign = foreign_path.read_bytes()
     assert len(content) == len(foreign)
     refused = 0
     for first in range(0, 4096, 512):
@@ -315,7 +315,7 @@ def test_an_impossible_number_of_readings_is_refused(tmp_path: Path, readings: f
 
 
 def test_check_names_datasets_without_digests_or_checksums(tmp_path: Path) -> None:
-    """Files of older versions are read; `check` says what their checksums do not notice."""
+    """Files of older versions are read; `check` names the damage that checksums do not notice."""
     path = _long_recording(tmp_path / "a.h5", np.random.default_rng(SEED), (20, 3, 4))
     with h5py.File(path, "r+") as file:
         for _, node in nodes_below(file, "/"):

@@ -107,9 +107,11 @@ def test_a_full_disk_ends_the_command_with_one_sentence_and_whole_frames(tmp_pat
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, ROOM)),
         )
     assert completed.returncode == 2 and "Traceback" not in completed.stderr, completed
-    kept = re.search(r"no space: ([\d,]+) frames? kept until \d\d:\d\d:\d\d", completed.stderr)
-    assert kept is not None and 0 < int(kept[1].replace(",", "")) < FRAMES, completed.stderr
-    assert check_frames(out, int(kept[1].replace(",", ""))).acquisition.event_label == ("no space",)
+    waiting = re.search(r"no space: ([\d,]+) frames? kept until \d\d:\d\d:\d\d", completed.stderr)
+    assert waiting is not None and 0 < int(waiting[1].replace(",", "")) < FRAMES, completed.stderr
+    assert check_frames(out, int(waiting[1].replace(",", ""))).acquisition.event_label == (
+        "no space",
+    )
 
 
 @promise("apps/board/board: A disk that is full, or fails, costs no frame for 10 s")
@@ -221,17 +223,19 @@ def test_a_removed_file_is_noticed_at_the_next_frame(tmp_path: Path) -> None:
 def test_the_page_says_that_the_disk_is_full(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    said: list[str] = []
+    sentences: list[str] = []
     full_disk(monkeypatch, lambda: True, ROOM)
     with wild_board(hundred_a_second) as board:
-        recorder = Recorder(tmp_path, 1, lambda sentence, running: said.append(sentence))
+        recorder = Recorder(tmp_path, 1, lambda sentence, running: sentences.append(sentence))
         recorder.ask("r")
         samples = (sample for batch in board_samples(board.port, period=0.01) for sample in batch)
         for sample in itertools.islice(samples, FRAMES):
             recorder.take(sample)
         recorder.close()
         samples.close()
-    assert re.search(r"no space: \d+ frames? kept until .*; it is tried again", "\n".join(said))
-    kept = re.fullmatch(r"recorded (\d+) frames: .*r\.h5; no space: .*", said[-1])
-    assert kept is not None, said[-1]
-    check_frames(tmp_path / "r.h5", int(kept[1].replace(",", "")))
+    assert re.search(
+        r"no space: \d+ frames? kept until .*; it is tried again", "\n".join(sentences)
+    )
+    ending = re.fullmatch(r"recorded (\d+) frames: .*r\.h5; no space: .*", sentences[-1])
+    assert ending is not None, sentences[-1]
+    check_frames(tmp_path / "r.h5", int(ending[1].replace(",", "")))

@@ -37,6 +37,7 @@ SCENE = "panel: {rows: 3, columns: 4, pitch_mm: 10}\nreadout: {kind: two_point}\
 # Every use of an application by the core → the application that its sentence names.
 ASKED = {
     "read_scene": "film",
+    "read purpose": "recognition",
     "tare": "film",
     "compare --report": "page",
     "export --to c": "microcontroller",
@@ -78,7 +79,7 @@ def of_command(*words):
 from lampest.cli.program import app
 import typer
 program = typer.main.get_command(app)
-words = {name: sorted(getattr(one, "commands", ())) for name, one in program.commands.items()}
+words = {name: sorted(getattr(group, "commands", ())) for name, group in program.commands.items()}
 values = 500.0 + np.arange(36.0).reshape(3, 3, 4)
 recording = lampest.Recording.from_array(values, "ohm", baseline=1)
 recording.save("mine.h5")
@@ -87,8 +88,9 @@ for line in (["run", "run.yaml", "--out", "out"], ["info", "mine.h5"], ["info", 
              ["export", "out/results.h5", "--to", "csv"], ["check", "out/results.h5"], ["--help"]):
     code, out, err = command(*line)
     assert code == 0, (line, out, err)
-said = {
+sentences = {
     "read_scene": sentence(lampest.read_scene, "film.yaml"),
+    "read purpose": sentence(lampest.read_scene, "purpose.yaml"),
     "tare": sentence(lampest.reconstruct, recording, tare=lampest.Tare()),
     "compare --report": of_command("compare", "out/results.h5", "--report", "page.html"),
     "export --to c": of_command("export", "out/results.h5", "--to", "c", "--out", "c"),
@@ -97,7 +99,7 @@ said = {
     "from_dataframe": sentence(lampest.Recording.from_dataframe, None, rows=3, columns=4),
     "from_xarray": sentence(lampest.Recording.from_xarray, None),
 }
-print(json.dumps([words, said]))
+print(json.dumps([words, sentences]))
 """
 MISSING = "the application '{}' is not installed"
 
@@ -135,6 +137,7 @@ class Copy:
     def without(self, gone: set[str], work: Path) -> tuple[dict[str, list[str]], dict[str, str]]:
         """The commands, and the sentences of all uses, without some applications."""
         (work / "film.yaml").write_text(f"{SCENE}film: {{hysteresis: 0.1}}\n")
+        (work / "purpose.yaml").write_text(f"{SCENE}purpose: mat\n")
         (work / "run.yaml").write_text(
             "schema: 1\nrecordings: [mine.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n"
         )
@@ -144,12 +147,12 @@ class Copy:
         try:
             for name in gone:
                 (self.folder / "lampest" / "apps" / name).rename(hidden / name)
-            words, said = json.loads(self.python("-c", SCRIPT, cwd=work).splitlines()[-1])
+            words, sentences = json.loads(self.python("-c", SCRIPT, cwd=work).splitlines()[-1])
         finally:
             for path in hidden.iterdir():
                 path.rename(self.folder / "lampest" / "apps" / path.name)
             hidden.rmdir()
-        return words, said
+        return words, sentences
 
 
 @pytest.fixture(scope="module")
@@ -170,16 +173,16 @@ WORDS = {
 FORMER = {"repair", "terms", "schema"}
 
 
-def check(gone: set[str], words: dict[str, list[str]], said: dict[str, str]) -> None:
+def check(gone: set[str], words: dict[str, list[str]], sentences: dict[str, str]) -> None:
     """Without some applications, the help lacks their commands alone, and each use names one."""
     lost = set().union(*(WORDS.get(name, set()) for name in gone))
-    others = set().union(*(WORDS.get(name, set()) for name in NAMES)) - lost
-    assert set(words) == CORE | FORMER | others
+    remaining = set().union(*(WORDS.get(name, set()) for name in NAMES)) - lost
+    assert set(words) == CORE | FORMER | remaining
     for use, name in ASKED.items():
         named = MISSING.format(name)
-        assert (named in said[use]) == (name in gone), f"{use}: {said[use]}"
+        assert (named in sentences[use]) == (name in gone), f"{use}: {sentences[use]}"
         if name in gone:
-            assert said[use].count("\n") <= 1 and "Error(" not in said[use]
+            assert sentences[use].count("\n") <= 1 and "Error(" not in sentences[use]
 
 
 @promise("howto/adding/application: works without each of them")
@@ -191,8 +194,8 @@ def test_the_core_runs_without_any_application_and_names_the_missing_one(
 
 def test_an_application_goes_with_those_that_it_needs(copied: Copy, tmp_path: Path) -> None:
     assert needs_of("live") >= {"recognition"}
-    words, said = copied.without({"recognition"}, tmp_path)
-    check({"recognition", "live", "calibration"}, words, said)
+    words, sentences = copied.without({"recognition"}, tmp_path)
+    check({"recognition", "live", "calibration"}, words, sentences)
 
 
 @pytest.mark.slow
@@ -200,8 +203,8 @@ def test_an_application_goes_with_those_that_it_needs(copied: Copy, tmp_path: Pa
 def test_the_core_runs_without_an_application_and_those_that_need_it(
     name: str, copied: Copy, tmp_path: Path
 ) -> None:
-    gone = {name} | {other for other in NAMES if name in needs_of(other)}
-    gone |= {other for other in NAMES if needs_of(other) & gone}
+    gone = {name} | {user for user in NAMES if name in needs_of(user)}
+    gone |= {user for user in NAMES if needs_of(user) & gone}
     check(gone, *copied.without({name}, tmp_path))
 
 

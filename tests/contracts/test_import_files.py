@@ -1,6 +1,6 @@
-"""Arrays, sheets and archives, what no reader takes, and scenes beside a file.
+"""Arrays, sheets and archives, files that no reader takes, and scenes beside a file.
 
-Bare arrays, and the command, are here too.
+Bare arrays, and the command, are tested here as well.
 """
 
 import datetime
@@ -85,7 +85,7 @@ def archive(
 
 
 def matlab(path: Path, **arrays: np.ndarray) -> None:
-    """As MATLAB writes with -v7.3: HDF5 after 512 bytes of its own, axes in reverse."""
+    """Write a file as MATLAB does with -v7.3: HDF5 after 512 bytes of its own, axes in reverse."""
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, values in arrays.items():
             file.create_dataset(name, data=values.T)
@@ -286,8 +286,8 @@ def shown(path: Path) -> None:
 
 def in_two_encodings(path: Path) -> None:
     folder(csv_of, ".csv")(path)
-    other = path / "frame7.csv"
-    other.write_bytes(other.read_text().encode("utf-16"))
+    reencoded = path / "frame7.csv"
+    reencoded.write_bytes(reencoded.read_text().encode("utf-16"))
 
 
 def each_with_a_cut_block(path: Path) -> None:

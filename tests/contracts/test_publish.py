@@ -48,7 +48,7 @@ def _collected() -> Iterator[None]:
 
 
 def free_port(kind: int = socket.SOCK_STREAM) -> int:
-    """A port of this computer that nobody has."""
+    """Return a free port of this computer."""
     with socket.socket(socket.AF_INET, kind) as place:
         place.bind(("127.0.0.1", 0))
         return int(place.getsockname()[1])
@@ -77,7 +77,7 @@ def broker(
 
 @contextmanager
 def subscribed(port: int) -> Iterator[list[dict[str, Any]]]:
-    """What a listener to the broker hears."""
+    """Subscribe to the broker, and return the list of messages."""
     from paho.mqtt.client import Client
     from paho.mqtt.enums import CallbackAPIVersion
 
@@ -172,14 +172,14 @@ def test_home_assistant_discovers_entities_that_read_the_stream(tmp_path: Path) 
     port = free_port()
     with broker(tmp_path, port):
         package["home"]("panel/one", "127.0.0.1", port)
-        found = simple("homeassistant/#", hostname="127.0.0.1", port=port, msg_count=3)
+        messages = simple("homeassistant/#", hostname="127.0.0.1", port=port, msg_count=3)
     with pytest.raises(InputError, match="no broker answers"):
         package["home"]("panel/one", "127.0.0.1", port)
     states = {}
     message = {"verdict": "pressing", "force": 3.5, "detection": {"answer": "presses"}}
     assert message.keys() <= SCHEMA["properties"].keys()
     assert message["verdict"] in SCHEMA["properties"]["verdict"]["enum"]
-    for entity in found:
+    for entity in messages:
         about = json.loads(entity.payload)
         assert about["state_topic"] == "panel/one" and entity.topic.endswith("/config")
         template = Environment().from_string(about["value_template"])

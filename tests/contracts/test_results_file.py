@@ -1,6 +1,6 @@
-"""The results file: what goes in comes out, and other programs open it.
+"""The results file: its content is read as it was written, and other programs open it.
 
-Texts beside numbers, and faults in one sentence, are here, too.
+Texts beside numbers, and faults in one sentence, are tested here as well.
 """
 
 import dataclasses
@@ -263,10 +263,10 @@ def test_a_case_of_other_results_in_its_place_is_refused_by_everything_that_read
 ) -> None:
     """Each of its values agrees with its own digest."""
     path = tmp_path / "r.h5"
-    other = tmp_path / "other.h5"
+    foreign_path = tmp_path / "other.h5"
     write_results(path, [invented_case("LSM")])
-    write_results(other, [invented_case("LSR-CR")])
-    with h5py.File(path, "a") as file, h5py.File(other) as source:
+    write_results(foreign_path, [invented_case("LSR-CR")])
+    with h5py.File(path, "a") as file, h5py.File(foreign_path) as source:
         del file["entry/mouth/LSM"]
         source.copy("entry/mouth/LSR-CR", file["entry/mouth"], "LSM")
     with pytest.raises(InputError, match="datasets were added, removed or exchanged"):

@@ -75,7 +75,7 @@ def test_readings_of_a_uniform_panel_are_the_stated_share_of_its_cells(
 def test_errors_of_a_uniform_panel_grow_by_at_most_half_the_number_of_lines(
     shape: tuple[int, int],
 ) -> None:
-    """By (M + N − 1)/2 where rows and columns have no common part; independent ones by less."""
+    """Errors without a common part of a row or column grow by (M + N − 1)/2, others by less."""
     inverse = np.linalg.inv(relative_slopes(np.full(shape, CELLS)))
     gains = np.linalg.svd(inverse, compute_uv=False)
     rows, columns = shape
@@ -94,11 +94,11 @@ def test_an_open_cell_would_change_no_reading_by_more_than_its_noise_if_it_were_
     estimate = lampest.reconstruct(
         recording_of(Scene(Panel(5, 7), readout), recorded[None]), [lampest.Misfit()]
     )
-    found = estimate.cell_resistance[0]
+    estimated = estimate.cell_resistance[0]
     opened = estimate.open_cell[0].astype(bool)
     assert opened[3, 4] and not opened[cells < 1e9].any()
-    larger = np.where(opened, np.inf, found)
-    change = np.abs(two_point_resistance(larger) - two_point_resistance(found))
+    larger = np.where(opened, np.inf, estimated)
+    change = np.abs(two_point_resistance(larger) - two_point_resistance(estimated))
     assert np.all(change <= readout.sigma(exact))
 
 

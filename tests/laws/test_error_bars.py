@@ -136,10 +136,10 @@ def test_further_independent_errors_add_up_in_any_order(shape: tuple[int, ...]) 
         certainty.widened(np.hstack([first, second])),
     )
     for field in fields(Certainty):
-        before, after, *others = (getattr(each, field.name) for each in (certainty, *orders))
+        before, after, *reorderings = (getattr(each, field.name) for each in (certainty, *orders))
         assert_allclose(getattr(unchanged, field.name), before, rtol=ROUNDING)
-        for other in others:
-            assert_allclose(other, after, rtol=ROUNDING)
+        for reordered in reorderings:
+            assert_allclose(reordered, after, rtol=ROUNDING)
     added = np.sum(np.hstack([first, second]) ** 2, axis=1).reshape(shape)
     assert_allclose(orders[0].deviation ** 2 - certainty.deviation**2, added, rtol=ROUNDING)
     assert np.all(orders[0].common <= orders[0].deviation)

@@ -108,8 +108,8 @@ def test_neighbours_in_space_have_no_cell_in_the_sphere_between_them() -> None:
         for b in range(a + 1, 16):
             radius = np.linalg.norm(places[a] - places[b]) / 2
             away = np.linalg.norm(places - (places[a] + places[b]) / 2, axis=1)
-            others = np.delete(away, [a, b])
-            assert ((a, b) in pairs) == bool(others.min() > radius)
+            distances = np.delete(away, [a, b])
+            assert ((a, b) in pairs) == bool(distances.min() > radius)
 
 
 def test_results_of_cells_in_space_state_their_height_and_a_penalty_goes_by_distance(

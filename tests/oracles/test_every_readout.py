@@ -50,7 +50,7 @@ from tests.netlist import divider, network_of, potentials, resistors, volts
 ROWS = 5
 COLUMNS = 6
 ROUNDING = 1e-9  # relative: float64 times the condition of cells up to 1 gigohm
-MOST_STATES = 100
+MIN_STATES = 100
 CLEARLY_WRONG = (
     1.1  # median cell over the true one, by a scene that is silent about the groups; measured 1.5
 )
@@ -91,6 +91,8 @@ READOUTS: dict[str, Any] = {
     "loaded, columns": replace(LOADED, driven="columns"),
     "loaded, ideal": replace(LOADED, drive_ohm=0.0),
     "loaded, converter": replace(LOADED, input_ohm=50e3),
+    "loaded, converter, down": replace(LOADED, input_ohm=50e3, polarity="down"),
+    "loaded, lists, converter, down": replace(LOADED_LISTS, input_ohm=50e3, polarity="down"),
     "loaded, lists": LOADED_LISTS,
     "loaded, lists, columns down": replace(LOADED_TURNED, polarity="down"),
     "all": SENSED_ALL,
@@ -102,6 +104,7 @@ READOUTS: dict[str, Any] = {
     "all, lists": LISTS,
     "one, lists": replace(LISTS, sense="one"),
     "all, converter": replace(SENSED_ALL, input_ohm=20e3),
+    "all, converter, down": replace(SENSED_ALL, input_ohm=20e3, polarity="down"),
     "one, converter": replace(SENSED_ONE, input_ohm=20e3),
     "all, ideal": replace(SENSED_ALL, drive_ohm=0.0),
     "one, ideal": replace(SENSED_ONE, drive_ohm=0.0),
@@ -299,7 +302,7 @@ def test_any_states_of_idle_lines_agree_with_the_netlist(driven: Any, groups: in
             err_msg=str(keys),
         )
         read += 1
-    assert read > MOST_STATES, "most of the 128 states give readings"
+    assert read > MIN_STATES, "most of the 128 states give readings"
 
 
 @pytest.mark.parametrize("input_ohm", [None, 30e3])
@@ -497,14 +500,14 @@ def through_diode(cells: Array, readout: LoadedColumnsReadout, driven: int) -> A
 
     def excess(volt: float) -> float:
         current = (
-            volt - potentials(network, {"high": volt, "low": 0.0})["d", driven]
+            volt - potentials(network, {"high": volt, "low": 0.0, "ground": 0.0})["d", driven]
         ) / readout.drive_ohm
         return (
             volt + readout.diode.slope_volt * np.log1p(current / saturation) - readout.supply_volt
         )
 
     behind = float(brentq(excess, 0.0, readout.supply_volt, xtol=1e-15, rtol=1e-14))
-    volt = potentials(network, {"high": behind, "low": 0.0})
+    volt = potentials(network, {"high": behind, "low": 0.0, "ground": 0.0})
     return np.array([volt["load", column] for column in range(cells.shape[1])])
 
 
@@ -515,7 +518,11 @@ def test_the_model_contains_a_diode_and_the_converter(
     diode: Diode, driven: Any, polarity: Any
 ) -> None:
     readout = replace(
-        UNLIKE_READOUT, diode=diode, driven=driven, polarity=polarity, input_ohm=100e3
+        UNLIKE_READOUT,
+        diode=diode,
+        driven=driven,
+        polarity=polarity,
+        input_ohm=100e3 if polarity == "up" else None,
     )
     cells = cells_of()
     volt = np.stack([through_diode(cells, readout, row) for row in range(len(cells))])
@@ -688,7 +695,7 @@ def test_a_penalty_does_not_lead_to_the_other_panel(formulation: Any) -> None:
 
 
 def test_the_true_one_of_two_panels_that_read_alike_is_found() -> None:
-    """Undamped steps lose their way near the fold: they found the cells of three in four."""
+    """Undamped steps diverge near the fold and reach the cells in three cases of four."""
     rng = np.random.default_rng(7)
     is_solution = []
     for idle, idle_load, level in product(

@@ -45,9 +45,9 @@ def test_the_panel_is_the_one_in_which_most_cells_stand_still(
 ) -> None:
     resting, loaded = panels(typical, 0.35)
     recording = recording_of(held(**keys), resting, loaded)
-    found = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation=formulation)
-    assert found.baseline_resistance == pytest.approx(resting, rel=0.15)
-    for cells in found.cell_resistance:
+    estimate = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation=formulation)
+    assert estimate.baseline_resistance == pytest.approx(resting, rel=0.15)
+    for cells in estimate.cell_resistance:
         assert cells[PRESSED] == pytest.approx(loaded[PRESSED], rel=0.1)
 
 

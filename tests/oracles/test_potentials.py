@@ -220,6 +220,13 @@ def test_diodes_with_several_potentials_are_refused() -> None:
         Scene(Panel(*SHAPE), readout)
 
 
+@pytest.mark.parametrize("kind", [DrivenReadout, LoadedColumnsReadout])
+def test_diodes_with_driven_groups_are_refused(kind: Any) -> None:
+    readout = kind(drive_ohm=100.0, driven_groups=((0, 1), (2, 3)), diode=Diode())
+    with pytest.raises(InputError, match="diode: circuits with driven_groups"):
+        Scene(Panel(4, 6), readout)
+
+
 def test_driven_groups_name_every_line() -> None:
     with pytest.raises(InputError, match=r"readout.driven_groups: row 3 is left out"):
         Scene(Panel(4, 6), LoadedColumnsReadout(driven_groups=((0, 1), (2,))))
@@ -252,8 +259,8 @@ def test_every_formulation_finds_the_cells(name: str, formulation: str) -> None:
     scene = Scene(Panel(*SHAPE), replace(readout, adc_bits=16, noise_lsb=0.1, readings=1))
     frames = np.stack([volts(resting, readout), volts(loaded, readout)])
     recording = Recording.from_array(frames, unit="volt", scene=scene, baseline=1)
-    found = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation=formulation)
-    assert_allclose(found.cell_resistance[0], loaded, rtol=2e-3)
+    estimate = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation=formulation)
+    assert_allclose(estimate.cell_resistance[0], loaded, rtol=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -278,5 +285,5 @@ def test_bounds_of_a_hard_press_contain_its_cells(
     scene = Scene(Panel(*shape), replace(readout, adc_bits=16, noise_lsb=0.1, readings=1))
     frames = np.stack([volts(resting, readout), volts(loaded, readout)])
     recording = Recording.from_array(frames, unit="volt", scene=scene, baseline=1)
-    found = lampest.reconstruct(recording, [Misfit(weighting="noise")])
-    assert_allclose(found.cell_resistance[0], loaded, rtol=2e-3)
+    estimate = lampest.reconstruct(recording, [Misfit(weighting="noise")])
+    assert_allclose(estimate.cell_resistance[0], loaded, rtol=2e-3)

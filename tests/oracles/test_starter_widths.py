@@ -81,8 +81,10 @@ def test_the_shares_are_those_of_the_errors_alone(tmp_path: Path) -> None:
     )
     for width, smaller in zip(whole, simulated_widths(without), strict=True):
         assert "series_tolerance_ohm" not in smaller.shares
-        kept = 1 - width.shares["series_tolerance_ohm"]
-        assert (smaller.deviation / width.deviation) ** 2 == pytest.approx(kept, abs=0.05)
+        remaining_share = 1 - width.shares["series_tolerance_ohm"]
+        assert (smaller.deviation / width.deviation) ** 2 == pytest.approx(
+            remaining_share, abs=0.05
+        )
     by_fit = widths_of(Prepared(recording))
     for width, fitted in zip(whole, by_fit, strict=True):
         assert fitted.deviation == pytest.approx(width.deviation, rel=0.3)

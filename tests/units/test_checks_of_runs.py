@@ -14,8 +14,9 @@ from lampest.report.info import describe
 from lampest.runs import batch
 from lampest.runs.batch import Report, run_batch
 from lampest.runs.checks import NOT_CHECKED, CheckTask, RecordingCheck
-from lampest.runs.config import digest, read_run
+from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
+from lampest.runs.provenance import digest
 from lampest.runs.results import read_results
 
 RUN = """
@@ -64,12 +65,12 @@ def test_all_estimators_share_one_check_which_is_that_of_reconstruct(
 ) -> None:
     run(folder)
     assert checked == ["mine"]
-    found = lampest.reconstruct(lampest.Recording.load(folder / "mine.h5"), [lampest.Misfit()])
+    estimate = lampest.reconstruct(lampest.Recording.load(folder / "mine.h5"), [lampest.Misfit()])
     for case in read_results(folder / "out" / "results.h5").cases:
-        assert case.model_mark == found.model_check.mark
-        assert case.model_sentence == found.model_check.sentence
-        assert case.advice == "\n".join(found.advice)
-        assert sorted(filter(None, case.warnings.split("\n"))) == sorted(found.checks)
+        assert case.model_mark == estimate.model_check.mark
+        assert case.model_sentence == estimate.model_check.sentence
+        assert case.advice == "\n".join(estimate.advice)
+        assert sorted(filter(None, case.warnings.split("\n"))) == sorted(estimate.checks)
 
 
 def test_a_recording_that_has_not_changed_is_not_checked_again(
@@ -90,9 +91,9 @@ def test_a_recording_that_has_changed_and_a_damaged_check_are_checked_again(
     folder: Path, checked: list[str]
 ) -> None:
     run(folder)
-    [kept] = (folder / "out" / "cases").glob("*.check.json")
-    for text in ("", "[]", "{}", json.dumps(json.loads(kept.read_text()) | {"mark": 1})):
-        kept.write_text(text)
+    [check_file] = (folder / "out" / "cases").glob("*.check.json")
+    for text in ("", "[]", "{}", json.dumps(json.loads(check_file.read_text()) | {"mark": 1})):
+        check_file.write_text(text)
         run(folder)
     assert checked == ["mine"] * 5
     recording = lampest.Recording.load(folder / "mine.h5")
@@ -170,12 +171,12 @@ def test_info_and_detect_read_the_check_that_a_run_has_kept(
     folder: Path, monkeypatch: pytest.MonkeyPatch, described: Iterator[str]
 ) -> None:
     warned = "a warning of the check"
-    kept = RecordingCheck("no", "the circuit is another one", "advised", warned, "")
+    stored = RecordingCheck("no", "the circuit is another one", "advised", warned, "")
     task = CheckTask(
         folder / "mine.h5", digest(folder / "mine.h5"), "mine", folder / "results" / "run" / "cases"
     )
     task.folder.mkdir(parents=True)
-    task.keep(kept)
+    task.keep(stored)
     lines = list(described)
     assert "model      no: the circuit is another one" in lines
     assert "warning    a warning of the check" in lines and "advice     advised" in lines

@@ -36,6 +36,10 @@ HEAVY = (
     "pandas",
     "serial",
 )
+DESCRIBE = (
+    "from pathlib import Path; from lampest.report.info import describe; "
+    "list(describe(Path('data/ring.h5')))"
+)
 LOAD_RECORDING = "import lampest; lampest.Recording.load('data/lamprey_35mm.h5')"
 HELP = (
     "import contextlib, io, sys; from lampest import cli; sys.argv = ['lampest', '--help']\n"
@@ -155,6 +159,7 @@ def test_a_process_imports_only_needed_libraries() -> None:
             "import lampest.report.info, lampest.report.compare",
             ("scipy.linalg", "casadi", "lampest.estimate"),
         ),
+        (DESCRIBE, ("scipy.optimize", "lampest.estimate", "lampest.formulation")),
         ("import lampest.apps.calibration.resistors", ("scipy.stats", "scipy.optimize")),
         (ESTIMATE, ("scipy.optimize", "scipy.ndimage", "scipy.stats", "matplotlib", "pandas")),
         ("import lampest; assert len(dir(lampest)) > 50", (*HEAVY, "lampest.panel", "lampest.cli")),

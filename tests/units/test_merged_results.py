@@ -28,17 +28,17 @@ def stored(folder: Path, cases: list[CaseResult]) -> list[StoredCase]:
 
 def axes(path: Path) -> dict[str, Any]:
     """Return the scales of the axes of every dataset, and the users of every scale."""
-    found: dict[str, Any] = {}
+    scales: dict[str, Any] = {}
 
     def look(name: str, node: Any) -> None:
         if isinstance(node, h5py.Dataset):
-            found[name] = [[scale.name for scale in axis.values()] for axis in node.dims]
+            scales[name] = [[scale.name for scale in axis.values()] for axis in node.dims]
             users = node.attrs.get("REFERENCE_LIST", ())
-            found[f"{name} is used by"] = sorted((file[user].name, int(n)) for user, n in users)
+            scales[f"{name} is used by"] = sorted((file[user].name, int(n)) for user, n in users)
 
     with h5py.File(path) as file:
         file.visititems(look)
-    return found
+    return scales
 
 
 def test_stored_cases_give_the_file_of_cases_in_memory(tmp_path: Path) -> None:
@@ -80,9 +80,9 @@ def test_a_reference_is_that_of_the_written_case(tmp_path: Path) -> None:
 
 def test_stored_cases_of_different_recordings_are_refused(tmp_path: Path) -> None:
     case = invented_case("LSM")
-    other = dataclasses.replace(case, estimator="b", measured=case.measured * 1.01)
+    deviating = dataclasses.replace(case, estimator="b", measured=case.measured * 1.01)
     with pytest.raises(InputError, match=r"different recordings of the name \w+ \(resistance diff"):
-        write_results(tmp_path / "r.h5", stored(tmp_path, [case, other]))
+        write_results(tmp_path / "r.h5", stored(tmp_path, [case, deviating]))
     assert not (tmp_path / "r.h5").exists()
 
 

@@ -12,7 +12,7 @@ import lampest
 from lampest import Estimator, LogGradient, Misfit, Panel, Recording, Scene, TwoPointReadout
 
 WAYS = {
-    "pickle": lambda found: pickle.loads(pickle.dumps(found)),
+    "pickle": lambda result: pickle.loads(pickle.dumps(result)),
     "copy.deepcopy": copy.deepcopy,
 }
 TERMS = (Misfit(), LogGradient(weight=0.3))
@@ -29,10 +29,10 @@ def small_recording(frames: int = 4) -> Recording:
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "per_pixel"])
 def test_a_result_arrives_with_its_numbers(way: Callable[[Any], Any], formulation: str) -> None:
-    found = lampest.reconstruct(small_recording(), TERMS, formulation=formulation)
-    arrived = way(found)
-    np.testing.assert_array_equal(arrived.cell_resistance, found.cell_resistance)
-    assert repr(arrived) == repr(found)
+    estimate = lampest.reconstruct(small_recording(), TERMS, formulation=formulation)
+    arrived = way(estimate)
+    np.testing.assert_array_equal(arrived.cell_resistance, estimate.cell_resistance)
+    assert repr(arrived) == repr(estimate)
 
 
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)

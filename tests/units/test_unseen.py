@@ -70,8 +70,11 @@ def test_scales_that_no_reading_shows_follow_from_the_circuit(
 
 def test_the_verdict_names_the_scales_and_no_bound_excludes_the_cells() -> None:
     made = recording(INPUTS, INPUTS)
-    told = verdict(EXPLAINED, Prepared(made))
-    assert told.mark == "doubtful" and "each of the columns has a scale of its own" in told.sentence
+    answer = verdict(EXPLAINED, Prepared(made))
+    assert (
+        answer.mark == "doubtful"
+        and "each of the columns has a scale of its own" in answer.sentence
+    )
     estimate = lampest.reconstruct(made, [Misfit(weighting="noise")])
     lower, upper = estimate.cell_resistance_lower[-1], estimate.cell_resistance_upper[-1]
     assert np.all((lower <= cells()) & (cells() <= upper))

@@ -1,4 +1,4 @@
-"""The way of a frame, as the page of the architecture has it, is what a trace of a run shows."""
+"""The way of a frame on the page of the architecture against the trace of a run."""
 
 import re
 import subprocess
@@ -61,8 +61,9 @@ def test_a_run_makes_the_objects_of_the_page_in_its_order(tmp_path: Path) -> Non
 LOADED = """
 import sys, lampest
 recording = lampest.Recording.load(sys.argv[1])
-found = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise"), lampest.LogGradient()])
-assert found.cell_resistance_errors is not None and found.relative_change.shape
+terms = [lampest.Misfit(weighting="noise"), lampest.LogGradient()]
+estimate = lampest.reconstruct(recording, terms)
+assert estimate.cell_resistance_errors is not None and estimate.relative_change.shape
 print(*[name for name in sys.modules if name.startswith("lampest.")])
 """
 MAX_LOADED = 90  # modules of a first reconstruction

@@ -300,7 +300,7 @@ CIRCUITS = (
 
 if __name__ == "__main__":
     with mpl.rc_context(STYLE):
-        drawings = {one.__name__: one() for one in CIRCUITS} | {
+        drawings = {circuit.__name__: circuit() for circuit in CIRCUITS} | {
             "loaded_columns_diode": loaded_columns(diode=True)
         }
     for name, drawing in drawings.items():

@@ -5,6 +5,7 @@ from lampest.files.applications import Application
 APPLICATION = Application(
     name="film",
     about="pressures of loads, what a film remembers of them, and their zero",
+    scene_keys={"film": "lampest.panel.response:Film"},
     answers={
         "pressures": "lampest.apps.film.pressure:pressure_of",
         "memory of a film": "lampest.apps.film.memory:FilmKnown.specified",

@@ -6,13 +6,16 @@ no load is about to arrive.
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lampest.apps.film.memory import ERRORS
-from lampest.estimate.objective import Tare
 from lampest.files.levels import MAD_TO_SIGMA, MAX_MEAN_SQUARE, OUTLIER_THRESHOLD, TWO_SIDED
 from lampest.panel.panel import Array
+
+if TYPE_CHECKING:
+    from lampest.estimate.objective import Tare
 
 # ln r/r0 beyond which a cell, and the mean of four neighbours, may be under a load: 0.8 and 0.3
 # kPa. The weakest suction of a lamprey, 0.6 kPa, covers more than four cells, while the drift of
@@ -35,7 +38,7 @@ class TareWatch:
         columns), and time in s.
     """
 
-    tare: Tare
+    tare: "Tare"
     zeroed: float | None = None
     frames: tuple[tuple[Array, float], ...] = ()
 

@@ -16,6 +16,7 @@ APPLICATION = Application(
             example="mine.h5 --json",
         ),
     },
+    scene_keys={"purpose": "builtins:str"},
     answers={
         "visits": "lampest.apps.recognition.detect.export:export_visits",
         "a load on unloaded cells": "lampest.apps.recognition.at_rest:lies_on",

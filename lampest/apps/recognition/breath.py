@@ -27,8 +27,9 @@ from lampest.panel.panel import Array
 from lampest.panel.response import RESPONSE_SD
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
-# assumed, of suction that oscillates to the rim alone, and to the place or the tilt
-PRIOR_ODDS = 10.0
+# Assumed, of suction that oscillates to the rim alone, and to the place or the tilt: what sucks and
+# breathes always does, while rims and places swing at one rate only where something pushes them.
+PRIOR_ODDS = 30.0
 # The same of a load that another one, or a body, adjoins and may move: of 25 cups beside a body
 # that beats, five were taken for lampreys with PRIOR_ODDS (docs/studies/mouths.md).
 ADJOINED_ODDS = 0.1
@@ -242,30 +243,72 @@ class _Window(NamedTuple):
         without_wave = self.changes - self.axes[centre].T @ swings[centre]
         whitening = _whitening(self.tapered[background] @ without_wave)
         steadied = self.patterns.whitened(whitening)
-        # Amplitudes a, b of s_t at every rate, and the odds of A = BREATHING_SD against
-        # A = TREMBLE_SD.
-        series = self.changes @ whitening.T @ steadied.weights(TREMBLE_SD, 1 / mean_gain)
-        amplitude = self.axes @ series
-        total = float(series @ series)
-        power = near * (amplitude**2).sum(axis=1)
-        best = int(np.argmax(power))
-        breathing, steady = (
-            logsumexp(_evidence(total, amplitude, self.gain, sd, freedom)[near])
-            for sd in (BREATHING_SD, TREMBLE_SD)
-        )
-        remaining = max(total - power[best], 1e-12) / (freedom - 2)
+        # A rim that swings less than the suction lets expect cancels it in a mean of both. Weights
+        # that leave movements out see such a breath, but less of a faint one; each is as probable.
+        rhythms = [
+            self._rhythm(steadied.weights(TREMBLE_SD, 1 / mean_gain, moving), whitening, near)
+            for moving in (0.0, EDGE_SD)
+        ]
+        odds = [rhythm.odds(freedom) for rhythm in rhythms]
+        rhythm = rhythms[int(np.argmax(odds))]
+        best = rhythm.best
+        remaining = max(rhythm.total - rhythm.power[best], 1e-12) / (freedom - 2)
         # Rife, Boorstyn, IEEE Trans. IT-20, 1974
-        spread = np.sqrt(3 * remaining / max(power[best], 1e-12)) / (np.pi * lasted)
+        spread = np.sqrt(3 * remaining / max(rhythm.power[best], 1e-12)) / (np.pi * lasted)
         loud = _background(swings)  # with what the wave leaks into other rates
         within = (self.times - self.times[0]) / lasted
         # a rate is uniform within a step of the grid
         hertz_sd = float(np.hypot(spread, RATE_STEP / lasted / 12**0.5))
         return Breath(
-            odds=float(breathing - steady + np.log(near.mean())),
+            odds=float(logsumexp(odds) - log(len(odds))),
             suction=_suction(steadied, swings @ whitening.T, 1.0, mean_gain),
             hertz=(float(self.hertz[best]), hertz_sd),
             depth=_depth(self.patterns, self.changes, self.waves[best], within, loud / mean_gain),
         )
+
+    def _rhythm(self, weights: Array, whitening: Array, near: NDArray[np.bool_]) -> "_Rhythm":
+        """Return the oscillations of the suction that weights (readings,) sum to."""
+        series = self.changes @ whitening.T @ weights
+        return _Rhythm(float(series @ series), self.axes @ series, self.gain, near)
+
+
+class _Rhythm(NamedTuple):
+    """The suction of a window, and its oscillations at every rate.
+
+    Attributes
+    ----------
+    total : float
+        Σ s² of the relative suction s.
+    amplitude : array, shape (rates, 2)
+        Projections of s on the axes.
+    gain : array, shape (rates, 2)
+        Squares of the axes' singular values.
+    near : boolean array, shape (rates,)
+        Rates of the breath.
+    """
+
+    total: float
+    amplitude: Array
+    gain: Array
+    near: NDArray[np.bool_]
+
+    @property
+    def power(self) -> Array:
+        """Squares of the oscillation at the rates of the breath, (rates,); 0 at others."""
+        return np.asarray(self.near * (self.amplitude**2).sum(axis=1))
+
+    @property
+    def best(self) -> int:
+        """Number of the strongest rate."""
+        return int(np.argmax(self.power))
+
+    def odds(self, freedom: int) -> float:
+        """Return ln of the odds of A = BREATHING_SD against A = TREMBLE_SD."""
+        breathing, steady = (
+            logsumexp(_evidence(self.total, self.amplitude, self.gain, sd, freedom)[self.near])
+            for sd in (BREATHING_SD, TREMBLE_SD)
+        )
+        return float(breathing - steady + np.log(self.near.mean()))
 
 
 def _without(trend: Array, series: Array) -> Array:

@@ -30,6 +30,8 @@ MAX_LOG_ODDS = 10.0  # upper limit of accumulated ln odds of breathing
 # of suction that oscillates against the rim alone, and against the place or the tilt
 CAUSE_ODDS = PRIOR_ODDS / 2
 PRIOR_SUCTION = CAUSE_ODDS / (1 + CAUSE_ODDS)
+# The same before the first window: an incomplete one alone must not decide.
+UNAGREED = 0.75
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,8 @@ class Breathing:
     suction : float
         Probability that the suction oscillates, by all windows; 1 before the first one.
     last : float
-        The same by the last window alone; its prior probability where nothing oscillated.
+        The same by the last window alone; its prior probability where nothing oscillated, and
+        UNAGREED before the first one.
     hertz, depth : (float, float) or None
         Rate in Hz and relative amplitude, each with its standard deviation, from the last window
         that determines them.
@@ -62,7 +65,7 @@ class Breathing:
     previous_causes: float = 0.0
     windows: float = 0.0
     suction: float = 1.0
-    last: float = PRIOR_SUCTION
+    last: float = UNAGREED
     hertz: Pair | None = None
     depth: Pair | None = None
     full_s: float = -inf

@@ -7,12 +7,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lampest.apps.recognition.fit import Fit
 from lampest.apps.recognition.observation import Observation
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
 from lampest.panel.panel import Array
+from lampest.posterior.frame_noise import motion_patterns
 
 LEVEL_FRAMES = 9  # two seconds at four frames a second: more than one breath
 MIN_PART = 4  # frames between two steps, with which a part says more than its mean
@@ -122,7 +124,8 @@ def changes_without_water(interval: SteadyFrames, frame: Observation, fit: Fit) 
     """Return the changes of ln y since the recognised frame, without the water's pressure.
 
     The result has shape (frames, readings). Outliers of each part between steps are drawn in. The
-    water's effect is estimated from lines without a load; it is 0 if all lines are loaded.
+    water presses in common and along both sides of the panel. Its effect is estimated from lines
+    without a load; it is 0 if all lines are loaded.
 
     Parameters
     ----------
@@ -143,10 +146,11 @@ def changes_without_water(interval: SteadyFrames, frame: Observation, fit: Fit) 
         response.pressure(fit.change / response.gains + response.logarithm(frame.water))
         - frame.water
     )
-    slope = frame.slope(fit.change) @ frame.change(pressure)[1].ravel() / frame.measured.ravel()
-    return changes - np.outer(
-        changes[:, free] @ slope[free] / max(float(slope[free] @ slope[free]), 1e-300), slope
-    )
+    patterns = motion_patterns(frame.panel.shape) * frame.change(pressure)[1]
+    by_cell = frame.slope(fit.change) / frame.measured.ravel()[:, None]
+    slopes = by_cell @ patterns.reshape(len(patterns), -1).T
+    water = np.linalg.pinv(slopes[free]) @ changes[:, free].T
+    return np.asarray(changes - (slopes @ water).T)
 
 
 def settled(series: Array) -> Array:
@@ -154,10 +158,8 @@ def settled(series: Array) -> Array:
 
     The level is the running median of LEVEL_FRAMES, which a pull moves.
     """
-    # Estimates import this module and do not need scipy.ndimage.
-    from scipy.ndimage import median_filter
-
-    size = (LEVEL_FRAMES, *(1 for _ in series.shape[1:]))
-    level = median_filter(series, size, mode="nearest")
+    half = LEVEL_FRAMES // 2
+    around = np.pad(series, ((half, half), *((0, 0) for _ in series.shape[1:])), mode="edge")
+    level = np.median(sliding_window_view(around, LEVEL_FRAMES, axis=0), axis=-1)
     most = 4 * MAD_TO_SIGMA * np.median(np.abs(series - level), axis=0)
     return np.asarray(np.clip(series, level - most, level + most))

@@ -21,7 +21,7 @@ from lampest.report.compare import Columns, Table, comma_separated, grouped, scr
 from lampest.report.plots.style import save
 from lampest.runs.config import Case, Run
 from lampest.runs.executors import Serial, each_of
-from lampest.runs.filling import library_versions
+from lampest.runs.provenance import library_versions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -46,6 +46,7 @@ from lampest.panel.readouts.lines import (
     check_apart,
     check_groups,
     check_resistors,
+    load_share,
     of_side,
     opposite,
     per_line,
@@ -136,19 +137,33 @@ class DrivenNetwork(Readout):
     def line_ends(self) -> LineEnds:
         """Potentials in which lines end."""
         ground = self.supply_volt if self.polarity == "down" else 0.0
-        load = ground if self.load_volt is None else self.load_volt
+        end = ground if self.load_volt is None else self.load_volt
+        share = self._load_share
+        # Lines of unlike loads have shares of their own (`LineStates.load_share`).
+        load = end if isinstance(share, tuple) else end * share
+        idle_load = load if getattr(self, "idle_load_ohm", None) is None else end
         return LineEnds(
             source=self.source_volt,
             idle=ground if self.idle_volt is None else self.idle_volt,
             load=load,
-            idle_load=load if self.idle_load_volt is None else self.idle_load_volt,
+            idle_load=idle_load if self.idle_load_volt is None else self.idle_load_volt,
             connected=(self.idle_connected, *self.loads_connected),
         )
+
+    @property
+    def _load_share(self) -> PerLine:
+        """Share of a load's potential that the converter's input to ground leaves."""
+        return load_share(getattr(self, self.of_sensed[0]), self.input_ohm)
 
     @property
     def driving_volt(self) -> float:
         """Voltage of the source against the reference of the line ends, in volt."""
         return self.line_ends.relative(self.line_ends.source)
+
+    def load_shares(self, sensed: int) -> Array | None:
+        """Return the shares of the loads' potential of unlike loads, (sensed,); None for one."""
+        share = self._load_share
+        return per_line("load_ohm", share, sensed) if isinstance(share, tuple) else None
 
     @abstractmethod
     def states(self, driven: int, sensed: int) -> LineStates:
@@ -184,6 +199,8 @@ class DrivenNetwork(Readout):
                 per_line(name, value, driven if name in self.of_driven else sensed)
         if self.diode is not None and equation_of(self, *scene.panel.shape).potentials is not None:
             raise ValueError("diode: circuits with several potentials have no diode in this model")
+        if self.diode is not None and self.driven_groups is not None:
+            raise ValueError("diode: circuits with driven_groups have no diode in this model")
         check_groups(self.groups, opposite(self.driven), sensed)
         check_groups(self.driven_groups, self.driven, driven, "driven_groups")
         equation = equation_of(self, *scene.panel.shape)

@@ -15,7 +15,6 @@ from lampest.panel.readouts.lines import (
     Side,
     as_tuple,
     lines_text,
-    load_share,
     opposite,
     parallel,
     per_line,
@@ -68,7 +67,7 @@ class DrivenReadout(SourcedCircuit):
     drive_volt, converter_volt : float, or None
         Source, and end of the converter's range, in volt; None: supply_volt.
     input_ohm : float, or None
-        Input resistance of the converter in ohm, parallel to the load; None: negligible.
+        Input resistance of the converter to ground in ohm, at the load; None: negligible.
     supply_volt, adc_bits, readings, noise_lsb
         See `Converter`.
 
@@ -173,7 +172,7 @@ class DrivenReadout(SourcedCircuit):
         with np.errstate(invalid="ignore"):
             gain = np.where(np.isinf(load), 1.0, load / total)
         drive, idle = (per_line(name, getattr(self, name), driven) for name in self.of_driven)
-        share = load_share(self.load_ohm, load, self.load_volt)
+        share = self.load_shares(sensed)
         return LineStates(drive, idle, total, idle_load, gain, share)
 
 

@@ -32,7 +32,7 @@ class LineStates:
     gain : array, shape (sensed,)
         c, the share of a sensed line's voltage at the converter.
     load_share : array, shape (sensed,), or None
-        Share of Vs that the load and the converter's input leave at the end of a load; None: 1.
+        Share of Vs that the converter's input to ground leaves of each of unlike loads; None: 1.
     """
 
     drive: Array

@@ -129,15 +129,12 @@ def parallel(ohm: Array, shunt: float | None) -> Array:
     return ohm if shunt is None else np.asarray(1 / (1 / ohm + 1 / shunt))
 
 
-def load_share(load_ohm: PerLine, with_input: Array, load_volt: float | None) -> Array | None:
-    """Return the share of a load's potential that the converter's input leaves, (sensed,).
-
-    The result is None where the potential is ground.
-    """
-    if load_volt is None:
-        return None
-    load = per_line("load_ohm", load_ohm, len(with_input))
-    return np.where(np.isinf(load), 0.0, with_input / load)
+def load_share(load_ohm: PerLine, input_ohm: float | None) -> PerLine:
+    """Return the share of a load's potential that the converter's input to ground leaves."""
+    if input_ohm is None:
+        return 1.0
+    shares = tuple(1 / (1 + ohm / input_ohm) for ohm in as_tuple(load_ohm))
+    return shares if isinstance(load_ohm, tuple) else shares[0]
 
 
 def check_apart(groups: Groups, key: str = "groups") -> None:

@@ -19,7 +19,6 @@ from lampest.panel.readouts.lines import (
     PerLine,
     Side,
     lines_text,
-    load_share,
     opposite,
     parallel,
     per_line,
@@ -51,7 +50,7 @@ class LoadedColumnsReadout(DrivenCircuit):
     diode : Diode, or None
         Diode in series with Rd.
     input_ohm : float, or None
-        Input resistance of the converter in ohm, parallel to every load; None: negligible.
+        Input resistance of the converter to ground in ohm, at every load; None: negligible.
     groups : tuple of tuple of int, or None
         Sensed lines behind one multiplexer each, with their load behind it; one line of each group
         is read at every address, and idle ones float. None: the loads stay.
@@ -110,7 +109,7 @@ class LoadedColumnsReadout(DrivenCircuit):
         load = parallel(per_line("load_ohm", self.load_ohm, sensed), self.input_ohm)
         idle_load = load if self.groups is None else np.full(sensed, inf)
         drive = per_line("drive_ohm", self.drive_ohm, driven)
-        share = load_share(self.load_ohm, load, self.load_volt)
+        share = self.load_shares(sensed)
         return LineStates(drive, np.full(driven, inf), load, idle_load, np.ones(sensed), share)
 
 
@@ -143,7 +142,7 @@ class GroundedReadout(DrivenCircuit):
         Rc in ohm, the channel between every sensed line and its load; a number or one for each
         sensed line.
     input_ohm : float, or None
-        Input resistance of the converter in ohm, parallel to the load; None: negligible.
+        Input resistance of the converter to ground in ohm, at the load; None: negligible.
     groups : tuple of tuple of int, or None
         Sensed lines behind one multiplexer each, with their load behind it; one line of each group
         is read at every address, and idle ones float, as with sense: one. None: as `sense` says.
@@ -206,7 +205,7 @@ class GroundedReadout(DrivenCircuit):
         load = parallel(per_line("load_ohm", self.load_ohm, sensed), self.input_ohm)
         total = load + per_line("sense_ohm", self.sense_ohm, sensed)
         idle_load = total if self.all_loaded else np.full(sensed, inf)
-        share = load_share(self.load_ohm, load, self.load_volt)
+        share = self.load_shares(sensed)
         return LineStates(drive, drive, total, idle_load, load / total, share)
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 from itertools import count
 from math import isfinite
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from lampest.files.whole import check_room
 from lampest.panel.conditions import Water, water_pressure
 from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, AnyResponse, Film, ratio_from_pressure
-from lampest.panel.scene import Scene
+from lampest.panel.scene import Scene, without_own_keys
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.shapes import AnyShape
 from lampest.recording.simulation.measure import (
@@ -491,9 +491,7 @@ def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[s
     """
     document = read_document(path, settings)
     simulations: dict[str, Simulation] = {}
-    planned = combinations(
-        document, lambda varied: cast(Simulation, validated(_drawn(varied), Simulation))
-    )
+    planned = combinations(document, lambda varied: simulation_of(_drawn(varied)))
     for number, case in enumerate(planned, start=1):
         template = case.value.output or f"{path.stem}{'_{case:03d}' if len(planned) > 1 else ''}.h5"
         name = _filled(document, template, case.value.seed, number, case.assignments)
@@ -504,6 +502,24 @@ def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[s
             )
         simulations[name] = replace(case.value, output=name)
     return list(simulations.items())
+
+
+def simulation_of(document: Document) -> Simulation:
+    """Return the simulation of a document, with the scene's keys of applications.
+
+    Raises InputError as `validated`.
+    """
+    content = document.content
+    own_keys: tuple[tuple[str, Any], ...] = ()
+    if isinstance(content, dict) and isinstance(content.get("scene"), dict):
+        marks = document.marks.get("scene", document.marks)
+        scene = replace(document, content=content["scene"], marks=marks)
+        scene, own_keys = without_own_keys(scene)
+        document = replace(document, content=content | {"scene": scene.content})
+    simulation: Simulation = validated(document, Simulation)
+    if not own_keys:
+        return simulation
+    return replace(simulation, scene=replace(simulation.scene, own_keys=own_keys))
 
 
 def _drawn(document: Document) -> Document:

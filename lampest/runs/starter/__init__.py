@@ -13,7 +13,8 @@ from lampest.audit.widths import NOISE, Width, simulated_widths
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError, meant
 from lampest.files.whole import write_whole
-from lampest.recording.simulation import Simulation, simulate
+from lampest.recording.simulation import simulate
+from lampest.recording.simulation.simulation import simulation_of
 from lampest.runs.config import json_schema
 
 TEMPLATES = Path(__file__).parent
@@ -131,7 +132,7 @@ def write_starter(
         )
 
     _, simulation = files(())
-    simulated: Simulation = validated(parse_document(simulation, SIMULATION), Simulation)
+    simulated = simulation_of(parse_document(simulation, SIMULATION))
     recording = simulate(simulated, paths[RECORDING].stem)
     recording.save(paths[RECORDING])
     scene, simulation = files(simulated_widths(recording))

@@ -80,7 +80,7 @@ def scene_of(circuit, rows=6, columns=5, cells=None, series_ohm=0.0, **keys):
     return lampest.Scene(lampest.Panel(rows, columns, 10.0, cells=cells), readout, series_ohm)
 
 
-def pressed_cells(scene, frames=8, rest=3, seed=0, ohm=4000.0, strength=1.2):
+def pressed_cells(scene, frames=8, unloaded=3, seed=0, ohm=4000.0, strength=1.2):
     """Return cells (frames, rows, columns) ohm: at rest, then under a press.
 
     The press moves along a diagonal.
@@ -90,11 +90,11 @@ def pressed_cells(scene, frames=8, rest=3, seed=0, ohm=4000.0, strength=1.2):
     resting = ohm * np.exp(0.2 * rng.standard_normal((rows, columns)))
     cells = []
     for frame in range(frames):
-        share = max(frame - rest, 0) / max(frames - rest, 1)
+        share = max(frame - unloaded, 0) / max(frames - unloaded, 1)
         place = np.array([rows - 1, columns - 1]) * (0.3 + 0.3 * share)
         distance = np.hypot(*(np.indices((rows, columns)) - place[:, None, None]))
         cells.append(
-            resting * np.exp(-strength * (frame >= rest) * np.exp(-((distance / 1.2) ** 2)))
+            resting * np.exp(-strength * (frame >= unloaded) * np.exp(-((distance / 1.2) ** 2)))
         )
     return np.where(scene.panel.present, cells, 1e12)
 
@@ -113,11 +113,11 @@ def sums_of(scene, cells, seed=1):
     return np.clip(np.floor(codes), 0, 2**readout.adc_bits - 1).sum(axis=-1).astype(np.uint32)
 
 
-def recording_of(scene, sums, rest=3):
+def recording_of(scene, sums, unloaded=3):
     """Return the recording of sums."""
     readout = scene.circuit
     values = readout.recorded_from_sums(sums.astype(int), readout.readings)
-    return lampest.Recording.from_array(values, unit=readout.unit, baseline=rest, scene=scene)
+    return lampest.Recording.from_array(values, unit=readout.unit, baseline=unloaded, scene=scene)
 
 
 def unchecked_case(estimate, name="estimator"):
@@ -134,11 +134,11 @@ def unchecked_case(estimate, name="estimator"):
         return estimate.result(name)
 
 
-def solved_case(scene, terms, seed=0, sums=None, rest=3, **options):
+def solved_case(scene, terms, seed=0, sums=None, unloaded=3, **options):
     """Return (sums of the measured frames, CaseResult) of a simulated recording."""
     if sums is None:
-        sums = sums_of(scene, pressed_cells(scene, rest=rest, seed=seed), seed + 1)
+        sums = sums_of(scene, pressed_cells(scene, unloaded=unloaded, seed=seed), seed + 1)
     estimate = lampest.reconstruct(
-        recording_of(scene, sums, rest), list(terms), formulation="reduced", **options
+        recording_of(scene, sums, unloaded), list(terms), formulation="reduced", **options
     )
-    return sums[rest:], unchecked_case(estimate)
+    return sums[unloaded:], unchecked_case(estimate)

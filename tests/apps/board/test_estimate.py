@@ -569,7 +569,7 @@ def test_every_press_of_a_chord_is_detected_without_ghosts(circuit, count, tmp_p
     resting = 30_000.0 * np.exp(0.1 * rng.standard_normal(shape))
     terms = [NOISY, lampest.LogRatio(loss=lampest.Squared(), weight=1e-4)]
     training = sums_of(scene, np.array([resting] * 3), 0)
-    _, case = solved_case(scene, terms, sums=training, rest=2, error_bars=False)
+    _, case = solved_case(scene, terms, sums=training, unloaded=2, error_bars=False)
     (tmp_path / "panel_constants.h").write_text(header(Constants.of(case), "panel", ()))
     (tmp_path / "host.c").write_text(HOST)
     (tmp_path / "keys.c").write_text(KEYS)

@@ -229,7 +229,7 @@ def test_the_keyboard_prints_presses_and_releases_with_strengths_and_no_ghosts(
         states += [resting, pressed]
     terms = [Misfit(weighting="noise"), LogRatio(loss=Squared(), weight=1e-4)]
     training = sums_of(SCENE, np.array([resting] * 3), 0)
-    _, case = solved_case(SCENE, terms, sums=training, rest=2, error_bars=False)
+    _, case = solved_case(SCENE, terms, sums=training, unloaded=2, error_bars=False)
     text = header(Constants.of(case), "panel", ())
     readings = f"#define PANEL_READINGS {SCENE.circuit.readings}\n\nstatic const"
     (tmp_path / "panel_constants.h").write_text(text.replace("static const", readings, 1))

@@ -1,6 +1,6 @@
 """Lost and doubled lines of files without marks between their frames, and cut frames.
 
-Wrong frames are never imported: a break is found and named, or the import asks.
+Wrong frames are never imported: a break is detected and named, or the import asks.
 """
 
 from collections.abc import Callable
@@ -55,20 +55,20 @@ def test_a_lost_or_doubled_line_is_found_and_named(
     meant = readings(seed)
     lines = meant.reshape(-1, width)
     at = int(np.random.default_rng(seed).integers(4 * len(lines) // FRAMES, 0.8 * len(lines)))
-    found, notes = imported(damage(lines, at), tmp_path)
+    imported_frames, notes = imported(damage(lines, at), tmp_path)
     assert "lines are lost or doubled between" in notes
-    whole = np.isfinite(found).all(axis=(1, 2))
+    whole = np.isfinite(imported_frames).all(axis=(1, 2))
     assert whole.sum() >= FRAMES - 4
-    for frame in found[whole]:
+    for frame in imported_frames[whole]:
         assert np.abs(meant - frame).max(axis=(1, 2)).min() < 0.01, "no frame of the panel"
 
 
 def test_a_whole_file_is_taken_as_it_is(tmp_path: Path) -> None:
     for seed, spread in ((1, 0.2), (2, 0.0)):
         meant = readings(seed, spread)
-        found, notes = imported(meant.reshape(-1, COLUMNS), tmp_path)
-        assert len(found) == FRAMES and "lost" not in notes
-        np.testing.assert_allclose(found, meant, atol=0.01)
+        imported_frames, notes = imported(meant.reshape(-1, COLUMNS), tmp_path)
+        assert len(imported_frames) == FRAMES and "lost" not in notes
+        np.testing.assert_allclose(imported_frames, meant, atol=0.01)
 
 
 def test_a_loss_without_evidence_is_asked_for(tmp_path: Path) -> None:
@@ -86,6 +86,6 @@ def test_a_capture_that_begins_within_a_frame_is_cut_or_asked_for(
     with pytest.raises(InputError, match="no whole number of frames"):
         imported(readings(4).reshape(-1, COLUMNS)[first:], tmp_path)
     steady = readings(4, spread=0.0) * np.linspace(1, 2, ROWS)[:, None]
-    found, notes = imported(steady.reshape(-1, COLUMNS)[first:], tmp_path)
-    np.testing.assert_allclose(found, steady[1:], atol=0.01)
+    imported_frames, notes = imported(steady.reshape(-1, COLUMNS)[first:], tmp_path)
+    np.testing.assert_allclose(imported_frames, steady[1:], atol=0.01)
     assert "are of a cut frame, and left out" in notes

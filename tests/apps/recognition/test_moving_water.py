@@ -17,11 +17,12 @@ from lampest import (
     TwoPointReadout,
     two_point_resistance,
 )
-from lampest.apps.recognition.detect.detection import Known, known_of
-from lampest.apps.recognition.observation import Whitening
+from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.observation import Observation, Whitening
+from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without_water
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
-from tests.laws.recognised import answered
+from tests.laws.recognised import answered, known_before
 
 SIDE = 8
 RATE = 4.0
@@ -98,8 +99,7 @@ def test_a_mouth_in_moving_water_is_not_nothing(seed: int) -> None:
 def test_errors_that_readings_share_do_not_explain_a_load() -> None:
     """A motion of 11 % in a frame and in its baseline is no step of single cells by a third."""
     recording = recording_in_water(5, 0.0, 24, gentle_mouth())
-    known = known_of(Prepared(recording))
-    assert isinstance(known, Known)
+    known = known_before(recording)
     chi_squares = []
     for size in (0.01, 0.11):
         setup = replace(known.watch().setup, motion=np.full(3, size))
@@ -109,3 +109,20 @@ def test_errors_that_readings_share_do_not_explain_a_load() -> None:
         errors = Whitening.about(frame) @ frame.residual()
         chi_squares.append(errors @ errors)
     assert chi_squares[1] > 0.5 * chi_squares[0]
+
+
+def test_water_is_taken_off_in_common_and_along_both_sides() -> None:
+    """Cells of a panel without a load follow a wave with gradients as large as its common part."""
+    recording = recording_in_water(0, 0.0, 2)
+    known = known_before(recording)
+    baseline = known.watch().setup.baseline(known.resting, known.sigma, UNLOADED)
+    frame = Observation(known.resting, known.sigma, baseline, np.zeros((SIDE, SIDE)), 0.0)
+    field = Detector(6.0).verdict(frame).best
+    place = np.linspace(-1, 1, SIDE)
+    wave = 0.01 * (1 + place + place[:, None]).ravel()
+    shown = frame.slope() @ wave / frame.measured.ravel()
+    times = np.arange(8) / RATE
+    logarithms = np.log(frame.measured.ravel()) + np.sin(2 * np.pi * times)[:, None] * shown
+    interval = SteadyFrames(times, logarithms, np.zeros(8, dtype=np.intp), 1 / RATE)
+    changes = changes_without_water(interval, frame, field)
+    assert np.abs(changes).max() < 0.02 * np.abs(shown).max()

@@ -45,14 +45,14 @@ def test_a_bound_beyond_rest_counts_as_a_change_of_that_much() -> None:
     assert spread.tolist() == [[0.01, pytest.approx(0.1), np.inf, 0.01]]
 
 
-def test_a_press_at_the_rail_is_seen_beside_a_weaker_one(tmp_path: Path) -> None:
+def test_a_press_at_the_rail_is_recognised_next_to_a_weaker_one(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     resting = 40_000 * np.exp(0.2 * rng.standard_normal(SHAPE))
     loaded = resting.copy()
     loaded[1:3, 1:3] = 4000.0
     loaded[5:7, 5:7] = 800.0
-    found = detect_recording(recording(tmp_path / "rail.h5", AMPLIFIERS, resting, loaded))
-    centres = sorted((load.x_mm[0], load.y_mm[0]) for load in found.attachments)
+    answer = detect_recording(recording(tmp_path / "rail.h5", AMPLIFIERS, resting, loaded))
+    centres = sorted((load.x_mm[0], load.y_mm[0]) for load in answer.attachments)
     assert np.allclose(centres, [(15, 15), (55, 55)], atol=3)
 
 
@@ -60,6 +60,6 @@ def test_a_panel_that_is_open_at_rest_shows_its_contact(tmp_path: Path) -> None:
     resting = np.full(SHAPE, 30e6)
     loaded = resting.copy()
     loaded[2:6, 3:6] = 4000.0
-    found = detect_recording(recording(tmp_path / "open.h5", LOADS, resting, loaded))
-    [contact] = found.attachments
+    answer = detect_recording(recording(tmp_path / "open.h5", LOADS, resting, loaded))
+    [contact] = answer.attachments
     assert np.allclose((contact.x_mm[0], contact.y_mm[0]), (40, 35), atol=3)

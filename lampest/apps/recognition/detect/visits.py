@@ -191,14 +191,16 @@ def _earlier(visits: Sequence[Visit]) -> dict[int, int]:
     visit is continued at most once, so that the sum of 4 − z² is largest (an assignment problem).
     Without a clock only visits of one recording are compared.
     """
-    # Only visits are assigned; most commands need none.
-    from scipy.optimize import linear_sum_assignment
-
     sized = [
         visit
         for visit in visits
         if visit.answer == LAMPREY and visit.diameter_mm is not None and visit.diameter_sd_mm
     ]
+    if len(sized) < 2:
+        return {}
+    # Only visits are assigned; most commands need none.
+    from scipy.optimize import linear_sum_assignment
+
     gain = np.zeros((len(sized), len(sized)))
     for row, visit in enumerate(sized):
         for column, earlier in enumerate(sized[:row]):

@@ -1,0 +1,23 @@
+"""What a result follows from: the content of input files and the versions of libraries."""
+
+import hashlib
+from importlib.metadata import version
+from pathlib import Path
+
+from lampest.files.errors import InputError
+
+LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
+
+
+def library_versions(*further: str) -> dict[str, str]:
+    """Return the versions of the libraries that determine results, and of further ones."""
+    return {library: version(library) for library in (*LIBRARIES, *further)}
+
+
+def digest(path: Path) -> str:
+    """Return the SHA-256 of a file. Raises InputError if it is unreadable."""
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
