@@ -118,7 +118,7 @@ def audit() -> int:
     """
     with tempfile.TemporaryDirectory() as folder:
         requirements = Path(folder) / "wanted.txt"
-        report = Path(folder) / "found.json"
+        report = Path(folder) / "report.json"
         pins = {**locked(ROOT / "requirements.lock"), **locked(ROOT / "requirements-dev.lock")}
         requirements.write_text(
             "".join(f"{name}=={version}\n" for name, version in sorted(pins.items()))

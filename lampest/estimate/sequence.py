@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from lampest.recording.readings import Readings, mean_change
 from lampest.recording.recording import UNLOADED, Recording, baseline_readings, deciding_frames
 from lampest.solvers.solution import Status
 
+Kind = TypeVar("Kind", bound=Estimates)
 # Recording of a network, its readings, and the unloaded ones.
 _Network = tuple[Recording, Readings, Readings]
 
@@ -43,7 +45,8 @@ def reconstruct(
     on_frame: Callable[
         [int, int, Callable[[], Estimates] | None], None
     ] = lambda done, frames, so_far: None,
-) -> Estimates:
+    kind: type[Kind] = Estimates,
+) -> Kind:
     """Solve every measured frame of a recording.
 
     A frame that fails, or that has too few readings, contains NaN and a status. The frames after it
@@ -57,6 +60,8 @@ def reconstruct(
         Called after every frame with the number of solved frames, the number of all, and a function
         that returns the estimates so far, with the other frames unsolved; None for a method that
         solves all frames together.
+    kind : type
+        Class of the estimates.
 
     Raises
     ------
@@ -68,13 +73,12 @@ def reconstruct(
     recording = prepared.resolved
     readings = prepared.noise.readings
     stream = first_stream(recording, readings, estimator, prepared.noise)
-    return MeasuredPart(recording, recording.measured_frames(), readings, prepared).solve(
-        stream, on_frame
-    )[1]
+    part = MeasuredPart(recording, recording.measured_frames(), readings, prepared, kind)
+    return part.solve(stream, on_frame)[1]
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredPart:
+class MeasuredPart(Generic[Kind]):
     """Measured frames that are solved from one stream: all of a recording, or some of a long one.
 
     Attributes
@@ -87,12 +91,15 @@ class MeasuredPart:
         Readings of all frames of the recording.
     prepared : Prepared
         Noise, effects and warnings of the estimates.
+    kind : type
+        Class of the estimates.
     """
 
     recording: Recording
     frames: NDArray[np.intp]
     readings: Readings
     prepared: Prepared
+    kind: type[Kind]
 
     def solve(
         self,
@@ -100,7 +107,7 @@ class MeasuredPart:
         on_frame: Callable[
             [int, int, Callable[[], Estimates] | None], None
         ] = lambda done, frames, so_far: None,
-    ) -> tuple[Stream, Estimates]:
+    ) -> tuple[Stream, Kind]:
         """Solve these frames; see `reconstruct`.
 
         Returns
@@ -121,7 +128,7 @@ class MeasuredPart:
             return stream, self._estimates(stream, steps)
         steps = list[Step]()
 
-        def so_far() -> Estimates:
+        def so_far() -> Kind:
             return self._estimates(stream, steps)
 
         verifies = stream.estimator.verify.chosen(readings, stream.resting) & method.optimum
@@ -135,11 +142,11 @@ class MeasuredPart:
                 on_frame(len(steps), count, so_far)
         return stream, so_far()
 
-    def _estimates(self, stream: Stream, steps: Sequence[Step]) -> Estimates:
+    def _estimates(self, stream: Stream, steps: Sequence[Step]) -> Kind:
         """Return the estimates of these frames, of which the first ones are solved."""
         remaining = len(self.frames) - len(steps)
         solved = (*steps, *[stream.unsolved(Status.BROKEN_OFF)] * remaining)
-        return Estimates(
+        return self.kind(
             self.recording,
             stream.estimator,
             self.frames,

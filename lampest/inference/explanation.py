@@ -225,7 +225,7 @@ def _rival_fits(
 ) -> tuple[CellsFit, ...]:
     """Return the fits under a rival, from the cells of the scene's circuit where these suffice.
 
-    They do not where several panels read alike: the readout's start tells which is meant.
+    Where several panels read alike, the readout's start determines which one is meant.
 
     Parameters
     ----------

@@ -4,7 +4,7 @@ Each method imports the libraries that it needs; access to the cells loads none.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from html import escape
 from importlib.util import find_spec
 from pathlib import Path
@@ -62,10 +62,9 @@ class Reconstruction(Estimates):
 
         on_frame : receives the numbers of solved and of all frames.
         """
-        estimates = reconstruct(
-            recording, estimator, lambda done, frames, so_far: on_frame(done, frames)
+        return reconstruct(
+            recording, estimator, lambda done, frames, so_far: on_frame(done, frames), cls
         )
-        return cls(**{part.name: getattr(estimates, part.name) for part in fields(Estimates)})
 
     @property
     def weights(self) -> dict[str, Array]:

@@ -429,7 +429,7 @@ def values_row() -> dict[str, Any]:
 
 
 def changed_row() -> dict[str, Any]:
-    """Cells that moved, found from their changes and a precision."""
+    """Cells that moved, by their changes and a precision."""
     rng = np.random.default_rng(7)
     root = rng.standard_normal((20, 20))
     precision = 30 * (root @ root.T / 20 + np.eye(20))
