@@ -20,7 +20,7 @@ LEVEL_FRAMES = 9  # two seconds at four frames a second: more than one breath
 MIN_PART = 4  # frames between two steps, with which a part says more than its mean
 
 
-class Explanation(NamedTuple):
+class SuctionChange(NamedTuple):
     """A change of the suction beside a wave.
 
     Attributes
@@ -99,7 +99,7 @@ class SteadyFrames(NamedTuple):
             times=self.times[frames], logarithms=self.logarithms[frames], part=part
         )
 
-    def pulled(self, series: Array, axes: Array) -> "Explanation":
+    def pulled(self, series: Array, axes: Array) -> "SuctionChange":
         """Return the times between which a series, (frames,), is at another level.
 
         Both ends of the best level, or one, are compared.
@@ -116,11 +116,11 @@ class SteadyFrames(NamedTuple):
         levels = ((numbers >= begins) & (numbers < ends)).astype(float)
         best, gain = self._beside_wave(series, axes, levels)
         edges = (int(edge) for edge in (begins[best], ends[best]))
-        return Explanation(
+        return SuctionChange(
             tuple(float(self.times[edge - 1]) for edge in edges if 0 < edge < count), gain
         )
 
-    def leaking(self, series: Array, axes: Array) -> "Explanation":
+    def leaking(self, series: Array, axes: Array) -> "SuctionChange":
         """Return the time from which a series, (frames,), falls or rises, as of a leak.
 
         Parameters are those of `pulled`.
@@ -128,12 +128,12 @@ class SteadyFrames(NamedTuple):
         begins = self.times[MIN_PART:-1]
         ramps = np.maximum(self.times[:, None] - begins, 0.0)
         best, gain = self._beside_wave(series, axes, ramps)
-        return Explanation((float(begins[best]),), gain)
+        return SuctionChange((float(begins[best]),), gain)
 
     def _beside_wave(self, series: Array, axes: Array, shapes: Array) -> tuple[int, float]:
         """Return the number of the shape, of (frames, n), that explains a series best.
 
-        Also by how much it does so beside the best wave, as in `Explanation`.
+        Also by how much it does so beside the best wave, as in `SuctionChange`.
         """
         trend = self.trend()
         shapes = shapes - trend @ (trend.T @ shapes)
