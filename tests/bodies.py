@@ -1,4 +1,4 @@
-"""What a board sends, packed as its firmware does: the reverse of what the package reads."""
+"""Messages of a board, packed as its firmware does: the reverse of the package's reading."""
 
 from lampest.apps.board import protocol
 from lampest.apps.board.protocol import (

@@ -1,7 +1,4 @@
-"""The set-up of all tests: one thread, `support` for import.
-
-Also a small folder on the disk, and the command.
-"""
+"""The set-up of all tests: one thread, `support` for import, a folder on the disk, the command."""
 
 import os
 import sys
@@ -73,7 +70,7 @@ def surplus(items: list[pytest.Item], count: int) -> list[pytest.Item]:
 
 @pytest.fixture
 def disk(tmp_path: Path) -> SimpleNamespace:
-    """A folder with small.h5 and run.yaml, and what writes more of them."""
+    """Return a folder with small.h5 and run.yaml, and functions that write more of them."""
     from small_files import on_disk
 
     return on_disk(tmp_path)

@@ -37,7 +37,7 @@ class Bench:
 
     @property
     def scene(self) -> Scene:
-        """What the estimator is told."""
+        """Scene of the estimator, without the deviations of the film."""
         return Scene(self.panel, TwoPointReadout(readings=20, noise_lsb=0.7), 140.0)
 
     def recorded(

@@ -157,10 +157,7 @@ def per_line(ohm: float | tuple[float, ...], lines: int) -> tuple[float, ...]:
 
 
 def volts(cells: Array, readout: Any) -> Array:
-    """Return the voltage at the converter, (rows, columns).
-
-    There is a netlist of its own for every reading.
-    """
+    """Return the voltage at the converter, (rows, columns), by a netlist for every reading."""
     turned = getattr(readout, "driven", "rows") == "columns"
     matrix = cells.T if turned else cells
     volt = np.empty(matrix.shape)
@@ -304,9 +301,9 @@ def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Re
 
 
 def network_of_states(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
-    """The same of a circuit that names what idle lines have.
+    """Return the netlist of a circuit that specifies its idle lines.
 
-    Or it is of one whose sensed lines are behind multiplexers.
+    The sensed lines may be behind multiplexers.
     """
     count, sense_count = matrix.shape
     drive = per_line(readout.drive_ohm, count)

@@ -46,7 +46,7 @@ LOADS = ("none", "stands", "sways", "moves", "taps", "jumps", "arrives")
 
 @dataclass(frozen=True)
 class Plan:
-    """What a recording is made of; `cells` are those of the unloaded panel, (rows, columns) ohm."""
+    """Parts of a recording; `cells` are those of the unloaded panel, (rows, columns) ohm."""
 
     scene: Scene
     cells: Array

@@ -76,9 +76,9 @@ def chosen(random: np.random.Generator, shares: dict[str, float]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class RandomProblem:
-    """What was drawn: circuit and penalties, each twice; frames (3, rows, columns) ohm.
+    """A drawn problem: circuit and penalties, each twice, and frames (3, rows, columns) ohm.
 
-    The first of the frames rests.
+    The panel rests in the first frame.
     """
 
     seed: int
@@ -182,7 +182,7 @@ class RandomProblem:
 
     @cached_property
     def data(self) -> Data:
-        """What that solve is given."""
+        """Data of the requested solve."""
         if self.requested is None:
             state = Stream(self.estimator, self.scene, 1.0, self._readings[0]).without_comparisons()
             return self.estimator.method.data_and_start(state, self._readings[0])[0]
@@ -191,7 +191,7 @@ class RandomProblem:
 
     @cached_property
     def cost(self) -> Cost:
-        """The cost of that solve."""
+        """Cost of the requested solve."""
         estimator = self.alone if self.requested is None else self.estimator
         return estimator.cost(self.scene, len(self.data.measured), partial=self.data.partial)
 
@@ -311,7 +311,7 @@ def _cells(random: np.random.Generator, shape: tuple[int, int]) -> Array:
 
 
 def _faults(random: np.random.Generator, shape: tuple[int, int]) -> Faults | None:
-    """One or two of what a scene may tell; none on panels that are too small for it."""
+    """Draw one or two faults of a scene, or none on panels that are too small for it."""
     if min(shape) < 3:
         return None
     fault = random.choice(["open", "shorted", "dead", "joined"])

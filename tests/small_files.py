@@ -90,7 +90,7 @@ def run_command(*arguments: object, **options: Any) -> subprocess.CompletedProce
 
 
 def on_disk(folder: Path) -> SimpleNamespace:
-    """A folder with small.h5 and run.yaml, and what writes more of them."""
+    """Return a folder with small.h5 and run.yaml, and functions that write more of them."""
     write_recording(folder / "small.h5")
     (folder / "run.yaml").write_text(RUN)
 

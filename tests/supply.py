@@ -1,8 +1,10 @@
-"""What lampest is built from: locks with hashes, licences, vulnerabilities. No test stands here.
+"""Supply chain of lampest: locks with hashes, licences, vulnerabilities.
 
-python -m tests.supply lock       # write the locks, requirements*.lock, from pyproject.toml
-python -m tests.supply licences   # write docs/reference/licences.md from what is installed
-python -m tests.supply audit      # ask the database of vulnerabilities for everything in the locks
+    python -m tests.supply lock       # write the locks, requirements*.lock, from pyproject.toml
+    python -m tests.supply licences   # write docs/reference/licences.md from the installed packages
+    python -m tests.supply audit      # ask the database of vulnerabilities for all locked packages
+
+The module holds no test.
 """
 
 import json
@@ -80,7 +82,7 @@ def lock() -> int:
 
 
 def compiled(command: list[str], requirements: str) -> str:
-    """What uv resolves; its own sentence where it cannot."""
+    """Return the output of uv, or exit with its error."""
     completed = subprocess.run(
         command, cwd=ROOT, input=requirements + "\n", capture_output=True, text=True
     )
@@ -110,13 +112,13 @@ def licences() -> int:
 
 
 def audit() -> int:
-    """0 where every package was looked up and none has a known vulnerability.
+    """Return 0 if every package was looked up and none has a known vulnerability.
 
-    Else 1 and what is wrong.
+    Otherwise print the faults and return 1.
     """
     with tempfile.TemporaryDirectory() as folder:
         requirements = Path(folder) / "wanted.txt"
-        report = Path(folder) / "found.json"
+        report = Path(folder) / "report.json"
         pins = {**locked(ROOT / "requirements.lock"), **locked(ROOT / "requirements-dev.lock")}
         requirements.write_text(
             "".join(f"{name}=={version}\n" for name, version in sorted(pins.items()))
@@ -140,7 +142,7 @@ def audit() -> int:
 
 
 def audit_verdict(answer: Any, reason: str) -> int:
-    """Print what the database answered and return an exit code; None: not reached.
+    """Print the answer of the database, None if not reached, and return an exit code.
 
     Unknown packages are not checked.
     """

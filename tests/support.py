@@ -1,6 +1,6 @@
-"""What several tests need: invented but consistent results, live without haste, code of pages.
+"""Helpers of several tests: invented but consistent results, live without haste, code of pages.
 
-No test stands here.
+The module holds no test.
 """
 
 import dataclasses
@@ -111,9 +111,9 @@ class Patient(Engine):
 def live_pictures(
     estimator: Estimator, baseline: int, feed: Callable[[Engine], None]
 ) -> list[Picture]:
-    """Every picture of what is fed to an engine.
+    """Return the pictures of an engine after a feed.
 
-    `baseline` frames are unloaded where the feed says of none.
+    The first `baseline` frames are unloaded if the feed does not mark them.
     """
     with Patient(estimator, baseline) as engine:
         feed(engine)

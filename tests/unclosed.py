@@ -1,4 +1,4 @@
-"""What a recorder leaves that was killed."""
+"""Files of a killed recorder."""
 
 from pathlib import Path
 from types import SimpleNamespace

@@ -42,9 +42,9 @@ class WildBoard:
     _ended: threading.Event = field(default_factory=threading.Event)
 
     def live(self, line: int, script: Script) -> None:
-        """Until it is ended: answer commands, and send what the script says when it is due.
+        """Answer commands and send the script's content when it is due, until the end.
 
-        No message tears one.
+        No message interrupts another one.
         """
         commands = b""
         answers = b""

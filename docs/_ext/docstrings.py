@@ -33,5 +33,5 @@ def _block(block: str) -> str:
 
 
 def documentation(thing: Any) -> str:
-    """What a class, function or property says of itself, as Markdown."""
+    """Return the docstring of a class, function or property as Markdown."""
     return markdown(inspect.getdoc(thing) or "")

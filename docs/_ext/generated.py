@@ -45,7 +45,7 @@ def columns_table() -> str:
 
 
 def status_table() -> str:
-    """Every way in which a solve can end, and what to do."""
+    """Return every status of a solve with its advice."""
     rows = [f"| {status.value} | {advice} |" for status, advice in ADVICE.items()]
     return "\n".join(("| status | what you can do |", "|---|---|", *rows)) + "\n"
 

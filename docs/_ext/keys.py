@@ -32,7 +32,7 @@ def keys_page() -> str:
 
 
 def anchor(name: str) -> str:
-    """What a part is linked to by."""
+    """Return the name by which links refer to a part."""
     return f"key-{name.lower()}"
 
 
@@ -57,7 +57,7 @@ def _label(part: dict[str, Any], keys: list[str]) -> str:
 
 
 def content(part: dict[str, Any], labels: dict[str, str]) -> str:
-    """What a part says of itself, and a table of its keys."""
+    """Return the description of a part, and a table of its keys."""
     rows = [
         f"| `{key}` | {words(value, labels)} | "
         f"{'required' if key in part.get('required', ()) else default(value)} |"
@@ -80,7 +80,7 @@ def default(value: dict[str, Any]) -> str:
 
 
 def words(value: dict[str, Any], labels: dict[str, str]) -> str:
-    """What a key may hold."""
+    """Return the values that a key may hold."""
     if "$ref" in value:
         name = value["$ref"].rpartition("/")[2]
         return f"[{labels[name]}](#{anchor(name)})"

@@ -1,4 +1,4 @@
-"""The public names of lampest as a page: what each is, its fields, and what it can do."""
+"""The public names of lampest as a page: their meaning, fields and methods."""
 
 import dataclasses
 import inspect

@@ -46,12 +46,12 @@ class Weights:
 
 @dataclass(frozen=True, eq=False)
 class LeftBySolver:
-    """What one method leaves of a recording.
+    """Results of one method on a recording, where its solver stopped.
 
     baseline : (rows, columns) ohm. cells, model, measured : (frames, rows, columns) ohm.
     evaluations : (frames) solves of the forward problem that MATLAB would have needed, derivatives
-    included. why : (frames) what ended it.
-    joint : whether the first frame was solved together with the baseline.
+    included. why : (frames) reason of the stop. joint : whether the first frame was solved together
+    with the baseline.
     """
 
     baseline: Array
@@ -285,7 +285,7 @@ def left_by_solver(
 
 
 def _operator(penalised: str, panel: Panel) -> Array | None:
-    """What the penalty takes of a vector of cells."""
+    """Return the matrix of the penalty, which acts on a vector of cells."""
     if penalised == "gradient":
         down = np.kron(difference_matrix(panel.rows), np.eye(panel.columns))
         return np.vstack([down, np.kron(np.eye(panel.rows), difference_matrix(panel.columns))])
@@ -331,7 +331,7 @@ class _Problem:
         return lsqnonlin(residual, jacobian, np.maximum(before, measured.ravel()), measured.ravel())
 
     def joint(self, resting: Array, measured: Array) -> tuple[Array, Stopped]:
-        """(15), (21): the baseline, and the first frame with what both needed."""
+        """Solve (15), (21): the baseline, and the first frame with the effort of both."""
         rows = self._relative_rows()
         count = self.panel.crossings
         none = np.zeros((count, count))

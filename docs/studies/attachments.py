@@ -1,6 +1,6 @@
-"""Attachments and what is none, at 1 to 10 frames a second.
+"""Attachments and other loads, at 1 to 10 frames a second.
 
-The questions are whether it sucks, whether it breathes, how large, when.
+The questions are whether a load sucks and breathes, its size, and its time.
 
 Pressures come from `mouth_scenes`, whose films, rims and electronics are not the package's; here
 they get a course over time: touch, suction, breathing with a phase that wanders, leaks, hands that
@@ -346,7 +346,7 @@ def recording(
     attached_s: float = ATTACHED_S,
     curve: str = "published",
 ) -> tuple[Recording, Made, float, float]:
-    """(the recording, what stood there, breathing depth and rate)."""
+    """Return the recording, its loads, breathing depth and rate."""
     rng = np.random.default_rng([seed, side, KINDS.index(kind)])
     panel = Panel(side, side)
     made = MAKERS[OF_COURSE.get(kind, kind)](rng, panel)
@@ -508,7 +508,7 @@ def visited(seed: int, side: int = 6) -> tuple[Array, Array, list[tuple[str, flo
 
 
 def day(seed: int, side: int = 6) -> None:
-    """Print the visits of a day, and what `lampest detect` sees of them."""
+    """Print the visits of a day, and the visits that `lampest detect` reports."""
     time, values, visits = visited(seed, side)
     scene = _scene(Panel(side, side))
     role = (np.arange(len(time)) >= UNLOADED).astype(np.uint8)
@@ -581,7 +581,7 @@ def _overlaps(load: Attachment, since: float, until: float) -> bool:
 
 
 def read(path: Path) -> Iterator[Seen]:
-    """What an earlier run has seen."""
+    """Return the records of an earlier run."""
     kinds = {field.name: field.type for field in fields(Seen)}
     with path.open(newline="") as file:
         for row in csv.DictReader(file):
@@ -697,7 +697,7 @@ def table(everything: Sequence[Seen]) -> None:
     )
     print("|---|---|---|---|---|---|")
     for rate in sorted({record.rate for record in everything}):
-        mouths, others = (
+        mouths, decoys = (
             [
                 record
                 for record in everything
@@ -708,13 +708,13 @@ def table(everything: Sequence[Seen]) -> None:
         minutes = (
             np.array([record.lamprey for record in mouths if np.isfinite(record.lamprey)]) / 60
         )
-        hours = sum(record.watched for record in others) / 3600
-        false = sum(np.isfinite(record.lamprey) for record in others)
+        hours = sum(record.watched for record in decoys) / 3600
+        false = sum(np.isfinite(record.lamprey) for record in decoys)
         times = f"{np.median(minutes):.1f}, {minutes.max():.1f}" if len(minutes) else "–"
         bound = 24 * POISSON_95[min(false, 3)] / max(hours, 1e-9)
         stated = f"{false} ({24 * false / max(hours, 1e-9):.0f} a day, below {bound:.0f} with 95 %)"
         print(
-            f"| {rate:g} | {len(mouths)} | {len(minutes)} | {times} | {len(others)}, {hours:.1f} | "
+            f"| {rate:g} | {len(mouths)} | {len(minutes)} | {times} | {len(decoys)}, {hours:.1f} | "
             f"{stated} |"
         )
 

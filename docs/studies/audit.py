@@ -39,9 +39,9 @@ LATE_S = 8.0  # when effects come that come during a recording
 
 
 def usual_effects() -> dict[str, Unmodelled]:
-    """What electronics, films and animals do that no scene states, most at two strengths.
+    """Effects of electronics, films and animals that no scene states, most at two strengths.
 
-    First of all comes nothing.
+    The first entry has no effect.
     """
     return {
         "as specified": Unmodelled(),
@@ -353,7 +353,7 @@ SCREEN: Columns = {
 
 
 def audit_remarks(results: Sequence[Audited]) -> list[str]:
-    """What the columns mean, where the promise is broken, and the sentences that results carry."""
+    """Return the meaning of the columns, the broken promises, and the sentences of the results."""
     rows = audit_rows(results)
     broken = [
         f"{row.effect} × {row.estimator}"

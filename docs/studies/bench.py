@@ -195,7 +195,7 @@ class ScipyMethod(Method):
     joint: bool = False
 
     def joint_start(self, objective: Objective) -> bool:
-        """As of our optimal methods."""
+        """Start the first frame together with the baseline, as our optimal methods do."""
         return OptimalMethod(joint=self.joint).joint_start(objective)
 
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:

@@ -114,9 +114,9 @@ def _of_rod(
 def _measured(
     recording: lampest.Recording, terms: tuple[lampest.Term, ...], turns: int
 ) -> tuple[float, ...]:
-    """Seconds of a frame alone, in a block of one and of many, and of the whole call.
+    """Return seconds of a frame alone, in a block of one and of many, and of the whole call.
 
-    Also the largest difference.
+    The last value is the largest difference.
     """
     prepared = Prepared(recording)
     readings = prepared.noise.readings

@@ -1,6 +1,4 @@
-"""Random boards calibrated: how often good calibrations are refused and bad ones are not.
-
-Also whether intervals hold.
+"""Random boards, calibrated: good calibrations refused, bad ones accepted, and intervals.
 
 Run it with: python -m docs.studies.calibrations --draws 200 --bad 25
 """
@@ -158,7 +156,7 @@ def resistors(
 def errors(
     results: ResistorCalibration, truth: tuple[Array, Array]
 ) -> tuple[list[float], list[float]]:
-    """(found − true)/σ of means, and of what single lines add."""
+    """Return (estimated − true)/σ of means and of the deviations of single lines."""
     means = []
     single = []
     sides = iter(truth)

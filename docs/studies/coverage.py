@@ -1,6 +1,4 @@
-"""How often 95 % intervals hold the truth on fresh scenes.
-
-Also how large errors are against standard deviations.
+"""Coverage of 95 % intervals on fresh scenes, and errors over standard deviations.
 
 Run it with: python -m docs.studies.coverage --scenes 200 --seed 101
 """

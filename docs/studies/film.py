@@ -147,10 +147,7 @@ def left(
 
 
 def memories(count: int, seed: int, name: str) -> None:
-    """Print how many mouths are seen, and how soon after release they are gone.
-
-    Also what is seen after that.
-    """
+    """Print counts of recognised mouths, delays of their release, and later false loads."""
     rng = np.random.default_rng(seed)
     seen = 0
     late = []

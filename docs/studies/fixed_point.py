@@ -212,7 +212,7 @@ def optimum(frame: Frame, start: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Preconditioner:
-    """M⁻¹ = D⁻¹ - D⁻¹·G·U·T·Uᵀ·G·D⁻¹ of the library: own responses, and what lines share."""
+    """M⁻¹ = D⁻¹ - D⁻¹·G·U·T·Uᵀ·G·D⁻¹ of the library: own responses, and those shared by lines."""
 
     inverse: Array
     drawn: Array

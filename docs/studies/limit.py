@@ -100,9 +100,9 @@ def moving(seed: int, side: int) -> Array:
 
 
 def rods(seed: int, side: int) -> Array:
-    """A rod that stands, one that leaves, one that taps for a single frame.
+    """Return a rod that stands, one that leaves, and one that taps for a single frame.
 
-    There is no suction, and places and times are other ones.
+    The rods have no suction, and other places and times.
     """
     rng = np.random.default_rng(seed)
     panel = Panel(side, side, PITCH_MM)
@@ -132,7 +132,7 @@ def hand(seed: int, side: int) -> Array:
 
 @dataclass(frozen=True)
 class Setting:
-    """What is measured, with what.
+    """Course, electronics and circuit of recordings.
 
     noisier : the true noise over the specified noise. spread : of log r of unloaded cells.
     """
@@ -190,9 +190,9 @@ SETTINGS = {
 
 
 def bound(recording: Recording, frames: NDArray[np.intp], cells: Array) -> Array:
-    """What |error| of log r has as its median at the Cramér–Rao bound, no more than 1.
+    """Return the median |error| of log r at the Cramér–Rao bound, at most 1.
 
-    Shape (frames, rows, columns).
+    The shape is (frames, rows, columns).
     """
     readings = recording.readings()
     circuit = recording.scene.circuit

@@ -41,10 +41,10 @@ def touches(rng: np.random.Generator, panel: Panel, count: int) -> list[Shape]:
         diameter = float(rng.uniform(15, 25))
         ends = [(10.0 * (count - 1) - diameter / 2) for count in panel.shape[::-1]]
         x, y = (float(rng.uniform(diameter / 2, end)) for end in ends)
-        apart = [np.hypot(x - other.centre_mm[0], y - other.centre_mm[1]) for other in rods]
+        apart = [np.hypot(x - placed.centre_mm[0], y - placed.centre_mm[1]) for placed in rods]
         if all(
-            far > (diameter + other.diameter_mm) / 2 + 10
-            for far, other in zip(apart, rods, strict=True)
+            far > (diameter + placed.diameter_mm) / 2 + 10
+            for far, placed in zip(apart, rods, strict=True)
         ):
             rods.append(rod(x, y, diameter, float(np.exp(rng.uniform(np.log(2), np.log(20))))))
     return list(rods)
@@ -61,9 +61,9 @@ def forces(pressure: Array, loads: Sequence[Shape], panel: Panel) -> Array:
 
 
 def measured_forces(bench: Bench, scene: Scene, groups: list[list[Shape]]) -> Array:
-    """(touches and figures): |error| of the force, the same against the weight.
+    """Return |error| of the forces, the same against the weights, and the share of held pressures.
 
-    Also the share of pressures held.
+    The shape is (touches, figures).
     """
     recording = bench.recorded(
         groups, "fresh", replace(scene, response=scene.response or PublishedResponse())

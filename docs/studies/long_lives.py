@@ -43,7 +43,7 @@ class Figures:
 
     @classmethod
     def now(cls, frames: int) -> "Figures":
-        """Of this process."""
+        """Return the figures of this process."""
         gc.collect()
         process = psutil.Process()
         allocated = tracemalloc.get_traced_memory()[0] if tracemalloc.is_tracing() else 0

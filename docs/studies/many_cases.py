@@ -1,4 +1,4 @@
-"""What a case costs beside its solving.
+"""Cost of a case apart from its solve.
 
 Run it with: python -m docs.studies.many_cases --recordings 40 --estimators 50.
 

@@ -38,12 +38,12 @@ from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import Settings
 
 # conductances of the published test
-LEAST_S = 2e-5
-MOST_S = 2e-2
+MIN_S = 2e-5
+MAX_S = 2e-2
 OURS = ("reduced", "scipy_exact")
 # the published test's step, iterations, what replaces g < 0, siemens
 BETA = 0.1
-MOST_STEPS = 1000
+MAX_STEPS = 1000
 SMALLEST_S = 1e-18
 FINE_S = 1e-12  # the published test's tolerance of the fixed point
 COARSE_S = 6e-6  # what newton_krylov tolerates where it is told nothing
@@ -116,13 +116,13 @@ def fixed_point(measured: Array) -> MatAnswer:
     """
     network = CountedNetwork(measured)
     conductance = network.wanted
-    for step in range(MOST_STEPS):
+    for step in range(MAX_STEPS):
         misfit = network.misfit(conductance)
         if np.abs(misfit).max() < FINE_S:
             return MatAnswer(conductance, step, network.evaluations(), True)
         moved = conductance - BETA * misfit
         conductance = np.where(moved < 0, SMALLEST_S, moved)
-    return MatAnswer(conductance, MOST_STEPS, network.evaluations(), False)
+    return MatAnswer(conductance, MAX_STEPS, network.evaluations(), False)
 
 
 def newton_krylov_coarse(measured: Array) -> MatAnswer:
@@ -143,7 +143,7 @@ def _krylov(measured: Array, tolerance: float) -> MatAnswer:
             network.misfit,
             network.wanted,
             f_tol=tolerance,
-            maxiter=MOST_STEPS,
+            maxiter=MAX_STEPS,
             callback=lambda *_: next(steps),
         )
         converged = True
@@ -212,7 +212,7 @@ def solved_mats(mats: Mats, seed: int, settings: Settings) -> Iterator[MatSolve]
         for noise in mats.noise_percent:
             for draw in range(mats.draws):
                 generator = np.random.default_rng((seed, side, draw))
-                conductance = generator.uniform(LEAST_S, MOST_S, (side, side))
+                conductance = generator.uniform(MIN_S, MAX_S, (side, side))
                 measured = network_readings(conductance) * (
                     1 + noise / 100 * generator.standard_normal((side, side))
                 )

@@ -1,4 +1,4 @@
-"""How often each solver ends at the lowest minimum known, for losses with corners.
+"""Solves that end at the lowest known minimum, for losses with corners.
 
 Problems are drawn: 4 × 4 to 8 × 8 cells under a load, two-point readings and loaded columns, noise
 of 0.1 to 2 %, 2 to 10 % of the readings far off. The misfit has Student's loss with a corner of 2
@@ -220,7 +220,7 @@ def _loss(loss: lampest.Loss, x: Array) -> tuple[float, Array]:
     return float(x @ x), 2 * x
 
 
-def kept(side: int, terms: tuple[lampest.Term, ...]) -> str:
+def search_gain(side: int, terms: tuple[lampest.Term, ...]) -> str:
     """Return how much lower the search of a first frame ends than the frame before leads to."""
     recording = jumping_between_rods(side, 0.1)
     readings = Prepared(recording).noise.readings
@@ -279,7 +279,7 @@ def compared(options: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    """Print what is asked for."""
+    """Print the requested tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--problems", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
@@ -293,7 +293,7 @@ def main() -> None:
     print("| panel | penalty | lower by a search | at most | largest difference of ln r |")
     for side in options.sides:
         for terms in list(METHODS.values())[1:]:
-            print(kept(side, terms), flush=True)
+            print(search_gain(side, terms), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What missing readings cost the cells beside them, and whether the intervals say so.
+"""Errors of the cells at missing readings and next to them, and coverage of their intervals.
 
 Run it with: python -m docs.studies.missing_readings --recordings 20 --seed 101
 """

@@ -35,7 +35,7 @@ SIDES = (4, 6, 8, 10, 12, 16, 18)
 
 
 def converter(random: np.random.Generator) -> dict[str, float]:
-    """Of any of these boards."""
+    """Return the converter of any of these boards."""
     bits = int(random.choice([8, 10, 12, 16]))
     return {
         "supply_volt": float(random.choice([3.3, 5.0])),
@@ -111,7 +111,7 @@ def loads(random: np.random.Generator, panel: lampest.Panel) -> tuple[lampest.Sh
 
 
 def sound(seed: int) -> tuple[str, Recording] | None:
-    """A recording of which all is told; None where no such panel can be simulated or read."""
+    """Return a fully specified recording, or None if no such panel can be simulated or read."""
     random = np.random.default_rng([seed, 1])
     rows, columns = random.choice(SIDES, 2).tolist()
     panel = lampest.Panel(rows, columns, 10.0)
@@ -203,13 +203,11 @@ def wrong(seed: int, side: int, bits: int, exact: bool = False) -> Iterator[tupl
 
 
 def evidence(exact: Recording) -> float:
-    """By how much the truth is more probable than what the told circuit makes of readings.
+    """Return the −2 log probability by which the truth exceeds the specified circuit.
 
-    The readings are without noise; the figure is as −2 log.
-
-    −2 ln evidence of the told circuit, at σ of the mean frames, less A_CELL for each cell that
-    moved, by more than 1 % beside the others; 0 where those are half of the panel or more, or the
-    fit fails.
+    The readings are without noise. The figure is −2 ln evidence of the specified circuit, at σ of
+    the mean frames, less A_CELL for each cell that moved, by more than 1 % beside the others; 0
+    where those are half of the panel or more, or the fit fails.
     """
     cells = exact.truth_cell_resistance
     assert cells is not None

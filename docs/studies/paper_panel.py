@@ -164,7 +164,7 @@ def published() -> dict[tuple[str, str], float]:
 
 
 def off(ours: Mapping[tuple[str, str], float], methods: Sequence[str]) -> Array:
-    """How far off the numbers of these methods are, in quarters of the published one.
+    """Return the distance of these methods' numbers from the published ones, in quarters of them.
 
     Deviations count half.
 
@@ -279,9 +279,9 @@ def search(
 
 
 def check(file: Path, seeds: int, weights: Weights) -> None:
-    """Every number of a shipped scene with its own seed, median and range over others.
+    """Print every number of a shipped scene with its own seed, and its range over others.
 
-    Also what each effect does.
+    The effect of each unmodelled part is printed, too.
     """
     ((_, stated),) = read_simulations(file)
     stated = dataclasses.replace(stated, frames=min(stated.frames, 3))

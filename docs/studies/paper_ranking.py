@@ -1,4 +1,4 @@
-"""What methods are good for, as the paper asks: the look of a map.
+"""Use of the methods by the paper's own criterion, the look of a map.
 
 Size and alarm: docs/studies/mouths.md.
 

@@ -41,7 +41,7 @@ def addresses(broker: str) -> dict[str, str]:
 
 
 def long_recording(path: Path, frames: int) -> None:
-    """The lamprey forth and back, 30 frames a second: each step is what it moved in a second."""
+    """Return the lamprey forth and back, 30 frames a second; a step is the motion of a second."""
     lamprey = Recording.load(LAMPREY)
     first = int(np.flatnonzero(lamprey.role == MEASURED)[0])
     course = np.arange(first, len(lamprey.recorded))

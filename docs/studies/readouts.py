@@ -1,6 +1,4 @@
-"""Every circuit through its own converter.
-
-The questions are what noise does to cells, how far off they are, whether bars hold them.
+"""Every circuit through its own converter: noise of the cells, errors, and error bars.
 
 Run it with: python -m docs.studies.readouts --draws 200 --seed 101
 """

@@ -232,9 +232,9 @@ def fixed_point(frame: Frame) -> Array:
 
 
 def truncated(frame: Frame) -> Array:
-    """Truncated singular values.
+    """Estimate by truncated singular values.
 
-    The rank predicts the withheld readings best, which nobody could know.
+    The rank is the best one for the withheld readings, unknown in practice.
     """
 
     def step(share: float) -> Callable[[Array, Array, Array], Array]:

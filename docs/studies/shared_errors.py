@@ -67,7 +67,7 @@ def _courses(rng: np.random.Generator, time: Array, on: int, off: int) -> Array:
 
 
 def in_turn(seed: int, channels: Array, reference: float, loads: int) -> Recording:
-    """As `recording`, with several loads of different kinds, each there for five of EACH frames."""
+    """Return a recording with several loads of different kinds, each for five of EACH frames."""
     rng = np.random.default_rng(seed)
     panel = Panel(SIDE, SIDE)
     film = replace(mouth_scenes.film(rng, "real"), scatter=0.12)
@@ -100,9 +100,9 @@ def measured(
 
 
 def measure(made: Recording, method: str) -> Array:
-    """Median error of cells and of changes, rms error of changes, percent.
+    """Return median errors of cells and changes, the rms error of changes, and both coverages.
 
-    Also the coverage of cells and of changes.
+    All are in percent.
     """
     results = reconstruct(made, Estimator(*METHODS[method]))
     assert made.truth_cell_resistance is not None and results.relative_change_lower is not None

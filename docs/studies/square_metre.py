@@ -84,7 +84,7 @@ def recording_of(modules: int, frames: int) -> lampest.Recording:
 def took(
     recording: lampest.Recording, terms: tuple[lampest.Term, ...], bars: bool, alone: bool = False
 ) -> Took:
-    """Of one method; alone : every module by the solver for single panels."""
+    """Return the time of one method; alone : every module by the solver for single panels."""
     estimator = lampest.Estimator((lampest.Misfit(), *terms), "reduced", error_bars=bars)
     readings = recording.readings()
     begin = time.process_time()

@@ -22,13 +22,11 @@ from lampest.solvers.solution import Status
 
 @dataclass(frozen=True)
 class Tally:
-    """Of one case: frames solved, and frames at the best known objective.
-
-    Also the worst excess, and distinct minima in a frame.
+    """Counts of one case: frames solved, frames at the best known objective, and distinct minima.
 
     A frame is at the best known objective φ where no random start ended more than 1e-6 below it, in
-    units of φ plus the cost of a cell without a model. random_solved : of `random` solves from
-    random starts.
+    units of φ plus the cost of a cell without a model. worst : the largest excess. random_solved :
+    of `random` solves from random starts.
     """
 
     recording: str
@@ -42,7 +40,7 @@ class Tally:
 
 
 def tally(case: Case, random_starts: int, seed: int) -> Tally:
-    """Of the frames of which enough was read to be solved."""
+    """Count the frames with enough readings for a solve."""
     excess = []
     minima = []
     ended = 0
@@ -71,10 +69,10 @@ def tally(case: Case, random_starts: int, seed: int) -> Tally:
 def _objectives(
     case: Case, count: int, generator: np.random.Generator
 ) -> Iterator[tuple[float, list[float], float]]:
-    """Of each frame of a case's sequence: where it ended, infinite where it failed.
+    """Yield the objective of each frame of a case's sequence, infinite where its solve failed.
 
-    Also where solves from random starts r = R_m·exp(uniform(0, ln 60)) end; the cost of a cell if
-    f(r) were zero, at the least cells.
+    The second value lists the objectives from random starts r = R_m·exp(uniform(0, ln 60)). The
+    third is the cost of a cell if f(r) were zero, at the least cells.
     """
     recording = Recording.load(case.path)
     readings = recording.readings()

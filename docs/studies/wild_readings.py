@@ -1,4 +1,4 @@
-"""What one wild reading does to a frame and to the next, with and without Huber's loss.
+"""Effect of one wild reading on a frame and on the next one, with and without Huber's loss.
 
 Run it with: python -m docs.studies.wild_readings --recordings 24 --seed 101
 """

@@ -30,7 +30,7 @@ from lampest.solvers.projected_newton import ProjectedNewton
 
 # Of the estimator's weights, the heaviest first: each solve begins at the last.
 FACTORS = (100.0, 10.0, 1.0, 0.1)
-MOST_FRAMES = 10  # evenly spaced ones: neighbouring frames show the same load
+MAX_FRAMES = 10  # evenly spaced ones: neighbouring frames show the same load
 
 
 class Withheld(NamedTuple):
@@ -101,9 +101,7 @@ def predictions(
     impossible = impossible_readings(scene.circuit, readings)
     frames = recording.measured_frames()
     frames = frames[readings.enough(scene)[frames]]
-    for frame in frames[
-        np.unique(np.linspace(0, len(frames) - 1, MOST_FRAMES).round().astype(int))
-    ]:
+    for frame in frames[np.unique(np.linspace(0, len(frames) - 1, MAX_FRAMES).round().astype(int))]:
         plain = readings[frame].plain & scene.panel.present & ~impossible[frame]
         recorded = recording.recorded[frame]
         sigma = (
@@ -206,7 +204,7 @@ def withheld_study(
 
 
 def _row(records: Sequence[Withheld]) -> study.Row:
-    """Of a case at one weight: medians over frames and draws."""
+    """Return medians over frames and draws of a case at one weight."""
     solved = [
         (record.error, record.error / record.interpolated, record.hidden)
         for record in records

@@ -1,7 +1,7 @@
 """Effects that a recording shows and its scene does not name.
 
-Each comes with its evidence and the entries to add. They are searched for on request, in finished
-readings. No estimate depends on them.
+Each effect comes with its evidence and the entries to add. The search is made on request, in
+finished readings; no estimate depends on it.
 """
 
 from dataclasses import replace
@@ -74,7 +74,7 @@ def searched(evidence: Gathered) -> tuple[Finding, ...]:
 def effects_to_try(scene: Scene) -> tuple[Finding, ...]:
     """Return findings of errors that widen σ, which the scene does not name.
 
-    They are advised where readings have a misfit that nothing else explains.
+    The advice applies where readings have a misfit that nothing else explains.
     """
     return tuple(
         _finding(

@@ -116,7 +116,7 @@ def same_values(scene: Scene, changed: Scene) -> bool:
 def _fitting(content: dict[str, Any], addition: Mapping[str, Any]) -> dict[str, Any]:
     """Return a scene's content without entries of the readout that an addition replaces.
 
-    Those are entries that a readout of another kind does not have, and lists of lines.
+    The addition replaces entries that a readout of another kind does not have, and lists of lines.
     """
     readout = content.get("readout")
     further = addition.get("readout", {})

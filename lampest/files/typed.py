@@ -413,9 +413,10 @@ def member_of_kind(union: Any, kind: str) -> type[Any] | None:
 def _base(union: Any) -> type[Any]:
     """Return the nearest class from which all members of a union derive."""
     members = _alternatives(typing.get_args(union)[0])
-    return next(
+    base: type[Any] = next(
         kind for kind in members[0].__mro__ if all(issubclass(member, kind) for member in members)
     )
+    return base
 
 
 def _installed_members(union: Any) -> Iterator[type[Any]]:

@@ -225,7 +225,7 @@ def _rival_fits(
 ) -> tuple[CellsFit, ...]:
     """Return the fits under a rival, from the cells of the scene's circuit where these suffice.
 
-    They do not where several panels read alike: the readout's start tells which is meant.
+    Where several panels read alike, the readout's start determines which one is meant.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ def better_rival(frames: ComparedFrames, specified: Explanation | None) -> Bette
     """
     if specified is not None and not _needs_rivals(specified):
         return BetterExplanation()
-    candidates = _likely_rivals(frames, specified)
+    candidates = _without_twins(_likely_rivals(frames, specified))
     assumed = [] if specified is None else [specified]
     candidates += [with_series(explanation, frames) for explanation in (*candidates, *assumed)]
     candidates += [with_converter_memory(explanation, frames) for explanation in assumed]
@@ -314,6 +314,21 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
     ]
     best = sorted(better, key=attrgetter("score"))[:MAX_CANDIDATES]
     return [explanation.final for explanation in best]
+
+
+def _without_twins(candidates: Sequence[Explanation]) -> list[Explanation]:
+    """Return the explanations without those that are another one with other names of lines.
+
+    Readings in another order are so to circuits in which rows and columns change places. Of the
+    two, `_best_candidate` prefers the one that keeps the file's order.
+    """
+    kept = [candidate.score for candidate in candidates if candidate.rival.order is None]
+    return [
+        candidate
+        for candidate in candidates
+        if candidate.rival.order is None
+        or not np.isclose(candidate.score, kept, rtol=0.0, atol=SAME_COST).any()
+    ]
 
 
 def _best_candidate(

@@ -478,7 +478,8 @@ def _entries(circuit: Readout, specified: Readout) -> dict[str, Any]:
     specified_groups = getattr(specified, "groups", None)
     for name in OF_ONE_KEY:
         value = getattr(circuit, name, None)
-        if type(circuit) is type(specified) and value not in (None, getattr(specified, name)):
+        same_kind = type(circuit) is type(specified)
+        if same_kind and value not in (None, getattr(specified, name, None)):
             return {name: [list(group) for group in value] if "groups" in name else value}
     ungrouped = {"groups": None} if specified_groups is not None and groups is None else {}
     words = {name: getattr(circuit, name) for name in choices(type(circuit))}

@@ -11,7 +11,7 @@ component. Only where χ² of a ripple's deviations against the noise has a tail
 SIGNIFICANCE its covariance between channels is estimated: that of its deviations less the noise's,
 times ν/(ν − 2), the variance of Student's t with ν degrees.
 
-Motion is that of water, whose pressure changes all cells. It is a component, whatever the scene
+Motion is that of water, whose pressure changes all cells. Motion is a component, whatever the scene
 says, where the F test of its patterns has a tail probability below SIGNIFICANCE and the remaining
 noise is smaller by MIN_EXCESS.
 

@@ -372,7 +372,7 @@ class Scene(Configuration):
         if self.circuit.in_series:
             return replace(self, **changes)
         circuit = self.circuit
-        return replace(self, readout=replace(circuit, **changes)) if circuit.series_name else self  # type: ignore[arg-type]
+        return replace(self, readout=replace(circuit, **changes)) if circuit.series_name else self
 
     @property
     def specified_in_series(self) -> float:

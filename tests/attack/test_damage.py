@@ -315,7 +315,7 @@ def test_an_impossible_number_of_readings_is_refused(tmp_path: Path, readings: f
 
 
 def test_check_names_datasets_without_digests_or_checksums(tmp_path: Path) -> None:
-    """Files of older versions are read; `check` says what their checksums do not notice."""
+    """Files of older versions are read; `check` names the damage that checksums do not notice."""
     path = _long_recording(tmp_path / "a.h5", np.random.default_rng(SEED), (20, 3, 4))
     with h5py.File(path, "r+") as file:
         for _, node in nodes_below(file, "/"):

@@ -147,10 +147,7 @@ def _bounded(completed: CompletedCommand, *words: str) -> str:
 def test_a_tight_address_limit_gives_one_sentence_without_waiting(
     rng: Rng, folder: Path, count: int
 ) -> Outcomes:
-    """Libraries that cannot map a segment raise KeyError, wait, or end the process.
-
-    So they are not loaded.
-    """
+    """Under a limit lampest loads no library that would raise KeyError, wait or end the process."""
     work_folder = small_folder(folder / "work")
     commands = (("info", "small.h5"), JOBS, ("plot", "results.h5"))
     for number in range(count):

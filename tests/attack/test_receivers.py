@@ -1,6 +1,6 @@
 """Receivers of OSC that are absent, slow, refuse or do not exist.
 
-Also prefixes that mean others, and frames too large.
+Prefixes of other receivers, and frames that are too large, are tested as well.
 """
 
 import dataclasses

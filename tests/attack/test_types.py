@@ -107,7 +107,7 @@ def test_public_functions_refuse_wrong_values(rng: Rng, folder: Path, count: int
 
 @attack()
 def test_inconsistent_values_are_refused_together(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """What once was taken silently."""
+    """Earlier versions accepted these values silently."""
     recording = lampest.datasets.load("rod")
     fields = {name: getattr(recording, name) for name in ("scene", "recorded", "time", "role")}
     changes: tuple[dict[str, Any], ...] = (

@@ -151,7 +151,7 @@ def test_panels_with_few_readings_give_one_sentence(rng: Rng, folder: Path, coun
 
 
 def sensible(completed: CompletedCommand) -> str:
-    """Return PASSED where a command did its work, or said in words of the panel why not."""
+    """Return PASSED where a command did its work, or refused in words of the panel."""
     foreign = [word for word in FOREIGN if word in completed.err]
     return completed.survived() or (
         f"speaks of {foreign}: {completed.err[-300:]}" if foreign else PASSED

@@ -1,4 +1,4 @@
-"""Outputs that would write, empty or remove what is not theirs."""
+"""Outputs that would write, empty or remove files of others."""
 
 import contextlib
 import os
@@ -184,7 +184,7 @@ def _untouched(folder: Path, arguments: tuple[str, ...], *words: str) -> str:
 def test_the_folder_of_a_new_file_is_synced_after_renaming(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Files and journals: what a power failure leaves of a folder is what was synced."""
+    """A power failure leaves only the synced files and journals of a folder."""
     synced = list[bool]()
     sync = os.fsync
 

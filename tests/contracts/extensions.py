@@ -78,7 +78,7 @@ class Divider(lampest.Readout):
 
 @dataclass(frozen=True)
 class Even(lampest.Method):
-    """Every cell as large as the geometric mean of what the readings look like, times `factor`."""
+    """Every cell as large as the geometric mean of the apparent resistances, times `factor`."""
 
     factor: float = 1.0
     kind: Literal["even"] = "even"

@@ -1,4 +1,7 @@
-"""Files to import, what must come out of them, and the two checks of it. No test stands here."""
+"""Files to import, their expected content, and the two checks of it.
+
+The module holds no test.
+"""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -49,11 +52,11 @@ def foreign_file(
     name: str = "m.csv",
     **options: Any,
 ) -> SimpleNamespace:
-    """A file, the sentences that its import says, and what is in it.
+    """Return a file, the sentences of its import, and its expected content.
 
-    content : a text, its lines, bytes, or what writes the file. expected, times, start, role : of
-        the recording, where
-    they are checked. absent : what no sentence says. options : arguments of the import.
+    content : a text, its lines, bytes, or a function that writes the file. expected, times, start,
+    role : of the recording, where they are checked. absent : text of no sentence. options :
+    arguments of the import.
     """
     parts = {part: options.pop(part, None) for part in ("times", "start", "role", "absent")}
     expected = options.pop("expected", FRAMES)

@@ -179,7 +179,7 @@ def doors(module: str, tree: ast.Module) -> Iterator[str]:
 
 
 def floors(module: str, tree: ast.Module) -> Iterator[str]:
-    """Rooms import from themselves and from the floors below; nobody imports the public face."""
+    """Rooms import from themselves and from the floors below; no room imports the public face."""
     room = room_of(module)
     for name, _ in imports(tree):
         if name.split(".")[0] != "lampest" or not room:
@@ -202,10 +202,7 @@ def permitted(room: str, imported: str) -> bool:
 
 
 def privates(module: str, tree: ast.Module) -> Iterator[str]:
-    """What a module keeps to itself is not imported.
-
-    Nor is it reached through a name that was imported.
-    """
+    """Private names of a module are neither imported nor reached through an imported name."""
     foreign_names = set()
     for node in nodes(tree):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("lampest"):
@@ -417,9 +414,9 @@ def test_imports_form_no_cycle(room: str) -> None:
 
 
 def needed(module: str) -> Iterator[str]:
-    """What a module imports: a name of a package may be a module of it.
+    """Yield the imports of a module, where a name of a package may be a module of it.
 
-    Objects of an application are named by texts, and imported once they are asked for.
+    Objects of an application are named by texts, and imported when they are requested.
     """
     later = set(named_modules(MODULES[module])) if module.count(".") == 2 else set()
     for name, imported in set(imports(MODULES[module])) - later:
@@ -443,7 +440,7 @@ def test_the_figure_of_the_packages_has_the_floors() -> None:
     assert " · ".join(sorted(APPLICATIONS)) in figure
 
 
-def test_the_page_states_what_each_application_adds() -> None:
+def test_the_page_states_the_additions_of_each_application() -> None:
     page = (REFERENCE / "architecture.md").read_text(encoding="utf-8")
     for name, application in APPLICATIONS.items():
         needs, commands = (
@@ -456,7 +453,7 @@ def test_the_page_states_what_each_application_adds() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(APPLICATIONS))
-def test_an_application_imports_what_it_says_that_it_needs(name: str) -> None:
+def test_an_application_imports_its_stated_needs(name: str) -> None:
     imported = {
         room_of(target).removeprefix("apps.")
         for module, tree in MODULES.items()

@@ -292,7 +292,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
 
 
 def anchors(page: Path) -> set[str]:
-    """What headings of a page are called in links."""
+    """Return the anchors of the headings of a page."""
     headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 

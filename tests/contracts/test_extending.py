@@ -1,4 +1,4 @@
-"""What a user derives works through Python as it is, and through YAML once a package names it."""
+"""Classes that a user derives work through Python, and through YAML once a package names them."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -96,7 +96,7 @@ def test_a_term_joins_with_one_file_and_one_name(recording: Recording) -> None:
 
 
 def test_a_loss_joins_with_one_file_and_one_name(recording: Recording) -> None:
-    """So soft a cushion is a square; a hard one costs what it says."""
+    """A very soft cushion is a square, and a hard one has the cost of its formula."""
     penalty = Gradient(weight=1e-3)
     plain, soft, hard = (
         lampest.reconstruct(

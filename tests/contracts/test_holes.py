@@ -140,7 +140,7 @@ def test_the_first_readable_frame_replaces_missing_unloaded_frames(
 
 
 def test_a_frame_with_mostly_missing_readings_is_not_solved() -> None:
-    """156 of 256: what is left would determine lines, but not cells."""
+    """Of 256 readings 156 are missing: the remaining ones would determine lines, but not cells."""
     truth = np.random.default_rng(0).uniform(2000, 4000, (2, 16, 16))
     values = lampest.two_point_resistance(truth)
     values[1].ravel()[:156] = np.nan
@@ -200,7 +200,7 @@ def test_the_status_names_a_bound_that_cells_exceed(formulation: str) -> None:
 
 
 def test_the_status_ignores_a_bound_exceeded_within_the_noise() -> None:
-    """A cell beyond what the converter resolves takes less than σ from its reading.
+    """A cell beyond the resolution of the converter takes less than σ from its reading.
 
     Many such cells take more.
     """

@@ -656,10 +656,10 @@ for written, number in (
     ("1.2345e3", 1234.5),
     ("12.345.678,5", 12345678.5),
 ):
-    others = lines(FRAMES, ";", "," if written.endswith(",5") else ".")
+    separated = lines(FRAMES, ";", "," if written.endswith(",5") else ".")
     expected = np.concatenate([FRAMES, FRAMES[:1]])
     expected[4, 0, 0] = number
-    text = [*others, others[0].replace(others[0].split(";")[0], written, 1)]
+    text = [*separated, separated[0].replace(separated[0].split(";")[0], written, 1)]
     accept(f"thousands as {written}", text, expected=expected)
 
 # One frame a line; single values.

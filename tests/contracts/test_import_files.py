@@ -1,6 +1,6 @@
-"""Arrays, sheets and archives, what no reader takes, and scenes beside a file.
+"""Arrays, sheets and archives, files that no reader takes, and scenes beside a file.
 
-Bare arrays, and the command, are here too.
+Bare arrays, and the command, are tested here as well.
 """
 
 import datetime
@@ -85,7 +85,7 @@ def archive(
 
 
 def matlab(path: Path, **arrays: np.ndarray) -> None:
-    """As MATLAB writes with -v7.3: HDF5 after 512 bytes of its own, axes in reverse."""
+    """Write a file as MATLAB does with -v7.3: HDF5 after 512 bytes of its own, axes in reverse."""
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, values in arrays.items():
             file.create_dataset(name, data=values.T)

@@ -48,7 +48,7 @@ def _collected() -> Iterator[None]:
 
 
 def free_port(kind: int = socket.SOCK_STREAM) -> int:
-    """A port of this computer that nobody has."""
+    """Return a free port of this computer."""
     with socket.socket(socket.AF_INET, kind) as place:
         place.bind(("127.0.0.1", 0))
         return int(place.getsockname()[1])
@@ -77,7 +77,7 @@ def broker(
 
 @contextmanager
 def subscribed(port: int) -> Iterator[list[dict[str, Any]]]:
-    """What a listener to the broker hears."""
+    """Subscribe to the broker, and return the list of messages."""
     from paho.mqtt.client import Client
     from paho.mqtt.enums import CallbackAPIVersion
 

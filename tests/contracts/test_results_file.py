@@ -1,6 +1,6 @@
-"""The results file: what goes in comes out, and other programs open it.
+"""The results file: its content is read as it was written, and other programs open it.
 
-Texts beside numbers, and faults in one sentence, are here, too.
+Texts beside numbers, and faults in one sentence, are tested here as well.
 """
 
 import dataclasses

@@ -167,7 +167,7 @@ def test_settings_of_the_command_override_the_file(disk: SimpleNamespace, lampes
 def test_recordings_are_relative_to_the_run_file_and_results_hold_published_figures(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And the results where the command is called, in results/<name of the file>."""
+    """The results are written where the command is called, in results/<name of the file>."""
     figures = (
         "published: {LSM: {all: {time_s: 16.45, error_percent: 1.33}}, LSR-dCR: {initial: "
         "{time_s: 58.63}}}\n"

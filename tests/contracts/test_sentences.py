@@ -152,7 +152,9 @@ def test_numbers_that_a_recording_determines_are_information_and_no_warning(
         assert not re.search(r"^warning.*(gain|ripple)", ran.out + info, re.MULTILINE)
 
 
-def test_info_says_in_words_what_single_modules_have(tmp_path: Path, lampest: Command) -> None:
+def test_info_states_the_numbers_of_single_modules_in_words(
+    tmp_path: Path, lampest: Command
+) -> None:
     (tmp_path / "plan.yaml").write_text(
         "schema: 1\nseed: 1\noutput: image.h5\nscene:\n"
         "  panel: {modules: {rows: 1, columns: 2, each: {rows: 3, columns: 3, pitch_mm: 10}, "

@@ -1,7 +1,4 @@
-"""The contract of every study: a table, samples with units and pictures.
-
-There is one sentence for a mistake in its file.
-"""
+"""The contract of every study: a table, samples with units, pictures, a sentence for a mistake."""
 
 import csv
 import os

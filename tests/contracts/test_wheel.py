@@ -1,6 +1,6 @@
-"""What a stranger gets: the wheel, and the sdist with all that proves it.
+"""The wheel, and the sdist with all tests, in the hands of a stranger.
 
-What lampest is built from belongs to it.
+The locks of the build are tested as well.
 """
 
 import os

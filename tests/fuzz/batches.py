@@ -33,7 +33,7 @@ estimators:
 
 
 def default_signals() -> None:
-    """As a terminal starts a program, whatever started the tests.
+    """Set the signals that a terminal gives a program, however the tests were started.
 
     Children inherit ignored signals: shells start background jobs without Ctrl-C, nohup ignores
     SIGHUP.

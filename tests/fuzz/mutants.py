@@ -369,10 +369,7 @@ def good_results(folder: Path) -> bytes:
 
 
 def without_checksums(make: Callable[[Path], Any], folder: Path) -> Any:
-    """What `make` writes in a folder, in another format.
-
-    The format is that of older versions or as other programs have it.
-    """
+    """Return the files that `make` writes in the format of older versions or other programs."""
     with patch.object(hdf5, "FORMAT", ("earliest", "v110")):
         return make(folder)
 
@@ -535,7 +532,7 @@ def _replaced(file: Any, name: str, data: Any = None, **options: Any) -> None:
 
 
 def _values(file: Any, name: str) -> Any:
-    """What a dataset holds; the claims that an earlier change made are not read."""
+    """Return the values of a dataset; a size that an earlier change claims is not read."""
     if file[name].size is None or file[name].size > MAX_VALUES_READ:
         raise ValueError(name)
     return np.asarray(file[name][()])

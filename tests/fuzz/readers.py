@@ -1,4 +1,4 @@
-"""Gives an input to its reader and says what is wrong with the way it is received."""
+"""Reading of an input by its reader, and a sentence on wrong behaviour."""
 
 import faulthandler
 import resource
@@ -67,7 +67,7 @@ def receive(mutant: Mutant, folder: Path) -> str:
 
 
 def cleared(folder: Path) -> set[str]:
-    """Delete everything but the recording that runs name; returns what was there."""
+    """Delete everything but the recording that runs name, and return the deleted names."""
     leftovers = [item for item in folder.iterdir() if item.name != "small.h5"]
     for item in leftovers:
         shutil.rmtree(item) if item.is_dir() else item.unlink()

@@ -104,9 +104,9 @@ def tiled() -> lp.Recording:
 
 
 def disconnected() -> lp.Recording:
-    """Modules without a value, at a rail, dead, and with larger readings than the others.
+    """Return modules without a value, at a rail, dead, and with larger readings than the others.
 
-    There is an outlier in a sound one.
+    A sound module has an outlier.
     """
     values = tiled().recorded.copy()
     values[2, 1, 5] *= 1.4
@@ -429,7 +429,7 @@ def values_row() -> dict[str, Any]:
 
 
 def changed_row() -> dict[str, Any]:
-    """Cells that moved, found from their changes and a precision."""
+    """Cells that moved, by their changes and a precision."""
     rng = np.random.default_rng(7)
     root = rng.standard_normal((20, 20))
     precision = 30 * (root @ root.T / 20 + np.eye(20))
@@ -617,7 +617,7 @@ def verdict_row(name: str) -> dict[str, Any]:
 
 
 def prior_row() -> list[Any]:
-    """What loads cost beforehand: further ones, and ones in one place."""
+    """Prior costs of loads: further loads, and loads in one place."""
     empty = np.zeros(0)
     costs = []
     mouth = lp.OralDisc.candidate
@@ -1096,9 +1096,9 @@ def windows_row() -> Any:
 
 
 def answers_row() -> dict[str, Any]:
-    """What is said of loads: alone, together, gone, with breath and pumps.
+    """Answers on loads: alone, together, gone, with breath and pumps.
 
-    The pumps are of every probability, and all is said at two frame rates.
+    The pumps have several probabilities, and the answers two frame rates.
     """
     observed = Attachment(
         0.99,

@@ -23,7 +23,7 @@ TOLERANCE_FACTOR = 100.0
 def content(value: Any) -> Any:
     """Return a result as JSON has it.
 
-    Of a long array, it has some numbers, its mean and the count of what is not finite.
+    A long array is reduced to some numbers, its mean and the count of values that are not finite.
     """
     if sparse.issparse(value):
         value = value.toarray()

@@ -237,7 +237,7 @@ def import_row(text: str, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def killed_row() -> list[Any]:
-    """What a killed recorder leaves, and date and time at 0 s by a board's clock of the host."""
+    """Recordings of a killed recorder, and their date and time at 0 s by clocks of the host."""
     with tempfile.TemporaryDirectory() as folder:
         path = unclosed_recording(
             Path(folder) / "r.h5", lp.Scene(PANEL, lp.TwoPointReadout(noise_lsb=0.7)), 6, 3
@@ -545,7 +545,7 @@ def repeats_row() -> list[Any]:
 
 
 def stored_noise_row() -> list[Any]:
-    """Noise that readings share, from what a results file holds of it; or why not."""
+    """Noise that readings share, by a results file, or the reason of a refusal."""
     scene = lp.Scene(PANEL, lp.TwoPointReadout(noise_lsb=0.7))
     held = {"gain": np.array(0.01), "unloaded": np.array(4), "apart": np.ones((5, 2))}
     rows = list[Any]()
@@ -571,7 +571,7 @@ def stored_noise_row() -> list[Any]:
 
 
 def frame_noise_row() -> list[Any]:
-    """What frames share by chance, of readings near the ends of the converter's range too."""
+    """Random errors that frames share, also of readings near the ends of the converter's range."""
     rng = np.random.default_rng(2)
     rows = list[Any]()
     volt = np.r_[0.002, 0.03, np.linspace(0.2, 4.8, 16), 4.97, 4.998].reshape(4, 5)

@@ -199,7 +199,7 @@ HEADERS = (
 
 
 def imported(name: str, content: str | bytes, **options: Any) -> Any:
-    """What is read from a file, or why it is not."""
+    """Return the content of a file as read, or the reason of a refusal."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
         path.write_bytes(content.encode() if isinstance(content, str) else content)

@@ -1,8 +1,9 @@
 """Results that later versions must give again: the golden table, defaults and constants.
 
-python -m tests.golden.make # all python -m tests.golden.make table # public results of every room,
-see table.py python -m tests.golden.make table report # those of one room python -m
-tests.golden.make defaults # defaults of public classes, constants of all modules
+python -m tests.golden.make                  # all
+python -m tests.golden.make table            # public results of every room, see table.py
+python -m tests.golden.make table report     # those of one room
+python -m tests.golden.make defaults         # defaults of public classes, constants of all modules
 
 Rounding differs from processor to processor. The table is computed on several of them, which this
 one emulates, and numbers that differ take a tolerance. Processors whose instructions this one lacks

@@ -316,7 +316,7 @@ def solver_row(cost: str, circuit: str, solver: str) -> dict[str, Any]:
 
 
 def begun_row(cost: str, circuit: str, form: str) -> list[Any]:
-    """What IPOPT is given, and what becomes of some results of it."""
+    """The problem given to IPOPT, and the solutions from some of its results."""
     at = point(cost, circuit)
     scene = TINY[circuit]
     given = dict[str, Any]()

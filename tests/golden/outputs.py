@@ -328,7 +328,7 @@ def page_row() -> dict[str, Any]:
 
 
 def drawn_row(figure: Figure) -> dict[str, Any]:
-    """What a reader of a figure sees, and the numbers under it."""
+    """The visible parts of a figure, and the numbers under them."""
     rows = []
     figure.draw_without_rendering()
     for axes in figure.findobj(Axes):
@@ -770,7 +770,7 @@ def watched_row() -> list[Any]:
 
 
 def live_words_row() -> dict[str, Any]:
-    """Verdicts on changes, alarms of answers, what waits, the history, panels and addresses."""
+    """Verdicts on changes, alarms of answers, waiting items, the history, panels and addresses."""
     cells = cells_of((4, 5), spread=0.3)
     verdicts = []
     for change, readout, broken in product(
@@ -920,7 +920,7 @@ def stored(path: Path) -> dict[str, Any]:
 
 
 def command(*words: str | Path) -> str:
-    """What a command prints."""
+    """Return the output of a command."""
     printed = io.StringIO()
     with (
         patch.object(sys, "argv", ["lampest", *map(str, words)]),
@@ -1144,7 +1144,7 @@ def strongest_of_files() -> list[Any]:
 
 
 def detected_results_row() -> list[Any]:
-    """Answers to results, and what the file says.
+    """Answers to results, and the content of the file.
 
     The results are with noise that frames share, without noise, and of one frame.
     """

@@ -297,7 +297,7 @@ def model_error_row() -> dict[str, Any]:
 
 
 def report_row() -> dict[str, Any]:
-    """The page of a comparison, with what every picture would show in its place."""
+    """The page of a comparison, with the content of every picture in its place."""
     recordings = {
         name: {case.estimator: case for case in lp.Results(invented()).of(name)}
         for name in ("mouth", "second")

@@ -1,4 +1,7 @@
-"""What recognition says of a simulated load, and of a recording. No test stands here."""
+"""Recognition of a simulated load, and of a recording.
+
+The module holds no test.
+"""
 
 import numpy as np
 
@@ -28,7 +31,7 @@ def frame_under(load: Shape, panel: Panel) -> Observation:
 
 
 def known_before(recording: Recording) -> Known:
-    """What is known of a recording before its measured frames, which is enough to go on."""
+    """Return the state of recognition before the measured frames of a recording."""
     known = known_of(Prepared(recording))
     assert isinstance(known, Known)
     return known
@@ -40,7 +43,7 @@ def every_frame(recording: Recording, known: Known) -> Frames:
 
 
 def answered(recording: Recording) -> Detected:
-    """As `lampest detect` does."""
+    """Return the answer to a recording, as `lampest detect` does."""
     known = known_of(Prepared(recording))
     if isinstance(known, Detected):
         return known
@@ -48,6 +51,6 @@ def answered(recording: Recording) -> Detected:
 
 
 def verdict_on(load: Shape, loads: tuple[Candidate, ...] = LOADS, panel: Panel = PANEL) -> Verdict:
-    """What one frame of a panel under a load is called, with these candidates for loads."""
+    """Return the verdict on one frame of a panel under a load, with these candidates."""
     frame = frame_under(load, panel)
     return Detector(PATCH_MM, loads).verdict(frame)

@@ -1,6 +1,6 @@
-"""Every configuration of the package, found by what it is, and examples of each.
+"""Every configuration of the package, recognised by its type, and examples of each.
 
-The examples are made from its fields' types alone.
+The types of the fields alone determine the examples.
 
 A new configuration, and a new member of a union (a term, a loss, a load, a method, an executor, a
 readout), is seen here without being named.
@@ -95,13 +95,13 @@ def parts(hint: Any) -> Iterator[Any]:
 
 
 def is_by_kind(hint: Any) -> bool:
-    """Whether a type is a union that is told apart by `kind`."""
+    """Whether a type is a union whose members differ by `kind`."""
     return get_origin(hint) is Annotated and isinstance(get_args(hint)[1], ByKind)
 
 
 @cache
 def unions() -> tuple[tuple[type, ...], ...]:
-    """The members of every union that is told apart by `kind`."""
+    """Return the members of every union whose members differ by `kind`."""
     members = [
         shipped(part)
         for kind in configurations()
@@ -131,9 +131,9 @@ def is_open(field: dataclasses.Field[Any]) -> bool:
 
 @cache
 def examples(kind: type) -> tuple[Any, ...]:
-    """Configurations of a class, the first one with its defaults.
+    """Return configurations of a class, the first one with its defaults.
 
-    Then for every field there is one that differs there.
+    For every field another configuration differs there.
     """
     rng = np.random.default_rng(1)
     first = attempted(lambda: kind(**arguments(kind, rng)), lambda made: True)
@@ -187,7 +187,7 @@ def varied(first: Any, name: str, hint: Any, rng: np.random.Generator) -> Any:
 
 
 def attempted(make: Callable[[], Any], fits: Callable[[Any], bool]) -> Any:
-    """What is made by chance, as soon as it keeps its own rules and fits."""
+    """Return a random example as soon as it keeps its own rules and fits."""
     for _ in range(TRIES):
         try:
             made = make()

@@ -75,7 +75,7 @@ def test_readings_of_a_uniform_panel_are_the_stated_share_of_its_cells(
 def test_errors_of_a_uniform_panel_grow_by_at_most_half_the_number_of_lines(
     shape: tuple[int, int],
 ) -> None:
-    """By (M + N − 1)/2 where rows and columns have no common part; independent ones by less."""
+    """Errors without a common part of a row or column grow by (M + N − 1)/2, others by less."""
     inverse = np.linalg.inv(relative_slopes(np.full(shape, CELLS)))
     gains = np.linalg.svd(inverse, compute_uv=False)
     rows, columns = shape

@@ -1,4 +1,4 @@
-"""What holds of every method and every kind of readout when readings are missing."""
+"""Laws of every method and every kind of readout when readings are missing."""
 
 import numpy as np
 import pytest
@@ -38,9 +38,9 @@ TWO_POINT = Scene(Panel(*SHAPE), TwoPointReadout())
 
 
 def recording(scene: Scene, holes: list[tuple[int, int]] = HOLES, seed: int = 1) -> Recording:
-    """Four frames of unlike cells through the readout, without its converter.
+    """Return four frames of unlike cells through the readout, without its converter.
 
-    There are holes in the measured ones.
+    Readings of the measured frames are missing at the holes.
     """
     rng = np.random.default_rng(seed)
     cells = 2000.0 * np.exp(0.3 * rng.standard_normal(SHAPE)) * np.ones((4, 1, 1))
@@ -80,7 +80,7 @@ def test_the_optimum_with_a_penalty_uses_only_the_present_readings() -> None:
 def test_single_holes_leave_every_frame_an_estimate(
     readout: object, formulation: MethodName
 ) -> None:
-    """Named for what it is, in every method; the flags and counts say which cells nobody read."""
+    """Flags and counts name the missing readings in every method."""
     scene = Scene(Panel(*SHAPE), readout)
     try:
         terms = ROBUST if formulation == "smoother" else (Misfit(),)

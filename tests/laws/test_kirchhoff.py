@@ -82,10 +82,7 @@ def test_current_is_conserved_in_all_forms_of_the_law(cells: Array) -> None:
 @given(panels)
 @QUICK
 def test_any_line_may_be_grounded(cells: Array) -> None:
-    """Paper, equation (5): potential differences do not know which line is tied to ground.
-
-    Nor do they know how well it is tied.
-    """
+    """Potential differences do not depend on the ground and its tie: paper, equation (5)."""
     resistance = two_point_resistance(cells)
     for line in range(sum(cells.shape)):
         tie = np.zeros(sum(cells.shape))

@@ -1,4 +1,4 @@
-"""What holds of every preconditioner.
+"""Laws of every preconditioner.
 
 M⁻¹ between any free cells is linear, symmetric and positive definite.
 """
@@ -43,7 +43,7 @@ COSTS: dict[str, tuple[Term, ...]] = {
 
 
 def hessian_of(terms: tuple[Term, ...]) -> Hessian:
-    """Of a cost at cells that differ by a factor of ten."""
+    """Return the Hessian of a cost at cells that differ by a factor of ten."""
     scene = Scene(Panel(*SHAPE), TwoPointReadout())
     rng = np.random.default_rng(4)
     cells = 3000.0 * 10 ** rng.uniform(-0.5, 0.5, SHAPE)

@@ -1,4 +1,4 @@
-"""Laws of the search for rival circuits: what it may leave out without another verdict."""
+"""Laws of the search for rival circuits: its shortcuts do not change the verdict."""
 
 from dataclasses import replace
 
@@ -108,6 +108,29 @@ def test_fits_of_rivals_begin_at_the_cells_of_a_neighbour(
     explanation.better_rival(question, question.explanation)
     assert len(fits) > 10
     assert not [scene.readout for scene in cold if not scene.circuit.several_panels]
+
+
+def test_of_rivals_that_differ_in_names_of_lines_one_is_searched_in_series(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    circuit = LoadedColumnsReadout(load_ohm=1000.0, drive_ohm=1000.0)
+    scene = Scene(Panel(6, 6, 10.0), circuit)
+    load = lampest.Rod(centre_mm=(20.0, 20.0), diameter_mm=25, mass_g=900)
+    recording = lampest.simulate(lampest.Simulation(1, 3, scene, frames=3, loads=(load,)))
+    swapped = replace(recording, scene=replace(scene, readout=replace(circuit, driven="columns")))
+    question = Prepared(swapped).question
+    searched: list[Rival] = []
+    with_series = explanation.with_series
+
+    def noted(candidate: explanation.Explanation, frames: object) -> object:
+        searched.append(candidate.rival)
+        return with_series(candidate, frames)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(explanation, "with_series", noted)
+    best = explanation.better_rival(question, question.explanation)
+    assert best.name == "readout.driven: rows (rows and columns swapped)"
+    assert best.name in {rival.kind for rival in searched}
+    assert not [rival.kind for rival in searched if rival.order is not None]
 
 
 @pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: str(circuit.kind))

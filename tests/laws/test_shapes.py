@@ -1,6 +1,7 @@
-"""What holds for every shape, by its own example, and for discs over patches.
+"""Laws of every shape, by its own example, and of discs over patches.
 
-The tests walk the union; a new shape is under them with the example in its docstring."""
+The tests walk the union; a new shape is under them with the example in its docstring.
+"""
 
 import dataclasses
 import inspect

@@ -1,4 +1,4 @@
-"""What holds for every cost term with every loss.
+"""Laws of every cost term with every loss.
 
 The tests walk the unions: a new term is tested as it is.
 """

@@ -1,7 +1,4 @@
-"""Error bars against definitions, numerical integration, and what errors do.
-
-The errors are those when the noise is drawn again and again.
-"""
+"""Error bars against definitions, numerical integration and errors of repeated draws."""
 
 from collections.abc import Iterator
 from types import SimpleNamespace
@@ -119,7 +116,7 @@ def test_the_covariance_is_that_of_laplace(weight: float) -> None:
 def test_absolute_losses_leave_a_degree_of_freedom_for_each_plateau(term: Term) -> None:
     """The resolution sums to the number of changed cells, or of areas of equal change.
 
-    By Mallows' C, which counts them, few changes predict new readings better than least squares.
+    Mallows' C counts them: few changes predict new readings better than least squares.
     """
     scene = Scene(Panel(6, 6), TwoPointReadout(noise_lsb=1), 140.0)
     rod = Rod(centre_mm=(25, 25), diameter_mm=20, mass_g=300)

@@ -1,9 +1,7 @@
-"""What "verified" means: no cell would move, and the point is a minimum.
+"""The meaning of "verified": no cell would move, and the point is a minimum.
 
-No cell would move, whatever the scale of its reading.
-
-Readings come from statements of the circuits that share no code with the package: of extreme panels
-in 50 digits.
+Cells would not move at any scale of their readings. Readings come from statements of the circuits
+that share no code with the package: of extreme panels in 50 digits.
 """
 
 from dataclasses import replace
@@ -116,7 +114,7 @@ BEYOND_IPOPT = (
 def solution_of(
     scene: Scene, recorded: Array, formulation: str, bounds: Bounds | None = None
 ) -> Solution:
-    """The solution of one frame by plain least squares, without an upper bound unless told."""
+    """Return the solution of one frame by least squares, by default without an upper bound."""
     estimator = Estimator(
         (Misfit(),), formulation=formulation, bounds=bounds or Bounds(upper="none")
     )
@@ -217,11 +215,9 @@ def verified(point: Evaluation) -> Solution:
 @pytest.mark.parametrize("relative_error", [1e-1, 1e-3, 1e-4])
 @pytest.mark.parametrize("number", range(16))
 def test_wrong_small_cells_are_never_verified(number: int, relative_error: float) -> None:
-    """Cells of the smaller kind scattered by `relative_error`.
+    """The smaller cells are scattered by `relative_error`, which only their small readings show.
 
-    Only their own small readings show it.
-
-    Clusters, a checkerboard, a block or stripes, up to nine decades apart.
+    The cells form clusters, a checkerboard, a block or stripes, up to nine decades apart.
     """
     random = np.random.default_rng([8, number])
     shape = rows, columns = random.integers(3, 8, 2)
@@ -237,10 +233,7 @@ def test_wrong_small_cells_are_never_verified(number: int, relative_error: float
 
 
 def test_a_factor_may_succeed_on_rounding() -> None:
-    """Forty cells of which only neighbours' differences are told.
-
-    No pivot is small, the smallest bend is 10⁻¹³.
-    """
+    """Data of neighbours' differences alone leave a curvature of 10⁻¹³ without a small pivot."""
     count = 40
     random = np.random.default_rng(2)
     vectors = np.linalg.qr(random.standard_normal((count, count)))[0]
@@ -254,10 +247,7 @@ def test_a_factor_may_succeed_on_rounding() -> None:
 
 
 def test_a_single_wrong_small_cell_is_not_verified() -> None:
-    """Everything is met but one shorted cell, which is off by a tenth.
-
-    First-order conditions hold and nobody signs.
-    """
+    """One shorted cell is off by a tenth, although first-order conditions hold."""
     cells = changed((2, 3), 1e-6)
     perturbed = cells.copy()
     perturbed[2, 3] *= 1.1
@@ -268,11 +258,9 @@ def test_a_single_wrong_small_cell_is_not_verified() -> None:
 
 
 def test_the_certificate_names_a_saddle() -> None:
-    """One cell whose reading says 1000 ohm and whose previous frame said 1 ohm.
+    """A reading of 1000 ohm and a previous frame of 1 ohm leave φ = (r − 1000)² + 2 (100 log r)².
 
-    Thus φ = (r − 1000)² + 2 (100 log r)².
-
-    Between the two minima the cost is stationary, and largest.
+    Between its two minima φ is stationary and has a maximum.
     """
 
     def slope(logarithm: float) -> float:

@@ -50,7 +50,7 @@ from tests.netlist import divider, network_of, potentials, resistors, volts
 ROWS = 5
 COLUMNS = 6
 ROUNDING = 1e-9  # relative: float64 times the condition of cells up to 1 gigohm
-MOST_STATES = 100
+MIN_STATES = 100
 CLEARLY_WRONG = (
     1.1  # median cell over the true one, by a scene that is silent about the groups; measured 1.5
 )
@@ -302,7 +302,7 @@ def test_any_states_of_idle_lines_agree_with_the_netlist(driven: Any, groups: in
             err_msg=str(keys),
         )
         read += 1
-    assert read > MOST_STATES, "most of the 128 states give readings"
+    assert read > MIN_STATES, "most of the 128 states give readings"
 
 
 @pytest.mark.parametrize("input_ohm", [None, 30e3])
@@ -695,7 +695,7 @@ def test_a_penalty_does_not_lead_to_the_other_panel(formulation: Any) -> None:
 
 
 def test_the_true_one_of_two_panels_that_read_alike_is_found() -> None:
-    """Undamped steps lose their way near the fold: they found the cells of three in four."""
+    """Undamped steps diverge near the fold and reach the cells in three cases of four."""
     rng = np.random.default_rng(7)
     is_solution = []
     for idle, idle_load, level in product(

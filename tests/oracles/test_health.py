@@ -10,15 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from promises import promise
+from ruamel.yaml import YAML
 
 from lampest import Faults, Panel, Recording
 from lampest.audit.health import ROOMS, WELL, Health
-from lampest.runs.starter import RECORDING, write_starter
+from lampest.inference.prepared import Prepared
+from lampest.runs.starter import RECORDING, TEMPLATES, write_starter
 from tests.panels import Plan, recorded
 
 # All circuits, with loads that stand, sway, move, tap, jump and arrive
 CLEAN_SEEDS = [range(100), pytest.param(range(100, 500), marks=pytest.mark.slow)]
 PLANS = range(60)
+CIRCUITS = YAML(typ="safe").load(TEMPLATES / "circuits.yaml")
 MIN_UNEVEN = 20  # of 120 films
 # of loaded recordings
 MIN_CUT_NOTICED = 0.6
@@ -31,7 +34,7 @@ def health(plan: Plan, codes: np.ndarray | None = None) -> Health:
 
 
 def faulty(recording: Health) -> list[str]:
-    """What the table says beside the shares of missing readings and of those at a rail."""
+    """Return findings other than the shares of missing readings and of readings at a rail."""
     return [finding.text for finding in recording.findings if finding.room != "readings"]
 
 
@@ -47,6 +50,13 @@ def test_examples_of_init_raise_no_alarm(circuit: str, tmp_path: Path) -> None:
     write_starter(tmp_path, circuit)
     table = Health.of(Recording.load(tmp_path / RECORDING)).table
     assert table == tuple((room, WELL[room]) for room in ROOMS)
+
+
+@pytest.mark.parametrize("circuit", CIRCUITS)
+def test_the_circuit_of_each_starter_explains_its_readings(circuit: str, tmp_path: Path) -> None:
+    write_starter(tmp_path, circuit)
+    check = Prepared(Recording.load(tmp_path / RECORDING)).check
+    assert check.explains, check.sentence
 
 
 def dead_row(plan: Plan) -> tuple[str, Health]:
@@ -90,10 +100,7 @@ def shorted_cell(plan: Plan) -> tuple[str, Health]:
 def test_faults_of_lines_and_cells_are_reported_with_their_line(
     fault: Callable[[Plan], tuple[str, Health]], share: float
 ) -> None:
-    """On even films lines that touch read as single ones do where idle lines are driven.
-
-    So films are uneven here.
-    """
+    """The films are uneven: on even ones, touching lines may read as single ones."""
     uneven = [plan for plan in map(Plan.drawn, range(120)) if np.std(np.log(plan.cells)) > 0.1]
     lines = [
         (line in [finding.line for finding in report.findings])

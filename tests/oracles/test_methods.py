@@ -48,7 +48,7 @@ def resting(shape: tuple[int, int]) -> Array:
 
 
 def recording(*cells: Array, noise: float = 0.0) -> Recording:
-    """Frames of readings with a relative noise; σ is what is told of it."""
+    """Return frames of readings with a relative noise, which σ states."""
     exact = two_point_resistance(np.stack(cells))
     readings = exact * (1 + noise * np.random.default_rng(7).standard_normal(exact.shape))
     return recording_of(Scene(Panel(*cells[0].shape)), readings, 1, sigma=exact * max(noise, 1e-6))

@@ -246,7 +246,7 @@ def misdescribed(actual: Scene, specified: Scene, seed: int, frames: int = 6) ->
     recorded = specified.circuit.recorded_from_volt(actual.circuit.volt_from_recorded(codes))
     role = (np.arange(2 * frames) >= frames).astype(np.uint8)
     shape = (2 * frames, *specified.panel.shape)
-    return Recording(specified, recorded.reshape(shape), np.arange(2.0 * frames), role, name="told")
+    return Recording(specified, recorded.reshape(shape), np.arange(2.0 * frames), role, name="mine")
 
 
 CONVERTER: dict[str, Any] = {"adc_bits": 12, "readings": 4, "noise_lsb": 1.0}

@@ -193,7 +193,7 @@ def test_still_cells_show_the_share_of_a_scan_and_readings_are_interpolated_to_i
 
 @pytest.mark.parametrize("depth", [0.0, 0.1])
 def test_a_scan_without_time_has_no_share(depth: float) -> None:
-    """Not even where frames of a standing load are quieter when they are averaged."""
+    """The same holds where averaged frames of a standing load are quieter."""
     swaying = moving_load(901, "rock", Motion(depth=depth, scan=0.0), {"motion": "estimated"})
     share, deviation = Prepared(swaying).noise.estimated["motion"]
     assert share < 2 * deviation
@@ -277,7 +277,7 @@ def test_a_load_that_moves_by_a_pitch_a_frame_is_advised_to_be_named() -> None:
 
 
 def test_bars_hold_channels_that_differ_by_more_than_usual() -> None:
-    """Of the usual 3 ohm, 56 % of the cells were within their bars."""
+    """With the usual 3 ohm, 56 % of the cells were within their error bars."""
     readout = TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=4)
     spread = Systematic(channel_spread_ohm="estimated")
     scene = Scene(Panel(8, 8), readout, 140.0, systematic=spread)

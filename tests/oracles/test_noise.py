@@ -1,6 +1,6 @@
-"""What frames say of their own noise, and still cells of shared errors, against drawn ones.
+"""Noise of frames, and shared errors from still cells, against drawn ones.
 
-Shared errors are those that all frames share.
+Shared errors are equal in all frames.
 """
 
 from dataclasses import replace
@@ -532,7 +532,7 @@ def breathing(
     frames: int = 15,
     systematic: Systematic | None = None,
 ) -> Recording:
-    """Of a panel scanned in no time, of which some cells are pressed by a load that breathes."""
+    """Return a recording, scanned in no time, of a breathing load on the covered cells."""
     rng = np.random.default_rng(seed)
     load = pressure * (1 + 0.1 * np.sin(2.1 * np.arange(frames) + rng.uniform(0, 6)))
     unloaded = np.repeat(3050 * np.exp(0.2 * rng.standard_normal((1, 10, 10))), frames + 5, axis=0)
@@ -596,9 +596,9 @@ def test_noisy_cells_are_not_taken_for_a_static_error() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("loaded", [1, 2])
 def test_a_load_in_the_last_unloaded_frames_is_named(loaded: int, tmp_path: Path) -> None:
-    """As where one frame too many is called unloaded: no median of three shows it.
+    """No median of three frames shows a load where one frame too many is called unloaded.
 
-    Detect says it once.
+    Detect names it once.
     """
     recording = lampest.datasets.load("rod")
     frames = [0, 1, 2, *range(8, 8 + loaded), *range(12, 15)]

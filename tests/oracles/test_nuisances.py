@@ -96,7 +96,7 @@ def test_an_outlier_during_a_load_is_not_taken_for_a_contact(seed: int) -> None:
     ],
 )
 def test_leaks_and_contacts_are_corrected_in_their_frames(effect: dict) -> None:
-    """The same noise is in both recordings; what the sizes leave open is a fraction of it."""
+    """Both recordings have the same noise; the uncertainty of the sizes is a fraction of it."""
     dirty = Prepared(panel(1, **effect, **ESTIMATED)).noise
     clean = panel(1).readings()
     assert dirty.estimated and all(size > deviation for size, deviation in dirty.estimated.values())

@@ -220,6 +220,13 @@ def test_diodes_with_several_potentials_are_refused() -> None:
         Scene(Panel(*SHAPE), readout)
 
 
+@pytest.mark.parametrize("kind", [DrivenReadout, LoadedColumnsReadout])
+def test_diodes_with_driven_groups_are_refused(kind: Any) -> None:
+    readout = kind(drive_ohm=100.0, driven_groups=((0, 1), (2, 3)), diode=Diode())
+    with pytest.raises(InputError, match="diode: circuits with driven_groups"):
+        Scene(Panel(4, 6), readout)
+
+
 def test_driven_groups_name_every_line() -> None:
     with pytest.raises(InputError, match=r"readout.driven_groups: row 3 is left out"):
         Scene(Panel(4, 6), LoadedColumnsReadout(driven_groups=((0, 1), (2,))))

@@ -166,7 +166,7 @@ def pressed(noise: float) -> tuple[Array, Array]:
 
 
 def posed(estimator: Estimator, scene: Scene, measured: Array, sigma: Array) -> Data:
-    """What a solve of these readings is given."""
+    """Return the data of a solve of these readings."""
     zeros = np.zeros(measured.shape)
     return estimator.data(Readings(measured, sigma, zeros, zeros + 1), Background(scene))
 
@@ -184,9 +184,9 @@ def solved(
 def solved_with(
     kind: str, weight: float, *, scaled: bool, loss: Loss, noise: float
 ) -> tuple[Solution, LeastCost]:
-    """A pair jointly, or the frame alone for a penalty that compares nothing.
+    """Return the solution of a pair, and the same cost stated anew.
 
-    And the same stated anew.
+    A penalty that compares nothing is solved for the frame alone.
     """
     measured, sigma = pressed(noise)
     term = term_types()[kind](weight=weight, loss=loss)
@@ -211,9 +211,9 @@ def solved_with(
     ],
 )
 def test_heavy_squares_are_verified(kind: str, weight: float, scaled: bool) -> None:
-    """Second derivatives are rounding along what a penalty leaves free.
+    """Second derivatives are mere rounding along directions that a penalty leaves free.
 
-    At 10¹² a frame may end with that sentence.
+    At 10¹² the status of a frame may say so.
     """
     solution, least = solved_with(kind, weight, scaled=scaled, loss=Squared(), noise=0.01)
     if weight > 1e9 and solution.status in (Status.ROUNDED, Status.STALLED):

@@ -38,7 +38,7 @@ TERMS = (Misfit(weighting="noise", loss=Student(corner=CORNER_SIGMA)), LogGradie
 
 @cache
 def cells() -> tuple[Array, Array]:
-    """Of the unloaded panel and under a palm that covers it."""
+    """Return the cells of the unloaded panel, and those under a palm that covers it."""
     random = np.random.default_rng(4)
     resting = 3000 * np.exp(0.1 * random.standard_normal(SHAPE))
     return resting, resting * np.exp(-1.0 - 0.2 * random.random(SHAPE))

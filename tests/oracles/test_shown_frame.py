@@ -30,9 +30,9 @@ CHANGE = 1e-6  # of log r; second-order errors are its square, times the conditi
 @pytest.mark.parametrize("panel", ["clean", "real"])
 @pytest.mark.parametrize("name", ["air_10kpa", "air_20kpa", "water_10kpa", "water_20kpa"])
 def test_the_shown_frame_contains_a_sucking_cup(name: str, panel: str) -> None:
-    """Before it does, its rim alone moves readings further.
+    """Before the suction, the rim alone moves readings further.
 
-    Also where cells differ by factors and readings are off.
+    The real panels have uneven cells and deviating readings.
     """
     if panel == "clean":
         recording = Recording.load(ROOT / "data" / f"cup_{name}.h5")

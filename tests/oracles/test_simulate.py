@@ -203,14 +203,15 @@ def with_effects(
 
 
 def volt(recording: Recording) -> Array:
-    """What the converter saw, written out for the divider across the reference."""
+    """Return the voltage at the converter, written out for the divider across the reference."""
     return 5 * 1000 / (1000 + recording.recorded)
 
 
 def test_effects_have_their_specified_size() -> None:
-    """Noise, a gain of each frame, errors of readings that all frames share, a stage that clips, a
-    common drift, a
-    reference that is off, and wire as if a scene told it."""
+    """The effects range from noise and a gain of each frame to a wrong reference and wire.
+
+    Further effects are errors of readings that all frames share, a stage that clips, and a drift.
+    """
     clean = with_effects()
     ratio = with_effects(reference_tolerance=0.01).recorded / clean.recorded
     np.testing.assert_allclose(ratio, ratio[0, 0, 0], rtol=CODE_ROUNDING)
@@ -274,9 +275,9 @@ def test_the_cohort_has_thirty_different_lampreys() -> None:
 
 
 def test_a_real_scene_equals_the_clean_one_on_another_panel() -> None:
-    """The same loads, times and water.
+    """The loads, times and water are the same.
 
-    There is one panel for all eight, which the scene does not tell of.
+    The real panel is the same for all eight, and its scene omits the deviations.
     """
     panels = set()
     for path in SIMULATED:

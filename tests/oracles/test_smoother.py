@@ -60,9 +60,9 @@ def panel(
     systematic: Systematic | Literal["none"] | None = None,
     resting: int = RESTING,
 ) -> Recording:
-    """A rod from the fifth frame on, a tap in the ninth alone.
+    """Return a recording of a rod from the fifth frame on, and of a tap in the ninth alone.
 
-    There is the readout's noise, nothing else.
+    The only error is the readout's noise.
     """
     rng = np.random.default_rng(seed)
     cells = np.tile(

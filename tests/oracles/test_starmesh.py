@@ -138,9 +138,9 @@ def test_unconnected_lines_have_infinite_resistance(scale: float) -> None:
 
 @pytest.mark.slow
 def test_shorts_join_lines() -> None:
-    """A cell of no resistance is what ever smaller cells tend to.
+    """A cell of no resistance is the limit of ever smaller cells.
 
-    R is 0 between what shorts connect.
+    R is 0 between lines that shorts connect.
     """
     rng = np.random.default_rng(9)
     for _ in range(200):

@@ -93,9 +93,9 @@ def measured_data(
 
 @pytest.mark.parametrize(("number", "factor"), [(1, 1e-3), (1, 1.0), (1, 30.0), (2, 1.0)])
 def test_the_risk_at_the_truth_is_the_mean_squared_error(number: int, factor: float) -> None:
-    """Of the linear estimate with two penalties, as a sum over the noise.
+    """The risk of the linear estimate with two penalties is a sum over the noise.
 
-    And what the point's own errors add.
+    The errors of the point itself add to it.
     """
     estimator = Estimator(
         (Misfit(), Gradient(weight=1e-5), CellResistance(weight=1e-7)), formulation="reduced"

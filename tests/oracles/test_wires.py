@@ -1,9 +1,9 @@
 """Wire, contacts, touching lines, a converter's memory.
 
-Told, the cells are found; not told, they are not.
+With the right scene the cells are recovered, and with another one they are not.
 
-The wired network is held against badcrossbar (Joksas & Mehonic, SoftwareX 12, 100617, 2020;
-MIT)."""
+The wired network is held against badcrossbar (Joksas & Mehonic, SoftwareX 12, 100617, 2020; MIT).
+"""
 
 import warnings
 from dataclasses import replace
@@ -112,7 +112,7 @@ def test_specified_wire_gives_the_cells(readout: Readout) -> None:
 @each_readout
 @pytest.mark.parametrize("formulation", ["auto", TruncatedMethod(steps=8), "linearised"], ids=str)
 def test_other_formulations_model_wire(readout: Readout, formulation: Any) -> None:
-    """As well as without wire: what they leave out is theirs."""
+    """The formulations are as accurate as without wire."""
     recording = simulated(Scene(Panel(9, 7), readout, lines=THREAD))
     bare = simulated(Scene(Panel(9, 7), readout))
     error, bare_error = (
@@ -183,10 +183,7 @@ def test_responses_to_wire_are_the_derivatives_of_readings(
 
 
 def test_a_reading_bounds_the_cell_with_its_wire() -> None:
-    """Of a small cell at the far end the wire is most of the reading.
-
-    r ≥ R_m would forbid the truth.
-    """
+    """The wire is most of the reading of a small cell at the far end, so r ≥ R_m would be wrong."""
     cells = np.full((5, 6), 3000.0)
     cells[0, 0] = 5.0
     wiring = Wiring(Lines(10.0, 10.0, "right", "bottom"))
@@ -260,7 +257,7 @@ def test_touching_lines_have_equal_readings_and_others_do_not(readout: Readout) 
 
 
 def test_equal_rows_are_not_taken_for_touching_ones() -> None:
-    """Where all rows read alike within the noise nothing is told."""
+    """All rows read alike within the noise."""
     noisy = TwoPointReadout(readings=1, noise_lsb=4)
     readings = simulate(
         Simulation(1, 2, Scene(Panel(6, 6), noisy), Cells(spread=0.0), frames=1)

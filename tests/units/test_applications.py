@@ -1,4 +1,4 @@
-"""Applications of installed packages: what they add, and that a broken one costs no command."""
+"""Applications of installed packages: their additions, and that a broken one costs no command."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""What a code of the converter stands for: steps, ends, curves, and versions of files."""
+"""Codes of the converter: steps, ends, curves, and versions of files."""
 
 from dataclasses import replace
 from pathlib import Path

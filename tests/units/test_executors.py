@@ -146,7 +146,7 @@ def half_written(mark: Path) -> str:
     return "whole"
 
 
-def test_a_worker_that_dies_while_sending_blocks_nobody(tmp_path: Path) -> None:
+def test_a_worker_that_dies_while_sending_blocks_no_process(tmp_path: Path) -> None:
     marks = [tmp_path / name for name in "ab"]
     assert sorted(Processes(2).results(half_written, marks)) == [(mark, "whole") for mark in marks]
 

@@ -76,9 +76,9 @@ def test_the_selected_cells_have_the_most_evidence_of_all_subsets(seed: int) -> 
 def test_the_strongest_cell_determines_changes_within_the_frames_of_a_load(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Four frames, two under each load.
+    """Two loads have two frames each.
 
-    Of the first the strongest cell moves by a quarter, of the second another.
+    The strongest cell moves by a quarter under the first load; under the second another cell moves.
     """
     logarithm = np.full((4, 2, 3), 0.1)
     logarithm[:, 1, 2] = [-1.75, -2.25, -2.0, -2.0]

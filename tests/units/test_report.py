@@ -1,4 +1,4 @@
-"""What is said of results: a page that needs nothing else, and tables of what presses."""
+"""Reports of results: a page that needs no other file, and tables of presses."""
 
 import dataclasses
 from html.parser import HTMLParser

@@ -1,4 +1,4 @@
-"""The order in which the readings of a frame are taken, and what follows it."""
+"""The order in which the readings of a frame are taken, and its consequences."""
 
 from typing import Any
 

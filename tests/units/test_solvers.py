@@ -109,10 +109,7 @@ def test_second_derivatives_are_factored_once_and_reused(
 
 
 def problem(readout: Readout, method: str) -> tuple[Cost, Data, Array]:
-    """Of a frame's cost, its data and the optimum, (1, rows, columns) ohm.
-
-    The optimum is the one that Newton's method finds.
-    """
+    """Return a frame's cost, its data and Newton's optimum, (1, rows, columns) ohm."""
     rod = lampest.Rod(centre_mm=(20.0, 25.0), diameter_mm=25.0, mass_g=400.0)
     scene = lampest.Scene(lampest.Panel(5, 6), readout)
     recording = lampest.simulate(

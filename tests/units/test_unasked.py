@@ -1,4 +1,4 @@
-"""What a scene does not ask for, or a recording cannot show, changes nothing."""
+"""Parts that a scene does not request, or a recording cannot show, change nothing."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The way of a frame, as the page of the architecture has it, is what a trace of a run shows."""
+"""The way of a frame on the page of the architecture against the trace of a run."""
 
 import re
 import subprocess

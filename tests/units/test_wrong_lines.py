@@ -27,14 +27,14 @@ def finding(addition: dict[str, Any]) -> Finding:
     return Finding("circuit", "another circuit", "", addition)
 
 
-def test_a_line_that_changes_what_values_mean_is_refused() -> None:
+def test_a_line_that_changes_the_meaning_of_values_is_refused() -> None:
     scene = Scene(Panel(8, 8), TwoPointReadout(reference_ohm=2000.0))
     changed, accepted, refused = with_lines(scene, [finding(KIND), finding(SERIES)])
     assert accepted == ("series_resistance_ohm: 2140",) and changed.series_resistance_ohm == 2140
     assert len(refused) == 1 and "in ohm, would mean something else" in refused[0]
 
 
-def test_another_reference_changes_what_resistances_mean() -> None:
+def test_another_reference_changes_the_meaning_of_resistances() -> None:
     scene = Scene(Panel(8, 8), TwoPointReadout(reference_ohm=2000.0))
     _, accepted, refused = with_lines(scene, [finding({"readout": {"reference_ohm": 1000}})])
     assert not accepted and refused

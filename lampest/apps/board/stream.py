@@ -42,7 +42,7 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
     declared = declared_readout(hello)
     if scene is None:
         return Scene(Panel(hello.rows, hello.columns), declared)
-    ours = scene.readout
+    ours: Any = scene.readout  # a kind of readout, with its own fields
     if ours is None:
         return replace(scene, readout=declared)
     if ours.kind != hello.wiring:

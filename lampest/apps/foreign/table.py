@@ -489,7 +489,7 @@ def _data_lines(source: FieldLines, words: NDArray[np.bool_]) -> NDArray[np.bool
 def _header_line(fields: NDArray[Any], data: NDArray[np.bool_], width: int) -> int | None:
     """Return the number of the header's line; None without a header.
 
-    The header names or counts the fields. It is the first data line or the line before.
+    The header is the first data line or the line before, and names or counts the fields.
     """
     first = int(np.argmax(data))
     following = fields[first + 1, 0] if first + 1 < len(fields) else ""

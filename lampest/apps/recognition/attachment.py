@@ -21,6 +21,7 @@ from lampest.apps.recognition.fit import RARE_LOG_ODDS, Verdict
 from lampest.apps.recognition.observation import Observation
 from lampest.apps.recognition.pumping import BLOCK_S, Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without_water
+from lampest.apps.recognition.suction import would_show
 from lampest.apps.recognition.swings import Patterns
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
 from lampest.panel.panel import Array, Panel
@@ -39,7 +40,7 @@ class Attachment:
     Attributes
     ----------
     sucks : float
-        Probability that it sucks.
+        Probability that it sucks; at least 1/2 where that would not show.
     since_s, until_s : float, float or None
         Times of arrival and departure, s; `until_s` is None while it is present.
     x_mm, y_mm, diameter_mm, area_mm2 : (float, float) or None
@@ -58,6 +59,8 @@ class Attachment:
         Times at which it moved, s.
     placed_s : float
         Time since which it is in its place, s.
+    small : bool
+        Whether it is so small that no cell would show that it sucks.
     clear : float
         ln evidence over that of an unloaded panel.
     track : Pumping or None
@@ -80,6 +83,7 @@ class Attachment:
     sucks_s: float | None = None
     moved_s: tuple[float, ...] = ()
     placed_s: float = -inf
+    small: bool = False
     clear: float = 0.0
     track: Pumping | None = None
     patterns: Patterns | None = field(default=None, repr=False, compare=False)
@@ -294,7 +298,12 @@ class Attachment:
 
 
 def attachments_of(
-    frame: Observation, verdict: Verdict, since: float, patterns: Sequence[Patterns | None] = ()
+    frame: Observation,
+    verdict: Verdict,
+    since: float,
+    patterns: Sequence[Patterns | None] = (),
+    *,
+    any_form: bool = False,
 ) -> list[Attachment]:
     """Return the loads of the most probable candidate; without a shape, one load for each contact.
 
@@ -306,6 +315,8 @@ def attachments_of(
         Time of arrival, s.
     patterns : sequence of Patterns or None
         Patterns of the most probable candidate's loads.
+    any_form : bool
+        Whether the panel is a mat, on which nothing sucks.
     """
     # ln r/r0 of the cells with the prior N(0, 1), independent of any candidate
     best = verdict.best
@@ -349,6 +360,10 @@ def attachments_of(
                 conductance_s=conductance,
                 **_touched(frame.panel, group, change) | shape,
             )
+            if not any_form and sucks < 0.5:
+                diameter_mm = attachment.width if disc else attachment.width * (4 / np.pi) ** 0.5
+                small = not would_show(frame.panel, attachment.place, diameter_mm)
+                attachment = replace(attachment, small=small, sucks=0.5 if small else sucks)
             attachments.append(attachment)
     return attachments
 

@@ -14,7 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.special import ndtr
 
-from lampest.apps.recognition.observation import Observation
+from lampest.apps.recognition.observation import Observation, patch_of
 from lampest.files.levels import NOISE_REACH
 from lampest.panel.panel import Panel
 from lampest.recording.shapes.disc import Disc
@@ -91,6 +91,23 @@ def suctions(frame: Observation) -> list[Suction]:
         places.append(Suction(cells, probability, x, y))
     places.sort(key=lambda place: -float(change[place.cells].sum()))
     return _merged(panel, places)
+
+
+def would_show(panel: Panel, place: tuple[float, float], diameter_mm: float) -> bool:
+    """Return whether a cell would show that a round load sucks.
+
+    The patch of one cell has to lie within a usual rim.
+
+    Parameters
+    ----------
+    panel : Panel
+    place : (float, float)
+        Centre of the load, mm.
+    diameter_mm : float
+    """
+    x, y = (line[panel.present] for line in panel.places_mm)
+    distances = np.hypot(x - place[0], y - place[1])
+    return bool(np.min(distances) + patch_of(panel) / 2 <= diameter_mm / 2 - RIM_MM[0])
 
 
 def may_suck(frame: Observation) -> bool:

@@ -440,7 +440,9 @@ class Watch:
             return replace(self, brief=(*self.brief, (begin, end)))
         frame = self._frame(np.median([logarithm for _, logarithm in stood], axis=0), begin)
         verdict = self.setup.detector.verdict(frame)
-        loads = [load.ended(end) for load in attachments_of(verdict.frame, verdict, begin)]
+        loads = [
+            load.ended(end) for load in attachments_of(verdict.frame, verdict, begin, any_form=True)
+        ]
         return replace(self, attachments=(*self.attachments, *loads))
 
     def _looked(self, time: float) -> "Watch":
@@ -487,7 +489,9 @@ class Watch:
             history = LEFT.format(left_s)
             return replace(self, look=look, history=history)._gone(left_s)
         patterns = patterns_of(frame, verdict.best, self.test.whitening, self.setup.detector)
-        loads = attachments_of(frame, verdict, self.level.since_s, patterns)
+        any_form = self.setup.detector.any_form
+        since = self.level.since_s
+        loads = attachments_of(frame, verdict, since, patterns, any_form=any_form)
         if not loads and self._recognised and self._left(frame):
             return self._gone(time if self.known else self.level.since_s)
         if not loads:

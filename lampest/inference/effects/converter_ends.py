@@ -362,8 +362,8 @@ def with_resolved_ends(
 class ConverterEnds(SceneEffect):
     """Ends of the converter, and of a stage before it that saturates.
 
-    They are determined before any reading is taken: `readout.passes_volt`,
-    `readout.converter.zero_volt`.
+    The keys are `readout.passes_volt` and `readout.converter.zero_volt`. Both ends are determined
+    before any reading is taken.
     """
 
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:

@@ -150,7 +150,7 @@ def with_estimated_memory(
 class ConverterMemory(SceneEffect):
     """A converter that keeps a share of the channel before: `converter_memory`.
 
-    It is determined before any reading is taken, because readings are freed of it.
+    The share is determined before any reading is taken, because readings are freed of it.
     """
 
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
@@ -164,8 +164,7 @@ class ConverterMemory(SceneEffect):
         if not isinstance(estimate, str):
             share, deviation = estimate
             yield Unnamed.of(
-                f"the converter keeps {100 * share:.2g} +- {100 * deviation:.1g} % of the "
-                "channel before: so fewer "
-                "cells have moved under the load",
+                f"the converter keeps {100 * share:.2g} +- {100 * deviation:.1g} % "
+                "of the channel before: so fewer cells have moved under the load",
                 "converter_memory",
             )

@@ -1,4 +1,4 @@
-"""The base class of effects that a scene may name, and what their searches read."""
+"""The base class of effects that a scene may name, and the evidence of their searches."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
@@ -17,7 +17,7 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 
 class PreparedRecording(Protocol):
-    """What a search reads of a prepared recording; each is computed when first read."""
+    """Interface of a prepared recording for a search; properties are computed when first read."""
 
     @property
     def noise(self) -> NoiseEstimate:
@@ -38,7 +38,7 @@ class PreparedRecording(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """Finished estimates of a single network's recording, of which advice is made.
+    """Finished estimates of a single network's recording, on which advice is based.
 
     Attributes
     ----------
@@ -105,8 +105,8 @@ class SceneEffect(ABC):
     Attributes
     ----------
     if_unexplained : str
-        What the effect would be, in words, where readings have a misfit that nothing explains; ''
-        for an effect that leaves none.
+        The supposed effect in words, where readings have a misfit that nothing explains; '' for an
+        effect that leaves none.
     if_unexplained_key : str
         The key that states it then.
     """
@@ -119,8 +119,8 @@ class SceneEffect(ABC):
     ) -> NoiseEstimate:
         """Return the noise with the effect as the recording determines it.
 
-        By default it has the effect already: it is determined before readings are taken, or with
-        the noise of the frames.
+        By default the noise is unchanged: the effect is determined before readings are taken, or
+        with the noise of the frames.
 
         Parameters
         ----------
@@ -135,4 +135,4 @@ class SceneEffect(ABC):
 
     @abstractmethod
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
-        """Generate what the recording shows of the effect where the scene does not name it."""
+        """Generate the evidence of the effect in a recording whose scene does not name it."""

@@ -337,7 +337,7 @@ def interpolated(
 ) -> NoiseEstimate:
     """Return the noise with readings that are interpolated to the middle of their scan.
 
-    Their σ contains what the interpolation leaves.
+    Their σ contains the error of the interpolation.
 
     Parameters
     ----------
@@ -389,9 +389,9 @@ class ScanMotion(SceneEffect):
         if size is None:
             return interpolated(noise, scene, measured, UNKNOWN_SHARE).undetermined(
                 "motion",
-                "no frame has still cells beside a load that moves. Error bars allow for any share "
-                "of the time between frames; give the share, or record five unloaded frames and a "
-                "load that leaves most cells free",
+                "no frame has still cells beside a load that moves. "
+                "Error bars allow for any share of the time between frames; give the share, "
+                "or record five unloaded frames and a load that leaves most cells free",
             )
         noise = interpolated(noise, scene, measured, size)
         return noise.determined("motion", (size.mean, size.deviation))
@@ -410,8 +410,7 @@ class ScanMotion(SceneEffect):
             share = share_of_motion(*compared, READING_ERRORS)
         if share is not None and share.gain > MIN_EVIDENCE_GAIN:
             yield Unnamed.of(
-                f"still cells seem to move with the load; a scan takes {share.mean:.2g} +- "
-                f"{share.deviation:.1g} of the time "
-                "between frames",
+                "still cells seem to move with the load; a scan "
+                f"takes {share.mean:.2g} +- {share.deviation:.1g} of the time between frames",
                 "motion",
             )

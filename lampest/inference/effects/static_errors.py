@@ -577,7 +577,7 @@ class StaticErrors(SceneEffect):
         if error is not None:
             mean, deviation = error
             yield Unnamed.of(
-                f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, the same "
-                "in all frames: cells are rougher than those of films",
+                f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, "
+                "the same in all frames: cells are rougher than those of films",
                 "systematic.reading_error",
             )

@@ -199,6 +199,8 @@ class DrivenNetwork(Readout):
                 per_line(name, value, driven if name in self.of_driven else sensed)
         if self.diode is not None and equation_of(self, *scene.panel.shape).potentials is not None:
             raise ValueError("diode: circuits with several potentials have no diode in this model")
+        if self.diode is not None and self.driven_groups is not None:
+            raise ValueError("diode: circuits with driven_groups have no diode in this model")
         check_groups(self.groups, opposite(self.driven), sensed)
         check_groups(self.driven_groups, self.driven, driven, "driven_groups")
         equation = equation_of(self, *scene.panel.shape)

@@ -170,7 +170,8 @@ class DrivenStarts(DrivenNetwork):
             if misfit(self.network(cells, self.ties(measured)), positive) < MAX_MISFIT:
                 return np.asarray(cells)
             firsts.append(cells)
-        return self._panels_from(positive, firsts, upper)[0][1]
+        panels = self._panels_from(positive, firsts, upper)
+        return panels[0][1] if panels else np.minimum(self.uniform_start(measured), upper)
 
     @property
     def several_panels(self) -> bool:

@@ -132,7 +132,7 @@ def _running(
 
 
 def scene(rows: int = 10, columns: int = 10, readings: int = 20, **changes: Any) -> Scene:
-    """What the simulated board is by default: two multiplexers of 70 ohm, noise of 0.7 LSB."""
+    """Return the default scene of the simulated board: multiplexers of 70 ohm, noise of 0.7 LSB."""
     readout = TwoPointReadout(readings=readings, noise_lsb=0.7)
     return Scene(
         Panel(rows, columns), readout, changes.get("series_resistance_ohm", 2 * MULTIPLEXER_OHM)

@@ -1,6 +1,6 @@
-"""What stands around the board: missing packages, ports, keys, and costs of its firmware.
+"""Surroundings of the board: missing packages, ports, keys, and costs of its firmware.
 
-The costs are as its README has them.
+The firmware's README states the costs.
 """
 
 import os

@@ -1,6 +1,6 @@
-"""What goes wrong with a board on a cable.
+"""Faults of a board on a cable.
 
-That is damaged bytes, unplugging, resets, silence, a killed recorder, Ctrl-C.
+The faults are damaged bytes, unplugging, resets, silence, a killed recorder and Ctrl-C.
 """
 
 import subprocess

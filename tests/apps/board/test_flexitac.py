@@ -57,10 +57,7 @@ def codes(scene: lampest.Scene, cells: np.ndarray, seed: int) -> np.ndarray:
 
 @pytest.fixture
 def board(page: Any) -> Iterator[tuple[str, threading.Event]]:
-    """The name of a port that sends frames as the firmware does.
-
-    Also an event that presses the skin.
-    """
+    """Return a port that sends frames as the firmware does, and an event that presses the skin."""
     scene: lampest.Scene = page.scene
     resting = np.full(scene.panel.shape, OPEN_OHM)
     loaded = resting.copy()

@@ -1,6 +1,6 @@
 """Files whose writer was killed: read as far as they are whole.
 
-Damage in them is found, and repair drops it.
+Damage in the files is detected, and repair drops it.
 """
 
 import zlib

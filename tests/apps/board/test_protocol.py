@@ -222,7 +222,7 @@ def test_commands_are_nine_bytes_with_the_numbers_of_their_kinds() -> None:
 
 
 class ObedientPort:
-    """What pyserial opens: a board behind it sends `answers(kind, tag, value)` to every command."""
+    """Port of pyserial whose board sends `answers(kind, tag, value)` to every command."""
 
     def __init__(self, answers: Callable[[Kind, int, int], bytes]) -> None:
         self.answers = answers
@@ -293,7 +293,7 @@ def test_a_command_is_sent_four_times_without_losing_messages(
 
 
 def test_a_board_is_configured_before_it_starts() -> None:
-    """By default a frame a second, or as fast as the board can."""
+    """The default is a frame a second, or the board's shortest period if that is longer."""
     for period, shortest, chosen in (
         (None, 1_000, 1_000_000),
         (None, 2_000_000, 2_000_000),

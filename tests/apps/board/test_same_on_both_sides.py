@@ -109,7 +109,7 @@ def sent_by_c(body: bytes) -> bytes:
 
 
 def answered_by_c(settings: Settings, wire: bytes) -> tuple[protocol.Message, ...]:
-    """What the board makes of these bytes: its answers, as the host reads them."""
+    """Return the board's answers to these bytes, as the host reads them."""
     inbox = Inbox()
     messages = []
     for byte in wire:
@@ -346,7 +346,7 @@ def test_no_order_of_commands_leads_out_of_range(orders: list[tuple[int, int]]) 
 
 
 def hello() -> Hello:
-    """What the board of this wiring says, of its own C."""
+    """Return the greeting that the board of this wiring sends from its own C."""
     settings = c(WIRING).lampest_start_settings()
     room = ctypes.create_string_buffer(64)
     size = c(WIRING).lampest_hello(ctypes.byref(settings), room)

@@ -457,7 +457,7 @@ def test_signals_within_a_second_are_one_request_and_a_later_one_ends_at_once(
 
 
 def test_an_ignored_signal_stays_ignored_unless_it_ends_programs() -> None:
-    """As nohup ignores SIGHUP, and shells Ctrl-C for their background jobs."""
+    """`nohup` ignores SIGHUP, and shells ignore Ctrl-C for their background jobs."""
     handlers = {
         number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGHUP, signal.SIGINT)
     }
@@ -620,7 +620,7 @@ def test_a_boards_clock_is_set_by_the_quickest_of_fifty_frames() -> None:
 def image_of(
     monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]
 ) -> tuple[list[Sample], list[str]]:
-    """The image of four boards, and what is said meanwhile.
+    """Return the image of four boards, and the states that were reported meanwhile.
 
     The boards send these samples and then fall silent.
     """

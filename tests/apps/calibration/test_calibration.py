@@ -100,7 +100,7 @@ def readout_of(kind: str, ohm: float | tuple[float, ...], **known: object) -> An
 
 
 def specified_scene(kind: str, shape: tuple[int, int], **converter: object) -> Scene:
-    """What the user knows: the circuit and what is printed on its resistors."""
+    """Return the scene that a user specifies: the circuit and the printed resistances."""
     known = {"adc_bits": 10, "readings": 20, "noise_lsb": 0.7} | converter
     return Scene(Panel(*shape), readout_of(kind, NOMINAL[kind], **known))
 
@@ -132,7 +132,7 @@ def random_board(kind: str, shape: tuple[int, int], rng: np.random.Generator) ->
 
 
 def random_resistors(shape: tuple[int, int], rng: np.random.Generator) -> tuple[Array, Array]:
-    """What is printed on them, and what they are, within 1 %."""
+    """Return printed resistances, and true ones within 1 %."""
     printed = rng.choice([220.0, 470.0, 1000.0, 2200.0, 4700.0], shape)
     return printed, printed * rng.uniform(0.99, 1.01, shape)
 
@@ -150,9 +150,9 @@ def pulls(calibration: ResistorCalibration, board: Board) -> list[float]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_resistors_of_several_values_determine_every_number_of_every_line(kind: str) -> None:
-    """Each line is found to what its σ says, and the scene says so.
+    """The error of each line agrees with its σ, and the scene states both.
 
-    Resistors and reference are of 0.1 %.
+    Resistors and reference have a tolerance of 0.1 %.
     """
     rng = np.random.default_rng(KINDS.index(kind))
     shape = (4, 5)
@@ -295,9 +295,9 @@ def test_recordings_that_do_not_determine_a_circuit_are_refused() -> None:
 
 
 def test_error_bars_of_gains_and_curve_contain_the_truth() -> None:
-    """The fit alone, with data that are as it supposes.
+    """The fit is tested alone, on data that obey its assumptions.
 
-    There are 40 films of 60 cells under 4 pressures each.
+    The 40 films have 60 cells under 4 pressures each.
     """
     rng = np.random.default_rng(3)
     gains = []

@@ -187,7 +187,7 @@ def test_the_memory_is_causal(specified: Film) -> None:
 
 @pytest.mark.slow
 def test_intervals_contain_deviating_films() -> None:
-    """Films and cells drawn as the scene says what is known of them: 95 % intervals, 12 films."""
+    """The 95 % intervals hold for 12 films and cells drawn within the scene's deviations."""
     specified = Film(0.2, 0.05, deviation=0.25, cell_spread=0.2)
     inside = []
     for seed in range(12):
@@ -282,9 +282,9 @@ def pressures(
 
 @pytest.mark.parametrize("stays", [0.0, 0.02])
 def test_the_remaining_memory_of_the_film_presses_nowhere(stays: float) -> None:
-    """A load for ten frames, then what stays of it, with errors of a thousandth.
+    """A load leaves after ten frames, its memory stays, and a small load follows.
 
-    A small load later presses.
+    Changes have errors of a thousandth.
     """
     ratio = np.full((30, 3, 3), 0.3)
     ratio[:3] = 1.0
@@ -299,9 +299,9 @@ def test_the_remaining_memory_of_the_film_presses_nowhere(stays: float) -> None:
 
 
 def test_the_drift_of_a_film_presses_nowhere_and_widens_its_error_bars() -> None:
-    """A cell that nobody touches conducts more by 1 % a minute.
+    """The conductance of untouched cells rises by 1 % a minute.
 
-    Changes are known to a thousandth.
+    Changes have errors of a thousandth.
     """
     time = np.arange(0.0, 300.0, 20.0)
     ratio = np.exp(-0.01 * time / 60)[:, None, None] * np.ones((2, 2))

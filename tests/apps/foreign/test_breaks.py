@@ -1,6 +1,6 @@
 """Lost and doubled lines of files without marks between their frames, and cut frames.
 
-Wrong frames are never imported: a break is found and named, or the import asks.
+Wrong frames are never imported: a break is detected and named, or the import asks.
 """
 
 from collections.abc import Callable

@@ -59,7 +59,7 @@ def test_a_layout_is_given_or_follows_from_the_file_suffix(
     )
 
 
-def test_infinite_numbers_beside_readings_are_refused_without_a_warning(tmp_path: Path) -> None:
+def test_infinite_numbers_among_readings_are_refused_without_a_warning(tmp_path: Path) -> None:
     """A field of infinite numbers has no steps by which it could be a time."""
     path = tmp_path / "m.csv"
     path.write_text("0,-1e999,0,1e999\novf,-1e999,1e999,1e999\n1e999,0,1e999,ovf\n")

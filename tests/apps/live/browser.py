@@ -35,11 +35,11 @@ class Browser:
         self._ask("POST", "/url", url=url)
 
     def run(self, script: str, *arguments: Any) -> Any:
-        """What a script returns."""
+        """Return the value of a script."""
         return self._ask("POST", "/execute/sync", script=script, args=arguments)
 
     def text(self, identity: str) -> str:
-        """What the user reads at the element with this id."""
+        """Return the visible text of the element with this id."""
         return str(self.run(f"return document.getElementById('{identity}').innerText"))
 
     def resized(self, width: int, height: int, scheme: str = "light") -> None:
@@ -54,7 +54,7 @@ class Browser:
     def until(
         self, script: str, expected: Callable[[Any], bool] = bool, seconds: float = 20.0
     ) -> Any:
-        """What a script returns once that is what is wanted."""
+        """Return the value of a script once it is the expected one."""
         end = time.monotonic() + seconds
         while not expected(answer := self.run(script)):
             assert time.monotonic() < end, f"{script}: {answer} after {seconds:g} s"
@@ -66,7 +66,7 @@ class Browser:
         path.write_bytes(base64.b64decode(self._ask("GET", "/screenshot")))
 
     def complaints(self) -> list[str]:
-        """What the page's scripts and the browser had to say since it was last asked."""
+        """Return the messages of the page's scripts and of the browser since the last call."""
         return [entry["message"] for entry in self._ask("POST", "/se/log", type="browser")]
 
     def _ask(self, method: str, path: str, **body: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Board → `lampest live` → Chromium: what a user sees.
+"""The page of `lampest live` in Chromium, with a board behind it.
 
 The screenshot is left at results/live_screenshot.png.
 """
@@ -228,7 +228,7 @@ def test_a_frame_without_readings_is_named_and_leaves_the_maps_empty(tmp_path: P
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [1400, 390])
 def test_every_word_fits_a_wide_and_a_narrow_screen(width: int, tmp_path: Path) -> None:
-    """A change on the map is never called nothing, and an alarm is said once."""
+    """The page never calls a change on the map nothing, and shows an alarm once."""
     with live(tmp_path, "--recording", LAMPREY, "--speed", 50) as (window, _):
         window.resized(width, 900, "dark")
         window.until(

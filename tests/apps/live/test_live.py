@@ -192,7 +192,7 @@ def test_a_reading_frozen_in_the_unloaded_frames_stays_missing_and_is_named() ->
 
 @pytest.mark.slow
 def test_live_reports_a_wrong_circuit_but_not_a_wrong_reading(lamprey: Recording) -> None:
-    """The recording was made with 140 ohm in series; here nobody tells."""
+    """The recording was made with 140 ohm in series, which the scene omits."""
     scene = dataclasses.replace(lamprey.scene, series_resistance_ohm=0.0)
     with Engine("test", "test", LSM, 3) as engine:
         from_recording(engine, dataclasses.replace(lamprey, scene=scene), 1e6, None)

@@ -1,4 +1,4 @@
-"""What live says: forces, the word for the panel's state, the history, attachments and alarms."""
+"""Messages of live: forces, the word for the panel's state, history, attachments and alarms."""
 
 import dataclasses
 import functools
@@ -60,7 +60,7 @@ def simulated_mouth(
 
 
 def news(recording: Recording) -> list[object]:
-    """As the engine hands a recording on."""
+    """Return the scans of a recording in the form in which the engine passes them on."""
     scans = [scan_of(recording, frame) for frame in range(len(recording.time))]
     unloaded = tuple(
         scan for scan, role in zip(scans, recording.role, strict=True) if role == UNLOADED

@@ -36,7 +36,7 @@ MAX_CLOSING_SECONDS = 3.0
 
 @contextlib.contextmanager
 def page_at(host: str, *given: Any, **actions: Any) -> Iterator[SimpleNamespace]:
-    """A running server with what it shows.
+    """Run a server, and return it with its page.
 
     `ask` opens a connection and returns the answer, `status` its code.
 

@@ -81,7 +81,7 @@ def send_all(send: Send) -> None:
 
 
 def small_socket() -> socket.socket:
-    """An end that holds little of what it has not read."""
+    """Return a socket with a small buffer for unread bytes."""
     end = socket.socket()
     end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SMALL_BUFFER)
     return end

@@ -1,4 +1,4 @@
-"""The study of fixed point: what the page concludes from it."""
+"""The study of fixed point, and the conclusions on its page."""
 
 import numpy as np
 import pytest

@@ -91,7 +91,7 @@ def test_header_and_manifests_name_one_version():
     assert library_version() == 10_000 * int(major) + 100 * int(minor) + int(patch)
 
 
-def test_every_header_is_guarded_and_every_source_includes_what_exists():
+def test_every_header_is_guarded_and_every_source_includes_existing_files():
     names = {path.name for path in sources()}
     for path in sources():
         text = path.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What a board meets in its second hour: garbled frames, metal objects, a film that drifts."""
+"""The second hour of a board: garbled frames, metal objects, a film that drifts."""
 
 import re
 from dataclasses import fields
@@ -268,7 +268,7 @@ def test_sums_beyond_32_bits_are_refused():
 
 @pytest.mark.parametrize("circuit", [name for name in CIRCUITS if "two_point" not in name])
 def test_a_circuit_with_something_that_the_library_lacks_is_refused(circuit):
-    """As potentials of idle lines would be: the readings are compared, not the keys."""
+    """The check compares readings, not keys: potentials of idle lines, for example, change them."""
     readout = scene_of(circuit).circuit
     assert len(CircuitLines.of(readout, (6, 5)).tie) == 11
 

@@ -1,4 +1,4 @@
-"""The example `keyboard` on boards that are not what their constants say, and on drifting films."""
+"""The example `keyboard` on boards that deviate from their constants, and on drifting films."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Ghosts and misses of the example `keyboard` where the board is not what its constants say.
+"""Ghosts and misses of the example `keyboard` on boards that deviate from their constants.
 
     python -m tests.apps.microcontroller.wrong_circuits [CHORDS [SEED]]
 

@@ -57,7 +57,7 @@ def test_an_interval_of_an_error_ends_above_zero() -> None:
 
 
 def test_an_interval_of_a_ratio_of_errors_ends_above_zero_and_holds_the_ratio() -> None:
-    """Of units of very different size the paired ratio is sure, as a difference is not."""
+    """The paired ratio of units of very different size is precise, unlike their difference."""
     references = np.array([0.1, 1.0, 10.0])
     sure = ratio_interval(2.0 * references, references, 3)
     assert (sure.lower, sure.value, sure.upper) == pytest.approx((2, 2, 2))

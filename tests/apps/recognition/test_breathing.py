@@ -104,7 +104,7 @@ def test_a_swinging_rim_or_place_is_not_breath(seed: int, moving: dict[str, floa
 
 @pytest.mark.parametrize("uneven", [0.1, 0.25])
 def test_the_depth_of_breath_lies_within_its_error(uneven: float) -> None:
-    """Also where the rim swings by less than its pattern, as on a film that it saturates."""
+    """The rim may swing by less than its pattern, as on a film that it saturates."""
     depths = [
         window(own=0.08, rim=rim, seed=seed, uneven=uneven).depth
         for rim in (0.0, -0.04)
@@ -132,7 +132,7 @@ def test_a_stronger_movement_at_another_rate_hides_no_breath(seed: int) -> None:
     assert shown.hertz[0] == pytest.approx(1.1, abs=0.05)
 
 
-def test_a_body_beside_makes_swings_of_the_rim_likelier() -> None:
+def test_a_neighbouring_body_makes_swings_of_the_rim_likelier() -> None:
     """Cells that swing on one side may be moved by it; a swing of the whole suction is not."""
     alone, beside = (window(rim=0.02, seed=1, adjoins=adjoins) for adjoins in (False, True))
     assert beside.odds == alone.odds and beside.suction < alone.suction / 10

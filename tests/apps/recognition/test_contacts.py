@@ -1,4 +1,4 @@
-"""Contacts of a map of changes: what is one, what are two, and which cells they have."""
+"""Contacts of a map of changes: their number and their cells."""
 
 import numpy as np
 import pytest

@@ -72,7 +72,7 @@ def test_a_bare_panel_of_modules_shows_nothing(tmp_path: Path) -> None:
 
 
 def test_a_window_equals_the_network_of_its_modules() -> None:
-    """By differences: cells of other modules change nothing, and lines are each module's own."""
+    """Differences show it: cells of other modules change nothing, and no module shares a line."""
     own = Window.about(SCENE, np.array([140.0, 60.0]))
     assert (own.cells[1].start, own.x_mm, own.y_mm, own.numbers) == (7, 74.0, 0.0, (1, 2, 4, 5))
     cells = np.exp(np.random.default_rng(1).uniform(6, 7, own.scene.panel.shape))
@@ -136,11 +136,10 @@ def test_recognition_examines_only_changed_places(
 
 @pytest.mark.slow
 def test_breath_is_judged_in_uninterrupted_windows() -> None:
-    """A deep breath is no row of steps.
+    """A deep breath is no row of steps, and a shaken cup does not breathe.
 
-    By 14 % of its suction, it changes the readings by more than half of the load.
-
-    Nor is an outlier in two frames of three. The first 8 s of another mouth leave a breath of 6 %
+    A breath of 14 % of the suction changes the readings by more than half of the load. An outlier
+    in two frames of three is no step either. The first 8 s of another mouth leave a breath of 6 %
     at 0.7 Hz open: frames after a full window are judged before the next is full. The first seconds
     of a shaken cup look like breath.
     """

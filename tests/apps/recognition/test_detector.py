@@ -31,6 +31,7 @@ from lampest import (
 from lampest.apps.recognition.attachment import Attachment, attachments_of
 from lampest.apps.recognition.candidates import AND, UNIFORM, Several
 from lampest.apps.recognition.candidates import LOADS as SHAPED
+from lampest.apps.recognition.detect.answer import PRESSES, answer_of
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.fit import (
@@ -180,10 +181,25 @@ SINGLE: dict[str, tuple[Any, str, float, Panel]] = {
 }
 
 
+@pytest.mark.parametrize(("width", "small"), [(16, True), (40, False)])
+def test_a_load_presses_surely_only_where_suction_would_show(width: float, small: bool) -> None:
+    """It stands between four cells; on a mat nothing sucks."""
+    rod = Rod(centre_mm=(45, 45), diameter_mm=width, mass_g=400)
+    verdict = verdict_on(rod)
+    (load,) = attachments_of(verdict.frame, verdict, 0.0)
+    answer, probability, why = answer_of(load, 4.0)
+    assert answer == PRESSES
+    assert (
+        (probability == 0.5 and "too small" in why) if small else (probability > 0.99 and not why)
+    )
+    (contact,) = attachments_of(verdict.frame, verdict, 0.0, any_form=True)
+    assert contact.sucks < 0.01 and not contact.small
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SINGLE)
 def test_a_load_is_recognised_as_its_kind(name: str) -> None:
-    """Also where a mouth is neither round nor even, or hangs over the edge of the panel."""
+    """A mouth may be uneven or not round, or may hang over the edge of the panel."""
     load, label, tolerance, panel = SINGLE[name]
     verdict = verdict_on(load, panel=panel)
     disc = disc_of(verdict)
@@ -456,7 +472,7 @@ def test_an_outlier_does_not_move_the_mouth(ohm: float, place: tuple[int, int]) 
 def test_strong_suction_excludes_a_smaller_disc(tmp_path: Path) -> None:
     """Cells that suction opens change the readings by little more.
 
-    But they change them by much where they would close again.
+    Under a smaller disc they would close again and change the readings by much.
     """
     scene = Scene(Panel(10, 10), TwoPointReadout(), series_resistance_ohm=140.0)
     load = OralDisc(
@@ -496,7 +512,7 @@ def load_that_leaves(
 def watched(
     recordings: list[Recording], minutes: float = 0.0, drift: float = 0.0
 ) -> tuple[Attachment, ...]:
-    """What is attached in recordings, one after the other; the first has the baseline.
+    """Return the attachments of successive recordings; the first one has the baseline.
 
     minutes : between the first frames of the load and its last. drift : of ln y a decade, of each
     reading by itself a tenth of that.

@@ -69,7 +69,7 @@ def test_touched_unloaded_frames_are_rejected(first: int) -> None:
 
 
 def test_a_change_as_small_as_film_settling_is_not_a_touch() -> None:
-    """A fiftieth of what a rod does."""
+    """The change is a fiftieth of that of a rod."""
     recording = recording_with((ROD, 8, 20))
     touched = recording_with((ROD, 2, 20))
     recording.recorded[2:5] *= (touched.recorded[3] / recording.recorded[0]) ** 0.02
@@ -90,7 +90,7 @@ def test_a_change_of_a_single_frame_is_no_step(frames: int, steps: bool) -> None
 
 
 def test_readings_of_an_open_line_are_left_out_with_a_note() -> None:
-    """Of two-point readings alone: circuits in volt tell an open line otherwise."""
+    """The note is on two-point readings; circuits in volt show an open line otherwise."""
     recording = recording_with()
     recording.recorded[9:, 2] *= 10
     answer = answered(recording)
@@ -119,7 +119,7 @@ def test_a_departed_load_is_not_claimed_where_the_circuit_does_not_explain_the_r
 
 @pytest.mark.slow
 def test_a_load_present_from_the_first_frame_is_not_an_arrival_when_it_leaves() -> None:
-    """What cells show then is like suction."""
+    """The change of the cells then is like that of suction."""
     answer = answered(recording_with((ROD, 0, 10)))
     assert answer.answer == CANNOT_SAY and answer.why.endswith(
         "in its unloaded frames, and left at 10.0 s"
@@ -163,7 +163,7 @@ def test_an_outlier_in_an_unloaded_frame_does_not_prevent_detection() -> None:
 
 
 def unloaded(recording: Recording) -> Unloaded:
-    """As live hands them on."""
+    """Return the unloaded frames in the form in which live passes them on."""
     return Unloaded(recording.scene, tuple(scan_of(recording, frame) for frame in range(UNLOADED)))
 
 

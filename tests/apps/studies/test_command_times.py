@@ -1,4 +1,4 @@
-"""Processor time of whole commands: what is counted, and that every command works."""
+"""Processor time of whole commands: its parts, and that every command works."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -35,7 +35,7 @@ def test_a_failed_command_is_no_measurement(tmp_path: Path) -> None:
         processor_seconds(("info", "absent.h5"), tmp_path)
 
 
-def test_every_command_is_measured_beside_the_solves_of_the_run(
+def test_every_command_is_measured_next_to_the_solves_of_the_run(
     monkeypatch: pytest.MonkeyPatch, lampest: Callable[..., SimpleNamespace]
 ) -> None:
     text = command_times.RUN.replace("  LSR-CR:", "  # LSR-CR:").replace("  log_gr", "  # log_gr")

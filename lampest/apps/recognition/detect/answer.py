@@ -24,6 +24,7 @@ LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS
 BARE_PROBABILITY = 0.99
 MIN_PROBABILITY = 0.9  # from which an attachment is called a lamprey, or a suction cup
 MIN_PUMP_MINUTES = 10.0  # three of the longest published intervals between pumps
+TOO_SMALL = "it is too small for this pitch: no cell would show whether it sucks"
 CHANCES = {
     "sucks": ("1", "probability that it sucks"),
     "breathes": ("1", "probability that its suction changes as breathing does"),
@@ -289,7 +290,7 @@ def answer_of(
     alive = load.sucks * load.lives
     lifeless = load.sucks * (1 - load.lives)
     if load.sucks <= 0.5:
-        return PRESSES, 1 - load.sucks, ""
+        return PRESSES, 1 - load.sucks, TOO_SMALL if load.small else ""
     if alive >= threshold:
         return LAMPREY, alive, ""
     too_slow_sentence = too_slow(rate)

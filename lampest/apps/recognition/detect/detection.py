@@ -358,7 +358,7 @@ def _frame_sigma(case: CaseResult, value: Array, sigma: Array, count: int) -> Ar
 def _with_slow_waves(noise: FrameNoise | None, lasted_s: float) -> FrameNoise | None:
     """Return the noise with the motion of waves that are slower than the unloaded frames.
 
-    These frames last for `lasted_s`.
+    `lasted_s` is the duration of the unloaded frames.
     """
     if noise is None:
         return None
