@@ -134,9 +134,9 @@ def _measured(
         alone = process_time() - begin
         begin = process_time()
         single = stream
-        inverses = InverseHessians.nothing(1, recording.scene.panel.crossings)
+        inverses = InverseHessians.nothing(1)
         for frame in frames[1:]:
-            ((single, _),) = push_streams([single], readings[frame : frame + 1], inverses)
+            ((single, _),), inverses = push_streams([single], readings[frame : frame + 1], inverses)
         single_time = process_time() - begin
         begin = process_time()
         steps = [step for _, step in push_block(stream, readings[frames[1:]])]

@@ -1,28 +1,40 @@
-"""Order of the lines: whether neighbouring lines change alike in the scene's order.
+"""Order of the lines: whether loads are smooth in the scene's order, or in another one.
 
 A load covers neighbouring cells, and its crosstalk rows and columns. Lines that a program numbered
-otherwise, or a frame that was cut into rows of another length, tear its image apart; another order
-with much less disorder is the panel's.
+otherwise, or a frame that was cut into rows of another length, tear its image apart. The changes of
+all frames are reduced to their principal patterns. A pattern is the sum of its mean, a part of the
+rows, one of the columns, and an interaction. Each part is a smooth Gaussian process over the lines
+beside a roughness that knows no order,
+
+    cov = s² (K/mean(diag K) + ρ),   K = C exp(−(i − j)²/(2 ℓ²)) C,   C = 1 − 1 1ᵀ/n,
+
+with K_rows ⊗ K_columns for the interaction. The scale s is integrated out by its maximum, ℓ and ρ
+over a few values, equally probable. An order is found where its odds against all others that are
+tried, and against the scene's, are a thousand to one. Single cells far larger than all others may
+stand side by side by chance: the normal scores of the ranks have to show the order, too.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.audit.finding import Finding
-from lampest.files.levels import OUTLIER_THRESHOLD
 from lampest.panel.panel import Array
+from lampest.posterior.interval import normal_quantile
 from lampest.recording.readings import median
 from lampest.recording.recording import UNLOADED, Recording
 
-# Ratio of the disorder in the best other order to that in the scene's. Of 500 clean recordings the
-# smallest is 0.7; of panels whose rows were cut at the wrong length nine in ten are below 0.54
-# (tests/oracles/test_health.py).
-MAX_RATIO = 0.5
+ODDS = 1000.0  # of an order against the scene's
 MIN_LINES = 4  # of each side: with fewer, another order is smoother by chance
-MIN_CHANGED = 6  # readings whose change exceeds the noise by far
+LENGTHS = (1.5, 3.0, 8.0)  # ℓ, lines: loads reach over more than one
+ROUGHNESS = (1e-2, 1e-1, 1.0, np.inf)  # ρ; inf: no order
+MAX_FRAMES = 200  # whose changes are decomposed, the strongest ones
+MAX_PATTERNS = 6
+# Singular value of a pattern over the largest of noise alone, about σ (√frames + √cells).
+MIN_PATTERN = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,76 +107,116 @@ def line_orders(count: int) -> Iterator[tuple[str, NDArray[np.intp]]]:
 
 
 def order_findings(recording: Recording, volts: Array) -> Iterator[Finding]:
-    """Yield a finding where another order makes the changes of the readings much smoother.
+    """Yield a finding where another order makes loads smooth.
 
-    `volts` are (frames, rows, columns), NaN where missing.
+    Parameters
+    ----------
+    recording : Recording
+    volts : array, shape (frames, rows, columns)
+        Voltages; NaN where missing.
     """
     scene = recording.scene
     unloaded = recording.role == UNLOADED
-    rows, columns = scene.panel.shape
-    if min(rows, columns) < MIN_LINES or not unloaded.any() or unloaded.all() or not scene.whole:
+    if min(scene.panel.shape) < MIN_LINES or not unloaded.any() or unloaded.all():
         return
-    change = _changes(recording, volts, unloaded)
-    if not len(change):
+    if not scene.whole:
         return
-    as_specified = disorder(change)
-    flat = change.reshape(len(change), -1)
-    candidates = [
-        (disorder(flat[:, order.image.ravel()].reshape(-1, *order.image.shape)), order)
-        for order in orders(rows, columns)
-    ]
-    least, best = min(candidates, key=lambda pair: pair[0])
-    if least < MAX_RATIO * as_specified:
-        evidence = (
-            f"changes are {as_specified / least:.2g} times smoother "
-            "and better aligned with the lines then"
-        )
+    lsb = 0.0 if scene.readout is None else scene.readout.lsb_volt
+    found = smoother_order(load_patterns(volts[~unloaded], volts[unloaded], lsb))
+    if found is not None:
+        order, gain = found
         yield Finding(
             "order",
-            f"readings seem to come in another order: {best.words}",
-            evidence,
-            remedy=best.remedy,
+            f"readings seem to come in another order: {order.words}",
+            f"loads are smooth then, with odds of 10^{gain / (2 * np.log(10)):.0f} to one",
+            remedy=order.remedy,
         )
 
 
-def _changes(recording: Recording, volts: Array, unloaded: NDArray[np.bool_]) -> Array:
-    """Return changes of the voltages from the unloaded panel, in frames that change strongly."""
-    change = volts[~unloaded] - median(volts[unloaded])[0]
+def load_patterns(loaded: Array, resting: Array, least_noise: float) -> Array:
+    """Return the principal patterns of the changes that exceed noise, (patterns, rows, columns).
+
+    Parameters
+    ----------
+    loaded, resting : arrays, shape (frames, rows, columns)
+        Voltages under load, and those of the unloaded panel; NaN where missing.
+    least_noise : float
+        Least standard deviation of a reading.
+    """
+    change = loaded - median(resting)[0]
     change = np.where(np.isfinite(change), change, 0.0)
-    readout = recording.scene.readout
-    steps = np.diff(volts[unloaded], axis=0)
-    finite = np.isfinite(steps)
-    noise = float(np.sqrt(np.sum(steps[finite] ** 2) / (2 * max(int(finite.sum()), 1))))
-    noise = max(noise, 0.0 if readout is None else readout.lsb_volt)
-    changed = np.abs(interaction(change)) > OUTLIER_THRESHOLD * noise
-    return np.asarray(change[changed.sum(axis=(1, 2)) >= MIN_CHANGED])
+    steps = np.diff(resting, axis=0)
+    steps = steps[np.isfinite(steps)]
+    noise = max(float(np.sqrt(np.sum(steps**2) / (2 * max(steps.size, 1)))), least_noise)
+    flat = change.reshape(len(change), -1)
+    flat = flat[np.argsort(-np.sum(flat**2, axis=1))[:MAX_FRAMES]]
+    _, sizes, patterns = np.linalg.svd(flat, full_matrices=False)
+    beyond = sizes > MIN_PATTERN * noise * np.sum(np.sqrt(flat.shape))
+    return np.asarray(patterns[beyond][:MAX_PATTERNS].reshape(-1, *change.shape[1:]))
 
 
-def interaction(change: Array) -> Array:
-    """Return images less the means of rows and columns, (frames, rows, columns).
+def smoother_order(patterns: Array) -> tuple[Order, float] | None:
+    """Return the order in which patterns are smoothest, and its gain in −2 ln evidence.
 
-    Crosstalk changes whole rows and columns; this part is the load's own.
+    None where no order has the odds. Orders that are mirror images of each other have one evidence;
+    of these the first counts.
+
+    Parameters
+    ----------
+    patterns : array, shape (patterns, rows, columns)
+        In the scene's order.
     """
-    centred = change - change.mean(axis=1, keepdims=True)
-    return np.asarray(centred - centred.mean(axis=2, keepdims=True))
+    if not len(patterns):
+        return None
+    flat = patterns.reshape(len(patterns), -1)
+    ranks = np.argsort(np.argsort(flat, axis=1), axis=1)
+    scores = normal_quantile((ranks + 0.5) / flat.shape[1])
+    tried = list(orders(*patterns.shape[1:]))
+    gains = []
+    for values in (flat, scores):
+        as_specified = smooth_cost(values.reshape(patterns.shape))
+        gains.append([as_specified - smooth_cost(values[:, order.image]) for order in tried])
+    least = np.min(gains, axis=0).round(6)
+    best = int(np.argmax(least))
+    enough = 2 * np.log(ODDS * len(tried))
+    return (tried[best], float(least[best])) if least[best] > enough else None
 
 
-def disorder(change: Array) -> float:
-    """Return how little images follow rows, columns and neighbours, for (frames, rows, columns).
+def smooth_cost(images: Array) -> float:
+    """Return −2 ln evidence of images (n, rows, columns) as smooth processes of their lines."""
+    costs: tuple[list[Array], ...] = ([], [], [])
+    by_rows, by_columns = images.mean(axis=2), images.mean(axis=1)
+    for length in LENGTHS:
+        values, rows = _smooth_modes(images.shape[1], length)
+        across, columns = _smooth_modes(images.shape[2], length)
+        within = (rows.T @ images @ columns).reshape(len(images), -1)
+        parts = (
+            (by_rows @ rows, values),
+            (by_columns @ columns, across),
+            (within, np.outer(values, across).ravel()),
+        )
+        for of_part, (amplitudes, variances) in zip(costs, parts, strict=True):
+            of_part += [_cost_of_amplitudes(amplitudes, variances, rough) for rough in ROUGHNESS]
+    return float(sum(np.sum(-2 * np.logaddexp.reduce(-np.array(c) / 2, axis=0)) for c in costs))
 
-    The disorder is the product of three measures: the roughness of the images, that of their
-    interaction, and the share of the interaction. Each is smaller in the panel's own order.
-    """
-    own = interaction(change)
-    return roughness(change) * roughness(own) * float(np.sum(own**2) / np.sum(change**2))
+
+@lru_cache(maxsize=64)
+def _smooth_modes(count: int, length: float) -> tuple[Array, Array]:
+    """Return the eigenvalues and eigenvectors of K on lines, without the mean."""
+    lines = np.arange(count)
+    centring = np.eye(count) - 1 / count
+    kernel = np.exp(-((lines[:, None] - lines) ** 2) / (2 * length**2))
+    values, vectors = np.linalg.eigh(centring @ kernel @ centring)
+    return np.maximum(values[1:], 0.0), vectors[:, 1:]
 
 
-def roughness(change: Array) -> float:
-    """Return the mean square difference of neighbours over the mean square of images.
-
-    The images are (frames, rows, columns).
-    """
-    down = np.diff(change, axis=1)
-    across = np.diff(change, axis=2)
-    neighbours = (np.sum(down**2) + np.sum(across**2)) / (down[0].size + across[0].size)
-    return float(neighbours / max(float(np.sum(change**2)) / change[0].size, np.finfo(float).tiny))
+def _cost_of_amplitudes(amplitudes: Array, variances: Array, roughness: float) -> Array:
+    """Return −2 ln evidence of amplitudes (n, modes) of these variances, up to a constant, (n,)."""
+    # n ln(Σ x²/λ / n) + Σ ln λ,   λ = variances over their mean + ρ
+    relative = np.ones(len(variances))
+    if np.isfinite(roughness):
+        relative = variances / variances.mean() + roughness
+    squares = np.sum(amplitudes**2 / relative, axis=1) / len(relative)
+    return np.asarray(
+        len(relative) * np.log(np.maximum(squares, np.finfo(float).tiny)) + np.log(relative).sum()
+    )

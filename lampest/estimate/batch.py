@@ -38,8 +38,8 @@ MAX_NOISE_SQUARES = 4.0
 
 def push_streams(
     streams: Sequence[Stream | None], readings: Readings, inverses: InverseHessians
-) -> list[tuple[Stream | None, Step | None]]:
-    """Return every stream after its frame, and the frame's step; None stays None.
+) -> tuple[list[tuple[Stream | None, Step | None]], InverseHessians]:
+    """Push a frame to each stream, together where a batch can.
 
     Parameters
     ----------
@@ -47,18 +47,26 @@ def push_streams(
     readings : Readings
         One frame of each stream, (streams, rows, columns).
     inverses : InverseHessians
-        Inverse Hessians of the streams by number, from solves of earlier frames; they are updated
-        in place.
+        Inverse Hessians of the streams by number, from solves of earlier frames.
+
+    Returns
+    -------
+    pushed : list of (Stream or None, Step or None)
+        Every stream after its frame, and the frame's step; None stays None.
+    inverses : InverseHessians
+        Inverse Hessians for the next frame.
     """
     # Weights first; then batches; whatever a batch does not solve is pushed alone.
     streams = _weighed(streams, readings)
-    solved = _solved_together(streams, readings, inverses)
-    single = {
+    solved, inverses = _solved_together(streams, readings, inverses)
+    single: dict[int, tuple[Stream | None, Step | None]] = {
         n: stream.push(readings[n])
         for n, stream in enumerate(streams)
         if stream is not None and n not in solved
     }
-    return [(solved | single).get(number, (None, None)) for number in range(len(streams))]
+    done = {**solved, **single}
+    pushed = [done.get(number, (None, None)) for number in range(len(streams))]
+    return pushed, inverses
 
 
 def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Stream | None]:
@@ -145,18 +153,18 @@ def _solved_block(stream: Stream, readings: Readings) -> dict[int, tuple[Stream,
     close to their starts.
     """
     count = len(readings.value)
-    inverses = InverseHessians.nothing(count, stream.scene.panel.crossings)
+    inverses = InverseHessians.nothing(count)
     leaders, nearest = leading_frames(readings)
     if len(leaders) == 1:
-        return _solved_together([stream] * count, readings, inverses)
+        return _solved_together([stream] * count, readings, inverses)[0]
     leading = [stream if number in leaders else None for number in range(count)]
-    solved = _solved_together(leading, readings, inverses)
+    solved, inverses = _solved_together(leading, readings, inverses)
     following = list[Stream | None]([None] * count)
     for number in sorted(set(range(count)) - set(leaders)):
         leader = nearest[number]
         following[number] = solved[leader][0] if leader in solved else stream
-        inverses.copy(leader, number)
-    return solved | _solved_together(following, readings, inverses)
+    inverses = inverses.some(np.array(nearest))
+    return solved | _solved_together(following, readings, inverses)[0]
 
 
 def leading_frames(readings: Readings) -> tuple[list[int], list[int]]:
@@ -214,7 +222,7 @@ def solve_baselines(streams: Sequence[Stream | None]) -> list[Stream | None]:
 
 def _solved_together(
     streams: Sequence[Stream | None], readings: Readings, inverses: InverseHessians
-) -> dict[int, tuple[Stream, Step]]:
+) -> tuple[dict[int, tuple[Stream, Step]], InverseHessians]:
     """Return the streams after their frame and the frame's step by number.
 
     Only streams that batches can solve are included. Streams with the same cost are one batch;
@@ -236,20 +244,24 @@ def _solved_together(
         distinct = len({id(batchable[number]) for number in group})
         blocks += np.array_split(group, max(1, min(cores, distinct // MIN_PANELS_PER_THREAD)))
 
-    def solved_block(place: int) -> dict[int, tuple[Stream, Step]]:
+    def solved_block(place: int) -> tuple[dict[int, tuple[Stream, Step]], InverseHessians]:
+        numbers = blocks[place]
+        own = inverses.some(numbers)
         with np.errstate(all="ignore"), suppress(*BROKEN):
-            numbers = blocks[place]
             batch = [batchable[number] for number in numbers.tolist()]
-            return _solved_batch(batch, readings[numbers], inverses, numbers, place)
-        return {}
+            return _solved_batch(batch, readings[numbers], own, numbers, place)
+        return {}, own
 
     if len(blocks) < 2:
-        return solved_block(0) if blocks else {}
+        parts = [solved_block(place) for place in range(len(blocks))]
+    else:
+        with ThreadPoolExecutor(len(blocks)) as pool:
+            parts = list(pool.map(solved_block, range(len(blocks))))
     solved = dict[int, tuple[Stream, Step]]()
-    with ThreadPoolExecutor(len(blocks)) as pool:
-        for part in pool.map(solved_block, range(len(blocks))):
-            solved |= part
-    return solved
+    for numbers, (part, own) in zip(blocks, parts, strict=True):
+        solved |= part
+        inverses = inverses.replaced(numbers, own)
+    return solved, inverses
 
 
 def _in_batches(stream: Stream, readings: Readings, *, partial: bool) -> bool:
@@ -291,7 +303,7 @@ def _solved_batch(
     inverses: InverseHessians,
     numbers: NDArray[np.intp],
     place: int,
-) -> dict[int, tuple[Stream, Step]]:
+) -> tuple[dict[int, tuple[Stream, Step]], InverseHessians]:
     """Return the streams of one batch after their frame, and the frame's step, by number.
 
     Only verified minima are returned.
@@ -303,9 +315,9 @@ def _solved_batch(
     frames : Readings
         One frame of each stream, (streams, rows, columns).
     inverses : InverseHessians
-        As in `push_streams`.
+        Those of these streams.
     numbers : integer array
-        Numbers of the streams in `inverses`.
+        Numbers of these streams.
     place : int
         Number of the batch, as in `Data`.
     """
@@ -319,13 +331,13 @@ def _solved_batch(
     data = estimator.data(frames, background)
     cost = estimator.cost(streams[0].scene, 1, partial=data.partial)
     if not serves(cost, data):
-        return {}
+        return {}, inverses
     data = data.of_panels(place)
     weights = np.array(
         [[float(term.weight) for term in stream.weighted.terms] for stream in streams]
     )
     start = Evaluation.at(cost, data, np.clip(previous[:, None], data.lower, data.upper), weights)
-    ended = solve(start, inverses, numbers, estimator.solver)
+    ended = solve(start, inverses, estimator.solver)
     seconds = (perf_counter() - begin) / len(numbers)
     verified = ended.solved & (ended.points.residual <= VERIFIED)
     after = {}
@@ -338,7 +350,7 @@ def _solved_batch(
             weight_sigma=stream.weighted.weight_sigma,
         )
         after[int(numbers[row])] = stream.estimator.method.after(stream, step, frames[row])
-    return after
+    return after, ended.inverses
 
 
 def _solution_of(ended: BatchOutcome, row: int, *, carried: Any) -> Solution:

@@ -234,12 +234,9 @@ class ModulesStream(Stream):
         Modules with too few readings are unchanged, and NaN in the image.
         """
         layout = self._layout
-        inverses = self.prepared or InverseHessians.nothing(
-            layout.count, layout.each.rows * layout.each.columns
-        )
-        modules, steps = zip(
-            *push_streams(self.modules, readings.each(layout.split), inverses), strict=True
-        )
+        inverses = self.prepared or InverseHessians.nothing(layout.count)
+        pushed, inverses = push_streams(self.modules, readings.each(layout.split), inverses)
+        modules, steps = zip(*pushed, strict=True)
         after = replace(self, modules=modules, prepared=inverses, first=False)
         return after if self.rested else after.rested_whole(), image_step(layout, steps)
 

@@ -128,7 +128,7 @@ class OwnProgram(CasadiOwner):
     def solve(self) -> "OwnSolution":
         """Solve by IPOPT, and check the result; a failed solve does not raise."""
         tolerance = ACCURACY * self.settings.tolerance
-        interface = Interface(
+        interface = Interface.of(
             self.symbols, Limits(tolerance, self.settings.max_iterations), scaled=True
         )
         instance = Instance.of(

@@ -108,7 +108,7 @@ class Parts:
                 start = self.stream if self.independent else stream.restarted(self.stream)
                 stream = start
 
-    def _part(self, frames: range) -> MeasuredPart | None:
+    def _part(self, frames: range) -> MeasuredPart[Estimates] | None:
         """Return the measured frames of a range, together with the lead.
 
         The result is None where no frame is measured.
@@ -119,9 +119,10 @@ class Parts:
         recording = joined((self.lead, part))
         readings = Prepared(recording, self.sample.noise).noise.readings
         recording = replace(recording, scene=self.stream.scene)
-        return MeasuredPart(recording, _own_frames(recording, frames), readings, self.sample)
+        own = _own_frames(recording, frames)
+        return MeasuredPart(recording, own, readings, self.sample, Estimates)
 
-    def _with_baseline(self, begun: Stream, part: MeasuredPart) -> Stream:
+    def _with_baseline(self, begun: Stream, part: MeasuredPart[Estimates]) -> Stream:
         """Return the stream with its baseline.
 
         The part's frames are pushed until a joint baseline is solved.

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from lampest.recording.readings import Readings, mean_change
 from lampest.recording.recording import UNLOADED, Recording, baseline_readings, deciding_frames
 from lampest.solvers.solution import Status
 
+Kind = TypeVar("Kind", bound=Estimates)
 # Recording of a network, its readings, and the unloaded ones.
 _Network = tuple[Recording, Readings, Readings]
 
@@ -36,7 +38,6 @@ def default_terms(recording: Recording) -> tuple[Term, ...]:
     return Misfit(weighting="noise" if noise_known else "plain"), LogGradient()
 
 
-@ONE_BLAS_THREAD
 def reconstruct(
     recording: Recording | Prepared,
     estimator: Estimator,
@@ -63,18 +64,30 @@ def reconstruct(
     InputError
         If the noise is needed and unknown, or `recording` is no Recording.
     """
+    return reconstruct_as(Estimates, recording, estimator, on_frame)
+
+
+@ONE_BLAS_THREAD
+def reconstruct_as(
+    kind: type[Kind],
+    recording: Recording | Prepared,
+    estimator: Estimator,
+    on_frame: Callable[
+        [int, int, Callable[[], Estimates] | None], None
+    ] = lambda done, frames, so_far: None,
+) -> Kind:
+    """Solve every measured frame of a recording, as `reconstruct`, as estimates of a class."""
     prepared = Prepared.of(recording)
     prepared.recording.scene.panel.check_memory()
     recording = prepared.resolved
     readings = prepared.noise.readings
     stream = first_stream(recording, readings, estimator, prepared.noise)
-    return MeasuredPart(recording, recording.measured_frames(), readings, prepared).solve(
-        stream, on_frame
-    )[1]
+    part = MeasuredPart(recording, recording.measured_frames(), readings, prepared, kind)
+    return part.solve(stream, on_frame)[1]
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredPart:
+class MeasuredPart(Generic[Kind]):
     """Measured frames that are solved from one stream: all of a recording, or some of a long one.
 
     Attributes
@@ -87,12 +100,15 @@ class MeasuredPart:
         Readings of all frames of the recording.
     prepared : Prepared
         Noise, effects and warnings of the estimates.
+    kind : type
+        Class of the estimates.
     """
 
     recording: Recording
     frames: NDArray[np.intp]
     readings: Readings
     prepared: Prepared
+    kind: type[Kind]
 
     def solve(
         self,
@@ -100,7 +116,7 @@ class MeasuredPart:
         on_frame: Callable[
             [int, int, Callable[[], Estimates] | None], None
         ] = lambda done, frames, so_far: None,
-    ) -> tuple[Stream, Estimates]:
+    ) -> tuple[Stream, Kind]:
         """Solve these frames; see `reconstruct`.
 
         Returns
@@ -121,7 +137,7 @@ class MeasuredPart:
             return stream, self._estimates(stream, steps)
         steps = list[Step]()
 
-        def so_far() -> Estimates:
+        def so_far() -> Kind:
             return self._estimates(stream, steps)
 
         verifies = stream.estimator.verify.chosen(readings, stream.resting) & method.optimum
@@ -135,11 +151,11 @@ class MeasuredPart:
                 on_frame(len(steps), count, so_far)
         return stream, so_far()
 
-    def _estimates(self, stream: Stream, steps: Sequence[Step]) -> Estimates:
+    def _estimates(self, stream: Stream, steps: Sequence[Step]) -> Kind:
         """Return the estimates of these frames, of which the first ones are solved."""
         remaining = len(self.frames) - len(steps)
         solved = (*steps, *[stream.unsolved(Status.BROKEN_OFF)] * remaining)
-        return Estimates(
+        return self.kind(
             self.recording,
             stream.estimator,
             self.frames,

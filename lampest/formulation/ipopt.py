@@ -108,6 +108,8 @@ class Interface(CasadiOwner):
     ----------
     program : Program
     limits : Limits
+    cold : casadi.Function
+        IPOPT from a cold start.
     scaled : bool
         Whether IPOPT scales constraints by their gradients, for own ones.
     is_fine : bool
@@ -116,18 +118,21 @@ class Interface(CasadiOwner):
 
     program: Program
     limits: Limits
+    cold: casadi.Function
     scaled: bool = False
     is_fine: bool = False
+
+    @classmethod
+    @guarded
+    def of(cls, program: Program, limits: Limits, *, scaled: bool = False) -> "Interface":
+        """Return the interface to a program, with its derivatives."""
+        cold = _solver(program, COLD | limits.options(), scaled=scaled)
+        return cls(program, limits, cold, scaled)
 
     @cached_property
     def fine(self) -> "Interface":
         """The interface whose warm starts go on to the digits that double precision holds."""
         return replace(self, is_fine=True)
-
-    @guarded
-    def prepare(self) -> None:
-        """Build the program's derivatives and the interface of a cold start."""
-        _ = self._cold
 
     @guarded
     def minimise(self, instance: Instance, multipliers: Multipliers | None = None) -> ProgramResult:
@@ -141,7 +146,7 @@ class Interface(CasadiOwner):
             Ctrl-C came during the solve: CasADi catches it, and ends IPOPT with a status of its own
             or an error that quotes it.
         """
-        solver = self._cold if multipliers is None else self._warm
+        solver = self.cold if multipliers is None else self._warm
         warm = {}
         if multipliers is not None:
             warm = {"lam_x0": multipliers.of_bounds, "lam_g0": multipliers.of_equations}
@@ -165,18 +170,17 @@ class Interface(CasadiOwner):
         return ProgramResult(unknown, of_bounds, of_equations, status, iterations, corrected)
 
     @cached_property
-    def _cold(self) -> casadi.Function:
-        return self._solver(COLD | self.limits.options())
-
-    @cached_property
     def _warm(self) -> casadi.Function:
-        return self._solver(
-            FINE | self.limits.fine_options() if self.is_fine else WARM | self.limits.options()
-        )
+        chosen = WARM | self.limits.options()
+        if self.is_fine:
+            chosen = FINE | self.limits.fine_options()
+        return _solver(self.program, chosen, scaled=self.scaled)
 
-    def _solver(self, chosen: dict[str, Any]) -> casadi.Function:
-        scaling = {"nlp_scaling_method": "gradient-based"} if self.scaled else {}
-        order = 0 if self.program.unknown.column.shape[0] <= MAX_AMD_UNKNOWNS else 5
-        ipopt = {**COMMON, "mumps_pivot_order": order, **scaling, **chosen}
-        options: dict[str, Any] = {"ipopt": ipopt, "print_time": False, **self.program.derivatives}
-        return casadi.nlpsol("ipopt", "ipopt", self.program.nlp, options)
+
+def _solver(program: Program, chosen: dict[str, Any], *, scaled: bool) -> casadi.Function:
+    """Return IPOPT for a program, with chosen options."""
+    scaling = {"nlp_scaling_method": "gradient-based"} if scaled else {}
+    order = 0 if program.unknown.column.shape[0] <= MAX_AMD_UNKNOWNS else 5
+    ipopt = {**COMMON, "mumps_pivot_order": order, **scaling, **chosen}
+    options: dict[str, Any] = {"ipopt": ipopt, "print_time": False, **program.derivatives}
+    return casadi.nlpsol("ipopt", "ipopt", program.nlp, options)

@@ -17,7 +17,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import largest_normal, largest_of
-from lampest.recording.readings import AT_LEAST, Readings, median
+from lampest.recording.readings import Readings, Sidedness, median
 from lampest.recording.recording import Recording
 
 WINDOW = 4  # neighbouring frames that are compared
@@ -184,7 +184,7 @@ def _impossible_bounds(circuit: Readout, readings: Readings) -> NDArray[np.bool_
 
     Noise of that value counts. If more than MAX_SHARE of a frame's readings are, none is flagged.
     """
-    bound = (readings.side == AT_LEAST) & (readings.seen > 0)
+    bound = (readings.side == Sidedness.AT_LEAST) & (readings.seen > 0)
     if not np.any(bound):
         return np.zeros(bound.shape, dtype=bool)
     plain = np.where(readings.plain, readings.value, np.inf)

@@ -97,3 +97,8 @@ def largest_normal(count: int, chance: float) -> float:
     The numbers are standard normal. The size is Bonferroni's bound.
     """
     return float(-ndtri(chance / (2 * count)))
+
+
+def normal_quantile(chance: ArrayLike) -> Array:
+    """Return the quantiles of a standard normal distribution."""
+    return np.asarray(ndtri(chance))

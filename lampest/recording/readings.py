@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 from functools import cached_property
 from typing import Any
 
@@ -16,9 +17,13 @@ from lampest.panel.panel import Array, Modules, beyond_any_panel, check_line_mem
 from lampest.panel.readouts.readout import without_memory
 from lampest.panel.scene import Scene
 
-VALUE = 0.0
-AT_LEAST = 1.0
-AT_MOST = -1.0
+
+class Sidedness(float, Enum):
+    """What a reading says of the true value, as entries of `Readings.side`."""
+
+    VALUE = 0.0
+    AT_LEAST = 1.0
+    AT_MOST = -1.0
 
 
 def stand_in(value: Array, known: NDArray[np.bool_]) -> Array:
@@ -175,12 +180,12 @@ class Readings:
         seen[..., scene.blind] = 0.0
         # Resistances within their noise of zero, and voltages below zero, are upper bounds.
         reach = np.zeros_like(network) if noise is None else NOISE_REACH * noise
-        small = (network <= _least_value(scene, reach)) & (side != AT_LEAST)
-        side = np.where(small, AT_MOST, side)
+        small = (network <= _least_value(scene, reach)) & (side != Sidedness.AT_LEAST)
+        side = np.where(small, Sidedness.AT_MOST, side)
         network = np.where(small, np.maximum(network, 0) + reach, network)
         # Finite numbers for bounds, and substitutes for missing readings.
         network, seen = _numbered(network, seen)
-        side = np.where(seen > 0, side, VALUE)
+        side = np.where(seen > 0, side, Sidedness.VALUE)
         network = np.where((seen > 0) | scene.panel.present, network, _filled(network, seen))
         value = _standing_in(network, side, np.where(scene.panel.present, seen, 1.0), seen)
         return cls(value, None if noise is None else _filled(noise, seen), side, seen)
@@ -190,7 +195,7 @@ class Readings:
         if not omitted.any():
             return self
         seen = np.where(omitted, 0.0, self.seen)
-        side = np.where(omitted, VALUE, self.side)
+        side = np.where(omitted, Sidedness.VALUE, self.side)
         value = _standing_in(self.value, side, np.where(omitted, 0.0, 1.0), seen)
         return replace(self, value=value, side=side, seen=seen)
 
@@ -251,7 +256,7 @@ class Readings:
     @property
     def plain(self) -> NDArray[np.bool_]:
         """Whether a reading is a value, neither a bound nor missing."""
-        return np.asarray((self.seen > 0) & (self.side == VALUE))
+        return np.asarray((self.seen > 0) & (self.side == Sidedness.VALUE))
 
     @property
     def plain_values(self) -> Array:
@@ -261,7 +266,7 @@ class Readings:
     @property
     def bounds(self) -> NDArray[np.bool_]:
         """Whether a reading is a bound."""
-        return np.asarray((self.seen > 0) & (self.side != VALUE))
+        return np.asarray((self.seen > 0) & (self.side != Sidedness.VALUE))
 
     def missing(self, scene: Scene) -> NDArray[np.bool_]:
         """Return whether a cell's reading is missing for another reason than the scene's faults."""
@@ -317,8 +322,10 @@ class Readings:
             near = bound & (np.abs(self.value - of_values) <= NOISE_REACH * self.sigma)
             is_bound |= near.any(axis=0)
         of_all, deviation_of_all = _averaged(self.value, self.sigma, value | bound)
-        side = np.where(is_bound, np.sign(np.where(bound, self.side, 0.0).sum(axis=0)), VALUE)
-        undecided = is_bound & (side == VALUE)
+        side = np.where(
+            is_bound, np.sign(np.where(bound, self.side, 0.0).sum(axis=0)), Sidedness.VALUE
+        )
+        undecided = is_bound & (side == Sidedness.VALUE)
         seen = np.where((value | bound).any(axis=0) & ~undecided, 1.0, 0.0)
         mean = _standing_in(np.where(is_bound, of_all, of_values), side, seen)
         if deviation is None or deviation_of_all is None:
@@ -415,7 +422,7 @@ def _without_channel_before(
     )
     corrected, sigma = without_memory(scene.readout, memory, recorded, noise)
     within, beyond = _within_rails(scene, corrected)
-    return within, np.where(side == VALUE, beyond, side), sigma
+    return within, np.where(side == Sidedness.VALUE, beyond, side), sigma
 
 
 def _least_value(scene: Scene, reach: Array) -> Array:
@@ -436,9 +443,9 @@ def _within_rails(scene: Scene, recorded: Array) -> tuple[Array, Array]:
     """Return values clipped to the converter's rails, and the sides of those that are bounds."""
     side = np.zeros(recorded.shape)
     least, largest = (0.0, np.inf) if scene.readout is None else scene.readout.rails()
-    side[recorded < least] = AT_MOST
-    side[recorded > largest] = AT_LEAST
-    side[np.isposinf(recorded)] = AT_LEAST
+    side[recorded < least] = Sidedness.AT_MOST
+    side[recorded > largest] = Sidedness.AT_LEAST
+    side[np.isposinf(recorded)] = Sidedness.AT_LEAST
     return np.clip(recorded, least, largest), side
 
 
@@ -477,7 +484,7 @@ def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = N
     """Return frames with predictions from the seen values where `whole` is 0."""
     if np.all(whole):
         return value
-    known = ((whole if seen is None else seen) > 0) & (side == VALUE)
+    known = ((whole if seen is None else seen) > 0) & (side == Sidedness.VALUE)
     return np.where(whole > 0, value, stand_in(value, known))
 
 

@@ -9,7 +9,7 @@ from lampest.files.errors import InputError, meant
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
-from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
+from lampest.recording.readings import Readings, Sidedness
 
 FACTORS = {"ohm": 1.0, "kohm": 1e3, "volt": 1.0, "mV": 1e-3, "code": 1.0}
 Place = Callable[[int, int, int], str]  # frame, row and column of a value → its place in the source
@@ -91,7 +91,7 @@ def _check_shorted(
     scene: Scene, readout: Readout, recorded: Array, unit: str, source: object
 ) -> None:
     """Raise InputError if most readings are at the rail that a shorted cell reaches."""
-    rail = AT_MOST if readout.unit == "ohm" else AT_LEAST
+    rail = Sidedness.AT_MOST if readout.unit == "ohm" else Sidedness.AT_LEAST
     count = int((Readings.of(scene, recorded).side == rail).sum())
     total = int(np.isfinite(recorded).sum())
     if 2 * count <= total:

@@ -4,7 +4,7 @@ Each method imports the libraries that it needs; access to the cells loads none.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from html import escape
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.sequence import reconstruct
+from lampest.estimate.sequence import reconstruct_as
 from lampest.files.errors import extra
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
@@ -62,10 +62,9 @@ class Reconstruction(Estimates):
 
         on_frame : receives the numbers of solved and of all frames.
         """
-        estimates = reconstruct(
-            recording, estimator, lambda done, frames, so_far: on_frame(done, frames)
+        return reconstruct_as(
+            cls, recording, estimator, lambda done, frames, so_far: on_frame(done, frames)
         )
-        return cls(**{part.name: getattr(estimates, part.name) for part in fields(Estimates)})
 
     @property
     def weights(self) -> dict[str, Array]:

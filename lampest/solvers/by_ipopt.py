@@ -73,7 +73,7 @@ class Ipopt(Solver):
 
     def prepare(self) -> None:
         """Build the program before the first solve."""
-        _ = self._interface
+        self._built()
 
     def continued(self, carried: object) -> "Ipopt":
         """Return the solver that begins with the multipliers of the frame before."""
@@ -105,7 +105,7 @@ class Ipopt(Solver):
             multipliers = multipliers.in_units(
                 instance.program, instance.scale, instance.cost_scale
             )
-            result = self._interface.fine.minimise(instance, multipliers)
+            result = self._built().fine.minimise(instance, multipliers)
             multipliers = instance.multipliers_of(result)
             fine = self._outcome(
                 start, instance, result, status, outcome.iterations + result.iterations
@@ -120,7 +120,7 @@ class Ipopt(Solver):
     def _instance(self, at: Evaluation) -> Instance:
         """Return the program's instance that begins at an evaluation."""
         circuits = _circuits(self.readout, self.cost.panel.shape, self.wiring)
-        return Instance.of(self._interface.program, circuits, self.patterns, [at])
+        return Instance.of(self._built().program, circuits, self.patterns, [at])
 
     def _outcome(
         self,
@@ -151,15 +151,15 @@ class Ipopt(Solver):
         iterations = 0
         if self.multipliers is not None and len(self.multipliers.of_bounds) == len(instance.start):
             warm = self.multipliers.in_units(instance.program, instance.scale, instance.cost_scale)
-            result = self._interface.minimise(instance, warm)
+            result = self._built().minimise(instance, warm)
             if STATUS.get(result.status) is Status.OPTIMUM:
                 return result, result.iterations
             iterations = result.iterations
-        result = self._interface.minimise(instance)
+        result = self._built().minimise(instance)
         return result, iterations + result.iterations
 
-    @property
-    def _interface(self) -> Interface:
+    def _built(self) -> Interface:
+        """Return IPOPT's interface to the program, which is built once."""
         return _interface(
             self.cost.unweighted, self.readout, self.wiring, self.patterns, self.settings
         )
@@ -179,8 +179,5 @@ def _interface(
 ) -> Interface:
     program = Program.build(cost, readout, _circuits(readout, cost.panel.shape, wiring), patterns)
     seconds = np.inf if settings.time_limit_s is None else settings.time_limit_s
-    interface = Interface(
-        program, Limits(ACCURACY * settings.tolerance, settings.max_iterations, seconds)
-    )
-    interface.prepare()
-    return interface
+    limits = Limits(ACCURACY * settings.tolerance, settings.max_iterations, seconds)
+    return Interface.of(program, limits)

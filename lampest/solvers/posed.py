@@ -17,7 +17,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
-from lampest.recording.readings import AT_MOST, Readings, stand_in_spread
+from lampest.recording.readings import Readings, Sidedness, stand_in_spread
 
 # of the apparent resistance: beyond, double precision has no difference
 OPEN_FACTOR = 1e9
@@ -141,7 +141,9 @@ def data_of_solve(
     lower, upper = bounds.limits(scene.circuit, measured, sigma, scene.wiring)
     apparent = scene.circuit.apparent_resistance(measured)
     nearly_shorted = scene.circuit.nearly_shorted(measured)
-    lower = np.where((readings.side == AT_MOST) | (readings.seen < 1), nearly_shorted, lower)
+    lower = np.where(
+        (readings.side == Sidedness.AT_MOST) | (readings.seen < 1), nearly_shorted, lower
+    )
     upper = np.where(readings.side != 0, apparent * OPEN_FACTOR, upper)
     if not scene.whole:
         # cells that the scene states to be open or shorted are fixed near 10⁹ or 10⁻⁶ of the

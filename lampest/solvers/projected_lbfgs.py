@@ -7,7 +7,7 @@ panels continues with it.
 Source: Nocedal & Wright, Numerical Optimization, 2006, algorithm 7.4.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,98 +40,140 @@ NAME = "L-BFGS"  # of the solver, in tables
 
 
 @dataclass(frozen=True, eq=False)
-class InverseHessians:
-    """Inverse Hessians of panels, reused from frame to frame.
+class InverseHessian:
+    """Inverse Hessian of one panel, reused from frame to frame.
 
     Attributes
     ----------
-    inverse : array, shape (panels, cells, cells)
+    inverse : array, shape (cells, cells)
         M⁻¹.
-    position : array, shape (panels, cells)
-        Point at which M was made, log r; NaN before the first.
-    free : array of bool, shape (panels, cells)
+    position : array, shape (cells,)
+        Point at which M was made, log r.
+    free : array of bool, shape (cells,)
         Cells over which M is ∇²φ; M is diagonal for the others.
-    positive : array of bool, shape (panels,)
+    positive : bool
         Whether that ∇²φ was positive definite.
-    worn : array of bool, shape (panels,)
+    worn : bool
         Whether a step failed since M was made.
     """
 
     inverse: Array
     position: Array
     free: Mask
-    positive: Mask
-    worn: Mask
+    positive: bool
+    worn: bool = False
 
     @classmethod
-    def nothing(cls, panels: int, cells: int) -> "InverseHessians":
+    def of(cls, points: Hessian, row: int) -> "InverseHessian":
+        """Return M⁻¹ over the free cells of a panel.
+
+        It is 1/diagonal elsewhere, and everywhere if M is not positive definite. M is the Hessian
+        in relative changes s of conductances, ∇²φ + diag(∇φ).
+        """
+        matrix = points.matrix[row].copy()
+        np.einsum("ii->i", matrix)[...] += points.gradient[row]
+        free = np.flatnonzero(points.free[row])
+        scale = np.abs(np.diag(matrix))
+        inverse = np.diag(1 / np.where(scale > 0, scale, 1.0))
+        factor = None
+        if len(free):
+            factor = Cholesky.of(points.position[row], free, matrix[np.ix_(free, free)])
+        positive = factor is not None and clear_of_rounding(factor.triangle, factor.norm)
+        if factor is not None and positive:
+            inverse[np.ix_(free, free)] = factor.inverse()
+        position = points.position[row].copy()
+        return cls(inverse, position, points.free[row].copy(), positive or not len(free))
+
+
+@dataclass(frozen=True, eq=False)
+class InverseHessians:
+    """Inverse Hessians of many panels.
+
+    Attributes
+    ----------
+    panels : tuple of InverseHessian or None
+        None before the first frame of a panel.
+    """
+
+    panels: tuple[InverseHessian | None, ...]
+
+    @classmethod
+    def nothing(cls, panels: int) -> "InverseHessians":
         """Return the state before the first frame, without any inverse."""
-        blank = np.zeros((panels, cells), dtype=bool)
-        none = np.zeros(panels, dtype=bool)
-        return cls(
-            np.zeros((panels, cells, cells)), np.full((panels, cells), np.nan), blank, none, ~none
-        )
+        return cls((None,) * panels)
 
-    def copy(self, panel: int, target: int) -> None:
-        """Let a target panel begin with the inverse Hessian of a panel, in place."""
-        for values in (self.inverse, self.position, self.free, self.positive, self.worn):
-            values[target] = values[panel]
+    def some(self, numbers: Numbers) -> "InverseHessians":
+        """Return the inverse Hessians of the panels with these numbers."""
+        return InverseHessians(tuple(self.panels[number] for number in numbers.tolist()))
 
-    def distance(self, panels: Numbers, position: Array) -> Array:
-        """Return the largest |δ log r| since M was made, for the chosen panels.
+    def replaced(self, numbers: Numbers, others: "InverseHessians") -> "InverseHessians":
+        """Return the inverse Hessians with others for the panels with these numbers."""
+        new = dict(zip(numbers.tolist(), others.panels, strict=True))
+        return InverseHessians(tuple(new.get(n, panel) for n, panel in enumerate(self.panels)))
+
+    def distance(self, position: Array) -> Array:
+        """Return the largest |δ log r| of every panel since M was made, (panels,).
 
         The distance is infinite where there is no M.
         """
-        moved = np.abs(position - self.position[panels]).max(axis=1)
-        return np.where(np.isnan(moved), np.inf, moved)
+        known = [panel is not None for panel in self.panels]
+        places = [
+            there if panel is None else panel.position
+            for panel, there in zip(self.panels, position, strict=True)
+        ]
+        return np.where(known, np.abs(position - np.stack(places)).max(axis=1), np.inf)
 
-    def shows_minimum(self, panels: Numbers, points: Hessian) -> Mask:
+    @property
+    def positive(self) -> Mask:
+        """Whether ∇²φ of every panel was positive definite, (panels,); not where there is no M."""
+        return np.array([panel is not None and panel.positive for panel in self.panels])
+
+    def shows_minimum(self, points: Hessian) -> Mask:
         """Return whether M, made near `points`, had a positive definite ∇²φ over their free cells.
 
         The point of M is near within CERTIFIED_DISTANCE of log r.
         """
-        near = self.distance(panels, points.position) <= CERTIFIED_DISTANCE
-        return near & self.positive[panels] & ~(points.free & ~self.free[panels]).any(axis=1)
+        near = self.distance(points.position) <= CERTIFIED_DISTANCE
+        covered = [
+            panel is not None and not (free & ~panel.free).any()
+            for panel, free in zip(self.panels, points.free, strict=True)
+        ]
+        return np.asarray(near & self.positive & np.array(covered))
 
-    def newton(self, panels: Numbers, gradient: Array) -> Array:
-        """Return M⁻¹ g, (chosen panels, cells)."""
-        step = np.empty_like(gradient)
-        for row, panel in enumerate(panels.tolist()):  # without a copy of their matrices
-            np.matmul(self.inverse[panel], gradient[row], out=step[row])
+    def newton(self, gradient: Array) -> Array:
+        """Return M⁻¹ g, (panels, cells); 0 where there is no M."""
+        step = np.zeros_like(gradient)
+        for row, panel in enumerate(self.panels):
+            if panel is not None:
+                np.matmul(panel.inverse, gradient[row], out=step[row])
         return step
 
-    def renew(self, panels: Numbers, points: Hessian) -> None:
-        """Make M of the chosen panels anew at their points, in place.
+    def old(self, position: Array) -> Mask:
+        """Return whether M failed a step, or was made far from a position, (panels,)."""
+        worn = np.array([panel is not None and panel.worn for panel in self.panels])
+        return worn | (self.distance(position) > STEPS.max_reuse_distance)
 
-        One inverse of a 10 × 10 panel takes 80 kB. M is the Hessian in relative changes s of
-        conductances, ∇²φ + diag(∇φ). Frames that begin at the same estimate share M, because their
-        Hessians differ only by the part of their residuals.
+    def renewed(self, chosen: Mask, points: Hessian) -> "InverseHessians":
+        """Return the inverse Hessians with M of the chosen panels made anew at their points.
+
+        One inverse of a 10 × 10 panel takes 80 kB. Frames that begin at the same estimate share M,
+        because their Hessians differ only by the part of their residuals.
         """
-        if len(panels) > 1 and not np.ptp(points.position, axis=0).any():
-            self.renew(panels[:1], points.some(np.array([0])))
-            for values in (self.inverse, self.position, self.free, self.positive, self.worn):
-                values[panels[1:]] = values[panels[0]]
-            return
-        matrices = points.matrix.copy()
-        np.einsum("...ii->...i", matrices)[...] += points.gradient
-        # M⁻¹ over the free cells; 1/diagonal elsewhere, and everywhere if M is not positive
-        # definite.
-        for number, panel in enumerate(panels):
-            matrix = matrices[number]
-            free = np.flatnonzero(points.free[number])
-            scale = np.abs(np.diag(matrix))
-            inverse = np.diag(1 / np.where(scale > 0, scale, 1.0))
-            factor = None
-            if len(free):
-                factor = Cholesky.of(points.position[number], free, matrix[np.ix_(free, free)])
-            positive = factor is not None and clear_of_rounding(factor.triangle, factor.norm)
-            if factor is not None and positive:
-                inverse[np.ix_(free, free)] = factor.inverse()
-            self.inverse[panel] = inverse
-            self.free[panel] = points.free[number]
-            self.positive[panel] = positive or not len(free)
-        self.position[panels] = points.position
-        self.worn[panels] = False
+        rows = np.flatnonzero(chosen)
+        there = points.some(rows)
+        if len(rows) > 1 and not np.ptp(there.position, axis=0).any():
+            made = [InverseHessian.of(there.some(np.array([0])), 0)] * len(rows)
+        else:
+            made = [InverseHessian.of(there, row) for row in range(len(rows))]
+        return self.replaced(rows, InverseHessians(tuple(made)))
+
+    def worn_where(self, failed: Mask) -> "InverseHessians":
+        """Return the inverse Hessians after a failed step of some panels."""
+        panels = (
+            replace(panel, worn=True) if fails and panel is not None else panel
+            for panel, fails in zip(self.panels, failed.tolist(), strict=True)
+        )
+        return InverseHessians(tuple(panels))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,11 +187,14 @@ class BatchOutcome:
     solved : array of bool, shape (panels,)
         Whether a strict minimum is verified.
     iterations : array of int, shape (panels,)
+    inverses : InverseHessians
+        Inverse Hessians for the next frames.
     """
 
     points: Hessian
     solved: Mask
     iterations: NDArray[np.int64]
+    inverses: InverseHessians
 
 
 def serves(cost: Cost, data: Data) -> bool:
@@ -173,9 +218,7 @@ def serves(cost: Cost, data: Data) -> bool:
     )
 
 
-def solve(
-    start: Evaluation, inverses: InverseHessians, numbers: Numbers, settings: Settings
-) -> BatchOutcome:
+def solve(start: Evaluation, inverses: InverseHessians, settings: Settings) -> BatchOutcome:
     """Minimise the costs of many panels of one shape.
 
     Parameters
@@ -183,9 +226,7 @@ def solve(
     start : Evaluation
         Evaluation with a leading axis of panels, within their bounds.
     inverses : InverseHessians
-        Inverse Hessians of earlier frames; renewed in place.
-    numbers : array, shape (panels,)
-        Numbers of these panels in `inverses`.
+        Inverse Hessians of these panels from earlier frames.
     settings : Settings
     """
     begun = Hessian(start, Smoothing(1.0, NO_DUAL))
@@ -203,7 +244,12 @@ def solve(
         # Newton steps.
         near = points.residual <= settings.tolerance
         if near.any():
-            step, settled, stuck = _last_steps(points, inverses, numbers[panels], near)
+            current = inverses.some(panels)
+            doubtful = near & ~current.shows_minimum(points)
+            if doubtful.any():
+                current = current.renewed(doubtful, points)
+                inverses = inverses.replaced(panels, current)
+            step, settled, stuck = _last_steps(points, current, near)
             solved[panels[settled]] = True
             # Panels that are accepted, or are no minimum, leave the batch; the accepted ones after
             # their last step.
@@ -216,7 +262,8 @@ def solve(
         if not len(panels):
             break
         # One L-BFGS step of all others. Panels without a step of lower cost leave, too.
-        points, secants, moved = _advanced(points, secants, inverses, numbers[panels])
+        points, secants, current, moved = _advanced(points, secants, inverses.some(panels))
+        inverses = inverses.replaced(panels, current)
         iterations[panels] += 1
         if not moved.all():
             ends[panels] = points.position
@@ -224,24 +271,23 @@ def solve(
             panels = panels[moved]
             secants = secants.some(moved)
     ends[panels] = points.position
-    return BatchOutcome(begun.elsewhere(ends), solved, iterations)
+    return BatchOutcome(begun.elsewhere(ends), solved, iterations, inverses)
 
 
-def _last_steps(
-    points: Hessian, inverses: InverseHessians, panels: Numbers, near: Mask
-) -> tuple[Array, Mask, Mask]:
-    """Return the Newton steps of panels, and which of the `near` ones are settled or stuck.
+def _last_steps(points: Hessian, inverses: InverseHessians, near: Mask) -> tuple[Array, Mask, Mask]:
+    """Return the Newton steps of panels, and which of those near an optimum leave the batch.
 
-    Panels whose gradient is small are near an optimum. A panel is settled if M shows a minimum and
-    the step is short, and stuck if ∇²φ is not positive definite. M is renewed, in place, where it
-    does not show a minimum.
+    Returns
+    -------
+    step : array, shape (panels, cells)
+    settled : array of bool, shape (panels,)
+        M shows a minimum and the step is short.
+    stuck : array of bool, shape (panels,)
+        ∇²φ is not positive definite.
     """
-    doubtful = near & ~inverses.shows_minimum(panels, points)
-    if doubtful.any():
-        inverses.renew(panels[doubtful], points.some(np.flatnonzero(doubtful)))
     gradient = np.where(points.free, points.gradient, 0.0)
-    step = np.where(points.free, inverses.newton(panels, gradient), 0.0)
-    positive = inverses.positive[panels]
+    step = np.where(points.free, inverses.newton(gradient), 0.0)
+    positive = inverses.positive
     settled = near & positive & (np.abs(step).max(axis=1) <= LAST_STEP)
     return step, settled, near & ~positive
 
@@ -285,7 +331,7 @@ class Secants:
         size = np.where(along > 0, 1 / np.where(along > 0, along, 1.0), 0.0)
         return Secants((*self.pairs, (step, change, size))[-self.most :])
 
-    def direction(self, points: Hessian, inverses: InverseHessians, panels: Numbers) -> Array:
+    def direction(self, points: Hessian, inverses: InverseHessians) -> Array:
         """Return −H ∇φ over the free cells, H = M⁻¹ corrected by the secants in two loops."""
         slope = np.where(points.free, points.gradient, 0.0)
         shares = list[Array]()
@@ -293,7 +339,7 @@ class Secants:
             # α = sᵀq/sᵀy, q ← q − α y
             shares.append(size * (step * slope).sum(axis=1))
             slope = slope - shares[-1][:, None] * change
-        direction = inverses.newton(panels, slope)
+        direction = inverses.newton(slope)
         for (step, change, size), share in zip(self.pairs, reversed(shares), strict=True):
             # β = yᵀd/sᵀy, d ← d + (α − β) s
             direction += (share - size * (change * direction).sum(axis=1))[:, None] * step
@@ -301,27 +347,34 @@ class Secants:
 
 
 def _advanced(
-    points: Hessian, secants: Secants, inverses: InverseHessians, panels: Numbers
-) -> tuple[Hessian, Secants, Mask]:
-    """Return the points after one step each, their secants, and whether the step lowered the cost.
+    points: Hessian, secants: Secants, inverses: InverseHessians
+) -> tuple[Hessian, Secants, InverseHessians, Mask]:
+    """Return the points after one step of each panel.
 
     Unknowns of a step are relative changes of conductances, g ← g·(1 − s), in which readings are
     closest to quadratic.
+
+    Returns
+    -------
+    points : Hessian
+    secants : Secants
+    inverses : InverseHessians
+        Made anew after a failed step, and where the point has moved far from them.
+    moved : array of bool, shape (panels,)
+        Whether the step lowered the cost.
     """
-    # Renew M after a failed step, and where the point has moved far from it.
-    old = inverses.worn[panels] | (
-        inverses.distance(panels, points.position) > STEPS.max_reuse_distance
-    )
+    old = inverses.old(points.position)
     if old.any():
-        inverses.renew(panels[old], points.some(np.flatnonzero(old)))
+        inverses = inverses.renewed(old, points)
         secants = secants.without(old)
-    step = secants.direction(points, inverses, panels)
-    length = np.ones((len(panels), 1))
+    step = secants.direction(points, inverses)
+    count = len(inverses.panels)
+    length = np.ones((count, 1))
     low = points.position - STEPS.max_step
     high = points.position + STEPS.max_step
     most = conductance_change(np.asarray(STEPS.max_step))
     trial = points
-    moved = np.zeros(len(panels), dtype=bool)
+    moved = np.zeros(count, dtype=bool)
     # Backtracking line search: u − log(1 − t·s), t shortened for the panels that have not found a
     # step, at last to 0.
     for attempt in range(STEPS.max_tries + 1):
@@ -335,6 +388,6 @@ def _advanced(
         stays = moved | (length[:, 0] == 0)
         if stays.all():
             break
-        inverses.worn[panels[~stays]] = True
+        inverses = inverses.worn_where(~stays)
         length[~stays] *= STEPS.radius_factor if attempt + 1 < STEPS.max_tries else 0.0
-    return trial, secants.after(points, trial), moved & (length[:, 0] > 0)
+    return trial, secants.after(points, trial), inverses, moved & (length[:, 0] > 0)

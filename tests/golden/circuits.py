@@ -23,7 +23,7 @@ from lampest.panel import effects, systematic
 from lampest.panel.conditions import water_pressure
 from lampest.panel.network import NormalByLines
 from lampest.panel.panel import EachModule, Modules
-from lampest.panel.readouts import AnyReadout, readout, wiring
+from lampest.panel.readouts import AnyReadout, readout, wired_network
 from lampest.panel.readouts.floating import Stencil
 from lampest.panel.response import BentSuction, ratio_from_pressure
 from lampest.panel.scene import OwnOfModule
@@ -145,10 +145,10 @@ def network_row(scene: lp.Scene) -> dict[str, Any]:
             "some second": second.matrix()[np.ix_(nodes, nodes)],
             "potentials": network.potentials(),
             "by lines": by_lines(network.normal_by_lines(weights**2)),
-            "wire": wiring.wire_responses(network, scene.lines or lp.Lines()),
+            "wire": wired_network.wire_responses(network, scene.lines or lp.Lines()),
         }
     if scene.wiring is not None:
-        row["contacts"] = wiring.contact_responses([network])
+        row["contacts"] = wired_network.contact_responses([network])
     return row
 
 

@@ -437,23 +437,25 @@ def batch_row() -> dict[str, Any]:
             [0, 1, 2, 4, 4], None
         ]
         weights = rng.uniform(0.5, 2, (5, len(COSTS[cost])))
-        inverses = InverseHessians.nothing(7, 20)
+        inverses = InverseHessians.nothing(7)
         for lower in (1000.0, 1500.0):  # of the same frame; then some cells are held that were free
             data = replace(data, lower=np.maximum(data.lower, lower))
             start = problem.Evaluation.at(
                 estimator.cost(scene, 1), data, np.maximum(begin, lower), weights
             )
-            end = solve_panels(start, inverses, numbers, Settings(max_iterations=steps))
+            end = solve_panels(start, inverses.some(numbers), Settings(max_iterations=steps))
+            inverses = inverses.replaced(numbers, end.inverses)
+            panels = inverses.panels
             begin = end.points.at.cell_resistance
             rows[f"{cost} {steps} {lower}"] = [
                 end.points.position,
                 end.solved,
                 end.iterations,
                 inverses.positive,
-                inverses.worn,
-                inverses.free.sum(axis=1),
-                inverses.distance(numbers, end.points.position),
-                np.linalg.norm(inverses.inverse, axis=(1, 2)),
+                np.array([panel is None or panel.worn for panel in panels]),
+                np.array([0 if panel is None else panel.free.sum() for panel in panels]),
+                inverses.some(numbers).distance(end.points.position),
+                np.array([0 if p is None else np.linalg.norm(p.inverse) for p in panels]),
             ]
     return rows
 

@@ -6,7 +6,7 @@ import pytest
 import lampest
 from lampest import Misfit, Panel, Readings, Recording, Scene, TwoPointReadout
 from lampest.inference.outliers import impossible_readings
-from lampest.recording.readings import AT_LEAST
+from lampest.recording.readings import Sidedness
 
 SCENES = {
     "resistances alone": Scene(Panel(6, 8)),
@@ -56,7 +56,7 @@ def test_bounds_that_the_other_readings_allow_stay_bounds(scene: Scene) -> None:
     recorded[3, 3:] = np.inf
     recorded[3, :, 5:] = np.inf
     side = Readings.of(scene, recorded).side
-    assert np.array_equal(side == AT_LEAST, np.isinf(recorded))
+    assert np.array_equal(side == Sidedness.AT_LEAST, np.isinf(recorded))
     assert not len(outliers(scene, recorded))
 
 

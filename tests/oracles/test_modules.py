@@ -156,6 +156,27 @@ def test_modules_in_parallel_threads_give_the_same_bytes(monkeypatch: pytest.Mon
     assert results[0] == results[1]
 
 
+def test_a_stream_of_modules_is_the_same_however_often_it_is_pushed() -> None:
+    """A frame that was tried leaves nothing behind: inverse Hessians belong to the next stream."""
+    modules = "modules: {rows: 1, columns: 3, each: {rows: 2, columns: 3}}"
+    recording = simulated(scene_of(f"panel: {{{modules}}}\n{SCENE[SCENE.index('readout') :]}"))
+    estimator = Estimator((Misfit(), LogGradient(weight=0.1)), "reduced", error_bars=False)
+    readings = recording.readings()
+    stream = begin_stream(estimator, recording.scene, 0.1, readings[recording.role == 0].mean())
+    first, second, third = recording.measured_frames()
+    for frame in (first, second):
+        stream, _ = stream.push(readings[frame])
+    kept = [panel.inverse for panel in stream.prepared.panels if panel is not None]
+    copies = [inverse.copy() for inverse in kept]
+    shorted = replace(readings[third], value=0.3 * readings[third].value)
+    cells = []
+    for frame in (readings[third], shorted, readings[third]):
+        _, step = stream.push(frame)
+        cells.append(step.cell_resistance)
+    assert kept and np.array_equal(cells[0], cells[2])
+    assert all(map(np.array_equal, kept, copies))
+
+
 @pytest.mark.parametrize(
     "panel", ["modules: {rows: 1, columns: 3, each: {rows: 2, columns: 3}}", "rows: 3, columns: 4"]
 )

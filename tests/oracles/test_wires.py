@@ -32,7 +32,7 @@ from lampest.panel.readouts.wiring import (
     Lines,
     Wiring,
 )
-from lampest.recording.readings import AT_LEAST, AT_MOST, Readings, touching_columns, touching_rows
+from lampest.recording.readings import Readings, Sidedness, touching_columns, touching_rows
 from lampest.recording.simulation.measure import true_contacts
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
 from lampest.solvers.posed import Bounds
@@ -437,7 +437,9 @@ def test_a_rail_stays_a_bound() -> None:
     volt = volts(readout, (3, 4))
     volt[1, 1], volt[2, 2] = readout.volt_from_code(np.array([0, 2**12 - 1]))
     side = Readings.of(scene, volt).side
-    assert (side[1, 1], side[2, 2]) == (AT_MOST, AT_LEAST) and np.count_nonzero(side) == 2
+    assert (side[1, 1], side[2, 2]) == (Sidedness.AT_MOST, Sidedness.AT_LEAST) and np.count_nonzero(
+        side
+    ) == 2
 
 
 @each_converter

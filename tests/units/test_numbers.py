@@ -18,7 +18,7 @@ from lampest.apps.recognition import (
     watch,
     watch_parts,
 )
-from lampest.estimate import sequence, witness
+from lampest.estimate import objective, parts
 from lampest.estimate.methods import method
 from lampest.files import hdf5, levels, process
 from lampest.inference import explanation, model_check, noise, nuisances, variance_components
@@ -85,7 +85,7 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
         ("up to 144 cells", method.NODAL_CELLS, 144),
         ("at no more than two frames a second", 1 / method.NODAL_PERIOD, 2),
         ("on panels of up to 256 cells", method.FALLBACK_CELLS, 256),
-        ("on panels of at most 144 cells", witness.MAX_CELLS, 144),
+        ("on panels of at most 144 cells", objective.MAX_VERIFIED_CELLS, 144),
     ],
     "docs/howto/error_bars.md": [
         ("every verified estimate of up to 600 cells", trust_region.MATRIX_CELLS, 600),
@@ -98,7 +98,7 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
     "docs/howto/batches.md": [
         ("more than 2,000,000 readings", stored.MAX_READINGS, 2e6),
         ("in parts of 500,000", stored.PART_READINGS, 5e5),
-        ("the first 500 unloaded frames", sequence.LEAD_FRAMES, 500),
+        ("the first 500 unloaded frames", parts.LEAD_FRAMES, 500),
         ("refuse more than 100,000,000 values", hdf5.MAX_VALUES, 1e8),
         ("for two minutes beyond ten limits", process.HUNG_SECONDS, 120),
     ],

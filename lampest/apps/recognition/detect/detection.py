@@ -32,7 +32,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.recording.readings import AT_LEAST, AT_MOST, VALUE, Readings, stand_in
+from lampest.recording.readings import Readings, Sidedness, stand_in
 from lampest.recording.recording import (
     MEASURED,
     TOUCHED,
@@ -256,8 +256,8 @@ def with_bounds_counted(
     was_bound = np.zeros(resting.shape) if resting_side is None else resting_side
     change = value - resting
     beyond = (side * change > 0) & (np.abs(change) > NOISE_REACH * sigma)
-    still = (side != VALUE) & (side == was_bound)
-    known = (side == VALUE) | still
+    still = (side != Sidedness.VALUE) & (side == was_bound)
+    known = (side == Sidedness.VALUE) | still
     counted = np.where(known, sigma, np.inf)
     counted = np.where(beyond & ~known, np.maximum(sigma, BOUND_SHARE * np.abs(change)), counted)
     return np.where(still, resting, value), counted
@@ -543,13 +543,13 @@ def known_of(
     if not side.any():
         return known
     # Repeats of a bound are the bound
-    values = np.where(side != VALUE, resting.value, known.unloaded)
+    values = np.where(side != Sidedness.VALUE, resting.value, known.unloaded)
     return replace(known, resting_side=side, unloaded=values)
 
 
 def _open_at_rest(resting: Readings, scene: Scene) -> bool:
     """Return whether the unloaded panel is one of bounds, as open cells give them."""
-    of_open = AT_LEAST if scene.circuit.unit == "ohm" else AT_MOST
+    of_open = Sidedness.AT_LEAST if scene.circuit.unit == "ohm" else Sidedness.AT_MOST
     opened = resting.bounds & (resting.side == of_open) & scene.requested
     return not resting.enough(scene) and bool(2 * opened.sum() >= scene.requested.sum())
 
