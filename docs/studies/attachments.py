@@ -18,7 +18,7 @@ resistances are the package's.
 import argparse
 import csv
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from resource import RUSAGE_SELF, getrusage
 from time import process_time
@@ -61,6 +61,11 @@ CURRENT = "mouth in current"
 CUP_CURRENT = "cup in current"
 HAND_PUMPED = "hand-pumped cup"
 RING = "trembling ring"
+WATER = "moving water"
+MOVING = "mouth in moving water"
+CUP_MOVING = "cup in moving water"
+LEAKING = "leaking cup"
+IN_WATER = (WATER, MOVING, CUP_MOVING)
 KINDS = (
     *MAKERS,
     SHAKEN,
@@ -73,8 +78,12 @@ KINDS = (
     CUP_CURRENT,
     HAND_PUMPED,
     RING,
+    WATER,
+    MOVING,
+    CUP_MOVING,
+    LEAKING,
 )
-LIVING = (*MOUTHS, PUMPING, SLIDING, PULLED, CURRENT)
+LIVING = (*MOUTHS, PUMPING, SLIDING, PULLED, CURRENT, MOVING)
 # their shapes
 OF_COURSE = {
     SHAKEN: "cup",
@@ -89,7 +98,14 @@ OF_COURSE |= {
     CUP_CURRENT: "cup",
     HAND_PUMPED: "cup",
     RING: "ring",
+    WATER: "nothing",
+    MOVING: "wavy mouth",
+    CUP_MOVING: "cup",
+    LEAKING: "cup",
 }
+# kPa: common pressure of the water on all cells; gradients have half of it
+WATER_KPA = (0.05, 0.25)
+WAVE_HZ = (0.1, 0.45)
 # along the rows, and between which times after the touch
 SLIDES_MM = 15.0
 SLIDES_S = (6.0, 8.0)
@@ -195,6 +211,9 @@ def courses(
     leak = np.exp(
         -np.clip(since, 0, attached_s) * rng.uniform(0, 0.14 / attached_s) * ("cup" in kind)
     ) * (1 + 0.004 * _wandering(rng, step))
+    if kind == LEAKING:
+        begin = own.uniform(5, 9)
+        leak = leak * np.exp(-np.maximum(since - begin, 0) / own.uniform(1, 4))
     # Every minute something pushes it, and its suction is another one from then on.
     if kind == BUMPED:
         bumps = rng.uniform(0, attached_s, rng.poisson(attached_s / 60))
@@ -277,10 +296,11 @@ def cells(
     time: Array,
     shake: Array,
     curve: str = "published",
+    water: Array | float = 0.0,
 ) -> Array:
     """(frames, rows, columns) ohm of a film that creeps.
 
-    shake : (frames) mm by which the load stands off.
+    shake : (frames) mm by which the load stands off. water : (frames, rows, columns) kPa.
     """
     places = np.unique(np.round(shake, 2))
     parts = (made.contact, made.suction, made.beside)
@@ -289,6 +309,7 @@ def cells(
     pressure = np.array(
         [np.tensordot(share, record, 1) for share, record in zip(course, each, strict=True)]
     )
+    pressure = pressure + water
     resting = 3050 * np.exp(layer.spread * rng.standard_normal(panel.shape))
     answer = layer.bent * np.exp(layer.scatter * rng.standard_normal(panel.shape))
     logarithm = answer * np.log(CURVES[curve](pressure))
@@ -309,6 +330,24 @@ def cells(
             + KEPT * (most - now)
         )
     return np.asarray(resting * np.exp(np.array(shown)))
+
+
+def moving_water(rng: np.random.Generator, panel: Panel, time: Array) -> Array:
+    """Pressure of waves and of a current on all cells, (frames, rows, columns) kPa.
+
+    It has a common part and gradients along both sides. The rate of the waves wanders.
+    """
+    step = np.diff(time, prepend=time[0])
+    size = rng.uniform(*WATER_KPA)
+    parts = []
+    for share in (1.0, 0.5, 0.5):
+        rate = rng.uniform(*WAVE_HZ) * np.exp(0.15 * _wandering(rng, step, 5.0))
+        wave = np.sin(2 * np.pi * np.cumsum(rate * step) + rng.uniform(0, 2 * np.pi))
+        turbulent = 0.5 * _wandering(rng, step, 0.7) + 0.3 * _wandering(rng, step, 4.0)
+        parts.append(size * share * (0.8 * wave + turbulent)[:, None, None])
+    down = np.linspace(-0.5, 0.5, panel.rows)[:, None]
+    across = np.linspace(-0.5, 0.5, panel.columns)
+    return np.asarray(parts[0] + parts[1] * down + parts[2] * across)
 
 
 def recorded(rng: np.random.Generator, resistance: Array, time: Array) -> Array:
@@ -365,10 +404,15 @@ def recording(
         * (kind == SLIDING)
     )
     # Turbulence moves it by a third of a millimetre, within two seconds.
-    if kind in (CURRENT, CUP_CURRENT):
+    if kind in (CURRENT, CUP_CURRENT, MOVING, CUP_MOVING):
         shake += rng.uniform(0.1, 0.6) * _wandering(rng, np.diff(time, prepend=time[0]), 2.0)
-    resistance = cells(rng, panel, made, layer, course, time - time[0], shake, curve)
+    water: Array | float = 0.0
+    if kind in IN_WATER:
+        water = moving_water(rng.spawn(1)[0], panel, time)
+    resistance = cells(rng, panel, made, layer, course, time - time[0], shake, curve, water)
     scene = _scene(panel)
+    if kind in IN_WATER:  # as most scenes, which name neither gain nor ripple
+        scene = replace(scene, gain=None, ripple=None)
     role = (np.arange(len(time)) >= UNLOADED).astype(np.uint8)
     return (
         Recording(
