@@ -13,8 +13,11 @@ from lampest.inference.model_check import ModelCheck
 from lampest.inference.prepared import Prepared
 from lampest.inference.rivals import changes_beyond_noise
 from lampest.panel.readouts.unseen import unseen_sentence
+from lampest.panel.scene import specified
+from lampest.panel.sizes import ESTIMATED
 from lampest.recording.recording import UNLOADED
 
+ZERO = "readout.converter.zero_volt"
 OF_CIRCUIT = ("lines", "order")  # rooms of health whose findings contradict the scene
 
 MAX_ZEROS = 0.1  # of the readings
@@ -43,9 +46,12 @@ def verdict(check: ModelCheck, prepared: Prepared, health: Health | None = None)
 
 def _doubts(prepared: Prepared, health: Health | None) -> Iterator[str]:
     """Yield the doubts: unnamed effects, errors of the model, another panel, health."""
+    scene = prepared.recording.scene
     yield from (finding.what for finding in unnamed_effects(prepared))
     if prepared.noise.model_factor > 1:
         yield f"readings are missed by {prepared.noise.model_factor:.2g} times their noise"
+    if specified(scene, ZERO) == ESTIMATED and ZERO not in prepared.noise.estimated:
+        yield f"{ZERO} is estimated, and these frames do not determine it"
     yield from _fewer_bits(prepared)
     yield from _many_zeros(prepared)
     yield from _falling_codes(prepared)

@@ -59,12 +59,13 @@ def push_streams(
     # Weights first; then batches; whatever a batch does not solve is pushed alone.
     streams = _weighed(streams, readings)
     solved, inverses = _solved_together(streams, readings, inverses)
-    single = {
+    single: dict[int, tuple[Stream | None, Step | None]] = {
         n: stream.push(readings[n])
         for n, stream in enumerate(streams)
         if stream is not None and n not in solved
     }
-    pushed = [(solved | single).get(number, (None, None)) for number in range(len(streams))]
+    done = {**solved, **single}
+    pushed = [done.get(number, (None, None)) for number in range(len(streams))]
     return pushed, inverses
 
 

@@ -38,15 +38,13 @@ def default_terms(recording: Recording) -> tuple[Term, ...]:
     return Misfit(weighting="noise" if noise_known else "plain"), LogGradient()
 
 
-@ONE_BLAS_THREAD
 def reconstruct(
     recording: Recording | Prepared,
     estimator: Estimator,
     on_frame: Callable[
         [int, int, Callable[[], Estimates] | None], None
     ] = lambda done, frames, so_far: None,
-    kind: type[Kind] = Estimates,
-) -> Kind:
+) -> Estimates:
     """Solve every measured frame of a recording.
 
     A frame that fails, or that has too few readings, contains NaN and a status. The frames after it
@@ -60,14 +58,25 @@ def reconstruct(
         Called after every frame with the number of solved frames, the number of all, and a function
         that returns the estimates so far, with the other frames unsolved; None for a method that
         solves all frames together.
-    kind : type
-        Class of the estimates.
 
     Raises
     ------
     InputError
         If the noise is needed and unknown, or `recording` is no Recording.
     """
+    return reconstruct_as(Estimates, recording, estimator, on_frame)
+
+
+@ONE_BLAS_THREAD
+def reconstruct_as(
+    kind: type[Kind],
+    recording: Recording | Prepared,
+    estimator: Estimator,
+    on_frame: Callable[
+        [int, int, Callable[[], Estimates] | None], None
+    ] = lambda done, frames, so_far: None,
+) -> Kind:
+    """Solve every measured frame of a recording, as `reconstruct`, as estimates of a class."""
     prepared = Prepared.of(recording)
     prepared.recording.scene.panel.check_memory()
     recording = prepared.resolved

@@ -121,7 +121,11 @@ class Instance:
         excitation: Excitation,
         blocks: Sequence[Evaluation],
     ) -> "Instance":
-        """Return the instance that begins at the cells of the evaluations, one for each block."""
+        """Return the instance that begins at the cells of the evaluations, one for each block.
+
+        The units, the start, the bounds of the unknowns and the limits of the constraints are all
+        stated here, by the names that `Program` gives them.
+        """
         values = _FrameValues(circuits, excitation, blocks)
         scale = values.scale
         cost_scale = values.cost_scale
@@ -136,7 +140,7 @@ class Instance:
             **{unit_of(name): unit for name, unit in units.items()},
         }
 
-        def unknowns(cells: Array, voltages: dict[str, Array], split: Array | float) -> Array:
+        def start_at(cells: Array, voltages: dict[str, Array], split: Array | float) -> Array:
             scaled = {name: part / units[name] for name, part in voltages.items()}
             own = {name: unknown.start for name, unknown in program.own.items()}
             return program.unknown.stacked(
@@ -146,21 +150,32 @@ class Instance:
         # Unit of split residuals: the largest one of the start and of the apparent resistances,
         # because a start at the baseline may leave none.
         unscaled = program.parameter.stacked({**parameters, "split_scale": 1.0})
-        residuals = program.split_residuals(unknowns(values.cells, voltages, 0.0), unscaled)
+        residuals = program.split_residuals(start_at(values.cells, voltages, 0.0), unscaled)
         split_scale = MIN_SPLIT_UNIT
         if residuals:
-            apparent = unknowns(values.apparent, values.voltages(values.apparent, scale), 0.0)
+            apparent = start_at(values.apparent, values.voltages(values.apparent, scale), 0.0)
             groups = [*residuals, *program.split_residuals(apparent, unscaled)]
             largest = [float(np.abs(group).max(initial=0)) for group in groups]
             split_scale = max(split_scale, *largest)
-        lower, upper = _bounds(program, scale / values.upper, scale / values.lower)
+        # Voltages have no bounds, and parts of split residuals are not negative.
+        lower = {"conductance": scale / values.upper, "split": 0.0}
+        upper: dict[str, Any] = {"conductance": scale / values.lower}
+        for name, unknown in program.own.items():
+            lower[name] = unknown.lower
+            upper[name] = unknown.upper
+        # Kirchhoff's law and splits are equations, = 0.
+        low = {constraint.name: constraint.lower for constraint in program.constraints}
+        high = {constraint.name: constraint.upper for constraint in program.constraints}
         return cls(
             program,
-            start=unknowns(values.cells, voltages, _split_start(residuals, split_scale)),
-            lower=lower,
-            upper=upper,
+            start=start_at(values.cells, voltages, _split_start(residuals, split_scale)),
+            lower=program.unknown.stacked(lower, default=-np.inf),
+            upper=program.unknown.stacked(upper, default=np.inf),
             parameter=program.parameter.stacked({**parameters, "split_scale": split_scale}),
-            equations=(_equation_limits(program, "lower"), _equation_limits(program, "upper")),
+            equations=(
+                program.equation.stacked(low, default=0.0),
+                program.equation.stacked(high, default=0.0),
+            ),
             shape=values.cells.shape,
             scale=scale,
             cost_scale=cost_scale,
@@ -202,31 +217,12 @@ def _voltage_unit(voltages: Array) -> Array:
     return np.asarray(np.maximum(size, MIN_VOLTAGE * size.max(initial=0.0)))
 
 
-def _bounds(program: Program, low: Array, high: Array) -> tuple[Array, Array]:
-    """Return the bounds of all unknowns, (unknowns,), for those of the conductances.
-
-    Voltages have none, and split parts are not negative.
-    """
-    lower = {name: unknown.lower for name, unknown in program.own.items()}
-    upper = {name: unknown.upper for name, unknown in program.own.items()}
-    return (
-        program.unknown.stacked({"conductance": low, "split": 0.0, **lower}, default=-np.inf),
-        program.unknown.stacked({"conductance": high, **upper}, default=np.inf),
-    )
-
-
 def _split_start(residuals: Sequence[Array], unit: float) -> Array:
     """Return p and q of split residuals ±(p − q), SPLIT_START from their bound, in their unit."""
     split = [np.zeros(0)]
     for group in residuals:
         split += [np.maximum(side / unit, 0) + SPLIT_START for side in (group, -group)]
     return np.concatenate(split)
-
-
-def _equation_limits(program: Program, side: str) -> Array:
-    """Return the limits of the constraints, 'lower' or 'upper'; those of equations are 0."""
-    limits = {part.name: getattr(part, side) for part in program.constraints}
-    return program.equation.stacked(limits, default=0.0)
 
 
 def on_bounds(conductance: Array, multiplier: Array, low: Array, high: Array) -> Array:

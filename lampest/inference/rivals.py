@@ -226,7 +226,7 @@ def rounded_down(specified: Rival) -> Rival | None:
     ends = Characteristic(zero_volt=half, full_volt=readout.full_scale_volt + half)
     kind = f"readout.converter.zero_volt near {half:.2g} (codes are rounded down)"
     entry = {"converter": {"zero_volt": float(f"{half:.2g}")}}
-    return _with_converter(specified, kind, entry, converter=ends)
+    return with_converter(specified, kind, entry, converter=ends)
 
 
 def other_converters(specified: Rival, *, reversed_too: bool) -> Iterator[Rival]:
@@ -244,17 +244,15 @@ def other_converters(specified: Rival, *, reversed_too: bool) -> Iterator[Rival]
     for name in names:
         ends = known(name, readout.full_scale_volt)
         kind = f"readout.converter: {name}"
-        yield _with_converter(specified, kind, {"converter": name}, converter=ends)
+        yield with_converter(specified, kind, {"converter": name}, converter=ends)
     codes = readout.steps_from_volt(readout.volt_from_recorded(specified.recorded))
     for bits in USUAL_BITS:
         if bits < readout.adc_bits and np.max(codes, where=np.isfinite(codes), initial=0) < 2**bits:
             kind = f"readout.adc_bits: {bits}"
-            yield _with_converter(specified, kind, {"adc_bits": bits}, adc_bits=bits)
+            yield with_converter(specified, kind, {"adc_bits": bits}, adc_bits=bits)
 
 
-def _with_converter(
-    specified: Rival, kind: str, entry: Mapping[str, Any], **settings: Any
-) -> Rival:
+def with_converter(specified: Rival, kind: str, entry: Mapping[str, Any], **settings: Any) -> Rival:
     """Return the specified circuit whose codes stand for other voltages.
 
     `entry` states the settings of its converter in a scene.

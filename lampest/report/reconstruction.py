@@ -14,7 +14,7 @@ import numpy as np
 
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.sequence import reconstruct
+from lampest.estimate.sequence import reconstruct_as
 from lampest.files.errors import extra
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
@@ -62,8 +62,8 @@ class Reconstruction(Estimates):
 
         on_frame : receives the numbers of solved and of all frames.
         """
-        return reconstruct(
-            recording, estimator, lambda done, frames, so_far: on_frame(done, frames), cls
+        return reconstruct_as(
+            cls, recording, estimator, lambda done, frames, so_far: on_frame(done, frames)
         )
 
     @property

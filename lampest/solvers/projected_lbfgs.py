@@ -138,7 +138,7 @@ class InverseHessians:
             panel is not None and not (free & ~panel.free).any()
             for panel, free in zip(self.panels, points.free, strict=True)
         ]
-        return near & self.positive & np.array(covered)
+        return np.asarray(near & self.positive & np.array(covered))
 
     def newton(self, gradient: Array) -> Array:
         """Return M⁻¹ g, (panels, cells); 0 where there is no M."""

@@ -93,7 +93,7 @@ def test_a_frame_ends_where_two_starts_agree_and_a_first_one_where_three_do() ->
     assert solved("reduced", data, pressed, Settings(starts=5)).starts == 5
 
 
-def test_too_many_readings_for_outliers_are_told_in_the_status() -> None:
+def test_the_status_names_too_many_readings_for_outliers() -> None:
     """Cells that a heavy penalty holds together cannot follow wrong readings."""
     equal = np.full(SHAPE, 1000.0)
     for wrong, status in ((1, Status.OPTIMUM), (8, Status.MISSED)):

@@ -210,3 +210,20 @@ def test_amplifiers_without_a_channel_show_cells_apart() -> None:
     cells = np.array([[2e3, 8e3], [3e4, 4e3]])
     apparent = circuit.apparent_resistance(circuit.exact_reading(cells))
     assert np.abs(apparent / cells - 1).max() < 0.05
+
+
+def test_the_voltage_of_code_0_is_estimated_by_cells_that_stand_still() -> None:
+    stated = GroundedReadout(load_ohm=3300.0, **ESP32)
+    sought = replace(stated, converter=Characteristic(zero_volt="estimated", full_volt=3.12))
+    noise = audit(replace(stated, converter=DEAD_ZONE), sought).prepared.noise
+    zero, sd = noise.estimated["readout.converter.zero_volt"]
+    assert abs(zero - DEAD_ZONE.zero_volt) < 3 * sd < 3e-3
+
+
+def test_a_voltage_of_code_0_that_no_load_shows_is_a_doubt() -> None:
+    """Without crosstalk every cell follows its reading, whatever code 0 stands for."""
+    stated = VirtualGroundReadout(feedback_ohm=1e3, drive_ohm=0.0, **ESP32)
+    sought = replace(stated, converter=Characteristic(zero_volt="estimated", full_volt=3.3))
+    verdict = audit(stated, sought).verdict
+    assert verdict.mark == "doubtful"
+    assert "readout.converter.zero_volt is estimated" in verdict.sentence

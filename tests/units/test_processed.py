@@ -83,7 +83,7 @@ def test_readings_as_converted_are_imported(tmp_path: Path, scene: Scene) -> Non
 
 
 @every_scene
-def test_a_subtracted_baseline_is_refused_with_what_to_change(tmp_path: Path, scene: Scene) -> None:
+def test_a_subtracted_baseline_is_refused_with_a_remedy(tmp_path: Path, scene: Scene) -> None:
     difference, _ = subtracted(codes_of(scene))
     with pytest.raises(
         InputError, match=r"the unloaded readings are exactly 0: .* send what the converter gives"
@@ -118,7 +118,7 @@ def test_a_rescaled_table_is_refused(tmp_path: Path) -> None:
 
 
 @every_scene
-def test_the_resting_frame_restores_what_was_not_clipped(tmp_path: Path, scene: Scene) -> None:
+def test_the_resting_frame_restores_unclipped_readings(tmp_path: Path, scene: Scene) -> None:
     codes = codes_of(scene)
     difference, resting = subtracted(codes)
     by_difference = replace(scene, baseline="subtracted")

@@ -23,6 +23,7 @@ from scipy.special import expit, logsumexp
 from lampest.apps.recognition.fit import EVIDENCE_SHARE, MAX_ROUNDS
 from lampest.apps.recognition.steady_frames import SteadyFrames
 from lampest.apps.recognition.swings import BREATHING_SD, EDGE_SD, MAX_SWINGS, TREMBLE_SD, Patterns
+from lampest.files.levels import SIGNIFICANT
 from lampest.panel.panel import Array
 from lampest.panel.response import RESPONSE_SD
 
@@ -134,9 +135,11 @@ def _steady_breath(
     axes, sizes, _ = np.linalg.svd(waves, full_matrices=False)
     axes = np.swapaxes(axes, 1, 2)
     level = changes @ own_patterns.weights(MAX_SWINGS["own"], 1.0, EDGE_SD)
-    pulls = interval.pulled(level, axes)
-    if pulls:
-        parts, remaining = interval.parted(pulls)
+    pull, leak = interval.pulled(level, axes), interval.leaking(level, axes)
+    if interval.leak_s == np.inf and leak.gain > max(pull.gain, SIGNIFICANT**2):
+        return _steady_breath(interval._replace(leak_s=leak.times[0]), recorded, patterns, suction)
+    if pull.gain > SIGNIFICANT**2 and pull.times:
+        parts, remaining = interval.parted(pull.times)
         return breath(parts, recorded[remaining], patterns)
     within = (times - times[0]) / lasted
     window = _Window(

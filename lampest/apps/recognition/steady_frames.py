@@ -12,12 +12,28 @@ from numpy.typing import NDArray
 
 from lampest.apps.recognition.fit import Fit
 from lampest.apps.recognition.observation import Observation
-from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
+from lampest.files.levels import MAD_TO_SIGMA
 from lampest.panel.panel import Array
 from lampest.posterior.frame_noise import motion_patterns
 
 LEVEL_FRAMES = 9  # two seconds at four frames a second: more than one breath
 MIN_PART = 4  # frames between two steps, with which a part says more than its mean
+
+
+class SuctionChange(NamedTuple):
+    """A change of the suction beside a wave.
+
+    Attributes
+    ----------
+    times : tuple of float
+        Times of the frames before the change, s.
+    gain : float
+        Twice the ln of the ratio of likelihoods, of normal residuals of unknown variance, over the
+        best wave alone.
+    """
+
+    times: tuple[float, ...]
+    gain: float
 
 
 class SteadyFrames(NamedTuple):
@@ -33,12 +49,15 @@ class SteadyFrames(NamedTuple):
         Number of the steps before each frame.
     period : float
         Median step of time, s.
+    leak_s : float
+        Time from which the suction falls by a leak, s; infinite without one.
     """
 
     times: Array
     logarithms: Array
     part: NDArray[np.intp]
     period: float
+    leak_s: float = np.inf
 
     @classmethod
     def of(cls, times: Array, logarithms: Array, steps: Sequence[float] = ()) -> "SteadyFrames":
@@ -68,18 +87,22 @@ class SteadyFrames(NamedTuple):
             [np.sum(still & (apart == number)) >= MIN_PART for number in apart], dtype=bool
         )
         _, part = np.unique(apart[still], return_inverse=True)
-        return SteadyFrames(self.times[still], self.logarithms[still], part, self.period), still
+        steady = self._replace(
+            times=self.times[still], logarithms=self.logarithms[still], part=part
+        )
+        return steady, still
 
     def only(self, frames: NDArray[np.bool_]) -> "SteadyFrames":
         """Return the interval of some frames, (frames,)."""
         _, part = np.unique(self.part[frames], return_inverse=True)
-        return SteadyFrames(self.times[frames], self.logarithms[frames], part, self.period)
+        return self._replace(
+            times=self.times[frames], logarithms=self.logarithms[frames], part=part
+        )
 
-    def pulled(self, series: Array, axes: Array) -> tuple[float, ...]:
+    def pulled(self, series: Array, axes: Array) -> "SuctionChange":
         """Return the times between which a series, (frames,), is at another level.
 
-        The result is () where a wave alone explains it as well. Both ends of the best level, or
-        one, are compared together with the best wave.
+        Both ends of the best level, or one, are compared.
 
         Parameters
         ----------
@@ -87,36 +110,54 @@ class SteadyFrames(NamedTuple):
         axes : array, shape (rates, 2, frames)
             Waves without a trend, orthonormal at each rate.
         """
-        trend = self.trend()
         count = len(series)
         begins, ends = np.triu_indices(count + 1, MIN_PART)
         numbers = np.arange(count)[:, None]
-        level = ((numbers >= begins) & (numbers < ends)).astype(float)
-        level -= trend @ (trend.T @ level)
+        levels = ((numbers >= begins) & (numbers < ends)).astype(float)
+        best, gain = self._beside_wave(series, axes, levels)
+        edges = (int(edge) for edge in (begins[best], ends[best]))
+        return SuctionChange(
+            tuple(float(self.times[edge - 1]) for edge in edges if 0 < edge < count), gain
+        )
+
+    def leaking(self, series: Array, axes: Array) -> "SuctionChange":
+        """Return the time from which a series, (frames,), falls or rises, as of a leak.
+
+        Parameters are those of `pulled`.
+        """
+        begins = self.times[MIN_PART:-1]
+        ramps = np.maximum(self.times[:, None] - begins, 0.0)
+        best, gain = self._beside_wave(series, axes, ramps)
+        return SuctionChange((float(begins[best]),), gain)
+
+    def _beside_wave(self, series: Array, axes: Array, shapes: Array) -> tuple[int, float]:
+        """Return the number of the shape, of (frames, n), that explains a series best.
+
+        Also by how much it does so beside the best wave, as in `SuctionChange`.
+        """
+        trend = self.trend()
+        shapes = shapes - trend @ (trend.T @ shapes)
         amplitude = axes @ series
-        waves = axes @ level  # (rates, 2, levels)
-        size = np.sum(level**2, axis=0) - (waves**2).sum(axis=1)
-        along = level.T @ series - (amplitude[..., None] * waves).sum(axis=1)
+        waves = axes @ shapes  # (rates, 2, shapes)
+        size = np.sum(shapes**2, axis=0) - (waves**2).sum(axis=1)
+        along = shapes.T @ series - (amplitude[..., None] * waves).sum(axis=1)
         explained = np.where(size > 1e-3, along**2 / np.maximum(size, 1e-3), 0.0)
         beside = float(series @ series) - (amplitude**2).sum(axis=1)
         remaining = beside[:, None] - explained
         best = int(np.argmin(remaining.min(axis=0)))
         ratio = float(beside.min()) / max(float(remaining.min()), 1e-12)
-        # twice the ln of the ratio of likelihoods, of normal residuals of unknown variance
-        if (count - trend.shape[1]) * np.log(ratio) <= SIGNIFICANT**2:
-            return ()
-        edges = (int(edge) for edge in (begins[best], ends[best]))
-        return tuple(float(self.times[edge - 1]) for edge in edges if 0 < edge < count)
+        return best, (len(series) - trend.shape[1]) * float(np.log(ratio))
 
     def trend(self) -> Array:
-        """Return an orthonormal basis of 1, t, t², ln(1 + t), and of a step between the parts.
+        """Return an orthonormal basis of 1, t, t², ln(1 + t), of a leak, and of steps.
 
-        ln(1 + t), the last of the functions of t, is for creep.
+        ln(1 + t) is for creep.
         """
         at = (self.times - self.times[0]) / max(float(np.ptp(self.times)), self.period)
+        leak = [np.maximum(self.times - self.leak_s, 0.0)] if self.leak_s < np.inf else []
         steps = [self.part > number for number in range(self.part.max(initial=0))]
         return np.linalg.qr(
-            np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at), *steps])
+            np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at), *leak, *steps])
         )[0]
 
 

@@ -3,18 +3,24 @@
 Where a stage before the converter saturates, significantly more channels end at one voltage than
 near it. The readings there are bounds, as at a rail. An open cell reads the potential in which its
 load ends: where several channels of the unloaded panel stand at one lowest code, this code stands
-for that potential.
+for that potential. Where no cell is open, the most probable voltage of code 0 is the one with which
+most cells stand still between the unloaded panel and a loaded frame.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
+from lampest.inference.compared_frames import ComparedFrames
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
+from lampest.inference.explanation import Explanation
 from lampest.inference.noise import NoiseEstimate
+from lampest.inference.rivals import Rival, with_converter
 from lampest.panel.panel import Array
 from lampest.panel.readouts.converter import Characteristic
 from lampest.panel.readouts.divider import Divider
@@ -31,6 +37,13 @@ MIN_EXTENT = 10.0
 COMPARED_FRAMES = 8  # frames, about, in which the voltages of lines are compared
 ZERO = "readout.converter.zero_volt"
 PASSES = "readout.passes_volt"
+# Voltage of code 0 by still cells, as shares of the supply: where the search begins, and its prior
+# standard deviation. Of the latter: the secant's step, and the largest posterior one.
+ZERO_STARTS = (0.0, 0.04, -0.02)
+ZERO_PRIOR = 0.05
+ZERO_SECANT = 1e-3
+MAX_ZERO_SD = 0.3
+MAX_ZERO_STEPS = 12
 MIN_OPEN = 6  # channels at the lowest code
 TOGETHER = 1.0  # steps within which they stand
 
@@ -218,11 +231,10 @@ def with_converter_ends(
         return recording, None
     if converter.zero_volt != ESTIMATED:
         return recording, None
-    zero = _zero_of_open_cells(recording)
+    zero = _zero_of_open_cells(recording) or _zero_of_still_cells(recording)
     ends = replace(converter, zero_volt=readout.zero_volt if zero is None else zero[0])
-    if zero is not None and converter.full_volt is None:
-        # An offset moves both ends
-        ends = replace(ends, full_volt=readout.full_scale_volt + zero[0])
+    if zero is not None:
+        ends = _with_zero(recording, zero[0])
     known = replace(readout, converter=ends)
     codes = readout.steps_from_volt(readout.volt_from_recorded(recording.recorded))
     recorded = known.recorded_from_volt(known.volt_from_code(codes))
@@ -257,6 +269,64 @@ def _zero_of_open_cells(recording: Recording) -> tuple[float, float] | None:
     )
 
 
+def _with_zero(recording: Recording, zero: float) -> Characteristic:
+    """Return the converter of a scene whose code 0 stands for a voltage."""
+    readout = recording.scene.readout
+    assert readout is not None and isinstance(readout.converter, Characteristic)
+    full = readout.converter.full_volt
+    # An offset moves both ends
+    moved = readout.full_scale_volt + zero if full is None else full
+    return replace(readout.converter, zero_volt=zero, full_volt=moved)
+
+
+@lru_cache(maxsize=4)
+def _zero_of_still_cells(recording: Recording) -> tuple[float, float] | None:
+    """Return the most probable voltage of code 0 and its standard deviation, by two frames.
+
+    An error e of it is in all readings, so that ln r of still cells differ by a e between the
+    unloaded panel and a loaded frame. Steps of Gauss-Newton remove it. The result is None where
+    these frames do not determine it within ZERO_PRIOR, or cells do not explain them.
+    """
+    scene = recording.scene
+    readout: Any = scene.readout
+    if scene.panel.modules is not None or not (recording.role == UNLOADED).any():
+        return None
+    begun = replace(readout, converter=replace(readout.converter, zero_volt=readout.zero_volt))
+    codes = readout.steps_from_volt(readout.volt_from_recorded(recording.recorded))
+    recorded = begun.recorded_from_volt(begun.volt_from_code(codes))
+    known = replace(recording, recorded=recorded, scene=replace(scene, readout=begun))
+    frames = ComparedFrames.of(known, np.zeros(recorded.shape, dtype=bool))
+
+    def rival_of(zero: float) -> Rival:
+        ends = _with_zero(recording, zero)
+        return with_converter(frames.specified, "zero", {}, converter=ends)
+
+    prior = ZERO_PRIOR * readout.full_scale_volt
+    results = []
+    for start in ZERO_STARTS:
+        zero = start * readout.full_scale_volt
+        for _ in range(MAX_ZERO_STEPS):
+            explanation = Explanation.of(rival_of(zero), frames, patient=True)
+            if explanation is None or explanation.pair is None:
+                break
+            shifted = frames.readings(rival_of(zero + ZERO_SECANT * prior))
+            resting, loaded = (
+                fit.response((moved.value - fit.measured.value)[None])
+                for fit, moved in zip(explanation.fits, shifted, strict=True)
+            )
+            evidence = explanation.pair.explained((loaded - resting) / ZERO_SECANT)
+            # The error of a voltage that is taken too high is positive
+            step, sd = -prior * evidence.size[1], prior * evidence.sd[1]
+            if not np.isfinite(step):
+                break
+            if abs(step) <= sd / 10 and all(fit.within_noise for fit in explanation.fits):
+                results.append((explanation.score, zero, float(sd)))
+                break
+            zero = zero + float(np.clip(step, -prior, prior))
+    _, zero, sd = min(results, default=(0.0, 0.0, np.inf))
+    return (zero, sd) if sd < MAX_ZERO_SD * prior else None
+
+
 def with_resolved_ends(
     noise: NoiseEstimate, recording: Recording, cleaned: Recording
 ) -> NoiseEstimate:
@@ -272,7 +342,9 @@ def with_resolved_ends(
         _, zero = with_converter_ends(recording)
         if zero is None:
             noise = noise.undetermined(
-                ZERO, "no cells of the unloaded panel are open above the converter's end"
+                ZERO,
+                "no cells of the unloaded panel are open above the converter's end, and no load "
+                "shows it by cells that stand still: press some cells",
             )
         else:
             noise = noise.determined(ZERO, zero)

@@ -332,7 +332,7 @@ def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None
 
 
 @pytest.mark.parametrize("first", [7, 9])
-def test_frames_of_another_board_on_the_line_are_left_out_and_said(
+def test_frames_of_another_board_on_the_line_are_left_out_with_a_warning(
     tmp_path: Path, first: int
 ) -> None:
     """Two boards whose numbers and clocks go in step; of each frame either may come first."""

@@ -346,3 +346,29 @@ def test_a_breath_is_seen_whose_rim_swings_less_than_the_suction_lets_expect(see
     shown = window(own=0.05, rim=-0.07, seed=seed)
     assert shown.odds > CLEAR_LOG_ODDS and shown.hertz[0] == pytest.approx(1.1, abs=0.1)
     assert shown.suction > 0.9
+
+
+def leaking_window(begin: float, depth: float, seed: int) -> Breath:
+    """8 s in which suction with its rim decays with a time constant of 3 s from a time on."""
+    rng = np.random.default_rng(seed)
+    rise = np.repeat([-2.0, 1.0], READINGS // 2)
+    slopes = np.where(rise < 0, -300.0, 90.0)
+    fallen = np.exp(-np.maximum(TIMES - begin, 0) / 3)
+    film = 1 + 0.1 * rng.standard_normal(READINGS)
+    course = fallen * (1 + depth * np.sin(2 * np.pi * 1.1 * TIMES)) - 1
+    changes = np.outer(course, film * slopes) + rng.standard_normal((len(TIMES), READINGS))
+    moves = 8 * rng.standard_normal((1, READINGS))
+    known = Patterns.of(
+        np.eye(READINGS), rise, slopes[None], 0.2 * np.abs(slopes), moves, np.ones((READINGS, 1))
+    )
+    return breath(SteadyFrames.of(TIMES, changes), changes, known)
+
+
+@pytest.mark.parametrize("begin", [4.1, 5.6, 6.1])
+def test_a_leak_that_begins_is_no_breath_and_hides_none(begin: float) -> None:
+    """A bend of the suction resembles half a wave at the lower end of the band."""
+    for seed in range(3):
+        assert leaking_window(begin, 0.0, seed).odds < -CLEAR_LOG_ODDS
+        breathing = leaking_window(begin, 0.06, seed)
+        assert breathing.odds > CLEAR_LOG_ODDS
+        assert breathing.hertz[0] == pytest.approx(1.1, abs=0.1)
