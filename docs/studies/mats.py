@@ -185,8 +185,8 @@ class MatSolve:
     """One solver on one mat.
 
     seconds : of the solve, undisturbed. inverse_s : of one dense inverse of the mat's lines.
-    evaluations : networks solved; None where nobody counts. converged : by the solver's own word,
-    ours by the check outside it. reading_error, cell_error, worst_cell_error : largest of the
+    evaluations : networks solved; None where they are not counted. converged : by the solver's own
+    word, ours by the check outside it. reading_error, cell_error, worst_cell_error : largest of the
     readings, median and largest of the conductances, in percent; infinite where there is no answer.
     negative : cells with a conductance below zero.
     """

@@ -47,7 +47,7 @@ BOX: Mapping[str, tuple[float, float, bool]] = {
     "response_spread": (0.0, 0.4, False),
     "body_kpa": (0.0, 0.3, False),  # on every cell: what all cells share between baseline and frame
     "static": (0.02, 0.15, True),  # error of each reading, the same in all frames, logarithm
-    "series": (0.0, 60.0, False),  # ohm that nobody takes off; 3.05 kohm cells
+    "series": (0.0, 60.0, False),  # ohm that the scene omits; 3.05 kohm cells
     "channels": (0.0, 10.0, False),  # ohm, standard deviation between channels
     "start": (1.0, 5.0, True),  # over R_m
     "breathing": (0.0, 0.4, False),

@@ -1,7 +1,7 @@
 """Cross-validation: withheld readings are predicted from all others, over a range of weights.
 
 Run it with: python -m docs.studies.withheld RUN [--share 0.1] [--draws 5] [--seed 0] [--out DIR]
-[--set PATH=VALUE] For recordings whose truth nobody knows. Source: Stone, J. R. Statist. Soc. B 36,
+[--set PATH=VALUE] For recordings of unknown truth. Source: Stone, J. R. Statist. Soc. B 36,
 1974.
 """
 

@@ -96,10 +96,6 @@ class AddressedNetwork(Network):
         return max(network.condition() for network in self.networks)
 
     def response_of(self, response: Callable[[Network], Array]) -> Array:
-        """Return a response of readings (rows, columns, …).
-
-        Every response is taken from the network of the reading's address.
-        """
         return self._selected([response(network) for network in self.networks])
 
 

@@ -227,6 +227,13 @@ class Network(ABC):
         row, column, mutual, *_ = self.entries(self._impedance)
         return row - mutual, mutual - column
 
+    def response_of(self, response: Callable[["Network"], Array]) -> Array:
+        """Return a response of the readings, (…, rows, columns, k).
+
+        Of several networks, each reading has the response of the one that gives it.
+        """
+        return response(self)
+
     @property
     def branch(self) -> Array:
         """Sign of the median change of the readings where all cells grow by one factor, (…).

@@ -130,22 +130,22 @@ def test_inconsistent_values_are_refused_together(rng: Rng, folder: Path, count:
 
 def test_an_object_of_a_fields_type_needs_no_schema(monkeypatch: pytest.MonkeyPatch) -> None:
     """Schemas of all that a scene contains took a quarter of a second of each command."""
-    asked = list[Any]()
+    hints = list[Any]()
     schema_of = typed.schema_of
 
     def noted(hint: Any) -> Any:
-        asked.append(hint)
+        hints.append(hint)
         return schema_of(hint)
 
     monkeypatch.setattr(typed, "schema_of", noted)
     recording = lampest.datasets.load("rod")
-    asked.clear()
+    hints.clear()
     scene = dataclasses.replace(recording.scene, panel=recording.scene.panel)
     dataclasses.replace(recording, scene=scene)
     lampest.Estimator((lampest.Misfit(loss=lampest.Huber(3.0)), lampest.Gradient(weight=1.0)))
     kinds = (lampest.Panel, lampest.Scene, lampest.Misfit, lampest.Huber)
-    held = [hint for hint in asked if any(kind.__name__ in str(hint) for kind in kinds)]
-    assert asked and not held
+    held = [hint for hint in hints if any(kind.__name__ in str(hint) for kind in kinds)]
+    assert hints and not held
     with pytest.raises(lampest.InputError, match="Panel"):
         dataclasses.replace(scene, panel=scene)
     with pytest.raises(lampest.InputError, match="terms"):

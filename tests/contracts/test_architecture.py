@@ -374,7 +374,7 @@ def test_every_permitted_import_is_used() -> None:
             ]
             inside += [] if place else [MODULES["lampest"]]
             used = {name.split(".")[0] for tree in inside for name, _ in imports(tree)}
-            assert library in used, f"nobody imports {library} in {place}"
+            assert library in used, f"no module of {place} imports {library}"
 
 
 def test_every_module_is_reached_from_the_command_or_the_public_face() -> None:

@@ -158,7 +158,7 @@ def test_a_column_joins_with_one_file_and_one_name(recording: Recording, tmp_pat
     contrast = estimate.cell_resistance.max(axis=(1, 2)) / estimate.cell_resistance.min(axis=(1, 2))
     (case,) = lampest.read_results(tmp_path / "r.h5", [CONTRAST]).cases
     (bare,) = lampest.read_results(tmp_path / "r.h5").cases
-    assert not bare.extra, "without its column nobody knows what it is"
+    assert not bare.extra, "without its column it has no meaning"
     with h5py.File(tmp_path / "r.h5") as file:
         assert file["entry/ellipse/mine/contrast"].attrs["units"] == b"1"
     assert_array_equal(case.extra["contrast"], contrast)

@@ -118,8 +118,7 @@ for title, times, start in (
         for n, frame in enumerate(CODES)
     ]
     codes(title, titled, times=times, start=start)
-# The terminal was opened between two rows; a row was lost, nobody knows which; the terminal was
-# closed.
+# The terminal was opened between two rows; an unknown row was lost; the terminal was closed.
 BROKEN = [
     *lines(CODES[0])[1:],
     "",

@@ -1,6 +1,6 @@
-"""`lampest live` without a board: each way of `--publish` is heard by its own library.
+"""`lampest live` without a board: the library of each way of `--publish` receives it.
 
-Nobody holds up frames.
+No receiver delays frames.
 """
 
 import gc

@@ -158,7 +158,7 @@ def in_wrong_order(shown: np.ndarray, order: Order) -> np.ndarray:
 
 @promise("theory/model_check: Lines in another order are found where loads are smooth.")
 def test_lines_in_another_order_are_found_and_the_right_one_is_not_doubted() -> None:
-    found: dict[str, list[bool]] = {}
+    named: dict[str, list[bool]] = {}
     for shown in map(patterns, map(Plan.drawn, range(25))):
         if not len(shown):
             continue
@@ -173,8 +173,8 @@ def test_lines_in_another_order_are_found_and_the_right_one_is_not_doubted() -> 
             cut = "rows of" in words or "column after" in words
             # a cut and an exchange of sides are mirror images
             right = better is not None and (cut or better[0].words == order.words)
-            found.setdefault("cut" if cut else words, []).append(right)
-    shares = {words: np.mean(rights) for words, rights in found.items()}
+            named.setdefault("cut" if cut else words, []).append(right)
+    shares = {words: np.mean(rights) for words, rights in named.items()}
     assert shares.pop("cut") > MIN_CUT_FOUND
     assert len(shares) == 5 and min(shares.values()) > MIN_ORDER_FOUND, shares
 

@@ -166,15 +166,15 @@ def test_a_stream_of_modules_is_the_same_however_often_it_is_pushed() -> None:
     first, second, third = recording.measured_frames()
     for frame in (first, second):
         stream, _ = stream.push(readings[frame])
-    kept = [panel.inverse for panel in stream.prepared.panels if panel is not None]
-    copies = [inverse.copy() for inverse in kept]
+    inverses = [panel.inverse for panel in stream.prepared.panels if panel is not None]
+    copies = [inverse.copy() for inverse in inverses]
     shorted = replace(readings[third], value=0.3 * readings[third].value)
     cells = []
     for frame in (readings[third], shorted, readings[third]):
         _, step = stream.push(frame)
         cells.append(step.cell_resistance)
-    assert kept and np.array_equal(cells[0], cells[2])
-    assert all(map(np.array_equal, kept, copies))
+    assert inverses and np.array_equal(cells[0], cells[2])
+    assert all(map(np.array_equal, inverses, copies))
 
 
 @pytest.mark.parametrize(

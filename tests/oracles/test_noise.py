@@ -400,8 +400,8 @@ def test_typical_errors_cover_a_wrong_series_resistance_and_reference(
     for seed in (31, 32, 33):
         silent = recorded(seed, scene_of(0.7, "typical"), series=series, reference=reference)
         assert min(coverage_of(silent)) > MIN_COVERAGE
-    none = replace(silent, scene=scene_of(0.7))
-    assert coverage_of(none)[0] < CLEARLY_UNCOVERED and not Prepared(none).noise.sentence
+    omitted = replace(silent, scene=scene_of(0.7))
+    assert coverage_of(omitted)[0] < CLEARLY_UNCOVERED and not Prepared(omitted).noise.sentence
 
 
 STATIC = Systematic(reading_error="estimated")

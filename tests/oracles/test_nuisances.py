@@ -144,8 +144,8 @@ def test_estimates_of_modules_are_corrected_and_their_detection_is_not() -> None
     assert change[..., :COLUMNS].max() > 0.03 and not change[..., COLUMNS:].any()
     known = known_of(prepared)
     assert isinstance(known, Known)
-    seen = [value for value, _, _ in every_frame(recording, known)]
-    np.testing.assert_array_equal(seen, recording.readings().value[UNLOADED:])
+    values = [value for value, _, _ in every_frame(recording, known)]
+    np.testing.assert_array_equal(values, recording.readings().value[UNLOADED:])
 
 
 def test_an_ambiguous_contact_is_named_but_not_corrected() -> None:

@@ -211,8 +211,8 @@ def test_joined_lines_leave_the_other_cells_exact(readout: Readout, lines: Lines
     columns = [1, 2, 3, 6, 7]
     sound = np.ix_([0, 1], rows, columns)
     assert np.median(np.abs(log_errors(solution)[sound])) < MAX_ERROR
-    # With wire what touches is seen a little, and what nobody knows of it is in the bars of all
-    # others.
+    # With wire, touching lines change the readings a little, and their uncertainty is in the bars
+    # of all other cells.
     bars = solution.cell_resistance_errors / solution.cell_resistance
     assert np.all(bars[sound] < (MAX_BAR if lines is None else MAX_BAR_WITH_WIRE))
     touching = np.ones(recording.scene.panel.shape, dtype=bool)
@@ -220,7 +220,7 @@ def test_joined_lines_leave_the_other_cells_exact(readout: Readout, lines: Lines
     assert np.all(bars[:, touching] > 1) and np.all(
         np.isinf(solution.cell_resistance_upper[:, touching])
     )
-    # With wire the cells' ways are not alike, and their sum is not all that is seen.
+    # With wire the paths through the cells differ, and readings show more than their sum.
     if lines is None:
         cells = (solution.cell_resistance, recording.truth_cell_resistance[solution.frame])
         combined, truth = ((1 / ohm[:, [1, 3]][:, :, columns]).sum(axis=1) for ohm in cells)

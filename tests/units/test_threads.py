@@ -69,8 +69,8 @@ def ended(threads):
         assert not thread.is_alive(), "a thread hangs"
 
 def forks(count, seconds, work):
-    # The codes of processes that are forked now; an alarm ends one that hangs at a lock that nobody
-    # gives back.
+    # The codes of processes that are forked now; an alarm ends a process that waits for a lock
+    # without an owner.
     for number in range(count):
         child = os.fork()
         if not child:

@@ -6,7 +6,6 @@ from functools import cached_property
 
 import numpy as np
 
-from lampest.panel.addressed import AddressedNetwork
 from lampest.panel.difference_network import DifferenceNetwork, excitations
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
@@ -197,20 +196,13 @@ class WiredNetwork(DifferenceNetwork):
 
 def contact_responses(networks: Sequence[Network]) -> Array:
     """Return ∂y/∂c of wired networks, one after the other, (networks · cells, lines)."""
-    return np.concatenate([_contact_response(network) for network in networks])
 
+    def of_one(network: Network) -> Array:
+        assert isinstance(network, WiredNetwork)
+        return network.contact_response()
 
-def _contact_response(network: Network) -> Array:
-    """Return ∂y/∂c of one network, (cells, lines)."""
-    if isinstance(network, AddressedNetwork):
-        return network.response_of(_contact_response_map).reshape(network.conductance.size, -1)
-    return _contact_response_map(network).reshape(network.conductance.size, -1)
-
-
-def _contact_response_map(network: Network) -> Array:
-    """Return ∂y/∂c of one wired network, (rows, columns, lines)."""
-    assert isinstance(network, WiredNetwork)
-    return network.contact_response()
+    maps = (network.response_of(of_one) for network in networks)
+    return np.concatenate([part.reshape(-1, part.shape[-1]) for part in maps])
 
 
 def wire_responses(network: Network, lines: Lines) -> Array:
@@ -219,20 +211,19 @@ def wire_responses(network: Network, lines: Lines) -> Array:
     ∂Z_ab/∂ρ = Σ I_a I_b over all segments of the wire. I_a is the current through a segment for the
     excitation of line a, which is the sum of the currents through all cells beyond the segment.
     """
-    if isinstance(network, AddressedNetwork):
-        by_address = network.response_of(
-            lambda part: np.moveaxis(wire_responses(part, lines), 0, -1)
-        )
-        return np.moveaxis(by_address, -1, 0)
-    # Currents through the cells, g·D, then cumulated from the far end to each segment.
-    currents = network.potential_differences * network.flat_conductance[..., None, :]
-    maps = currents.reshape(*currents.shape[:-1], *network.conductance.shape[-2:])
-    responses = []
-    for axis, near_first in ((-1, lines.rows_enter == "left"), (-2, lines.columns_leave == "top")):
-        from_far_end = np.flip(maps, axis) if near_first else maps
-        beyond = np.cumsum(from_far_end, axis).reshape(currents.shape)
-        responses.append(network.read_change(network.entries(beyond @ beyond.swapaxes(-1, -2))))
-    return np.stack(responses)
+
+    def of_one(solved: Network) -> Array:
+        # Currents through the cells, g·D, then cumulated from the far end to each segment.
+        currents = solved.potential_differences * solved.flat_conductance[..., None, :]
+        maps = currents.reshape(*currents.shape[:-1], *solved.conductance.shape[-2:])
+        responses = []
+        for axis, near in ((-1, lines.rows_enter == "left"), (-2, lines.columns_leave == "top")):
+            from_far_end = np.flip(maps, axis) if near else maps
+            beyond = np.cumsum(from_far_end, axis).reshape(currents.shape)
+            responses.append(solved.read_change(solved.entries(beyond @ beyond.swapaxes(-1, -2))))
+        return np.stack(responses, axis=-1)
+
+    return np.moveaxis(network.response_of(of_one), -1, 0)
 
 
 def incidence(rows: int, columns: int) -> Array:

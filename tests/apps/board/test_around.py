@@ -102,8 +102,7 @@ def test_flash_and_memory_match_the_readme() -> None:
     output = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     flash, memory = (int(number) for number in re.findall(r"(\d+) of", output))
     stated = [int(number) for number in re.findall(r"(\d+) of (?:253952|8192)", README)]
-    # Another version of the compiler may differ a little; what must not happen is that nobody
-    # notices.
+    # Another version of the compiler may differ a little; larger differences must be noticed.
     assert stated == pytest.approx([flash, memory], rel=OTHER_COMPILER)
     assert memory < 8192 / 2, "half of the memory stays for the stack"
 

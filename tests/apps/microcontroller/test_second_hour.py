@@ -65,13 +65,13 @@ def garbled(rng, sums, top):
     """Return a frame as a loose cable, a lost bit or a shifted message leave it."""
     anything = rng.integers(0, top + 1, sums.shape)
     ends = np.where(rng.random(sums.shape) < 0.5, 0, top)
-    some = rng.random(sums.shape) < 0.3
+    damaged = rng.random(sums.shape) < 0.3
     return rng.permutation(
         np.array(
             [
                 anything,
-                np.where(some, ends, sums),
-                np.where(some, anything, sums),
+                np.where(damaged, ends, sums),
+                np.where(damaged, anything, sums),
                 np.roll(sums.ravel(), rng.integers(1, sums.size)).reshape(sums.shape),
                 sums // 4,
                 np.clip(rng.integers(top + 1) + rng.integers(-200, 200, sums.shape), 0, top),

@@ -162,10 +162,10 @@ def test_the_sentence_counts_visits() -> None:
 
 def test_a_timeline_of_a_mat_shows_contacts() -> None:
     course = np.array([[0.0, 400.0], [1.0, 9.0]])
-    seen = detected_loads(load(0.0, 100.0), load(200.0, 300.0))
-    for mat, what in ((False, "visits"), (True, "contacts")):
-        figure = timeline(replace(seen, course=course, panel=Panel(6, 6, 10.0), mat=mat))
-        assert f"places of all {what}" in [axes.get_title() for axes in figure.axes]
+    detected = detected_loads(load(0.0, 100.0), load(200.0, 300.0))
+    for mat, visitors in ((False, "visits"), (True, "contacts")):
+        figure = timeline(replace(detected, course=course, panel=Panel(6, 6, 10.0), mat=mat))
+        assert f"places of all {visitors}" in [axes.get_title() for axes in figure.axes]
 
 
 @pytest.mark.parametrize(("threshold", "answer"), [(0.9, LAMPREY), (0.999, SUCKS)])
