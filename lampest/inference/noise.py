@@ -46,7 +46,7 @@ MIN_MEDIAN_NOISE = 0.5
 
 # Errors that the readings of a frame share, in the summary.
 SHARED = ("{:.2g} % gain", "{:.2g} LSB along a scan", "{:.2g} LSB of a line")
-MOVED = "readings at rest move together from frame to frame by {:.2g} %, as in moving water"
+MOVED = "readings at rest move together by {:.2g} %, as moving water or the supply moves them"
 BROKE_DOWN = "arithmetic broke down over its readings"  # why a number is undetermined
 
 
@@ -172,6 +172,8 @@ class NoiseEstimate:
         shared = ", ".join(
             text.format(size) for text, size in zip(SHARED, self.shared_sizes, strict=True) if size
         )
+        motion = 0.0 if self.frame is None else np.hypot.reduce(self.frame.motion, initial=0.0)
+        shared += f"{shared and ', '}{100 * motion:.2g} % motion" if motion else ""
         messages = (
             f"scatter {self.factor:.3g} +- {self.factor_error:.1g} times as specified, {rescaling}",
             f"frames share {shared or 'nothing'}",

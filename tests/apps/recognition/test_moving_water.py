@@ -79,7 +79,7 @@ def test_motion_of_water_is_not_each_reading_s_own_noise(seed: int) -> None:
     moving = Prepared(recording_in_water(seed, 0.03, 3)).noise
     assert moving.frame is not None
     assert moving.frame.motion[0] == moving.frame.motion.max() > 0.005
-    assert "move together" in moving.sentence
+    assert "move together" in moving.sentence and "% motion" in moving.summary
     assert moving.sigma_factor < 2
 
 
