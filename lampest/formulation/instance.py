@@ -158,7 +158,7 @@ class Instance:
             largest = [float(np.abs(group).max(initial=0)) for group in groups]
             split_scale = max(split_scale, *largest)
         # Voltages have no bounds, and parts of split residuals are not negative.
-        lower = {"conductance": scale / values.upper, "split": 0.0}
+        lower: dict[str, Any] = {"conductance": scale / values.upper, "split": 0.0}
         upper: dict[str, Any] = {"conductance": scale / values.lower}
         for name, unknown in program.own.items():
             lower[name] = unknown.lower

@@ -24,9 +24,6 @@ class Assumptions:
     scatter, scatter_factor : float
         Scatter s of unloaded cells: films of one batch scatter by a tenth, worn ones by 0.4. The
         prior of ln s has mean ln scatter and standard deviation ln scatter_factor.
-    channel_ohm : float
-        Resistance of a multiplexer's channel, ohm (CD74HC4067, data sheet: any two differ by 10
-        ohm).
     """
 
     common_change: float = 0.05
@@ -37,7 +34,6 @@ class Assumptions:
     jump: float = 1.0
     scatter: float = 0.1
     scatter_factor: float = 2.0
-    channel_ohm: float = 3.0
 
 
 ASSUMED = Assumptions()

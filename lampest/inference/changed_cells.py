@@ -20,6 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
+from lampest.posterior.gaussian import Conditioned
 from lampest.posterior.linear import inverse_and_volume, swept
 
 MOVED_COST = 2.8  # 2 ln 4: −2 ln of the prior odds of one to four that a cell moved
@@ -136,10 +137,10 @@ class Changes:
         mean : array, shape (errors,)
         covariance : array, shape (errors, errors)
         """
-        part = self.columns[still]
-        # mean A_sᵀ C_ss⁻¹ d_s, covariance 1 − A_sᵀ C_ss⁻¹ A_s
-        weight = np.linalg.solve(self.covariance[np.ix_(still, still)], part)
-        return weight.T @ self.change[still], np.eye(part.shape[1]) - part.T @ weight
+        part = self.part(still)
+        unit = np.eye(part.columns.shape[1])
+        errors = Conditioned.on(part.columns, part.noise, unit)
+        return errors.mean(part.change), errors.covariance
 
 
 def usual_starts(change: Array) -> list[Chosen]:

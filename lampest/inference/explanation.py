@@ -25,6 +25,7 @@ from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation
 from lampest.inference.rivals import (
     Rival,
     changes_beyond_noise,
+    in_other_scan_order,
     other_converters,
     rivals_of,
     rounded_down,
@@ -262,6 +263,10 @@ def better_rival(frames: ComparedFrames, specified: Explanation | None) -> Bette
     assumed = [] if specified is None else [specified]
     candidates += [with_series(explanation, frames) for explanation in (*candidates, *assumed)]
     candidates += [with_converter_memory(explanation, frames) for explanation in assumed]
+    for explanation in assumed:
+        for rival in in_other_scan_order(explanation.rival):
+            remembering = with_converter_memory(replace(explanation, rival=rival), frames)
+            candidates += [remembering] if remembering.rival is not rival else []
     best = _best_candidate(candidates, frames, at_fault=specified is None)
     return BetterExplanation() if best is None else _compared(specified, best, frames)
 

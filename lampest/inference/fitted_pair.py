@@ -29,7 +29,13 @@ from lampest.inference.changed_cells import (
 )
 from lampest.panel.effects import Effect
 from lampest.panel.panel import Array
-from lampest.panel.systematic import REFERENCE, SERIES, error_columns, systematic_of
+from lampest.panel.systematic import (
+    REFERENCE,
+    SERIES,
+    TYPICAL_CHANNEL_OHM,
+    error_columns,
+    systematic_of,
+)
 from lampest.recording.readings import Readings
 
 SETTLED_STEP = 0.1  # step of θ in standard deviations below which the iteration ends
@@ -159,7 +165,7 @@ class FittedPair:
         # Σ = P_b + P_f + creep² 1 + spread² channels channelsᵀ; the spread is the scene's, or else
         # one multiplexer's
         sizes = systematic_of(self.frames[1].scene)
-        spread = float((sizes and sizes.channel_spread_ohm) or ASSUMED.channel_ohm)
+        spread = float((sizes and sizes.channel_spread_ohm) or TYPICAL_CHANNEL_OHM)
         noise = sum(frame.covariance for frame in self.frames) + ASSUMED.creep**2 * np.eye(
             len(self.change)
         )

@@ -229,6 +229,24 @@ def rounded_down(specified: Rival) -> Rival | None:
     return with_converter(specified, kind, entry, converter=ends)
 
 
+def in_other_scan_order(specified: Rival) -> Iterator[Rival]:
+    """Generate the specified circuit with readings taken in the other order.
+
+    Only a memory of the converter tells it from the specified one. None is generated where the
+    scene states the order.
+    """
+    readout: Any = specified.scene.readout
+    if readout is None or readout.scan_order is not None or specified.scene.panel.modules:
+        return
+    order = "rows" if readout.by_columns else "columns"
+    yield replace(
+        specified,
+        scene=replace(specified.scene, readout=_changed(readout, scan_order=order)),
+        kind=f"readout.scan_order: {order}",
+        entries={"readout": {"scan_order": order}},
+    )
+
+
 def other_converters(specified: Rival, *, reversed_too: bool) -> Iterator[Rival]:
     """Generate the specified circuit with converters of another range or of fewer bits.
 

@@ -74,11 +74,10 @@ class AddressedNetwork(Network):
         return np.asarray(sum(network.adjoint(read * weights) for network, read in pairs))
 
     def sensitivity(self) -> Array:
-        rows = [read.astype(bool).ravel() for read in self.read_at]
-        sensitivity = np.empty((self.conductance.size,) * 2)
-        for network, chosen in zip(self.networks, rows, strict=True):
-            sensitivity[chosen] = network.sensitivity()[chosen]
-        return sensitivity
+        sensitivity = np.empty((*self.conductance.shape, self.conductance.size))
+        for network, read in zip(self.networks, self.read_at.astype(bool), strict=True):
+            sensitivity[read] = network.sensitivity_of(read)
+        return sensitivity.reshape(self.conductance.size, -1)
 
     def own_response(self) -> Array:
         return self._selected([network.own_response() for network in self.networks])

@@ -14,6 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,9 @@ ENTRY_NAMES = "pqtef"
 Numbers = NDArray[np.intp]
 # Values for (p, q, t), or (p, q, t, e, f), to be broadcast to (…, rows, columns)
 Entries = tuple[Array, ...]
+# Indices of rows and columns that give (rows, columns, …) for all readings.
+EVERY_ROW = (slice(None), None)
+EVERY_COLUMN = (None, slice(None))
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,19 +186,24 @@ class Network(ABC):
         )
         return differences.reshape(*self._impedance.shape[:-1], -1)
 
-    def entry_responses(self) -> Entries:
+    def entry_responses(self, j: Any = EVERY_ROW, k: Any = EVERY_COLUMN) -> Entries:
         """Return g_c·(D_jc², D_kc², D_jc·D_kc).
 
         Their shapes are (rows, cells), (columns, cells), (rows, columns, cells). With potentials
         g_c·(D_jc·D_vc, D_kc·D_vc) follow, (rows, cells), (columns, cells), with D_v the
         differences of v.
+
+        Parameters
+        ----------
+        j, k : index
+            Rows and columns of the readings for which the third response is returned.
         """
         row, column = np.split(self.potential_differences, [self.rows])
         conductance = self.conductance.ravel()
         responses = (
             row**2 * conductance,
             column**2 * conductance,
-            row[:, None] * (column * conductance),
+            row[j] * (column * conductance)[k],
         )
         if self.sources is None:
             return responses
@@ -203,16 +212,26 @@ class Network(ABC):
 
     def sensitivity(self) -> Array:
         """Return J, (readings, cells)."""
-        # ∂y_jk/∂u_c = h_p·g_c D_jc² + h_q·g_c D_kc² + h_t·g_c D_jc D_kc
-        row, column, mutual, *by_sources = self.entry_responses()
-        of_row, of_column, of_mutual, *of_sources = (slope[:, :, None] for slope in self.slopes)
-        response: Array = of_mutual * mutual
-        response += of_row * row[:, None]
-        response += of_column * column[None]
-        if by_sources:
-            response += of_sources[0] * by_sources[0][:, None]
-            response += of_sources[1] * by_sources[1][None]
+        response = self._sensitivity(EVERY_ROW, EVERY_COLUMN, self.slopes)
         return response.reshape(-1, response.shape[-1])
+
+    def sensitivity_of(self, read: NDArray[np.bool_]) -> Array:
+        """Return the rows of J of the readings that are True in `read` (rows, columns)."""
+        j, k = np.nonzero(read)
+        return self._sensitivity(j, k, tuple(slope[read] for slope in self.slopes))
+
+    def _sensitivity(self, j: Any, k: Any, slopes: Entries) -> Array:
+        """Return ∂y/∂u of the readings at rows j and columns k, with their slopes of h."""
+        # ∂y_jk/∂u_c = h_p·g_c D_jc² + h_q·g_c D_kc² + h_t·g_c D_jc D_kc
+        row, column, mutual, *by_sources = self.entry_responses(j, k)
+        of_row, of_column, of_mutual, *of_sources = (slope[..., None] for slope in slopes)
+        response: Array = of_mutual * mutual
+        response += of_row * row[j]
+        response += of_column * column[k]
+        if by_sources:
+            response += of_sources[0] * by_sources[0][j]
+            response += of_sources[1] * by_sources[1][k]
+        return response
 
     def own_response(self) -> Array:
         """Return the diagonal of J, (rows, columns): the response of each cell's own reading."""

@@ -182,6 +182,14 @@ def test_the_sensitivity_is_the_matrix_of_the_forward_product(scene: Scene) -> N
     )
 
 
+@every_scene
+def test_the_sensitivity_of_some_readings_is_that_part_of_the_whole(scene: Scene) -> None:
+    network = network_of(scene, cells_of(scene))
+    some = np.random.default_rng(8).random(scene.panel.shape) < 0.4
+    for solved in (network, *getattr(network, "networks", ())):
+        assert_allclose(solved.sensitivity_of(some), solved.sensitivity()[some.ravel()], rtol=1e-9)
+
+
 @pytest.mark.parametrize(
     "scene", [made for made in scenes() if made.values[0].contacts is not None]
 )

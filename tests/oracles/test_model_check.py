@@ -290,6 +290,15 @@ def test_a_converter_with_memory_is_named_with_its_number(scene: Scene, memory: 
     assert float(check.better.split()[-1]) == pytest.approx(memory, rel=MEMORY_ERROR)
 
 
+def test_a_memory_of_readings_that_are_taken_column_by_column_is_named() -> None:
+    built: Any = replace(HOBBY.readout, scan_order="columns")
+    check = Prepared(
+        misdescribed(replace(HOBBY, readout=built, converter_memory=0.08), HOBBY, 2)
+    ).check
+    assert check.better.startswith("readout.scan_order: columns, converter_memory near 0.08")
+    assert check.addition["readout"] == {"scan_order": "columns"}
+
+
 @pytest.mark.parametrize(
     "scene",
     [TWO_POINT_SCENE, pytest.param(HOBBY, marks=pytest.mark.slow)],

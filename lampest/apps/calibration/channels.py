@@ -25,7 +25,6 @@ from lampest.estimate.methods.joint import BELIEVED
 from lampest.estimate.methods.smoother import SmootherMethod
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import BROKEN, InputError
-from lampest.inference.assumptions import ASSUMED
 from lampest.inference.prepared import Prepared
 from lampest.inference.rivals import RESISTORS
 from lampest.panel.panel import Array
@@ -33,8 +32,8 @@ from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.readouts.lines import SeriesPerLine, of_side
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
-from lampest.panel.systematic import USUAL, systematic_of
-from lampest.posterior.linear import positive_inverse
+from lampest.panel.systematic import TYPICAL_CHANNEL_OHM, USUAL, systematic_of
+from lampest.posterior.gaussian import Information
 from lampest.recording.recording import Recording
 
 BLOCK = 50  # frames that are solved together; ten blocks take as long as one of all their frames
@@ -156,7 +155,7 @@ def _prior_sizes(scene: Scene) -> Systematic:
     )
     return replace(
         prior,
-        channel_spread_ohm=prior.channel_spread_ohm or ASSUMED.channel_ohm,
+        channel_spread_ohm=prior.channel_spread_ohm or TYPICAL_CHANNEL_OHM,
         reading_error=None,
     )
 
@@ -243,11 +242,13 @@ class _Likelihood(NamedTuple):
 
 def _posterior(parts: Sequence[_Likelihood]) -> tuple[Array, Array]:
     """Return the posterior mean ẑ (n,) of the errors, and their covariance C (n, n)."""
-    unit = np.eye(len(parts[0].estimate))
     # C⁻¹ = I + b Σ Λ,   ẑ = b C Σ (Λ + I) z
-    covariance = positive_inverse(unit + BELIEVED * sum(part.precision for part in parts))
-    pull = sum((part.precision + unit) @ part.estimate for part in parts)
-    return np.asarray(BELIEVED * covariance @ pull), covariance
+    unit = np.eye(len(parts[0].estimate))
+    first, *others = (
+        Information(part.precision, (part.precision + unit) @ part.estimate) for part in parts
+    )
+    joint = sum(others, first).share(BELIEVED)
+    return joint.mean, joint.covariance
 
 
 def _likelihoods(recording: Recording) -> list[_Likelihood]:

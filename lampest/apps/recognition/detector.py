@@ -12,7 +12,6 @@ from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve
 from scipy.special import softmax
 
 from lampest.apps.recognition.candidates import (
@@ -44,6 +43,7 @@ from lampest.apps.recognition.suction import Suction, groups_of, may_suck, sucti
 from lampest.files.levels import MAX_MEAN_SQUARE, SIGNIFICANT
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import BentSuction, PublishedResponse
+from lampest.posterior.gaussian import Conditioned
 from lampest.recording.shapes.disc import Disc
 from lampest.recording.shapes.shape import Candidate
 
@@ -223,9 +223,9 @@ class Detector:
         # P Aᵀ: the baseline's covariance times Aᵀ, and that of drift and film times (∂f/∂ln r)ᵀ; C
         # = root rootᵀ
         before = baseline.covariance[:cells] @ both.T + spread @ both[:, :cells].T
-        mean = (before @ cho_solve((whitening.root, True), fit.residual)).reshape(fit.change.shape)
         prior = baseline.covariance[:cells, :cells] + spread
-        return mean, prior - before @ cho_solve((whitening.root, True), before.T)
+        conditioned = Conditioned(prior, before, whitening.root)
+        return conditioned.mean(fit.residual).reshape(fit.change.shape), conditioned.covariance
 
     def fitting(self, candidate: Candidate, frame: Observation) -> Fitting:
         """Return the problem of fitting a candidate to a frame."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve, cholesky, lapack
+from scipy.linalg import cholesky, lapack
 
 from lampest.apps.recognition.recognition_scene import RecognitionNetwork, RecognitionScene
 from lampest.files.levels import SIGNIFICANT
@@ -22,7 +22,8 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, Response
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
-from lampest.panel.systematic import USUAL, systematic_of
+from lampest.panel.systematic import TYPICAL_CHANNEL_OHM, USUAL, systematic_of
+from lampest.posterior.gaussian import Conditioned
 
 # Edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm.
 PATCH_SHARE = 0.6
@@ -81,7 +82,7 @@ class ModelErrors:
     drift: float = 0.01
     common_drift: float = 0.02
     settled: float = 0.002
-    channel_ohm: float = 3.0
+    channel_ohm: float = TYPICAL_CHANNEL_OHM
     reference: float = 0.006
     reading_error: float = 0.0
     swaying: float = 0.1
@@ -201,28 +202,25 @@ class MostProbable(NamedTuple):
     ----------
     state : array, shape (n,)
         x.
-    prior : array, shape (n, n)
-        P.
-    across : array, shape (n, readings)
-        P Aᵀ with the Jacobian A of f.
-    whitening : Whitening
-        Root of A P Aᵀ + C.
+    conditioned : Conditioned
+        x − mean, given the readings with the Jacobian A of f.
     apart : array, shape (readings,)
         y − f(mean) by the linearised f.
     """
 
     state: Array
-    prior: Array
-    across: Array
-    whitening: "Whitening"
+    conditioned: Conditioned
     apart: Array
 
     @property
+    def whitening(self) -> "Whitening":
+        """Root of A P Aᵀ + C."""
+        return Whitening(self.conditioned.root)
+
+    @property
     def covariance(self) -> Array:
-        """Posterior covariance of x, P − P Aᵀ (A P Aᵀ + C)⁻¹ A P, (n, n)."""
-        return np.asarray(
-            self.prior - self.across @ cho_solve((self.whitening.root, True), self.across.T)
-        )
+        """Posterior covariance of x, (n, n)."""
+        return self.conditioned.covariance
 
     @property
     def misfit(self) -> float:
@@ -256,17 +254,14 @@ def most_probable(
     state = start
     for _ in range(12):
         residual, slope, noise = model(state)
-        across = prior @ slope.T
-        root = cholesky(slope @ across + noise, lower=True)
+        conditioned = Conditioned.on(slope, noise, prior)
         innovation = residual + slope @ (state - mean)
         # x = mean + P Aᵀ (A P Aᵀ + C)⁻¹ (y − f(x₀) + A (x₀ − mean))
-        step = np.clip(
-            mean + across @ cho_solve((root, True), innovation) - state, -MAX_STEP, MAX_STEP
-        )
+        step = np.clip(mean + conditioned.mean(innovation) - state, -MAX_STEP, MAX_STEP)
         state = state + step
         if np.abs(step).max() < settled:
             break
-    return MostProbable(state, prior, across, Whitening(root), innovation)
+    return MostProbable(state, conditioned, innovation)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,6 +33,7 @@ from lampest.panel.readouts.readout import in_panel_order
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED
 from lampest.panel.systematic import READING_ERROR, estimated_errors, own_errors
+from lampest.posterior.gaussian import Information
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MAX_NEIGHBOURS, MEASURED, UNLOADED, Recording
@@ -315,21 +316,10 @@ class _Frame:
 
 
 def _joint_cost(frames: Sequence[_Explained]) -> float:
-    """Return −2 ln evidence of frames that share errors z ~ N(0, 1), d_f = B_f z + noise_f.
-
-    With the precision M = 1 + Σ B_fᵀ N_f⁻¹ B_f of z and v = Σ B_fᵀ N_f⁻¹ d_f it is Σ (d_fᵀ N_f⁻¹
-    d_f + ln|N_f|) + ln|M| − vᵀ M⁻¹ v.
-    """
-    cost = 0.0
-    precision = np.eye(frames[0].shared.shape[1])
-    pull = np.zeros(len(precision))
-    for frame in frames:
-        weighted = np.linalg.solve(frame.noise, np.column_stack([frame.shared, frame.change]))
-        precision += frame.shared.T @ weighted[:, :-1]
-        pull += frame.shared.T @ weighted[:, -1]
-        cost += float(frame.change @ weighted[:, -1] + np.linalg.slogdet(frame.noise)[1])
-        cost += frame.beside
-    return cost + float(np.linalg.slogdet(precision)[1] - pull @ np.linalg.solve(precision, pull))
+    """Return −2 ln evidence of frames that share errors z ~ N(0, 1), d_f = B_f z + noise_f."""
+    first, *others = (Information.of(frame.shared, frame.noise, frame.change) for frame in frames)
+    joint = sum(others, first)
+    return joint.evidence_cost + sum(frame.beside for frame in frames)
 
 
 def interpolated(

@@ -110,6 +110,9 @@ class FloatingNetwork(Network):
         response *= self.flat_conductance[..., None, :]
         return response
 
+    def sensitivity_of(self, read: NDArray[np.bool_]) -> Array:
+        return np.asarray(self.sensitivity()[read.ravel()])
+
     def own_response(self) -> Array:
         """Return the diagonal R²·g of J, as D_ii = R_i."""
         return self.reading() ** 2 / self.cell_resistance

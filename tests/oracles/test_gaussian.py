@@ -1,0 +1,43 @@
+"""The posterior of a Gaussian unknown, against the conditional of its joint distribution."""
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from lampest.posterior.gaussian import Conditioned, Information
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_both_forms_are_the_conditional_of_the_joint_distribution(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    unknowns, sets = 4, 3
+    columns = [rng.standard_normal((count, unknowns)) for count in (6, 2, 5)]
+    noises = [
+        0.1 * np.eye(len(part)) + np.cov(rng.standard_normal((len(part), 9))) for part in columns
+    ]
+    stacked = np.vstack(columns)
+    noise = np.zeros((len(stacked), len(stacked)))
+    first = 0
+    for part in noises:
+        noise[first : first + len(part), first : first + len(part)] = part
+        first += len(part)
+    readings = rng.standard_normal(len(stacked))
+    # joint covariance of (z, d); its precision has the conditional's in the block of z
+    joint = np.block([[np.eye(unknowns), stacked.T], [stacked, stacked @ stacked.T + noise]])
+    precision = np.linalg.inv(joint)
+    covariance = np.linalg.inv(precision[:unknowns, :unknowns])
+    mean = -covariance @ precision[:unknowns, unknowns:] @ readings
+    conditioned = Conditioned.on(stacked, noise, np.eye(unknowns))
+    np.testing.assert_allclose(conditioned.mean(readings), mean, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(conditioned.covariance, covariance, rtol=1e-9, atol=1e-12)
+    parts = np.split(readings, np.cumsum([len(part) for part in columns])[:-1])
+    assert len(parts) == sets
+    one, two, three = map(Information.of, columns, noises, parts)
+    together = one + two + three
+    np.testing.assert_allclose(together.mean, mean, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(together.covariance, covariance, rtol=1e-9, atol=1e-12)
+    density = multivariate_normal(cov=joint[unknowns:, unknowns:]).logpdf(readings)
+    constant = len(readings) * np.log(2 * np.pi)
+    assert together.evidence_cost + constant == pytest.approx(-2 * density)
+    half = together.share(0.5)
+    np.testing.assert_allclose(half.precision, together.precision / 2)
