@@ -216,8 +216,9 @@ def _converter(constants: Constants) -> Entries:
     readout = constants.scene.circuit
     low, high = constants.valid_sums
     # A mirrored voltage is taken from where loads end: the converter's input lowers this potential
-    driven = isinstance(readout, DrivenCircuit) and readout.mirrored
-    mirrored_at = readout.recorded_reference_volt if driven else readout.supply_volt
+    mirrored_at = readout.supply_volt
+    if isinstance(readout, DrivenCircuit) and readout.mirrored:
+        mirrored_at = readout.recorded_reference_volt
     alike = bool(np.all(constants.sigma_volt == constants.sigma_volt.flat[0]))
     return {
         "top_sum": f"{constants.top_sum}u",
