@@ -19,7 +19,7 @@ from lampest.panel.scene import Scene
 
 
 class Sidedness(float, Enum):
-    """Side of a reading's bound on the true value, as entries of `Readings.side`: none for a value."""
+    """Side on which a reading bounds the true value, as entries of `Readings.side`."""
 
     VALUE = 0.0
     AT_LEAST = 1.0
