@@ -215,6 +215,10 @@ def _converter(constants: Constants) -> Entries:
     """Return the range of valid sums, volts of a sum, and σ of each reading, or of all if alike."""
     readout = constants.scene.circuit
     low, high = constants.valid_sums
+    # A mirrored voltage is taken from where loads end: the converter's input lowers this potential
+    mirrored_at = readout.supply_volt
+    if isinstance(readout, DrivenCircuit) and readout.mirrored:
+        mirrored_at = readout.recorded_reference_volt
     alike = bool(np.all(constants.sigma_volt == constants.sigma_volt.flat[0]))
     return {
         "top_sum": f"{constants.top_sum}u",
@@ -222,7 +226,7 @@ def _converter(constants: Constants) -> Entries:
         "high_sum": f"{high}u",
         "volt_per_sum": number(readout.lsb_volt / readout.readings),
         "volt_at_zero": number(readout.zero_volt),
-        "supply_volt": number(readout.supply_volt),
+        "supply_volt": number(mirrored_at),
         "sigma_volt": CArray.of_floats(constants.sigma_volt.ravel()[: 1 if alike else None]),
         "sigma_count": str(1 if alike else constants.sigma_volt.size),
         "plain_sigma": number(constants.plain_sigma),

@@ -39,3 +39,20 @@ def test_series_resistances_of_lines_add_up_to_those_of_the_readings() -> None:
     of_lines = array_of(header(Constants.of(case), "panel", ()), "series")
     total = of_lines[:rows, None] + of_lines[rows:]
     assert total == pytest.approx(lines.ohm(panel), rel=SINGLE_PRECISION)
+
+
+def test_mirrored_voltages_are_taken_from_the_potential_in_which_loads_end() -> None:
+    """A converter's input of twice the pull-up leaves two thirds of the supply there."""
+    readout = lampest.LoadedColumnsReadout(
+        polarity="down", load_ohm=50e3, input_ohm=100e3, supply_volt=3.0, readings=4, noise_lsb=0.5
+    )
+    scene = lampest.Scene(lampest.Panel(4, 3), readout)
+    cells = np.random.default_rng(5).uniform(9e3, 2e4, (5, 4, 3))
+    recorded = readout.to_recorded(readout.exact_reading(cells), scene)
+    role = np.array([0, 0, 1, 1, 1], dtype=np.uint8)
+    recording = lampest.Recording(scene, recorded, np.arange(5.0), role)
+    terms = [lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=1.0)]
+    case = lampest.reconstruct(recording, terms, formulation="reduced").result("smooth")
+    text = header(Constants.of(case), "panel", ())
+    taken_from = re.search(r"supply_volt = ([\d.]+)f", text)
+    assert taken_from is not None and float(taken_from[1]) == pytest.approx(2.0)
