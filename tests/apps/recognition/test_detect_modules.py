@@ -24,7 +24,7 @@ from lampest import (
     TwoPointReadout,
     simulate,
 )
-from lampest.apps.recognition.detect.answer import CUP, LAMPREY
+from lampest.apps.recognition.detect.answer import CUP, LAMPREY, SUCKS
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.fit import Fitting, along_diameter
@@ -161,7 +161,9 @@ def test_a_cup_in_waves_does_not_breathe(monkeypatch: pytest.MonkeyPatch) -> Non
         return ratio_from_pressure(pressure + wave[:, None, None])
 
     monkeypatch.setitem(CURVES, "published", in_waves)
-    assert answered(recording("cup", 4.0, 777000)[0]).answer == CUP
+    answer = answered(recording("cup", 4.0, 777000)[0])
+    assert answer.answer in (CUP, SUCKS)
+    assert answer.chosen is not None and answer.chosen.breathes < 0.5
 
 
 @pytest.mark.slow
@@ -177,7 +179,7 @@ def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
         and begin + SLIDES_S[0] < attachment.moved_s[-1] < begin + SLIDES_S[1] + 0.5
     )
     assert abs(attachment.place[0] - mouth.centres_mm[0][0]) == pytest.approx(
-        15, abs=2.5 * attachment.x_mm[1]
+        15, abs=3 * attachment.x_mm[1]
     )
     assert attachment.x_mm[1] < 1
 
