@@ -264,7 +264,7 @@ def fitted(
         # Elsewhere cells stand at the boundary r = 0 or r = ∞, which takes more iterations.
         if fit.jacobian.size:
             fit = _levenberg_marquardt_fit(scene, data, readings, fit.cells, loop=LONG_FIT)
-            if not patient or near is not None or fit.within_noise:
+            if not patient or fit.within_noise:
                 return fit
         # A minimum that noise does not give may not be the lowest: other starts are tried.
         from lampest.solvers.projected_newton import ProjectedNewton
@@ -277,7 +277,10 @@ def fitted(
             solver = ProjectedNewton(cost, BRIEF)
             solution = solved_from(solver, evaluated(cost, data, fit.cells[None]))
         if solution.solved:
-            return CellsFit.at(scene, data, readings, solution.cell_resistance[0])
+            other = CellsFit.at(scene, data, readings, solution.cell_resistance[0])
+            return min(fit, other, key=lambda each: each.cost)
+        # From the cells of a neighbour, a minimum that noise does not give counts as well.
+        return fit if patient and near is not None else None
     return None
 
 
