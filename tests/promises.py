@@ -83,11 +83,10 @@ def table() -> str:
     """Return the page of all promises."""
     rows = []
     for page, sentence, test in promises():
-        address = "../../README.md" if page == "README.md" else "../" + page.removeprefix("docs/")
-        cell = sentence.replace("|", "\\|")
-        rows.append(
-            f"| [{Path(page).stem}]({address}) | {cell} | `{test.removeprefix('tests/')}` |"
-        )
+        title = Path(page).stem
+        # Pages of the site do not lead to a file outside of it.
+        link = title if page == "README.md" else f"[{title}](../{page.removeprefix('docs/')})"
+        rows.append(f"| {link} | {sentence} | `{test.removeprefix('tests/')}` |")
     return HEAD + "\n".join(rows) + "\n"
 
 

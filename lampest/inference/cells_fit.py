@@ -41,10 +41,10 @@ SMALL_CHI_SQUARE = 3.0
 FIT = LevenbergMarquardt(
     evaluations=16, settled=EXACT_CHI_SQUARE / 2, share=0.1, damping=0.0, longest=1.5
 )
-# Fits with cells at the boundary r = 0 or r = ∞ take 2 to 30 further iterations.
+# Patient fits with cells at the boundary r = 0 or r = ∞ take 2 to 30 further iterations.
 LONG_FIT = replace(FIT, evaluations=40, share=0.0)
-# On panels of more than MAX_CELLS some 20 iterations of the solver of the estimates, where circuits
-# that cannot explain the readings take hundreds.
+# Fits of rivals take some 20 iterations of the solver of the estimates, where circuits that cannot
+# explain the readings take hundreds.
 BRIEF = Settings(max_iterations=25)
 # Factor on the lower bound that estimates have: a short behind a drive resistor of a kilo-ohm is
 # smaller than that.
@@ -262,9 +262,9 @@ def fitted(
         if not patient and fit.chi_square > MAX_CHI_SQUARE * readings.value.size:
             return None
         # Elsewhere cells stand at the boundary r = 0 or r = ∞, which takes more iterations.
-        if fit.jacobian.size:
+        if patient and fit.jacobian.size:
             fit = _levenberg_marquardt_fit(scene, data, readings, fit.cells, loop=LONG_FIT)
-            if not patient or fit.within_noise:
+            if fit.within_noise:
                 return fit
         # A minimum that noise does not give may not be the lowest: other starts are tried.
         from lampest.solvers.projected_newton import ProjectedNewton

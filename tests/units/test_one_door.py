@@ -29,6 +29,7 @@ from lampest.apps.recognition.detect.detection import known_of
 from lampest.cost.terms import Arrival, LogGradient, Misfit, RelativeChange
 from lampest.estimate.sequence import reconstruct
 from lampest.inference import prepared as preparation
+from lampest.inference import warnings
 from lampest.inference.prepared import Prepared
 from lampest.panel.conditions import Water
 from lampest.panel.faults import Faults
@@ -51,7 +52,12 @@ MOUTH = OralDisc(
 LSM = Estimator((Misfit(),), "reduced")
 RELATIVE = Estimator((Misfit(), RelativeChange(weight=10.0)), "reduced")
 ARRIVAL = Estimator((Misfit(weighting="noise"), Arrival()), "reduced")
-STEPS = ("without_outliers", "estimate_noise", "resolved", "warnings_of")
+STEPS = {
+    "without_outliers": preparation,
+    "estimate_noise": preparation,
+    "resolved": preparation,
+    "warnings_of": warnings,
+}
 
 
 @dataclass(frozen=True)
@@ -198,10 +204,10 @@ def test_estimates_detection_and_warnings_share_one_preparation(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     taken = list[str]()
-    for name in STEPS:
-        step = getattr(preparation, name)
+    for name, module in STEPS.items():
+        step = getattr(module, name)
         monkeypatch.setattr(
-            preparation, name, lambda *given, at=name, step=step: taken.append(at) or step(*given)
+            module, name, lambda *given, at=name, step=step: taken.append(at) or step(*given)
         )
     prepared = Prepared(datasets.load("lamprey_35mm"))
     for terms in ((Misfit(),), (Misfit(), LogGradient(weight=1.0))):

@@ -30,7 +30,7 @@ from lampest.panel.response import RESPONSE_SD
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
 # Assumed, of suction that oscillates to the rim alone, and to the place or the tilt: what sucks and
 # breathes always does, while rims and places swing at one rate only where something pushes them.
-PRIOR_ODDS = 30.0
+PRIOR_ODDS = 10.0
 # The same of a load that another one, or a body, adjoins and may move: of 25 cups beside a body
 # that beats, five were taken for lampreys with PRIOR_ODDS (docs/studies/mouths.md).
 ADJOINED_ODDS = 0.1
