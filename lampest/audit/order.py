@@ -185,7 +185,8 @@ def smoother_order(patterns: Array) -> tuple[Order, float] | None:
 def smooth_cost(images: Array) -> float:
     """Return −2 ln evidence of images (n, rows, columns) as smooth processes of their lines."""
     costs: tuple[list[Array], ...] = ([], [], [])
-    by_rows, by_columns = images.mean(axis=2), images.mean(axis=1)
+    by_rows = images.mean(axis=2)
+    by_columns = images.mean(axis=1)
     for length in LENGTHS:
         values, rows = _smooth_modes(images.shape[1], length)
         across, columns = _smooth_modes(images.shape[2], length)

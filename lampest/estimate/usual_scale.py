@@ -67,7 +67,8 @@ def with_usual_scale(estimator: Estimator, scene: Scene, readings: Readings) -> 
         resting = LogRatio(weight=square / RESTING_PERCENT**2, loss=Huber(corner=CORNER_PERCENT))
         priors = (resting, *priors)
     unchosen = (np.nan,) * len(priors)
-    sigmas, variances = estimator.weight_sigma, estimator.prior_variance
+    sigmas = estimator.weight_sigma
+    variances = estimator.prior_variance
     return replace(
         estimator,
         terms=(*estimator.terms, *priors),

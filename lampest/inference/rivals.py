@@ -232,8 +232,8 @@ def rounded_down(specified: Rival) -> Rival | None:
 def in_other_scan_order(specified: Rival) -> Iterator[Rival]:
     """Generate the specified circuit with readings taken in the other order.
 
-    Only a memory of the converter tells it from the specified one. None is generated where the
-    scene states the order.
+    Only a memory of the converter distinguishes it from the specified one. None is generated where
+    the scene states the order.
     """
     readout: Any = specified.scene.readout
     if readout is None or readout.scan_order is not None or specified.scene.panel.modules:

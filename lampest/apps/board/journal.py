@@ -73,7 +73,7 @@ class Journal:
     given : int
         Number of samples that HDF5 has written and the disk has not.
     refused_since : float or None
-        Time of the first refusal of the disk in s, on a clock that nobody sets; None without one.
+        Time of the first refusal of the disk in s, on a clock that is never set; None without one.
     events : list
         Times in s and labels of events that are not in the file yet.
     """

@@ -115,7 +115,7 @@ class Sample:
     missing : int
         Number of modules that are read but absent from the image.
     arrived : float
-        Arrival in s on the host's steady clock, which nobody sets.
+        Arrival in s on the host's steady clock, which is never set.
     """
 
     frame: Frame

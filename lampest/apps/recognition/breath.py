@@ -135,7 +135,8 @@ def _steady_breath(
     axes, sizes, _ = np.linalg.svd(waves, full_matrices=False)
     axes = np.swapaxes(axes, 1, 2)
     level = changes @ own_patterns.weights(MAX_SWINGS["own"], 1.0, EDGE_SD)
-    pull, leak = interval.pulled(level, axes), interval.leaking(level, axes)
+    pull = interval.pulled(level, axes)
+    leak = interval.leaking(level, axes)
     if interval.leak_s == np.inf and leak.gain > max(pull.gain, SIGNIFICANT**2):
         return _steady_breath(interval._replace(leak_s=leak.times[0]), recorded, patterns, suction)
     if pull.gain > SIGNIFICANT**2 and pull.times:

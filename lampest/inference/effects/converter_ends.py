@@ -316,7 +316,8 @@ def _zero_of_still_cells(recording: Recording) -> tuple[float, float] | None:
             )
             evidence = explanation.pair.explained((loaded - resting) / ZERO_SECANT)
             # The error of a voltage that is taken too high is positive
-            step, sd = -prior * evidence.size[1], prior * evidence.sd[1]
+            step = -prior * evidence.size[1]
+            sd = prior * evidence.sd[1]
             if not np.isfinite(step):
                 break
             if abs(step) <= sd / 10 and all(fit.within_noise for fit in explanation.fits):
