@@ -385,7 +385,7 @@ def _checked_estimator(
     if isinstance(terms, str) or not isinstance(terms, Sequence):
         raise InputError(f"terms must be a sequence of terms, not {terms!r}")
     method = OptimalMethod("per_pixel" if formulation == "per_pixel" else "nodal")
-    estimator = Estimator(tuple(terms), method, solver, bounds, error_bars=False)
+    estimator = Estimator(tuple(terms), method, solver=solver, bounds=bounds, error_bars=False)
     if estimator.automatic:
         raise InputError("an own program needs terms with weights, not weight: auto")
     return estimator
