@@ -120,7 +120,8 @@ class OwnProgram(CasadiOwner):
 
         Without an upper limit the constraint is the equation expression = lower.
 
-        Raises InputError if the expression is no column, or no function of the unknowns.
+        Raises InputError if the name is taken, or the expression is no column, or no function of
+        the unknowns.
         """
         return replace(self, symbols=self.symbols.subject_to(name, expression, lower, upper))
 
