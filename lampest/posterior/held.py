@@ -2,13 +2,15 @@
 
 A weight of least risk holds residuals at 0 that are not, and says nothing on their size. Most of
 them are those of cells that stand still, and their variance is far below that of all residuals.
-Readings show it. With p = B b + N n, B the plateaus and N their complement, the residuals held at 0
-are x = Z N n ~ N(0, v). The plateaus are free, and their part of the readings is projected off. Then
+Readings show it. With p = B b + N n, B the plateaus and N their complement, the residuals held at
+0 are x = Z N n ~ N(0, v). The plateaus are free, and their part of the readings is projected off.
+Then
 
     J N → V,   Vᵀ Zᵀ Z V = 1,   Vᵀ Jᵀ J V = Λ,   t = Vᵀ Jᵀ y ~ N(0, Λ + Λ² (v + c))
 
 in units of the noise, c the variance of the residuals by the errors of the previous frame and of
-the baseline. v is the median of its posterior; the prior of σ₀²/(σ₀² + v) is uniform between 0 and 1.
+the baseline. v is the median of its posterior; the prior of σ₀²/(σ₀² + v) is uniform between 0 and
+1.
 Source: Daniels, Canadian J. Statistics 27, 1999 (the uniform shrinkage prior).
 """
 
@@ -21,7 +23,6 @@ from scipy.linalg import eigh, null_space
 from lampest.files.errors import BROKEN
 from lampest.panel.panel import Array
 from lampest.posterior.covariance import DenseErrors
-from lampest.posterior.linear import LinearModel
 
 POINTS = 60  # of the grid of ln v
 DECADES = 4.0  # of v, below and above σ₀²

@@ -48,6 +48,8 @@ class ReferenceModel:
 
     Attributes
     ----------
+    first_variance : float
+        First τ² of the iteration, and the least one of steps that count as far beyond the others.
     degrees_of_freedom : float
         ν of Student's t: the smallest integer for which the variance is finite. With squared losses
         instead, four cells of five times the resistance on a 10 × 10 panel look like errors four
@@ -375,8 +377,8 @@ class ReferenceFit:
             raise np.linalg.LinAlgError("no cells are neighbours")
         start = data.readout.start(data.measured[frame], data.upper[frame], None)
         position = np.log(np.clip(start, data.lower[frame], data.upper[frame])).ravel()
-        # Steps far beyond the usual ones count little from the first expectation on: it would take a
-        # single cell of many times the resistance for an error of its reading.
+        # Steps far beyond the usual ones count little from the first expectation on: it would take
+        # a single cell of many times the resistance for an error of its reading.
         squares = (steps @ position[cells] - origin) ** 2
         usual = max(float(np.median(squares)) * MAD_TO_SIGMA**2, MODEL.first_variance)
         nu = MODEL.degrees_of_freedom
