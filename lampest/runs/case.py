@@ -112,8 +112,8 @@ class CaseResult(Content):
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> found.result().estimator
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> estimate.result().estimator
     'misfit'
     """
 
