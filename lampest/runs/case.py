@@ -51,7 +51,7 @@ ATTRIBUTES: dict[str, tuple[str, Any]] = {
 
 
 def all_columns(further: Sequence[Column] = ()) -> tuple[Column, ...]:
-    """Return the columns of lampest, of installed packages, and further ones.
+    """Return the columns of lampest, of applications and installed packages, and further ones.
 
     Raises InputError for a repeated name.
     """
@@ -104,7 +104,8 @@ class CaseResult(Content):
     start_time : str
         Date and time at 0 s (ISO 8601), with time zone if known; '' if unknown.
     extra : mapping
-        Name → values of columns of installed packages or scripts.
+        Name → values of columns of applications, such as `pressure`, of installed packages or
+        scripts.
 
     Examples
     --------
@@ -208,10 +209,12 @@ class CaseResult(Content):
         own, common : array, shape (values,)
             Standard deviations of each cell's own error, and of the common error, kPa.
         """
-        if self.pressing is None or self.pressure_own is None or self.pressure_common is None:
+        names = ("pressing", "pressure_own", "pressure_common")
+        pressing, own, common = map(self.column, names)
+        if pressing is None or own is None or common is None:
             return None
-        pressed = (self.pressing != 0) & chosen[:, None, None]
-        return self.pressure_own[pressed], self.pressure_common[pressed]
+        pressed = (pressing != 0) & chosen[:, None, None]
+        return own[pressed], common[pressed]
 
     @property
     def valued(self) -> NDArray[np.bool_]:
@@ -234,6 +237,14 @@ class CaseResult(Content):
     def column(self, name: str) -> Any:
         """Return the values of a column, or None."""
         return getattr(self, name) if name in NAMES else self.extra.get(name)
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Return the values of a column of an application, such as `pressure`, or None."""
+            if name in {column.name for column in all_columns()} - NAMES:
+                return self.extra.get(name)
+            raise AttributeError(f"a case has no attribute {name!r}")
 
     @property
     def attributes(self) -> dict[str, Any]:
