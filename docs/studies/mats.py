@@ -248,7 +248,7 @@ def _solves(truth: Array, measured: Array, settings: Settings) -> Iterator[tuple
 def _ours(name: str, measured: Array, settings: Settings) -> tuple[MatAnswer, float]:
     """Plain least squares without bounds, begun as always."""
     method = "reduced" if name == "reduced" else ScipyMethod(kind=name)
-    estimator = Estimator((Misfit(),), method, settings, Bounds("none", "none"))
+    estimator = Estimator((Misfit(),), method, solver=settings, bounds=Bounds("none", "none"))
     scene = Scene(Panel(*measured.shape))
     data = estimator.data(Readings.of(scene, measured).alone(), Background(scene))
     solver = estimator.problem(scene, 1, 1.0)

@@ -120,7 +120,8 @@ class OwnProgram(CasadiOwner):
 
         Without an upper limit the constraint is the equation expression = lower.
 
-        Raises InputError if the expression is no column, or no function of the unknowns.
+        Raises InputError if the name is taken, or the expression is no column, or no function of
+        the unknowns.
         """
         return replace(self, symbols=self.symbols.subject_to(name, expression, lower, upper))
 
@@ -384,7 +385,7 @@ def _checked_estimator(
     if isinstance(terms, str) or not isinstance(terms, Sequence):
         raise InputError(f"terms must be a sequence of terms, not {terms!r}")
     method = OptimalMethod("per_pixel" if formulation == "per_pixel" else "nodal")
-    estimator = Estimator(tuple(terms), method, solver, bounds, error_bars=False)
+    estimator = Estimator(tuple(terms), method, solver=solver, bounds=bounds, error_bars=False)
     if estimator.automatic:
         raise InputError("an own program needs terms with weights, not weight: auto")
     return estimator

@@ -351,6 +351,10 @@ def test_known_resistors_give_a_series_resistance_that_frames_share() -> None:
             r"constraint own is 4 × 5, not a column",
         ),
         (
+            lambda program: program.subject_to("balance", program.cells()[0, 0] - 1.0),
+            r"has a constraint balance already: balance, split",
+        ),
+        (
             lambda program: program.subject_to("own", casadi.SX(3)),
             r"depends on none of the unknowns conductance",
         ),

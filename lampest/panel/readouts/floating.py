@@ -18,11 +18,10 @@ from lampest.panel.kirchhoff import line_sums, log_determinant
 from lampest.panel.line_blocks import Stencil
 from lampest.panel.network import Numbers, SolvedNetwork
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, steihaug
+from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, backtracked, steihaug
 
 MAX_ITERATIONS = 30  # 6 suffice from the uniform start at 10 × 10 to 32 × 32 without noise
-# Shares of a step; smaller ones change the cost by rounding.
-STEP_LENGTHS = tuple(0.5**power for power in range(20))
+MAX_LENGTHS = 20  # tried lengths of a step; smaller ones change the cost by rounding
 # Of a step's equation; near the minimum the relative misfit, for quadratic convergence.
 MAX_RESIDUAL = 0.05
 MIN_DECREASE_SHARE = 1e-12  # of ⟨R_m, g⟩: a smaller decrease is rounding
@@ -149,14 +148,16 @@ def _lower_point(point: _ConvexPoint) -> _ConvexPoint | None:
     step = _step(point.network, point.gradient, point.free, min(MAX_RESIDUAL, point.misfit))
     rounding = MIN_DECREASE_SHARE * point.scale
     least = np.maximum(point.least, point.conductance / 10)
-    for length in STEP_LENGTHS:
+
+    def accepted(length: float) -> _ConvexPoint | None:
         trial = replace(point, conductance=np.maximum(point.conductance + length * step, least))
         predicted = float(np.sum(point.gradient * (trial.conductance - point.conductance)))
-        if trial.value <= point.value + SUFFICIENT_DECREASE * predicted:
+        falls = trial.value <= point.value + SUFFICIENT_DECREASE * predicted
+        if falls or (trial.value <= point.value + rounding and trial.misfit <= point.misfit / 2):
             return trial
-        if trial.value <= point.value + rounding and trial.misfit <= point.misfit / 2:
-            return trial
-    return None
+        return None
+
+    return backtracked(accepted, MAX_LENGTHS)
 
 
 def _step(
