@@ -208,7 +208,7 @@ class SolvedNetwork(Network):
     @property
     def rows(self) -> int:
         """Number of row lines."""
-        return self.cell_resistance.shape[-2]
+        return int(self.cell_resistance.shape[-2])
 
     @property
     def flat_conductance(self) -> Array:
