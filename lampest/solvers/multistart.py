@@ -24,11 +24,7 @@ from lampest.solvers.solution import MAX_STARTS, Outcome, Solution, Solver, Stat
 
 # Starts of a frame whose first solve met negative curvature: as many as there are kinds of starts.
 MAX_MINIMA = 3
-# With losses that are not convex: starts of (a first frame, one that continues another). The frame
-# ends earlier where SHARED of them have costs within SAME_END of the lowest.
-MAX_RELAXED = (20, 6)
-SHARED = (3, 2)
-SAME_END = 1e-6
+MAX_SEARCHED = 40  # starts with losses that are not convex (docs/studies/minima.md)
 # iterations of all starts after which a frame ends: with, and without an estimate
 MAX_SPENT = 100
 MAX_UNSOLVED = 300
@@ -61,7 +57,7 @@ class Effort:
         """Return the effort of a frame.
 
         The number of starts, unless the settings state it, is MAX_MINIMA where the cost may have
-        several minima, MAX_RELAXED with losses that are not convex, and 1 otherwise.
+        several minima, MAX_SEARCHED with losses that are not convex, and 1 otherwise.
         """
         if solver.settings.starts is not None:
             return cls(solver.settings.starts, requested=True)
@@ -69,7 +65,7 @@ class Effort:
         convex_losses = solver.cost.convex_losses
         starts = MAX_MINIMA if several_minima(solver.cost, data) else 1
         return cls(
-            starts if convex_losses else MAX_RELAXED[continues],
+            starts if convex_losses else MAX_SEARCHED,
             requested=False,
             continues=continues,
             convex_losses=convex_losses,
@@ -81,7 +77,7 @@ class Effort:
         A strict minimum from the first start is kept in two cases: in a frame that continues an
         earlier one, and where the solver met no direction of negative curvature on its way. Further
         starts then rarely find a lower minimum (docs/studies/speed.md). With losses that are not
-        convex, a minimum is kept at which several starts end.
+        convex, the search ends itself, see `lampest.solvers.relaxation`.
         """
         iterations = sum(end.iterations for end in ends)
         if self.requested:
@@ -91,9 +87,7 @@ class Effort:
         if len(ends) >= self.starts:
             return True
         if not self.convex_losses:
-            costs = [end.objective for end in ends if end.solved]
-            same = np.isclose(costs, best.objective, rtol=SAME_END, atol=0)
-            return int(same.sum()) >= SHARED[self.continues]
+            return False
         kept = len(ends) == 1 and best.strict and (best.convex or self.continues)
         return kept or iterations > MAX_SPENT
 
@@ -121,7 +115,7 @@ def best_solution(
     branch = None
     ends = list[Solution]()
     with np.errstate(all="ignore"), delayed_interrupt():
-        for start in evaluable(solver.cost, data, _places(solver, data, previous)):
+        for start in evaluable(solver.cost, data, _places(solver, data, previous, ends)):
             again = solver.cold() if effort.convex_losses else solver.continued(None)
             ends.append(solved_from(again if ends else solver, start))
             branch = start.branch if branch is None else branch
@@ -132,20 +126,23 @@ def best_solution(
     return replace(best, starts=len(ends) or 1, solver=solver.name)
 
 
-def _places(solver: Solver, data: Data, previous: Array | None) -> Iterator[Array]:
-    """Yield the starts of a frame.
+def _places(
+    solver: Solver, data: Data, previous: Array | None, ends: Sequence[Solution]
+) -> Iterator[Array]:
+    """Yield the starts of a frame, given the solutions from those before.
 
-    The sequence has no end where the settings state the number of starts, and with losses that are
-    not convex.
+    The sequence has no end where the settings state the number of starts.
     """
     cost = solver.cost
     usual = starts(cost, data, previous)
     if not cost.convex_losses:
-        from lampest.solvers.relaxation import relaxed_starts  # for such losses alone
+        from lampest.solvers.relaxation import searched_starts  # for such losses alone
 
         first = next(usual)
         yield first
-        yield from relaxed_starts(solver.continued(None), evaluated(cost, data, first))
+        yield from searched_starts(solver.continued(None), evaluated(cost, data, first), ends)
+        if solver.settings.starts is None:
+            return
     yield from usual
     if solver.settings.starts is not None:
         yield from scattered(data)
