@@ -20,7 +20,16 @@ from lampest.files.errors import BROKEN
 from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.certificate import MIN_COST_SHARE
-from lampest.solvers.solution import MAX_STARTS, Outcome, Solution, Solver, Status, check, failure
+from lampest.solvers.solution import (
+    MAX_STARTS,
+    Outcome,
+    Solution,
+    Solver,
+    Status,
+    check,
+    failure,
+    lower_of,
+)
 
 # Starts of a frame whose first solve met negative curvature: as many as there are kinds of starts.
 MAX_MINIMA = 3
@@ -29,7 +38,6 @@ MAX_SEARCHED = 40  # starts with losses that are not convex (docs/studies/minima
 MAX_SPENT = 100
 MAX_UNSOLVED = 300
 START_SPREAD = 20.0  # largest factor between a scattered start and the apparent resistance
-SAME_MINIMUM = 1e-9  # relative difference of cost below which two minima are the same
 
 
 @dataclass(frozen=True)
@@ -146,17 +154,6 @@ def _places(
     yield from usual
     if solver.settings.starts is not None:
         yield from scattered(data)
-
-
-def lower_of(best: Solution | None, solution: Solution) -> Solution:
-    """Return the solution of lower cost, or `best` if the costs are equal or nothing is solved."""
-    if best is None or (solution.solved and not best.solved):
-        return solution
-    # near 0 relative differences say nothing: several panels may give the readings exactly
-    rounding = 0.0 if best.at is None else MIN_COST_SHARE * best.at.cost_scale
-    if solution.solved and solution.objective < best.objective * (1 - SAME_MINIMUM) - rounding:
-        return solution
-    return best
 
 
 def preferred(best: Solution | None, solution: Solution, branch: Array) -> Solution:
