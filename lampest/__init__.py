@@ -2,10 +2,10 @@
 
     import lampest
     recording = lampest.Recording.load("data/lamprey_35mm.h5")
-    found = lampest.reconstruct(recording, [lampest.Misfit(), lampest.Gradient(weight=1e-3)])
-    found.cell_resistance  # (frames, rows, columns) ohm
-    found.relative_change  # percent of the unloaded panel
-    found.plot()
+    estimate = lampest.reconstruct(recording, [lampest.Misfit(), lampest.Gradient(weight=1e-3)])
+    estimate.cell_resistance  # (frames, rows, columns) ohm
+    estimate.relative_change  # percent of the unloaded panel
+    estimate.plot()
 
 Names are loaded when they are first used, so that importing the package costs nothing.
 """
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from lampest.cost.terms import Term
-    from lampest.estimate.estimator import AutoWeight
+    from lampest.estimate.estimator import Tare, Verify
     from lampest.estimate.methods import MethodName
     from lampest.estimate.methods.method import Method
-    from lampest.estimate.objective import Tare, Verify
+    from lampest.estimate.objective import AutoWeight
     from lampest.recording.recording import Recording
     from lampest.report.reconstruction import Reconstruction
     from lampest.solvers.posed import Bounds
@@ -127,12 +127,11 @@ def reconstruct(
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit(), lampest.Gradient(weight=1e-3)])
-    >>> found.cell_resistance.shape
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit(), lampest.Gradient(weight=1e-3)])
+    >>> estimate.cell_resistance.shape
     (2, 2, 3)
     """
-    from lampest.estimate.estimator import Estimator
-    from lampest.estimate.objective import checked_terms
+    from lampest.estimate.estimator import Estimator, checked_terms
     from lampest.estimate.sequence import default_terms
     from lampest.report.reconstruction import Reconstruction
 

@@ -42,8 +42,8 @@ class Status(Enum):
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> found.steps[0].solution.status.value
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> estimate.steps[0].solution.status.value
     'optimum verified'
     """
 
@@ -173,9 +173,9 @@ class Outcome:
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> import numpy as np
-    >>> cells, dual = found.cell_resistance, np.zeros(0)
+    >>> cells, dual = estimate.cell_resistance, np.zeros(0)
     >>> lampest.Outcome(cells, dual, lampest.Status.APPROXIMATE, iterations=1).iterations
     1
     """
@@ -231,8 +231,8 @@ class Solution:
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> found.steps[0].solution.solved
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> estimate.steps[0].solution.solved
     True
     """
 
@@ -301,7 +301,7 @@ class Solver(ABC):
 
     def prepare(self) -> None:
         """Compile the cost, so that the time of the first solve excludes it."""
-        _ = self.cost.functions
+        self.cost.compile()
 
     def continued(self, carried: object) -> "Solver":
         """Return the solver that begins with the data `carried` by the previous frame's solution.
