@@ -32,9 +32,7 @@ def test_the_unloaded_panel_tells_the_spread_of_channels_under_a_palm(true_ohm: 
 
 def test_channels_are_told_beside_errors_of_each_reading() -> None:
     both = Systematic(channel_spread_ohm="estimated", reading_error="estimated")
-    of_both = recording(
-        100, LOADS["still"], Row(channel_ohm=10, static=0.01), {"systematic": both}
-    )
+    of_both = recording(100, LOADS["still"], Row(channel_ohm=10, static=0.01), {"systematic": both})
     noise = Prepared(of_both).noise
     spread, deviation = noise.estimated[SPREAD]
     size, size_deviation = noise.estimated["systematic.reading_error"]
