@@ -46,7 +46,7 @@ class Reconstruction(Estimates):
     >>> recording = lampest.simulate(of_rod, "mine")
     >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> estimate
-    Reconstruction(mine: misfit, auto, 2 of 2 frames solved, the first: optimum verified)
+    Reconstruction(mine: misfit, auto, 2 of 2 frames solved, the first: local optimum verified)
     """
 
     @classmethod
