@@ -50,7 +50,7 @@ class Stream(SequenceState):
     >>> for frame in frames[2:]:
     ...     stream, step = stream.push(lampest.Readings.of(scene, frame))
     ...     print(step.status, step.cell_resistance.round()[1])
-    optimum verified [1033. 1033.  700. 1033.]
+    local optimum verified [1033. 1033.  700. 1033.]
 
     Attributes
     ----------

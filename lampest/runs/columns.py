@@ -112,10 +112,10 @@ class Column(Validated):
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> taken = lambda estimates: estimates.time
     >>> force = lampest.Column("force", ("time",), "newton", "total force", value=taken)
-    >>> found.result(columns=[force]).extra["force"].shape
+    >>> estimate.result(columns=[force]).extra["force"].shape
     (2,)
     """
 

@@ -83,8 +83,8 @@ class Results:
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> lampest.Results((found.result("LSM"),)).estimators()
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> lampest.Results((estimate.result("LSM"),)).estimators()
     ('LSM',)
     """
 
@@ -164,8 +164,8 @@ def write_results(
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> lampest.write_results("results.h5", [found.result("LSM")])
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> lampest.write_results("results.h5", [estimate.result("LSM")])
     """
     recordings: dict[str, list[CaseResult | StoredCase]] = {}
     for case in cases:
@@ -361,8 +361,8 @@ def read_results(
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> found.save("results.h5", "LSM")
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> estimate.save("results.h5", "LSM")
     >>> lampest.read_results("results.h5").recordings()
     ('mine',)
     """

@@ -87,7 +87,7 @@ def test_a_term_joins_with_one_file_and_one_name(recording: Recording) -> None:
         estimate = lampest.reconstruct(
             recording, terms, formulation=formulation, bounds=lampest.Bounds("none", "none")
         )
-        assert estimate.status == ("optimum verified",) * 2
+        assert estimate.status == ("local optimum verified",) * 2
         assert_allclose(estimate.cell_resistance, 1234, rtol=1e-3)
     weak = lampest.reconstruct(
         recording, [Misfit(weighting="noise"), Leash(weight="auto")], formulation="reduced"
@@ -104,7 +104,7 @@ def test_a_loss_joins_with_one_file_and_one_name(recording: Recording) -> None:
         )
         for loss in (lampest.Squared(), Cushion(softness=1e6), Cushion(softness=0.5))
     )
-    assert soft.status == hard.status == ("optimum verified",) * 2
+    assert soft.status == hard.status == ("local optimum verified",) * 2
     assert_allclose(soft.cell_resistance, plain.cell_resistance, rtol=1e-5)
     model = np.stack([lampest.two_point_resistance(cells) for cells in hard.cell_resistance])
     residual = (model - hard.measured) / hard.sigma

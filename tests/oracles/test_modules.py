@@ -260,7 +260,7 @@ def test_a_penalty_without_neighbours_couples_no_modules() -> None:
     penalty = lampest.CellResistance(weight=1e-7)
     estimate = coupled(recording, penalty)
     separate = apart(recording, penalty)
-    assert all(status == "optimum verified" for status in estimate.status)
+    assert all(status == "local optimum verified" for status in estimate.status)
     np.testing.assert_allclose(
         estimate.cell_resistance, separate.cell_resistance, rtol=10 * CONVERGED
     )
