@@ -300,14 +300,20 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
         )
         if not broken_law(_without_series(rival), frames)
     ]
-    explanations = []
+    explanations: list[Explanation | None] = []
+    failed: list[tuple[Rival, tuple[CellsFit, ...]]] = []
     for rival in rivals:
         lawful = rival.ohm == 0 or not broken_law(rival, frames)
         fits = _rival_fits(rival, frames, specified=specified) if lawful else ()
         explanation = Explanation.by(fits, rival, frames, specified=specified)
         if explanation is None:
-            explanation = some_in_series(rival, frames, fits=fits, specified=specified)
+            failed.append((rival, fits))
         explanations.append(explanation)
+    # A search for a resistance in series costs several fits: last, so that it ends where it cannot
+    # reach the best ones.
+    for rival, fits in failed:
+        to_beat = min(limit, _score_to_beat(explanations))
+        explanations.append(some_in_series(rival, frames, to_beat, fits=fits, specified=specified))
     if specified is None:
         explanations.append(some_in_series(frames.specified, frames))
         down = rounded_down(frames.specified)
@@ -319,6 +325,12 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
     ]
     best = sorted(better, key=attrgetter("score"))[:MAX_CANDIDATES]
     return [explanation.final for explanation in best]
+
+
+def _score_to_beat(explanations: Sequence[Explanation | None]) -> float:
+    """Return the score of the last of MAX_CANDIDATES explanations; infinite with fewer."""
+    scores = sorted(explanation.score for explanation in explanations if explanation is not None)
+    return scores[MAX_CANDIDATES - 1] if len(scores) >= MAX_CANDIDATES else np.inf
 
 
 def _without_twins(candidates: Sequence[Explanation]) -> list[Explanation]:
@@ -446,6 +458,7 @@ def _compared(
 def some_in_series(
     rival: Rival,
     frames: ComparedFrames,
+    to_beat: float = np.inf,
     near: Explanation | None = None,
     *,
     fits: tuple[CellsFit, ...] = (),
@@ -460,6 +473,9 @@ def some_in_series(
     ----------
     rival : Rival
     frames : ComparedFrames
+    to_beat : float
+        Score above which an explanation does not count. The search ends where linear theory gives
+        no resistance a score that exceeds it by less than FAR.
     near : Explanation or None
         Explanation with the given resistance.
     fits : tuple of CellsFit
@@ -484,6 +500,10 @@ def some_in_series(
         near = explanation
         if best is None or explanation.score < best.score:
             best = explanation
+        if explanation.score > to_beat + FAR:
+            gain = _linear_gain(explanation, _response_to_series(explanation, most))
+            if explanation.score - gain > to_beat + FAR:
+                break
     return best
 
 
@@ -574,7 +594,12 @@ def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool
 
 
 def _may_gain(explanation: Explanation, response: Array | None) -> bool:
-    """Return whether a parameter may gain more than its cost, by linear theory; True if unknown.
+    """Return whether a parameter may gain more than its cost, by linear theory."""
+    return _linear_gain(explanation, response) > PARAMETER_COST
+
+
+def _linear_gain(explanation: Explanation, response: Array | None) -> float:
+    """Return the gain of a parameter in score by linear theory; infinite where it is unknown.
 
     Parameters
     ----------
@@ -583,9 +608,9 @@ def _may_gain(explanation: Explanation, response: Array | None) -> bool:
         Change of d by one standard deviation of the parameter.
     """
     if explanation.pair is None or response is None:
-        return True
+        return np.inf
     pair = explanation.pair
-    return pair.explained(response[:, None]).score < pair.evidence.score - PARAMETER_COST
+    return pair.evidence.score - pair.explained(response[:, None]).score
 
 
 def _response_to_series(explanation: Explanation, ohm: float) -> Array | None:
