@@ -49,9 +49,12 @@ BRIEF = Settings(max_iterations=25)
 # Factor on the lower bound that estimates have: a short behind a drive resistor of a kilo-ohm is
 # smaller than that.
 MIN_CELL_FACTOR = 1e-3
-# χ² for each reading that noise never reaches: a circuit is given up above it. Without it checks
-# take four times as long.
+# χ² for each reading that noise never reaches: on panels of more than MAX_CELLS a circuit is given
+# up above it. Without it checks take four times as long.
 MAX_CHI_SQUARE = 10.0
+# Factor by which the solver lowers χ² of a fit at most, where it reaches noise: of 190 fits that
+# it was given, none of those beyond did (docs/studies/bench.md).
+MAX_LOWERED = 4.0
 CELL_PRECISION = UNKNOWN_SD**-2  # prior precision of log r of a cell that no reading determines
 # Median standard deviation of the log cells beyond which linear theory does not hold: 8 bits and
 # one reading on 12 x 8 cells leave 1.4, and distinguishable circuits at most 0.2
@@ -171,6 +174,13 @@ class CellsFit(SumOfSquares):
         # χ² of at least one degree of freedom exceeds 1 in a third of all cases.
         return self.chi_square <= 1 or self.tail >= SIGNIFICANCE
 
+    @property
+    def hopeless(self) -> bool:
+        """Whether no minimum that a solver reaches from these cells is within noise."""
+        if not self.jacobian.size:
+            return self.chi_square > MAX_CHI_SQUARE * self.residual.size
+        return bool(chi_square_tail(self.chi_square / MAX_LOWERED, self.degrees) < SIGNIFICANCE)
+
     @cached_property
     def covariance(self) -> Array:
         """Covariance of the log cells, (cells, cells)."""
@@ -259,7 +269,7 @@ def fitted(
             return fit
         if not patient and fit.chi_square <= SMALL_CHI_SQUARE:
             return fit
-        if not patient and fit.chi_square > MAX_CHI_SQUARE * readings.value.size:
+        if not patient and fit.hopeless:
             return None
         # Elsewhere cells stand at the boundary r = 0 or r = ∞, which takes more iterations.
         if patient and fit.jacobian.size:

@@ -46,6 +46,7 @@ USUAL_MEMORY = MEMORIES[2]
 # MEMORIES, are no finding.
 MIN_MEMORY = MEMORIES[0] / 2 * 1.1
 MAX_MEMORY = MEMORIES[-1] * 1.9
+MIN_LINEAR_SHARE = 0.5  # of the gain by a memory that linear theory gives at least
 MEMORY_ACCURACY = 0.03  # of the search about the best one, as a share of it
 SERIES_ACCURACY = 0.05  # of that search, as a share of their distance
 SAME_SCORE = 1e-3  # scores that differ by less are rounding's
@@ -542,8 +543,9 @@ class _ParameterSearch:
 def with_series(explanation: Explanation, frames: ComparedFrames) -> Explanation:
     """Return a circuit's explanation with the most probable or the given resistance in series.
 
-    The search is made about the best of SERIES_POINTS, and about the given resistance only where a
-    change of it may gain by linear theory.
+    Other resistances are tried where linear theory gives one of them any gain. The search is made
+    about the best of SERIES_POINTS, and about the given resistance where this gain exceeds the cost
+    of a parameter.
     """
     rival = explanation.rival
     most = most_in_series(rival, frames)
@@ -552,9 +554,12 @@ def with_series(explanation: Explanation, frames: ComparedFrames) -> Explanation
     spacing = most / (SERIES_POINTS - 1)
     best = explanation
     if rival.in_series is None:
+        gain = _linear_gain(explanation, _response_to_series(explanation, spacing))
+        if gain <= 0:
+            return explanation
         coarse = some_in_series(rival, frames, near=explanation)
         best = min(filter(None, (explanation, coarse)), key=attrgetter("score"))
-        if best is explanation and not _may_gain(best, _response_to_series(best, spacing)):
+        if best is explanation and gain <= PARAMETER_COST:
             return explanation
     search = _ParameterSearch(
         lambda ohm: replace(rival.with_series(ohm), at_limit=False), frames, best
@@ -589,13 +594,12 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
 
 
 def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool:
-    """Return whether a memory of the converter may gain more than its cost, by linear theory."""
-    return _may_gain(explanation, _response_to_memory(explanation, frames))
+    """Return whether linear theory allows a memory of the converter a gain that is significant.
 
-
-def _may_gain(explanation: Explanation, response: Array | None) -> bool:
-    """Return whether a parameter may gain more than its cost, by linear theory."""
-    return _linear_gain(explanation, response) > PARAMETER_COST
+    A smaller gain is no doubt.
+    """
+    gain = _linear_gain(explanation, _response_to_memory(explanation, frames))
+    return gain > MIN_LINEAR_SHARE * MIN_EVIDENCE_GAIN
 
 
 def _linear_gain(explanation: Explanation, response: Array | None) -> float:
