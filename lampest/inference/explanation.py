@@ -439,7 +439,7 @@ def _compared(
     if specified.pair is None or gain <= DOUBTFUL_GAIN or not best.pair.moved.any():
         return BetterExplanation()
     insignificant = gain <= MIN_EVIDENCE_GAIN
-    if insignificant or specified.pair.gain_apart(best.pair) <= PARAMETER_COST:
+    if insignificant or specified.pair.gain_apart(best.pair) <= DOUBTFUL_GAIN:
         # A resistance in series follows hidden errors of the circuit, a memory the edge of a load:
         # alone, neither is a doubt.
         as_specified = best.rival.scene.converter_memory == frames.specified.scene.converter_memory
