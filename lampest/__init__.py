@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from lampest.cost.terms import Term
-    from lampest.estimate.estimator import AutoWeight
+    from lampest.estimate.estimator import Tare, Verify
     from lampest.estimate.methods import MethodName
     from lampest.estimate.methods.method import Method
-    from lampest.estimate.objective import Tare, Verify
+    from lampest.estimate.objective import AutoWeight
     from lampest.recording.recording import Recording
     from lampest.report.reconstruction import Reconstruction
     from lampest.solvers.posed import Bounds
@@ -131,8 +131,7 @@ def reconstruct(
     >>> found.cell_resistance.shape
     (2, 2, 3)
     """
-    from lampest.estimate.estimator import Estimator
-    from lampest.estimate.objective import checked_terms
+    from lampest.estimate.estimator import Estimator, checked_terms
     from lampest.estimate.sequence import default_terms
     from lampest.report.reconstruction import Reconstruction
 

@@ -29,8 +29,9 @@ from .cost.terms import TotalVariationOfChange as TotalVariationOfChange
 from .cost.terms import Weight as Weight
 from .cost.terms import term_types as term_types
 from .estimate.estimates import Estimates as Estimates
-from .estimate.estimator import AutoWeight as AutoWeight
 from .estimate.estimator import Estimator as Estimator
+from .estimate.estimator import Tare as Tare
+from .estimate.estimator import Verify as Verify
 from .estimate.methods import MethodName
 from .estimate.methods.approximate import LinearisedMethod as LinearisedMethod
 from .estimate.methods.approximate import TruncatedMethod as TruncatedMethod
@@ -38,8 +39,7 @@ from .estimate.methods.approximate import UncorrectedMethod as UncorrectedMethod
 from .estimate.methods.method import Method as Method
 from .estimate.methods.method import OptimalMethod as OptimalMethod
 from .estimate.methods.smoother import SmootherMethod as SmootherMethod
-from .estimate.objective import Tare as Tare
-from .estimate.objective import Verify as Verify
+from .estimate.objective import AutoWeight as AutoWeight
 from .estimate.own_program import OwnProgram as OwnProgram
 from .estimate.own_program import OwnSolution as OwnSolution
 from .estimate.own_program import program as program

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from lampest.panel.network import SolvedNetwork
 from lampest.panel.panel import Array, Panel, difference_matrix
-from lampest.panel.readouts.floating import FloatingNetwork, grounding
+from lampest.panel.readouts.floating import grounding
 
 # MATLAB's defaults; evaluations for each unknown
 TOLERANCE = 1e-6
@@ -371,8 +372,8 @@ class _Problem:
         return np.asarray(100 * np.sqrt(self.weights.relative) * self.operator)
 
 
-def _network(cells: Array, measured: Array) -> FloatingNetwork:
-    return FloatingNetwork.solve(1 / cells.reshape(measured.shape), grounding(measured))
+def _network(cells: Array, measured: Array) -> SolvedNetwork:
+    return SolvedNetwork.floating(1 / cells.reshape(measured.shape), grounding(measured))
 
 
 def _misfit(cells: Array, measured: Array) -> Array:

@@ -28,8 +28,9 @@ from lampest.apps.studies.study import markdown
 from lampest.cost.given import Background
 from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Estimator
+from lampest.panel.network import SolvedNetwork
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts.floating import FloatingNetwork, grounding
+from lampest.panel.readouts.floating import grounding
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.report.compare import grouped, screen_table
@@ -98,7 +99,7 @@ class CountedNetwork:
     def __call__(self, conductance: Array) -> Array:
         """(rows, columns) siemens."""
         next(self._calls)
-        return 1 / FloatingNetwork.solve(conductance, self._tie).reading()
+        return 1 / SolvedNetwork.floating(conductance, self._tie).reading()
 
     def misfit(self, conductance: Array) -> Array:
         """G(g) − G_m."""
@@ -222,7 +223,7 @@ def solved_mats(mats: Mats, seed: int, settings: Settings) -> Iterator[MatSolve]
 
 def network_readings(conductance: Array) -> Array:
     """R (rows, columns) ohm of conductances of any sign."""
-    return FloatingNetwork.solve(conductance, grounding(1 / np.abs(conductance))).reading()
+    return SolvedNetwork.floating(conductance, grounding(1 / np.abs(conductance))).reading()
 
 
 def _solves(truth: Array, measured: Array, settings: Settings) -> Iterator[tuple[Any, ...]]:
@@ -247,7 +248,7 @@ def _solves(truth: Array, measured: Array, settings: Settings) -> Iterator[tuple
 def _ours(name: str, measured: Array, settings: Settings) -> tuple[MatAnswer, float]:
     """Plain least squares without bounds, begun as always."""
     method = "reduced" if name == "reduced" else ScipyMethod(kind=name)
-    estimator = Estimator((Misfit(),), method, settings, Bounds("none", "none"))
+    estimator = Estimator((Misfit(),), method, solver=settings, bounds=Bounds("none", "none"))
     scene = Scene(Panel(*measured.shape))
     data = estimator.data(Readings.of(scene, measured).alone(), Background(scene))
     solver = estimator.problem(scene, 1, 1.0)

@@ -87,7 +87,7 @@ BREAKS = {
         "solvers/solution.py", "solution_at", "at = at.elsewhere(1.01 * at.cell_resistance)"
     ),
     "errors_of_a_uniform_panel_grow_by_at_most_half_the_number_of_lines": Break(
-        "panel/readouts/floating.py", "FloatingNetwork.sensitivity", "return 1.01 * result"
+        "panel/network.py", "SolvedNetwork.sensitivity", "return 1.01 * result"
     ),
     "error_bars_cover_a_specified_or_estimated_gain_of_each_frame": Break(
         "posterior/frame_noise.py", "FrameNoise._of_frame", "return 0 * result"

@@ -7,11 +7,14 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
+from datetime import timedelta
 from io import TextIOWrapper
 from itertools import chain, groupby
+from math import ceil
 from pathlib import Path
 from shutil import get_terminal_size
 from textwrap import fill, wrap
+from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any, TextIO, get_args, get_origin
 
 import typer
@@ -27,6 +30,7 @@ WRONG_INPUT = 2
 SOME_FAILED = 3
 INTERRUPTED = 130
 WIDTH = 100  # columns of a terminal that every table and note fits
+UNKNOWN_TIME = "-:--:--"
 
 
 def _place(value: str) -> Path:
@@ -220,7 +224,8 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
     """Show a progress bar with the remaining time on stderr, hidden unless stderr is a terminal.
 
     Yields a function that takes the number of finished parts, their total, a text for the label,
-    and the name of a further step with a bar of its own.
+    and the name of a further step with a bar of its own. The first call for a step starts its
+    clock. The clock of a step that is shown earlier starts anew when the step before it ends.
 
     Parameters
     ----------
@@ -231,27 +236,62 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
     """
     from rich.console import Console
     from rich.markup import escape
-    from rich.progress import MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+    )
 
     columns = (
-        *Progress.get_default_columns(),
-        TextColumn("left"),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TextColumn("{task.fields[left]} left"),
         *[MofNCompleteColumn()] * counted,
     )
     with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
-        tasks = {label: bar.add_task(label, total=None)}
+        tasks = {label: bar.add_task(label, total=None, left=UNKNOWN_TIME)}
+        began: dict[str, tuple[float, int]] = {}
+        unfinished: dict[str, int] = {}
 
         def show(done: int, total: int | None, text: str | None = None, step: str = label) -> None:
+            now = monotonic()
             if step not in tasks:
-                tasks[step] = bar.add_task(step, total=None)
+                tasks[step] = bar.add_task(step, total=None, left=UNKNOWN_TIME)
+            if done != total:
+                unfinished[step] = done
+            elif unfinished.pop(step, None) is not None:
+                began.update({other: (now, count) for other, count in unfinished.items()})
+            start, before = began.setdefault(step, (now, done))
             bar.update(
                 tasks[step],
                 completed=done,
                 total=total,
                 description=text and escape(printable(text)),
+                left=time_left(now - start, done - before, None if total is None else total - done),
             )
 
         yield show
+
+
+def time_left(elapsed: float, done: int, left: int | None) -> str:
+    """Return the remaining time as hours, minutes and seconds.
+
+    The remaining time is `elapsed`/`done`·`left`; it is unknown while nothing is done.
+
+    Parameters
+    ----------
+    elapsed : float
+        Time in s in which `done` parts were finished.
+    done : int
+    left : int or None
+        Number of unfinished parts; None if unknown.
+    """
+    if left is None or (left and done <= 0):
+        return UNKNOWN_TIME
+    return str(timedelta(seconds=ceil(elapsed / done * left) if left else 0))
 
 
 TOGETHER = re.compile(r" (?=[±/…] )|(?<= [±/…]) ")  # blanks within a figure: '2.3 ± 1.4'

@@ -123,10 +123,14 @@ class Cost:
             rows.append([row for row in range(residual.shape[0]) if row not in touched])
         return rows
 
+    def compile(self) -> "CostFunctions":
+        """Compile the cost and its derivatives; costs that differ only in weights share them."""
+        return _functions(self.unweighted)
+
     @cached_property
     def functions(self) -> "CostFunctions":
         """The cost and its derivatives, compiled at first use."""
-        return _functions(self.unweighted)
+        return self.compile()
 
     @cached_property
     def slope(self) -> Array:

@@ -17,10 +17,9 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Given
 from lampest.files.errors import BROKEN, brief
 from lampest.panel.compiled import Compiled, guarded, with_entries
-from lampest.panel.network import Network
+from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.readouts.floating import FloatingNetwork
 from lampest.panel.readouts.wiring import Wiring
 
 ROUNDING = 1e-15  # relative rounding error of a residual: four last bits of double precision
@@ -278,7 +277,7 @@ class Evaluation:
 
     def some(self, panels: Panels) -> "Evaluation":
         """Return the evaluation of the chosen panels, or of one by its number, with their costs."""
-        networks = tuple(cast(FloatingNetwork, network).some(panels) for network in self.networks)
+        networks = tuple(cast(SolvedNetwork, network).some(panels) for network in self.networks)
         return Evaluation(
             self.cost,
             self.data.some(panels),

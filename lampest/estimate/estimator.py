@@ -1,20 +1,123 @@
 """Estimators: terms, formulation, bounds and settings of one method of estimation."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
+from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.cost.terms import Term, term_kind
 from lampest.estimate.methods import MethodName, named_method
 from lampest.estimate.methods.method import Method
-from lampest.estimate.objective import AutoWeight as AutoWeight
-from lampest.estimate.objective import Objective, Tare, Verify, checked_terms
+from lampest.estimate.objective import AutoWeight, Objective
 from lampest.files.applications import applications
 from lampest.files.errors import InputError, in_words
+from lampest.files.typed import Configuration, check_range
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MATRIX_CELLS
-from lampest.recording.readings import Readings
+from lampest.recording.readings import Readings, strongest_frame
 from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import Settings, Solver
+
+# Cells up to which `strongest` is verified: beyond, the witness takes longer than all solves of a
+# short recording (docs/studies/speed.md).
+MAX_VERIFIED_CELLS = 144
+
+
+@dataclass(frozen=True)
+class Verify(Configuration):
+    """Frames that IPOPT solves again on the nodal program, from another start.
+
+    Attributes
+    ----------
+    frames : 'none', 'strongest', 'all' or float
+        'strongest' is the frame of the largest change from rest, on panels of up to 144 cells; a
+        number is the share of the frames, evenly spread.
+
+    Raises ValueError unless a share lies between 0 and 1.
+
+    >>> lampest.Verify("strongest").frames
+    'strongest'
+    """
+
+    frames: Literal["none", "strongest", "all"] | float = "none"
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.frames, str) and not 0 < self.frames <= 1:
+            raise ValueError("frames must be none, strongest, all, or a share between 0 and 1")
+
+    def chosen(self, readings: Readings, resting: Readings) -> NDArray[np.bool_]:
+        """Return which of the measured frames are verified, boolean (frames,).
+
+        Parameters
+        ----------
+        readings : Readings
+            The measured frames, (frames, rows, columns).
+        resting : Readings
+            The unloaded ones, (rows, columns).
+        """
+        count = len(readings.value)
+        chosen = np.zeros(count, dtype=bool)
+        if self.frames == "all":
+            chosen[:] = True
+        elif self.frames == "strongest":
+            if count and readings.value[0].size <= MAX_VERIFIED_CELLS:
+                chosen[strongest_frame(readings.plain_values, resting.value, np.arange(count))] = (
+                    True
+                )
+        elif not isinstance(self.frames, str):
+            chosen[np.linspace(0, count - 1, max(1, round(self.frames * count))).astype(int)] = (
+                count > 0
+            )
+        return chosen
+
+
+def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Return the terms as a tuple.
+
+    Raises InputError unless they are a list or tuple of terms with at least one data term.
+    """
+    if not isinstance(terms, list | tuple):
+        raise InputError(
+            f"terms must be a list such as [Misfit(), Gradient()], not {in_words(terms)}"
+        )
+    for term in terms:
+        if not isinstance(term, Term):
+            raise InputError(f"terms must hold objects such as Misfit(), not {in_words(term)}")
+    if not terms:
+        raise InputError("an estimator needs at least one term")
+    if not any(term.reads_measurement for term in terms):
+        named = " + ".join(map(term_kind, terms))
+        raise InputError(
+            f"{named} needs the term misfit: without it nothing reads what was measured"
+        )
+    return tuple(terms)
+
+
+@dataclass(frozen=True)
+class Tare(Configuration):
+    """Take zero anew where nothing has touched the panel for a number of successive frames.
+
+    Attributes
+    ----------
+    frames : int
+        Number of frames, at least five: fewer do not distinguish noise from a load.
+    drift_per_minute : float
+        Standard deviation of ln r of a cell at rest for each minute since the last zero.
+
+    >>> lampest.Tare().frames
+    20
+    """
+
+    frames: int = 20
+    drift_per_minute: float = 0.02
+
+    def __post_init__(self) -> None:
+        check_range("drift_per_minute", self.drift_per_minute, 0, 1)
+        check_range("frames", self.frames, 5, 100_000)
 
 
 @dataclass(frozen=True)
@@ -42,7 +145,7 @@ class Estimator(Objective):
     verify : Verify
         Frames that IPOPT solves again on the nodal program, from another start.
     weight_sigma : tuple of float
-        Standard deviations of ln λ of chosen weights, see `Objective`.
+        Standard deviations of ln λ of chosen weights.
     prior_variance : tuple of float
         Mean squares of the residuals of terms with an absolute loss, see `LinearModel`.
 
@@ -51,6 +154,10 @@ class Estimator(Objective):
     """
 
     formulation: MethodName | Method = "auto"
+    _: KW_ONLY
+    error_bars: Literal["auto"] | bool = "auto"
+    tare: Tare | None = None
+    verify: Verify = Verify()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", checked_terms(self.terms))  # a list cannot be hashed

@@ -9,10 +9,11 @@
 IPOPT solves it from the uniform start. A check outside of IPOPT recomputes the optimality
 conditions, and error bars are those of the program's own Hessian on the plane of its equations:
 
-    cov(x) = the block of x in ( ½∇²L  Jᵀ ; J  0 )⁻¹
+    cov(x) = Z (½ Zᵀ ∇²L Z)⁻¹ Zᵀ
 
-with the Lagrangian L of φ and the Jacobian J of the equations, over the unknowns that no bound
-holds. Source: Nocedal & Wright, Numerical Optimization, 2006, section 18.1.
+with the Lagrangian L of φ, and a basis Z of the directions along the active constraints, over the
+unknowns that no bound holds. The definiteness of Zᵀ ∇²L Z tells a minimum from a saddle. Source:
+Nocedal & Wright, Numerical Optimization, 2006, sections 12.5 and 16.2.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,6 +23,7 @@ from typing import Any
 
 import casadi
 import numpy as np
+import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
@@ -33,20 +35,20 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.files.errors import InputError
 from lampest.formulation.circuit import Circuit
-from lampest.formulation.instance import Instance, ProgramResult
+from lampest.formulation.instance import Instance, ProgramResult, on_bounds
 from lampest.formulation.ipopt import Interface, Limits
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
 from lampest.inference.prepared import Prepared
 from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.panel.panel import Array
+from lampest.posterior.linear import positive_inverse
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.solvers.by_ipopt import ACCURACY, STATUS
+from lampest.solvers.certificate import ROUNDING, Definiteness, newton_step
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.posed import Bounds
-from lampest.solvers.solution import VERIFIED, Settings, Status
-
-AT_BOUND = 1e-7  # distance to a bound, in units of the program, within which it holds an unknown
+from lampest.solvers.solution import OPTIMA, VERIFIED, Settings, Status
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +122,8 @@ class OwnProgram(CasadiOwner):
 
         Without an upper limit the constraint is the equation expression = lower.
 
-        Raises InputError if the expression is no column, or no function of the unknowns.
+        Raises InputError if the name is taken, or the expression is no column, or no function of
+        the unknowns.
         """
         return replace(self, symbols=self.symbols.subject_to(name, expression, lower, upper))
 
@@ -164,15 +167,25 @@ class OwnSolution(CasadiOwner):
     @cached_property
     def status(self) -> str:
         """Outcome in a sentence, as `Status` has them."""
+        return self._status.value
+
+    @cached_property
+    def _status(self) -> Status:
+        """First order, then second order, along the active constraints."""
         ended = STATUS.get(self.result.status, Status.BREAKDOWN)
-        if ended is Status.OPTIMUM and not self.optimality_error <= VERIFIED:
-            ended = Status.UNVERIFIED
-        return ended.value
+        if ended is not Status.OPTIMUM:
+            return ended
+        if not self.optimality_error <= VERIFIED:
+            return Status.UNVERIFIED
+        if self._definiteness is Definiteness.INDEFINITE:
+            return Status.SADDLE
+        flat = self._definiteness is Definiteness.UNDETERMINED
+        return Status.FLAT if flat else Status.OPTIMUM
 
     @property
     def solved(self) -> bool:
-        """Whether this is a verified optimum."""
-        return self.status == Status.OPTIMUM.value
+        """Whether this is an optimum."""
+        return self._status in OPTIMA
 
     @property
     def iterations(self) -> int:
@@ -196,7 +209,9 @@ class OwnSolution(CasadiOwner):
 
     @property
     def cell_resistance_errors(self) -> Array:
-        """Standard deviations of the cells, (frames, rows, columns) ohm; zero at a bound.
+        """Standard deviations of the cells, (frames, rows, columns) ohm.
+
+        They are zero at a bound, and infinite on a plateau.
 
         The misfit must be weighted by the noise for them to have a meaning.
         """
@@ -205,7 +220,7 @@ class OwnSolution(CasadiOwner):
         return np.asarray(self.cell_resistance * relative)
 
     def errors(self, name: str) -> Array:
-        """Return the standard deviations of an own unknown, (size,).
+        """Return the standard deviations of an own unknown, (size,); infinite on a plateau.
 
         Raises InputError for an unknown name.
         """
@@ -267,6 +282,58 @@ class OwnSolution(CasadiOwner):
             scipy.sparse.csc_array(hessian),
         )
 
+    @cached_property
+    def _directions(self) -> Array:
+        """Basis Z of the directions along the active constraints, (unknowns, n).
+
+        Unknowns at a bound stay, voltages follow the cells by the balance of currents, and the
+        other active constraints leave the null space of their rows.
+        """
+        _, jacobian, _ = self._derivatives
+        instance = self.instance
+        program = instance.program
+        x = self.result.unknown
+        names = np.repeat([*program.unknown.sizes], [*program.unknown.sizes.values()])
+        follows = np.isin(names, [*program.networks[0].voltages])
+        at_bound = _held(x, self.result.of_bounds, instance.lower, instance.upper)
+        # Of p and q, the smaller one is at its bound: their sum costs.
+        place = int(np.argmax(names == "split"))
+        for part in program.lowered:
+            for side in part.split[:1]:
+                first = place + np.arange(side.shape[0])
+                second = first + side.shape[0]
+                at_bound[np.where(x[first] < x[second], first, second)] = True
+                place += 2 * side.shape[0]
+        leads = np.flatnonzero(~at_bound & ~follows)
+        balance = program.equation.sizes["balance"]
+        by_voltage = scipy.sparse.linalg.splu(jacobian[:balance, follows])
+        directions = np.zeros((len(x), len(leads)))
+        directions[leads, np.arange(len(leads))] = 1.0
+        directions[follows] = -by_voltage.solve(jacobian[:balance, leads].toarray())
+        active = _held(self._equations, self.result.of_equations, *instance.equations)
+        rows = jacobian[balance + np.flatnonzero(active[balance:])] @ directions
+        size = np.linalg.norm(rows, axis=1, keepdims=True)
+        if len(rows):
+            directions = directions @ scipy.linalg.null_space(rows / np.where(size > 0, size, 1.0))
+        return directions
+
+    @cached_property
+    def _curvature(self) -> Array:
+        """Curvature Zᵀ ∇²L Z of the Lagrangian along the constraints, (n, n)."""
+        _, _, hessian = self._derivatives
+        return np.asarray(self._directions.T @ (hessian @ self._directions))
+
+    @cached_property
+    def _definiteness(self) -> Definiteness:
+        """Definiteness of the curvature, by the certificate of every solver."""
+        gradient, jacobian, hessian = self._derivatives
+        slope = self._directions.T @ (gradient + jacobian.T @ self.result.of_equations)
+        size = np.abs(self._directions)
+        # Diagonal entries of which the rounding errors of the sums are a share of ROUNDING
+        least = np.finfo(float).eps / ROUNDING * np.sum(size * (abs(hessian) @ size), axis=0)
+        least = np.maximum(least, np.finfo(float).tiny)
+        return newton_step(self._curvature, slope, least)[0]
+
     def _deviations(self, name: str) -> Array:
         """Return the standard deviations of one block of unknowns, in its unit."""
         places = self.instance.program.unknown.named(
@@ -275,37 +342,19 @@ class OwnSolution(CasadiOwner):
         chosen = places[name].astype(int)
         if not self.solved:
             return np.full(len(chosen), np.nan)
-        _, jacobian, hessian = self._derivatives
-        x = self.result.unknown
-        instance = self.instance
-        inside = np.minimum(x - instance.lower, instance.upper - x) > AT_BOUND
-        free = np.flatnonzero(inside)
-        active_rows = jacobian[np.flatnonzero(self._active_constraints)][:, free]
-        # f = φ/cost_scale, and φ = χ²: the posterior is exp(−φ/2)
-        half_hessian = hessian[free][:, free] * (instance.cost_scale / 2)
-        system = scipy.sparse.block_array(
-            [[half_hessian, active_rows.T], [active_rows, None]], format="csc"
-        )
-        # Columns of the system that belong to the block's free unknowns.
-        place_among_free = np.full(len(x), -1)
-        place_among_free[free] = np.arange(len(free))
-        columns = place_among_free[chosen[inside[chosen]]]
-        numbers = np.arange(len(columns))
-        unit = np.zeros((system.shape[0], len(columns)))
-        unit[columns, numbers] = 1.0
-        solved = scipy.sparse.linalg.splu(system).solve(unit)
-        variance = np.zeros(len(chosen))
-        variance[inside[chosen]] = solved[columns, numbers]
-        return np.sqrt(np.maximum(variance, 0.0))
+        try:
+            # f = φ/cost_scale, and φ = χ²: the posterior is exp(−φ/2)
+            covariance = positive_inverse(self._curvature * (self.instance.cost_scale / 2))
+        except np.linalg.LinAlgError:
+            return np.full(len(chosen), np.inf)
+        along = self._directions[chosen]
+        return np.asarray(np.sqrt(np.sum((along @ covariance) * along, axis=1)))
 
-    @property
-    def _active_constraints(self) -> NDArray[np.bool_]:
-        """Equations, and inequalities at a limit, (constraints,)."""
-        low, high = self.instance.equations
-        values = self._equations
-        at_high = high - values < AT_BOUND * np.maximum(1.0, np.abs(high))
-        at_low = values - low < AT_BOUND * np.maximum(1.0, np.abs(low))
-        return np.asarray(at_high | at_low)
+
+def _held(value: Array, multiplier: Array, low: Array, high: Array) -> NDArray[np.bool_]:
+    """Return which values a limit holds, see `on_bounds`; equal limits hold always."""
+    at_limit = on_bounds(value, multiplier, low, high)
+    return np.asarray((low == high) | (at_limit == low) | (at_limit == high))
 
 
 def program(
@@ -384,7 +433,7 @@ def _checked_estimator(
     if isinstance(terms, str) or not isinstance(terms, Sequence):
         raise InputError(f"terms must be a sequence of terms, not {terms!r}")
     method = OptimalMethod("per_pixel" if formulation == "per_pixel" else "nodal")
-    estimator = Estimator(tuple(terms), method, solver, bounds, error_bars=False)
+    estimator = Estimator(tuple(terms), method, solver=solver, bounds=bounds, error_bars=False)
     if estimator.automatic:
         raise InputError("an own program needs terms with weights, not weight: auto")
     return estimator

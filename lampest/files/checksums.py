@@ -16,6 +16,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from math import prod
 from pathlib import Path
@@ -90,14 +91,19 @@ def check_digest(attributes: Any, value: Any, name: str = "") -> None:
     """
     label = f"{name}_{DIGEST}" if name else DIGEST
     # Most values have none; `get` takes ten times as long to find that.
-    if label in attributes and digest_of(np.asarray(value)).encode() != attributes[label]:
+    if label not in attributes:
+        return
+    if digest_of(np.asarray(value)).encode() != np.asarray(attributes[label]).item():
         raise ValueError("values and checksum differ")
 
 
-def set_attribute(node: Any, name: str, data: NDArray[Any]) -> None:
+def set_attribute(
+    node: Any, name: str, data: NDArray[Any], kinds: tuple[Any, Any] | None = None
+) -> None:
     """Write an attribute of an object, `node` being its h5py identifier.
 
-    The SHA-256 of a large one is written as a further one.
+    The SHA-256 of a large one is written as a further one. `kinds` are its HDF5 types in the file
+    and in memory, by default those of its elements.
     """
     # The functions beneath `h5py.AttributeManager`, which takes three times as long.
     if data.nbytes > MAX_ATTRIBUTE_BYTES and not data.dtype.hasobject:
@@ -105,16 +111,47 @@ def set_attribute(node: Any, name: str, data: NDArray[Any]) -> None:
     label = name.encode()
     if h5py.h5a.exists(node, label):
         h5py.h5a.delete(node, label)
-    kind = h5py.h5t.py_create(data.dtype, logical=True)
-    attribute = h5py.h5a.create(node, label, kind, h5py.h5s.create_simple(data.shape))
-    attribute.write(np.ascontiguousarray(data).reshape(data.shape))
+    in_file, in_memory = kinds or types_of(data.dtype)
+    written = h5py.h5a.create(node, label, in_file, dataspace(data.shape))
+    written.write(np.ascontiguousarray(data).reshape(data.shape), in_memory)
+
+
+def types_of(dtype: np.dtype[Any]) -> tuple[Any, Any]:
+    """Return the HDF5 types of an array's elements in a file and in memory."""
+    # NumPy's types of references are equal, whatever they refer to, and not kept.
+    return (_made_types if dtype.hasobject else _kept_types)(dtype)
+
+
+def _made_types(dtype: np.dtype[Any]) -> tuple[Any, Any]:
+    return h5py.h5t.py_create(dtype, logical=True), h5py.h5t.py_create(dtype)
+
+
+_kept_types = lru_cache(maxsize=256)(_made_types)
+
+
+@lru_cache(maxsize=256)
+def dataspace(shape: tuple[int, ...]) -> Any:
+    """Return the HDF5 dataspace of a shape, made once."""
+    return h5py.h5s.create_simple(shape)
 
 
 def attribute(node: Any, name: str, path: bytes = b".") -> NDArray[Any] | None:
     """Return an attribute of the object at a path from an h5py identifier; None if absent."""
     if not h5py.h5a.exists(node, name.encode(), obj_name=path):
         return None
-    held = h5py.h5a.open(node, name.encode(), obj_name=path)
+    return _value(h5py.h5a.open(node, name.encode(), obj_name=path))
+
+
+def _attributes(node: Any) -> dict[str, NDArray[Any]]:
+    """Return the attributes with values of an object by name, `node` being its identifier."""
+    names = list[bytes]()
+    h5py.h5a.iterate(node, names.append)
+    opened = {name.decode("utf-8"): h5py.h5a.open(node, name) for name in names}
+    return {name: _value(held) for name, held in opened.items() if held.shape is not None}
+
+
+def _value(held: Any) -> NDArray[Any]:
+    """Return the value of an open attribute."""
     data = np.empty(held.shape, held.dtype)
     held.read(data)
     return data
@@ -151,7 +188,7 @@ def seal(file: h5py.File) -> None:
             set_digests(node.id, node, node.chunks[0] if node.chunks else (*node.shape, 1)[0])
             entries = attribute(file.id, BLOCKS, name)
         if entries is not None:
-            _add_dataset(total, b"/" + name, entries)
+            _add_dataset(total, "/" + name.decode("utf-8", "surrogateescape"), entries)
     set_attribute(file.id, DATASETS, np.asarray(np.bytes_(total.hexdigest())))
 
 
@@ -215,6 +252,14 @@ def verified_blocks(dataset: h5py.Dataset) -> Iterator[tuple[Any, Any]]:
         yield (), read_verified(dataset)
 
 
+def _verify_blocks(dataset: h5py.Dataset, entries: dict[int, bytes]) -> None:
+    """Read all values of a dataset by blocks. Raises ValueError as `verified_blocks`."""
+    check_chunks(dataset)
+    edges = [*entries, len(dataset)] if dataset.shape else [0, 1]
+    for first, last in pairwise(edges):
+        _read_blocks(dataset, entries, slice(first, last))
+
+
 def _entries(dataset: h5py.Dataset) -> dict[int, bytes]:
     """Return the entries of `BLOCKS` by the first row of their block.
 
@@ -222,7 +267,11 @@ def _entries(dataset: h5py.Dataset) -> dict[int, bytes]:
     """
     held = dataset.attrs[BLOCKS]
     check_digest(dataset.attrs, held, BLOCKS)
-    return {int(entry.partition(b":")[0]): entry for entry in np.atleast_1d(held).tolist()}
+    return _by_first_row(held)
+
+
+def _by_first_row(entries: Any) -> dict[int, bytes]:
+    return {int(entry.partition(b":")[0]): entry for entry in np.atleast_1d(entries).tolist()}
 
 
 def _check_block(entries: dict[int, bytes], first: int, values: NDArray[Any]) -> None:
@@ -247,9 +296,9 @@ def digests_below(group: h5py.Group) -> dict[str, bytes]:
     return {name: held.tobytes() for name, held in entries.items() if held is not None}
 
 
-def _add_dataset(total: Any, path: bytes, entries: NDArray[Any]) -> None:
+def _add_dataset(total: Any, path: str, entries: NDArray[Any]) -> None:
     """Add the path of a dataset and the digests of its blocks to the digest of all datasets."""
-    total.update(path + b" " + entries.tobytes())
+    total.update(path.encode("utf-8", "surrogateescape") + b" " + entries.tobytes())
 
 
 def check_datasets(file: h5py.File) -> None:
@@ -257,17 +306,20 @@ def check_datasets(file: h5py.File) -> None:
 
     No values are read. Files of older versions have no digest of all datasets.
     """
-    with located(file, f"/@{DATASETS}"):
-        expected = file.attrs.get(DATASETS)
-    if expected is None:
-        return
     total = hashlib.sha256()
     for path, node in nodes_below(file, "/"):
         with located(file, path):
             entries = attribute(node.id, BLOCKS) if isinstance(node, h5py.Dataset) else None
         if entries is not None:
-            _add_dataset(total, path.encode("utf-8", "surrogateescape"), entries)
-    if expected != total.hexdigest().encode():
+            _add_dataset(total, path, entries)
+    _check_total(file, total)
+
+
+def _check_total(file: h5py.File, total: Any) -> None:
+    """Raise InputError where the digest of all datasets is not that of the root, if it has one."""
+    with located(file, f"/@{DATASETS}"):
+        expected = file.attrs.get(DATASETS)
+    if expected is not None and expected != total.hexdigest().encode():
         raise InputError(
             f"{file.filename}: datasets were added, removed or exchanged after the file was written"
         )
@@ -282,21 +334,28 @@ def read_through(file: h5py.File) -> Integrity:
     datasets = 0
     without_digest = list[str]()
     without_checksum = list[str]()
+    total = hashlib.sha256()
     for path, node in nodes_below(file, "/"):
         with located(file, path):
-            for name, value in node.attrs.items():
-                check_digest(node.attrs, value, name)
+            held = _attributes(node.id)
+            for name, value in held.items():
+                check_digest(held, value, name)
+            entries = held.get(BLOCKS) if isinstance(node, h5py.Dataset) else None
             protected = h5py.h5o.get_info(node.id).hdr.version > 1
             if isinstance(node, h5py.Dataset) and node.size:
                 datasets += 1
-                for _ in verified_blocks(node):
-                    pass
-                if BLOCKS not in node.attrs:
+                if entries is None:
+                    for _ in verified_blocks(node):
+                        pass
                     without_digest.append(path)
-                protected &= _has_checksum(node)
+                    protected &= _has_checksum(node)
+                else:
+                    _verify_blocks(node, _by_first_row(entries))
+            if entries is not None:
+                _add_dataset(total, path, entries)
             if not protected:
                 without_checksum.append(path)
-    check_datasets(file)
+    _check_total(file, total)
     return Integrity(datasets, tuple(without_digest), tuple(without_checksum))
 
 

@@ -272,15 +272,13 @@ def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> Non
     An axis without a scale has the name ''. The attributes of HDF5's specification are written at
     once; `h5py.h5ds` writes them anew for every axis.
     """
-    nodes = {
-        name: h5py.h5d.open(group.id, name.encode("utf-8"))
-        for path, names in axes.items()
-        for name in (path, *filter(None, names))
-    }
+    used = dict.fromkeys(name for path, names in axes.items() for name in (path, *names) if name)
+    nodes = {name: h5py.h5d.open(group.id, name.encode("utf-8")) for name in used}
     references = {
         name: h5py.h5r.create(node, b".", h5py.h5r.OBJECT) for name, node in nodes.items()
     }
     users: dict[str, list[tuple[Any, int]]] = {}
+    kinds = checksums.types_of(AXES_TYPE)
     for path, names in axes.items():
         scales = np.empty(nodes[path].rank, dtype=AXES_TYPE)
         for axis in range(len(scales)):
@@ -288,11 +286,12 @@ def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> Non
             scales[axis] = np.array([references[name]] if name else [], dtype=h5py.ref_dtype)
             if name:
                 users.setdefault(name, []).append((references[path], axis))
-        checksums.set_attribute(nodes[path], AXES, scales)
+        checksums.set_attribute(nodes[path], AXES, scales, kinds)
+    kinds = checksums.types_of(USERS_TYPE)
     for name, added in users.items():
         earlier = checksums.attribute(nodes[name], USERS)
         entries = [*([] if earlier is None else earlier.tolist()), *added]
-        checksums.set_attribute(nodes[name], USERS, np.array(entries, dtype=USERS_TYPE))
+        checksums.set_attribute(nodes[name], USERS, np.array(entries, dtype=USERS_TYPE), kinds)
 
 
 def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Dataset:
@@ -310,8 +309,8 @@ def _written(
     links = h5py.h5p.create(h5py.h5p.LINK_CREATE)
     links.set_create_intermediate_group(True)
     properties.set_obj_track_times(False)  # times would make equal contents different files
-    kind = h5py.h5t.py_create(data.dtype, logical=True)
-    space = h5py.h5s.create_simple(data.shape)
+    kind, _ = checksums.types_of(data.dtype)
+    space = checksums.dataspace(data.shape)
     node = h5py.h5d.create(group.id, name.encode("utf-8"), kind, space, properties, links)
     if data.size:
         node.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(data).reshape(data.shape))

@@ -22,7 +22,8 @@ import numpy as np
 
 from lampest.formulation.circuit import Circuit, ConductanceSymbols
 from lampest.panel.compiled import guarded
-from lampest.panel.network import ENTRY_NAMES, Numbers
+from lampest.panel.law import ENTRY_NAMES
+from lampest.panel.network import Numbers
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
 

@@ -11,6 +11,8 @@ unit currents have the size of their start, and the cost is divided by that of a
 zero. A loss without a second derivative everywhere enters by parts p, q ≥ 0 of its residuals
 (`Loss.lowered`). All derivatives are exact and sparse.
 
+`pose` has all of this by name: unknowns with their start and bounds, constraints, and the cost.
+
 Source: paper, equations (2)-(24); Wächter & Biegler, Mathematical Programming 106, 2006 (the method
 of IPOPT).
 """
@@ -30,6 +32,7 @@ from lampest.cost.losses import Lowered
 from lampest.files.errors import InputError
 from lampest.formulation.circuit import Circuit, ConductanceSymbols
 from lampest.formulation.patterns import Excitation, NetworkSymbols, joined_addresses
+from lampest.formulation.values import Values, unit_of
 from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
@@ -58,20 +61,15 @@ class Blocks(CasadiOwner):
         """Number of entries of each block."""
         return {name: int(symbol.shape[0]) for name, symbol in self.symbols.items()}
 
-    def stacked(self, values: Mapping[str, ArrayLike], default: float | None = None) -> Array:
+    def stacked(self, values: Mapping[str, ArrayLike]) -> Array:
         """Return the values of all blocks as one column, (size,).
 
-        Parameters
-        ----------
-        values : mapping of str to array
-            A number, or one for each entry, by the name of the block.
-        default : float, optional
-            Value of blocks that are not named; without it all must be.
+        Each value is a number, or one for each entry, by the name of the block.
         """
         parts = []
         for name, size in self.sizes.items():
-            value = values[name] if default is None or name in values else default
-            parts.append(np.broadcast_to(np.asarray(value, dtype=float).reshape(-1), (size,)))
+            value = np.asarray(values[name], dtype=float).reshape(-1)
+            parts.append(np.broadcast_to(value, (size,)))
         return np.concatenate([np.zeros(0), *parts])
 
     def named(self, column: Array) -> dict[str, Array]:
@@ -80,42 +78,110 @@ class Blocks(CasadiOwner):
         return dict(zip(self.sizes, np.split(column, ends), strict=True))
 
 
-@dataclass(frozen=True, eq=False)
-class Constraint(CasadiOwner):
-    """Own constraint lower ≤ expression ≤ upper; equal limits make an equation.
+Rule = float | Callable[[Values], ArrayLike]  # a number, or a function of the values of the frames
 
-    Attributes
-    ----------
-    name : str
-    expression : casadi.SX, shape (rows, 1)
-    lower, upper : float
-    """
 
-    name: str
-    expression: casadi.SX
-    lower: float
-    upper: float
+def value_of(rule: Rule, at: Values) -> ArrayLike:
+    """Return the value of a rule for the values of the frames."""
+    return rule(at) if callable(rule) else rule
 
 
 @dataclass(frozen=True, eq=False)
-class OwnUnknown(CasadiOwner):
-    """Own unknown of a program.
+class ProgramUnknown(CasadiOwner):
+    """Unknown of a program, with its start and its bounds.
 
     Attributes
     ----------
     symbol : casadi.SX, shape (size, 1)
-    start, lower, upper : float
+    start, lower, upper : Rule
     """
 
     symbol: casadi.SX
-    start: float
-    lower: float = -np.inf
-    upper: float = np.inf
+    start: Rule
+    lower: Rule = -np.inf
+    upper: Rule = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Constraint(CasadiOwner):
+    """Constraint lower ≤ expression ≤ upper; equal limits make an equation.
+
+    Attributes
+    ----------
+    expression : casadi.SX, shape (rows, 1)
+    lower, upper : float
+    """
+
+    expression: casadi.SX
+    lower: float = 0.0
+    upper: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Statement(CasadiOwner):
+    """A program as it is solved: its cost, over its unknowns, subject to its constraints.
+
+    Attributes
+    ----------
+    unknowns : mapping of str to ProgramUnknown
+    constraints : mapping of str to Constraint
+    cost : casadi.SX, shape (1, 1)
+        φ/cost_scale.
+    """
+
+    unknowns: Mapping[str, ProgramUnknown]
+    constraints: Mapping[str, Constraint]
+    cost: casadi.SX
+
+
+def pose(program: "Program") -> Statement:
+    """State the unknowns of a program with their start and bounds, its constraints and its cost.
+
+    Everything that is solved stands here by name. The order of the names is that of the columns;
+    voltages follow the conductances, see `Program.hessian`.
+    """
+    networks = program.networks
+    lowered = program.lowered
+
+    def voltage(name: str) -> ProgramUnknown:
+        symbol = casadi.vertcat(*(network.voltages[name] for network in networks))
+        return ProgramUnknown(symbol, start=lambda at: at.voltages[name] / at.units[name])
+
+    unknowns = {
+        # Cells g = s/r, within the bounds of r
+        "conductance": ProgramUnknown(
+            casadi.vec(program.conductance),
+            start=lambda at: at.scale / at.cells,
+            lower=lambda at: at.scale / at.upper,
+            upper=lambda at: at.scale / at.lower,
+        ),
+        # Node voltages V of every pattern, those of the start's cells, without bounds
+        **{name: voltage(name) for name in networks[0].voltages},
+        # Parts p, q of residuals whose loss has no second derivative at zero
+        "split": ProgramUnknown(
+            casadi.vertcat(EMPTY, *(side for part in lowered for side in part.split)),
+            start=lambda at: at.split,
+            lower=0.0,
+        ),
+        **program.own,
+    }
+    constraints = {
+        # Kirchhoff's current law at every node: L(g) V + diag(t) V − I = 0
+        "balance": Constraint(casadi.vertcat(*(network.balance for network in networks))),
+        # p − q − x = 0
+        "split": Constraint(
+            casadi.vertcat(EMPTY, *(part.equation for part in lowered if part.equation is not None))
+        ),
+        **program.own_constraints,
+    }
+    # φ = Σ_t w_t ρ_t(x_t(r, y)) + own costs, with y = h(V)
+    cost = sum((part.objective for part in lowered), casadi.SX(0)) + program.own_cost
+    return Statement(unknowns, constraints, cost / program.cost_scale)
 
 
 @dataclass(frozen=True, eq=False)
 class Program(CasadiOwner):
-    """Symbols of the nonlinear program; the module's docstring has it as formulas.
+    """Symbols of some frames, and what a user adds to their program; `pose` states the program.
 
     Attributes
     ----------
@@ -134,11 +200,11 @@ class Program(CasadiOwner):
     tie, weight, scale, cost_scale, split_scale : casadi.SX
         Ties (lines, frames · addresses) in 1/s, weights of the terms, s in ohm, units of costs and
         split residuals.
-    own : mapping of str to OwnUnknown
+    own : mapping of str to ProgramUnknown
         Unknowns that a user adds.
-    added : casadi.SX, shape (1, 1)
+    own_cost : casadi.SX, shape (1, 1)
         Costs that a user adds, in the unit of φ.
-    constraints : tuple of Constraint
+    own_constraints : mapping of str to Constraint
         Constraints that a user adds.
     """
 
@@ -153,9 +219,9 @@ class Program(CasadiOwner):
     scale: casadi.SX
     cost_scale: casadi.SX
     split_scale: casadi.SX
-    own: Mapping[str, OwnUnknown] = field(default_factory=dict)
-    added: casadi.SX = casadi.SX(0)
-    constraints: tuple[Constraint, ...] = ()
+    own: Mapping[str, ProgramUnknown] = field(default_factory=dict)
+    own_cost: casadi.SX = casadi.SX(0)
+    own_constraints: Mapping[str, Constraint] = field(default_factory=dict)
 
     @classmethod
     def build(
@@ -259,8 +325,8 @@ class Program(CasadiOwner):
         symbol = casadi.SX.sym(name, size)
         begin = float(np.clip(mean, lower, upper)) if start is None else start
         prior = casadi.sumsqr((symbol - mean) / sd) if np.isfinite(sd) else 0
-        own = {**self.own, name: OwnUnknown(symbol, begin, lower, upper)}
-        return replace(self, own=own, added=self.added + prior), symbol
+        own = {**self.own, name: ProgramUnknown(symbol, begin, lower, upper)}
+        return replace(self, own=own, own_cost=self.own_cost + prior), symbol
 
     def with_reading(self, changed: Callable[[casadi.SX], Any]) -> "Program":
         """Return the program whose terms read changed(y) in place of y.
@@ -282,7 +348,7 @@ class Program(CasadiOwner):
         Raises InputError for another shape.
         """
         _check_shape("an own cost", casadi.SX(added), (1, 1))
-        return replace(self, added=self.added + added)
+        return replace(self, own_cost=self.own_cost + added)
 
     def subject_to(
         self, name: str, expression: casadi.SX, lower: float = 0.0, upper: float | None = None
@@ -294,8 +360,11 @@ class Program(CasadiOwner):
         Raises
         ------
         InputError
-            If the expression is no column, or no function of the unknowns.
+            If the name is taken, or the expression is no column, or no function of the unknowns.
         """
+        if name in self.statement.constraints:
+            names = ", ".join(self.statement.constraints)
+            raise InputError(f"the program has a constraint {name} already: {names}")
         expression = casadi.SX(expression)
         if expression.shape[1] != 1 or not expression.shape[0]:
             rows, columns = expression.shape
@@ -308,8 +377,8 @@ class Program(CasadiOwner):
                 f"constraint {name} depends on none of the unknowns "
                 f"{', '.join(self.unknown.symbols)}"
             )
-        constraint = Constraint(name, expression, lower, lower if upper is None else upper)
-        return replace(self, constraints=(*self.constraints, constraint))
+        constraint = Constraint(expression, lower, lower if upper is None else upper)
+        return replace(self, own_constraints={**self.own_constraints, name: constraint})
 
     @cached_property
     def groups(self) -> list[list[Summand]]:
@@ -360,17 +429,14 @@ class Program(CasadiOwner):
         return replace(self.given, **some)
 
     @cached_property
+    def statement(self) -> Statement:
+        """The program as it is solved."""
+        return pose(self)
+
+    @cached_property
     def unknown(self) -> Blocks:
-        """Unknowns: 'conductance', the voltages by their names, 'split' (p, q), and own ones."""
-        voltages = {
-            name: casadi.vertcat(*(network.voltages[name] for network in self.networks))
-            for name in self.networks[0].voltages
-        }
-        split = casadi.vertcat(EMPTY, *(side for part in self.lowered for side in part.split))
-        own = {name: unknown.symbol for name, unknown in self.own.items()}
-        return Blocks(
-            {"conductance": casadi.vec(self.conductance), **voltages, "split": split, **own}
-        )
+        """Unknowns by name: 'conductance', the voltages, 'split' (p, q), and own ones."""
+        return Blocks({name: each.symbol for name, each in self.statement.unknowns.items()})
 
     @cached_property
     def parameter(self) -> Blocks:
@@ -394,19 +460,8 @@ class Program(CasadiOwner):
 
     @cached_property
     def equation(self) -> Blocks:
-        """Constraints: 'balance' of the currents, 'split' (p − q = x), and own ones."""
-        split = casadi.vertcat(
-            EMPTY, *(part.equation for part in self.lowered if part.equation is not None)
-        )
-        own = {constraint.name: constraint.expression for constraint in self.constraints}
-        balance = casadi.vertcat(*(network.balance for network in self.networks))
-        return Blocks({"balance": balance, "split": split, **own})
-
-    @cached_property
-    def objective(self) -> casadi.SX:
-        """φ/cost_scale."""
-        cost = sum((part.objective for part in self.lowered), casadi.SX(0)) + self.added
-        return cost / self.cost_scale
+        """Constraints by name: 'balance' of the currents, 'split' (p − q = x), and own ones."""
+        return Blocks({name: each.expression for name, each in self.statement.constraints.items()})
 
     @property
     def nlp(self) -> dict[str, casadi.SX]:
@@ -414,7 +469,7 @@ class Program(CasadiOwner):
         return {
             "x": self.unknown.column,
             "p": self.parameter.column,
-            "f": self.objective,
+            "f": self.statement.cost,
             "g": self.equation.column,
         }
 
@@ -453,7 +508,7 @@ class Program(CasadiOwner):
             *(self.unknown.symbols[name] for name in self.networks[0].voltages)
         )
         beside_balance = self.equation.column[count:]
-        lagrangian = weight * self.objective + casadi.dot(multiplier[count:], beside_balance)
+        lagrangian = weight * self.statement.cost + casadi.dot(multiplier[count:], beside_balance)
         full = casadi.jacobian(casadi.gradient(lagrangian, unknown), unknown, {"symmetric": True})
         slope = casadi.gradient(
             casadi.dot(multiplier[:count], self.equation.symbols["balance"]), voltages
@@ -467,11 +522,6 @@ class Program(CasadiOwner):
         return casadi.Function(
             "nlp_hess_l", arguments, [casadi.triu(full) + upper], names, ["hess_gamma_x_x"]
         )
-
-
-def unit_of(name: str) -> str:
-    """Return the name of the parameter that is the unit of voltages."""
-    return f"unit_{name}"
 
 
 def _check_shape(name: str, value: casadi.SX, shape: tuple[int, int]) -> None:

@@ -12,7 +12,7 @@ itself are estimated together with the cells and d, by Gauss-Newton steps.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,11 +36,12 @@ from lampest.panel.systematic import (
     error_columns,
     systematic_of,
 )
+from lampest.panel.trust_region import backtracked
 from lampest.recording.readings import Readings
 
 SETTLED_STEP = 0.1  # step of θ in standard deviations below which the iteration ends
 SECANT_STEP = 1e-3  # of the prior's standard deviation
-MAX_HALVINGS = 5  # lengths of a step of θ that are tried, each half of the one before
+MAX_LENGTHS = 5  # tried lengths of a step of θ
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,8 +299,10 @@ class FittedPair:
         misfit, still = self._misfit
         return max(misfit / max(still, 1), 1.0)
 
-    def _stepped(self, effects: Sequence[Effect], step: Array) -> "FittedPair | None":
-        """Return the pair after a step of the effects' sizes.
+    def _stepped(
+        self, effects: Sequence[Effect], step: Array, length: float
+    ) -> "FittedPair | None":
+        """Return the pair after a step of the effects' sizes, times a length.
 
         The result is None where no cells explain the readings then. Sizes of effects that cannot be
         negative, such as leaks, are clipped at 0.
@@ -309,9 +312,10 @@ class FittedPair:
         effects : sequence of Effect
         step : array, shape (effects,)
             In units of the priors.
+        length : float
         """
         stepped = []
-        for effect, change in zip(effects, step, strict=True):
+        for effect, change in zip(effects, step * length, strict=True):
             size = effect.size + effect.prior * float(change)
             stepped.append(replace(effect, size=max(size, 0.0) if effect.positive else size))
         constant = tuple(effect for effect in stepped if not effect.since)
@@ -327,14 +331,6 @@ class FittedPair:
             if loaded_fit is None
             else replace(self, frames=(resting, loaded_fit), known_channels=self.channels)
         )
-
-    def _halved_until_fitted(self, effects: Sequence[Effect], step: Array) -> "FittedPair | None":
-        """Return the pair after the longest of MAX_HALVINGS steps that cells explain; else None."""
-        for halvings in range(MAX_HALVINGS):
-            stepped = self._stepped(effects, step * 0.5**halvings)
-            if stepped is not None:
-                return stepped
-        return None
 
     def settled(
         self, effects: Sequence[Effect], to_beat: float = np.inf, *, constant: bool = True
@@ -362,7 +358,7 @@ class FittedPair:
             # Gauss-Newton step of θ, of at most one prior deviation; halved until cells explain
             # both frames.
             short = step / max(1.0, float(np.abs(step).max()))
-            stepped = pair._halved_until_fitted(effects, short)
+            stepped = backtracked(partial(pair._stepped, effects, short), MAX_LENGTHS)
             if stepped is None:
                 return None
             pair = stepped

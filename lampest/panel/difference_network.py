@@ -1,10 +1,10 @@
 """Networks whose derivatives follow from potential differences across their cells.
 
 A line that is held at ground without any resistance has a tie of infinite conductance, and Z does
-not exist. The potential differences do. `DifferenceNetwork` has the equations.
+not exist. The potential differences do. Where lines have wire, the differences across cells are not
+those between terminals. `DifferenceNetwork` has the equations.
 """
 
-from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,21 +12,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.kirchhoff import laplacian, line_sums
-from lampest.panel.network import Entries, Loading, Network, SecondOrder, loading_of
+from lampest.panel.law import Entries, Law, Loading
+from lampest.panel.line_blocks import NormalByLines
+from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array
-from lampest.panel.tied_network import ReadCircuit, TiedNetwork
+from lampest.panel.readouts.ladder import Wire
+from lampest.panel.readouts.wiring import Wiring
 
 
 @dataclass(frozen=True, eq=False)
-class DifferenceNetwork(TiedNetwork):
+class DifferenceNetwork(SolvedNetwork):
     """Network whose derivatives follow from the potential differences D across its cells.
 
     A line with a tie of infinite conductance is held at ground. A held line is excited by a unit
     potential, any other line by a unit current. With C the conductances between lines that are not
     held (ties included), −G those between held and other lines, and A those between held lines, K =
     [[−(A − G C⁻¹ Gᵀ), G C⁻¹], [C⁻¹ Gᵀ, C⁻¹]] and the potentials of all lines for each excitation
-    are P = [[1, G C⁻¹], [0, C⁻¹]], held lines first. Without held lines K = P = Z. In every case D
-    = P·B and ∂K_ab/∂g_c = −D_ac D_bc. Nothing is lost to a tie that is only nearly infinite.
+    are P = [[1, G C⁻¹], [0, C⁻¹]], held lines first. Without held lines K = P = Z.
+
+    In every case ∂K_ab/∂g_c = −D_ac D_bc and ∂D_ac/∂g_d = −D_ad X_dc with D = P·B and X = Bᵀ Z₀ B,
+    Z₀ the impedance between the lines that are not held, zero for held ones. With wire B is that of
+    `Wire`, and X has the part X₀ of the cells while all terminals are held. Cells are summed after
+    differences are taken: nothing is lost to a tie that is only nearly infinite, or where cells are
+    decades apart, at (rows + columns)·cells more operations a product than `SolvedNetwork` has
+    (docs/studies/circuits.md).
 
     Attributes
     ----------
@@ -34,22 +43,53 @@ class DifferenceNetwork(TiedNetwork):
         Ties t of the terminals to ground, siemens; infinite where a line is held.
     excited : array, shape (lines, lines)
         P; row a is the excitation of line a.
+    wire : Wire or None
+        Wire between terminals and cells.
     """
 
     ties: Array
     excited: Array
+    wire: Wire | None = None
+
+    @classmethod
+    def held(
+        cls, cell_resistance: Array, ties: Array, law: Law, sources: Array | None = None
+    ) -> "DifferenceNetwork":
+        """Return the network of cells (rows, columns) ohm, some of whose lines are held at ground.
+
+        Raises numpy.linalg.LinAlgError if a line is not connected.
+        """
+        entries, potentials = excitations(laplacian(1 / cell_resistance), ties)
+        return cls(cell_resistance, entries, law, ties, potentials, sources=sources)
+
+    @classmethod
+    def wired(
+        cls,
+        cell_resistance: Array,
+        ties: Array,
+        law: Law,
+        wiring: Wiring,
+        sources: Array | None = None,
+    ) -> "DifferenceNetwork":
+        """Return the network of cells (rows, columns) ohm with wiring between them and terminals.
+
+        The currents of the terminals at potentials p are BC·p, and Z = (BC + diag t)⁻¹ with
+        touching lines as one node. Raises numpy.linalg.LinAlgError if a line is not connected.
+        """
+        wire = Wire.of(cell_resistance, wiring)
+        admittance = wire.admittance
+        nodes = wiring.nodes(len(admittance))
+        # Touching lines are one node, with the sum of their ties: E (Eᵀ (BC + diag t) E)⁻¹ Eᵀ
+        node_ties = np.where(nodes > 0, ties[:, None], 0.0).sum(axis=0)
+        entries, potentials = (
+            nodes @ part @ nodes.T for part in excitations(nodes.T @ admittance @ nodes, node_ties)
+        )
+        return cls(cell_resistance, entries, law, ties, potentials, wire, sources=sources)
 
     @property
-    def held(self) -> NDArray[np.bool_]:
-        """Whether a line is held at ground, (lines,)."""
-        return np.isinf(self.ties)
-
-    @abstractmethod
-    def driven_through(self, sources: Array) -> Array:
-        """Return X·s, (cells, patterns) volt, for currents driven through cells.
-
-        The currents s are (cells, patterns) ampere.
-        """
+    def of_free(self) -> NDArray[np.bool_]:
+        """Whether a line is not held at ground, (lines, 1)."""
+        return ~np.isinf(self.ties)[:, None]
 
     def potentials(self) -> Array:
         """Return the potential of every line, (lines, patterns).
@@ -58,126 +98,114 @@ class DifferenceNetwork(TiedNetwork):
         """
         return self.excited.T
 
-    def leaking(self, across: Array, siemens: float) -> Network:
-        """Return the network with conductances between lines; see `Network.leaking`."""
-        towards = self.excited @ across
-        # Bᵀ Z B with Z the impedance of the lines that are not held
-        core = np.linalg.inv(
-            np.eye(across.shape[1])
-            + siemens * across.T @ np.where(self.held[:, None], 0.0, towards)
+    def differences(self, potentials: Array) -> Array:
+        """Return Bᵀ·V, (cells, patterns), for potentials V (lines, patterns) of the terminals."""
+        if self.wire is not None:
+            return self.wire.differences(potentials)
+        differences = potentials[: self.rows, None] - potentials[None, self.rows :]
+        return differences.reshape(self.cell_resistance.size, -1)
+
+    def entering(self, currents: Array) -> Array:
+        """Return B·i, (lines, patterns), for currents i driven through the cells, in ampere."""
+        if self.wire is not None:
+            return self.wire.entering(currents)
+        through = currents.reshape(*self.shape, -1)
+        return np.concatenate([through.sum(axis=1), -through.sum(axis=0)])
+
+    def driven(self, currents: Array, potentials: Array) -> Array:
+        """Return X·i, (cells, patterns) volt, for currents i driven through the cells, in ampere.
+
+        `potentials` are P·B·i of the lines, (lines, patterns).
+        """
+        differences = self.differences(np.where(self.of_free, potentials, 0.0))
+        return differences if self.wire is None else differences + self.wire.within(currents)
+
+    @cached_property
+    def potential_differences(self) -> Array:
+        """D = P·B (lines, cells): across every cell for the excitation of every line."""
+        return self.differences(self.potentials()).T
+
+    @cached_property
+    def transfer(self) -> Array:
+        """X (cells, cells): the potential differences for a unit current through every cell."""
+        each = np.eye(self.cell_resistance.size)
+        return self.driven(each, self.excited @ self.entering(each))
+
+    @property
+    def across_readings(self) -> Array:
+        """Difference across every cell for each reading, D_jc − D_kc, (readings, cells)."""
+        differences = self.potential_differences
+        return np.asarray(differences[: self.rows, None] - differences[None, self.rows :]).reshape(
+            self.transfer.shape
         )
-        return replace(self, _impedance=self._impedance - siemens * towards @ core @ towards.T)
-
-    def condition(self) -> float:
-        """Return Σ_l |L_ll Z_ll| over the lines that are not held; see `Network.condition`."""
-        driving_point = np.where(self.held, 0.0, self._impedance.diagonal())
-        return float(np.abs(line_sums(self.conductance) * driving_point).sum())
-
-    def changes(self, step: Array) -> Entries:
-        """Return the entries of dK = D·diag(g·p)·Dᵀ."""
-        differences = self.potential_differences
-        return self.entries((differences * (self.conductance * step).ravel()) @ differences.T)
-
-    def drawn(self, loading: Loading) -> Array:
-        """Return diag(Dᵀ W D), (rows, columns)."""
-        differences = self.potential_differences
-        drawn = np.sum(differences * self.loaded(loading, differences), axis=0)
-        return np.asarray(drawn.reshape(self.conductance.shape))
-
-    def _own_differences(self) -> tuple[Array, Array]:
-        rows, columns = self.conductance.shape
-        row, column = np.indices((rows, columns))
-        differences = self.potential_differences.reshape(-1, rows, columns)
-        return differences[row, row, column], differences[rows + column, row, column]
 
     @cached_property
     def source_differences(self) -> Array:
         """Difference across every cell by the sources, (rows, columns)."""
         assert self.sources is not None
-        return np.asarray(self.sources @ self.potential_differences).reshape(self.conductance.shape)
+        return np.asarray(self.sources @ self.potential_differences).reshape(self.shape)
 
-    @cached_property
-    def transfer(self) -> Array:
-        """X (cells, cells), the potential differences for a unit current through every cell.
+    def own_differences(self) -> tuple[Array, Array]:
+        rows, columns = self.shape
+        row, column = np.indices((rows, columns))
+        differences = self.potential_differences.reshape(-1, rows, columns)
+        return differences[row, row, column], differences[rows + column, row, column]
 
-        See `SecondOrder`.
-        """
-        return self.driven_through(np.eye(self.conductance.size))
+    def changes(self, step: Array) -> Entries:
+        """Return the entries of D·diag(s)·Dᵀ = P·B·diag(s)·Dᵀ for steps s = g·p."""
+        return self.entries_of_product(self.excited, self.entering(self._currents(step)))
 
-    def second_order(self, weights: Array) -> SecondOrder:
-        return DifferenceSecondOrder(self, weights)
+    def _currents(self, step: Array) -> Array:
+        """Return diag(s)·Dᵀ, (cells, lines), for steps s (rows, columns)."""
+        return self.potential_differences.T * step.reshape(-1, 1)
 
+    def drawn(self, loading: Loading) -> Array:
+        return self.drawn_of(self.weighed(loading))
 
-@dataclass(frozen=True, eq=False)
-class DifferenceSecondOrder(SecondOrder):
-    """Second derivatives H of a network of potential differences; see `SecondOrder`."""
+    def weighed(self, loading: Loading) -> Array:
+        """Return the product with W that second derivatives share, W D (lines, cells)."""
+        return self.differences(self.loaded(loading, self.excited).T).T
 
-    network: DifferenceNetwork
+    def drawn_of(self, weighed: Array) -> Array:
+        """Return diag(DᵀWD) from `weighed`, (rows, columns)."""
+        return np.asarray(np.sum(self.potential_differences * weighed, axis=0).reshape(self.shape))
 
-    def adjoint(self) -> Array:
-        """Return Jᵀ·w = g·diag(Dᵀ W D), (rows, columns)."""
-        return np.asarray(self.network.conductance * self.network.drawn(self.loading))
+    def between_cells(self, weighed: Array) -> Array:
+        """Return DᵀWD from `weighed`, (cells, cells)."""
+        return np.asarray(self.potential_differences.T @ weighed)
 
-    def products(self, step: Array) -> tuple[Array, Array]:
-        """Return the products with the Jacobian and the Hessian, from dDᵀ = X·(g·p·Dᵀ).
-
-        Returns
-        -------
-        change : array, shape (rows, columns)
-            J·p.
-        second : array, shape (rows, columns)
-            H·p = g·(2 diag(Dᵀ W dD) + diag(Dᵀ W' D)), W' the change of W by that of the slopes of
-            h.
-        """
-        network = self.network
-        change = self.network.changes(step)
-        differences = network.potential_differences
-        moved = network.driven_through((differences * (network.conductance * step).ravel()).T).T
-        loaded = network.loaded(self.loading, differences)
-        by_potentials = 2 * np.sum(moved * loaded, axis=0).reshape(step.shape)
-        by_slopes = network.drawn(loading_of(*self.change_of_slopes(change)))
-        return network.read_change(change), network.conductance * (by_potentials + by_slopes)
+    def moved(self, weighed: Array, step: Array) -> tuple[Entries, Array]:
+        currents = self._currents(step)
+        changed = self.excited @ self.entering(currents)
+        moved = self.driven(currents, changed)
+        return self.entries(changed), 2 * np.sum(moved.T * weighed, axis=0).reshape(self.shape)
 
     @property
-    def _between(self) -> Array:
-        """Dᵀ W D, (cells, cells)."""
-        differences = self.network.potential_differences
-        return np.asarray(differences.T @ self.network.loaded(self.loading, differences))
+    def terminal_currents(self) -> Array:
+        """Current that enters each line while a line is excited, (lines, patterns).
 
-
-@dataclass(frozen=True, eq=False)
-class HeldNetwork(DifferenceNetwork):
-    """Network of which some lines are held at ground; see `DifferenceNetwork`."""
-
-    @classmethod
-    def solve(
-        cls,
-        cell_resistance: Array,
-        ties: Array,
-        readout: ReadCircuit,
-        sources: Array | None = None,
-    ) -> "HeldNetwork":
-        """Return the solved network of cells (rows, columns) ohm.
-
-        Raises numpy.linalg.LinAlgError if a line is not connected.
+        The currents are 1 − diag(t) Z, and −K of a held line.
         """
-        entries, potentials = excitations(laplacian(1 / cell_resistance), ties)
-        return cls(cell_resistance, entries, readout, ties, potentials, sources=sources)
+        ties = np.where(self.of_free[:, 0], self.ties, 0.0)
+        entering = np.eye(len(ties)) - ties[:, None] * self.excited.T
+        return np.where(self.of_free, entering, -self._impedance)
 
-    @cached_property
-    def potential_differences(self) -> Array:
-        """D = P·B, (lines, cells): across every cell for the excitation of every line."""
-        differences = self.excited[:, : self.rows, None] - self.excited[:, None, self.rows :]
-        return differences.reshape(len(differences), -1)
+    def normal_by_lines(self, weight: Array) -> NormalByLines:
+        return Network.normal_by_lines(self, weight)
 
-    def driven_through(self, sources: Array) -> Array:
-        """Return BᵀZB·s, Z the impedance of the lines that are not held."""
-        currents = sources.reshape(*self.conductance.shape, -1)
-        entering = np.concatenate([currents.sum(axis=1), -currents.sum(axis=0)])
-        potentials = np.where(self.held[:, None], 0.0, self.excited) @ entering
-        return np.asarray(potentials[: self.rows, None] - potentials[None, self.rows :]).reshape(
-            sources.shape
+    def leaking(self, across: Array, siemens: float) -> Network:
+        """Return the network with conductances between lines; see `SolvedNetwork.leaking`."""
+        towards = self.excited @ across
+        # Bᵀ Z B with Z the impedance of the lines that are not held
+        core = np.linalg.inv(
+            np.eye(across.shape[1]) + siemens * across.T @ np.where(self.of_free, towards, 0.0)
         )
+        return replace(self, _impedance=self._impedance - siemens * towards @ core @ towards.T)
+
+    def condition(self) -> float:
+        """Return Σ_l |L_ll Z_ll| over the lines that are not held; see `SolvedNetwork`."""
+        driving_point = np.where(self.of_free[:, 0], self._impedance.diagonal(), 0.0)
+        return float(np.abs(line_sums(self.conductance) * driving_point).sum())
 
 
 def excitations(admittance: Array, ties: Array) -> tuple[Array, Array]:

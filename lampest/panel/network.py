@@ -1,165 +1,260 @@
 """Solved networks of cells with the impedance Z = (L(g) + diag(t))⁻¹ of a panel's lines.
 
-A readout defines the ties t of the lines to ground (siemens) and the readings y = h(p, q, t) with p
-= Z_jj, q = Z_kk, t = Z_jk. All derivatives are with respect to u = log r, and follow from these
-two. With D = Z·B, B the ±1 incidence vectors of the cells, ∂Z_ab/∂u_c = g_c D_ac D_bc. For weights
-w of the readings, d(Σ w y) = tr(W dZ) with W = [[diag Σ_k w h_p, ½ w h_t], [·, diag Σ_j w h_q]].
-
-Where idle lines end in potentials, x is the excitation of all lines by them, and a reading depends
-on v = Z·x, too: y = h(p, q, t, e, f) with e = v_j and f = v_k. As v is linear in Z, nothing new
-enters the derivatives: with w_v the weights of v, W becomes W + ½(x w_vᵀ + w_v xᵀ).
+A readout defines the ties t of the lines to ground (siemens) and the law y = h(p, q, t) of its
+readings with p = Z_jj, q = Z_kk, t = Z_jk; see `lampest.panel.law`. All derivatives are with
+respect to u = log r, and follow from these two. With D = Z·B, B the ±1 incidence vectors of the
+cells, ∂Z_ab/∂u_c = g_c D_ac D_bc.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.kirchhoff import bipartite, injected, line_sums
-from lampest.panel.line_blocks import LineBlocks
-from lampest.panel.panel import Array, check_line_memory
+from lampest.panel.kirchhoff import bipartite, injected, inverse_of, line_sums
+from lampest.panel.law import TWO_POINT, Entries, Law, Loading, across, loading_of
+from lampest.panel.line_blocks import LineBlocks, NormalByLines, square_by_lines
+from lampest.panel.panel import Array
 
-ENTRY_NAMES = "pqtef"
 Numbers = NDArray[np.intp]
-# Values for (p, q, t), or (p, q, t, e, f), to be broadcast to (…, rows, columns)
-Entries = tuple[Array, ...]
 # Indices of rows and columns that give (rows, columns, …) for all readings.
 EVERY_ROW = (slice(None), None)
 EVERY_COLUMN = (None, slice(None))
 
 
 @dataclass(frozen=True, eq=False)
-class Loading:
-    """Matrix W of weights of the readings; see the module.
-
-    Attributes
-    ----------
-    diagonal : array, shape (…, lines)
-    between : array, shape (…, rows, columns)
-        Block between rows and columns.
-    of_potentials : array, shape (lines,), or None
-        w_v, where lines end in potentials.
-    """
-
-    diagonal: Array
-    between: Array
-    of_potentials: Array | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class NormalByLines:
-    """Matrix diag(own) + V·mixed·Vᵀ over cells.
-
-    V = [diag(v)·U for v in along], and U is the incidence of cells and lines.
-
-    Attributes
-    ----------
-    own : array, shape (rows, columns)
-    along : array, shape (k, rows, columns)
-    mixed : LineBlocks of k values
-    mixed_inverse : LineBlocks of k values
-    """
-
-    own: Array
-    along: Array
-    mixed: LineBlocks
-    mixed_inverse: LineBlocks
-
-
-@dataclass(frozen=True, eq=False)
 class Network(ABC):
-    """Solved network of a panel.
+    """Solved network of a panel's cells: readings and their derivatives.
+
+    Attributes
+    ----------
+    cell_resistance : array, shape (…, rows, columns)
+        Cells r in ohm.
+    """
+
+    cell_resistance: Array
+
+    @cached_property
+    def conductance(self) -> Array:
+        """Conductances g = 1/r, (…, rows, columns) siemens."""
+        return np.asarray(1 / self.cell_resistance)
+
+    @abstractmethod
+    def reading(self) -> Array:
+        """Return y (rows, columns): the readings between every row and every column."""
+
+    @abstractmethod
+    def forward(self, step: Array) -> Array:
+        """Return J·p = ∂y/∂u·p for a step p of u = log r, (rows, columns)."""
+
+    @abstractmethod
+    def adjoint(self, weights: Array) -> Array:
+        """Return Jᵀ·w for weights w of the readings, (rows, columns)."""
+
+    @abstractmethod
+    def sensitivity(self) -> Array:
+        """Return J, (readings, cells)."""
+
+    @abstractmethod
+    def sensitivity_of(self, read: NDArray[np.bool_]) -> Array:
+        """Return the rows of J of the readings that are True in `read` (rows, columns)."""
+
+    @abstractmethod
+    def own_response(self) -> Array:
+        """Return the diagonal of J, (rows, columns): the response of each cell's own reading."""
+
+    @abstractmethod
+    def second_order(self, weights: Array) -> "SecondOrder":
+        """Return the second derivatives of Σ w·y, for weights w of the readings (rows, columns)."""
+
+    @abstractmethod
+    def leaking(self, across: Array, siemens: float) -> "Network":
+        """Return the network with conductances between lines, for its readings.
+
+        Parameters
+        ----------
+        across : array, shape (lines, leaks)
+            Incidence B of each leak, +1 and −1 at its lines.
+        siemens : float
+            G of each leak.
+        """
+
+    @abstractmethod
+    def condition(self) -> float:
+        """Return the amplification of the rounding of L in any reading."""
+
+    @abstractmethod
+    def response_of(self, response: "Callable[[SolvedNetwork], Array]") -> Array:
+        """Return a response of the readings, (…, rows, columns, k).
+
+        Of several networks, each reading has the response of the one that gives it.
+        """
+
+    @property
+    def branch(self) -> Array:
+        """Sign of the median change of the readings where all cells grow by one factor, (…).
+
+        Panels that give the same readings and differ in sign lie on two sides of a fold; see
+        `lampest.panel.readouts.branches`.
+        """
+        grown = self.forward(np.ones(self.cell_resistance.shape))
+        return np.asarray(np.sign(np.median(grown, axis=(-2, -1))))
+
+    def normal_by_lines(self, weight: Array) -> NormalByLines:
+        """Return an approximation of JᵀWJ for weights w ≥ 0 of the readings (rows, columns).
+
+        In the base class it contains the diagonal of J only; kinds of networks may add the parts of
+        lines.
+        """
+        diagonal: Array = weight * self.own_response() ** 2
+        none = LineBlocks(np.zeros((0, 0, sum(diagonal.shape))), np.zeros((0, 0, *diagonal.shape)))
+        return NormalByLines(diagonal, np.zeros((0, *diagonal.shape)), none, none)
+
+
+@dataclass(frozen=True, eq=False)
+class SecondOrder(ABC):
+    """Second derivatives H = diag(g)·Σ_i w_i ∂²y_i/∂g²·diag(g) of the readings.
+
+    Σ_i w_i ∂²y_i/∂u² = H − diag(Jᵀw).
+
+    Attributes
+    ----------
+    network : Network
+    weights : array, shape (rows, columns)
+        Weights w of the readings.
+    """
+
+    network: Network
+    weights: Array
+
+    @abstractmethod
+    def adjoint(self) -> Array:
+        """Return Jᵀ·w, (rows, columns), from what H needs."""
+
+    @abstractmethod
+    def products(self, step: Array) -> tuple[Array, Array]:
+        """Return the products with the Jacobian and the Hessian for a step p of u.
+
+        Returns
+        -------
+        change : array, shape (rows, columns)
+            J·p.
+        second : array, shape (rows, columns)
+            H·p.
+        """
+
+    @abstractmethod
+    def matrix(self) -> Array:
+        """Return H, (…, cells, cells)."""
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedNetwork(Network):
+    """Solved network of lines that end in ties to ground.
 
     Networks of floating lines may have leading axes, for many networks at once. The impedance Z,
-    (lines, lines) ohm, is private to the network.
+    (lines, lines) ohm, is private to the network. Products with the cells are products with the
+    bipartite matrix of the lines: (rows + columns)³ operations. `DifferenceNetwork` keeps more
+    digits, and its products cost more.
 
     Attributes
     ----------
-    cell_resistance : array, shape (rows, columns)
-        Cells r in ohm.
+    law : Law
+        Law h of the readings.
     sources : array, shape (lines,), or None
         Excitation x of the lines by the potentials in which idle lines end; None without any.
     """
 
-    cell_resistance: Array
     _impedance: Array
+    law: Law
     sources: Array | None = field(default=None, kw_only=True)
 
-    @cached_property
-    def conductance(self) -> Array:
-        """Conductances g = 1/r, (rows, columns) siemens."""
-        return np.asarray(1 / self.cell_resistance)
+    @classmethod
+    def tied(
+        cls, cell_resistance: Array, ties: Array, law: Law, sources: Array | None = None
+    ) -> Self:
+        """Return the network of cells (…, rows, columns) ohm with ties (…, lines) siemens.
+
+        Raises numpy.linalg.LinAlgError if a line is not connected.
+        """
+        return cls(cell_resistance, inverse_of(1 / cell_resistance, ties), law, sources=sources)
+
+    @classmethod
+    def floating(cls, conductance: Array, ties: Array) -> Self:
+        """Return the network of two-point readings, of conductances (…, rows, columns) siemens.
+
+        The ties are (…, lines) siemens. Raises numpy.linalg.LinAlgError if a line is not connected.
+        """
+        with np.errstate(divide="ignore"):
+            return cls(1 / conductance, inverse_of(conductance, ties), TWO_POINT)
+
+    def some(self, numbers: Numbers | int) -> Self:
+        """Return the chosen ones of many networks, or a single one by its number."""
+        return replace(
+            self,
+            cell_resistance=self.cell_resistance[numbers],
+            _impedance=self._impedance[numbers],
+        )
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the cells, (…, rows, columns)."""
+        return self.cell_resistance.shape
 
     @property
     def rows(self) -> int:
         """Number of row lines."""
-        return int(self.conductance.shape[-2])
+        return int(self.cell_resistance.shape[-2])
 
     @property
     def flat_conductance(self) -> Array:
         """Conductances g (…, cells)."""
-        return self.conductance.reshape(*self.conductance.shape[:-2], -1)
+        return self.conductance.reshape(*self.shape[:-2], -1)
 
-    @abstractmethod
-    def read(self, entries: Entries) -> Array:
-        """Return h(p, q, t), or h(p, q, t, e, f), (rows, columns)."""
+    def potentials(self) -> Array:
+        """Return the potential of every line, (lines, patterns).
 
-    @property
-    @abstractmethod
-    def slopes(self) -> Entries:
-        """First derivatives (h_p, h_q, h_t), or (h_p, h_q, h_t, h_e, h_f)."""
-
-    @property
-    def curvatures(self) -> Array | None:
-        """Second derivatives h″ of h, (entries, entries, rows, columns); None: h is linear."""
-        return None
+        Pattern k is the excitation of line k, a unit current into it.
+        """
+        return self._impedance
 
     def reading(self) -> Array:
-        """Return y (rows, columns): the readings between every row and every column."""
-        return self.read(self.entries(self._impedance))
+        return self.law.read(self._entries, self.shape)
+
+    @cached_property
+    def _entries(self) -> Entries:
+        """Entries of Z."""
+        return self.entries(self._impedance)
+
+    @cached_property
+    def slopes(self) -> Entries:
+        """First derivatives (h_p, h_q, h_t), or (h_p, h_q, h_t, h_e, h_f)."""
+        return self.law.slopes(self._entries, self.shape)
+
+    @cached_property
+    def curvatures(self) -> Array | None:
+        """Second derivatives h″ of h, (entries, entries, rows, columns); None: h is linear."""
+        return self.law.curvatures(self._entries, self.shape)
 
     def read_change(self, change: Entries) -> Array:
         """Return h_p·dp + h_q·dq + h_t·dt, (rows, columns)."""
-        row, column, *others = (
-            slope * part for slope, part in zip(self.slopes, change, strict=True)
-        )
-        return np.asarray(sum(others, row + column))
+        return self.law.change(self.slopes, change)
 
     def forward(self, step: Array) -> Array:
-        """Return J·p = ∂y/∂u·p for a step p of u = log r, (rows, columns).
-
-        The product takes (rows + columns)³ operations.
-        """
-        return self.read_change(self.changes(step))
-
-    def changes(self, step: Array) -> Entries:
-        """Return the entries of dZ = Z L_{g·p} Z."""
-        return self.entries_of_product(
-            self._impedance, injected(step / self.cell_resistance, self._impedance)
-        )
+        """Return J·p = ∂y/∂u·p for a step p of u = log r, (rows, columns)."""
+        return self.read_change(self.changes(step / self.cell_resistance))
 
     def adjoint(self, weights: Array) -> Array:
-        """Return Jᵀ·w = g·bᵀ(Z W Z)b for weights w of the readings, (rows, columns).
-
-        The product takes (rows + columns)³ operations.
-        """
+        """Return Jᵀ·w = g·bᵀ(Z W Z)b for weights w of the readings, (rows, columns)."""
         return np.asarray(self.drawn(self.loading(weights)) / self.cell_resistance)
 
     def loading(self, weights: Array) -> Loading:
         """Return W of weights (rows, columns) of the readings."""
-        return loading_of(*(weights * slope for slope in self.slopes))
-
-    def drawn(self, loading: Loading) -> Array:
-        """Return bᵀ(Z W Z)b of every cell, (rows, columns)."""
-        return across(
-            self.entries_of_product(
-                self._impedance, self.loaded(loading, self._impedance), with_sources=False
-            )
-        )
+        return self.law.loading(self.slopes, weights)
 
     def loaded(self, loading: Loading, values: Array) -> Array:
         """Return W·V, (…, lines, patterns), for values V of the same shape."""
@@ -171,6 +266,67 @@ class Network(ABC):
             product = product + 0.5 * np.outer(loading.of_potentials, self.sources @ values)
         return product
 
+    # Sums over the cells, D = Z·B, and X = BᵀZB. `DifferenceNetwork` has another D, and another X.
+
+    @cached_property
+    def potential_differences(self) -> Array:
+        """D = Z·B (…, lines, cells) ohm: across every cell for the excitation of every line."""
+        impedance = self._impedance
+        differences = impedance[..., : self.rows, None] - impedance[..., None, self.rows :]
+        return differences.reshape(*impedance.shape[:-1], -1)
+
+    @cached_property
+    def transfer(self) -> Array:
+        """X = BᵀZB (…, cells, cells) ohm: ∂D_ac/∂g_d = −D_ad X_dc."""
+        return self.between(self._impedance)
+
+    @property
+    def across_readings(self) -> Array:
+        """Difference across every cell for a unit current through each reading's two lines.
+
+        The shape is (…, readings, cells). Without wire it is X.
+        """
+        return self.transfer
+
+    def changes(self, step: Array) -> Entries:
+        """Return the entries of D·diag(s)·Dᵀ = Z L_s Z for steps s = g·p, (rows, columns)."""
+        return self.entries_of_product(self._impedance, injected(step, self._impedance))
+
+    def drawn(self, loading: Loading) -> Array:
+        """Return diag(DᵀWD) = bᵀ(Z W Z)b of every cell, (rows, columns)."""
+        return across(
+            self.entries_of_product(
+                self._impedance, self.loaded(loading, self._impedance), with_sources=False
+            )
+        )
+
+    def weighed(self, loading: Loading) -> Array:
+        """Return the product with W that second derivatives share, Z W Z (lines, lines)."""
+        return self._impedance @ self.loaded(loading, self._impedance)
+
+    def drawn_of(self, weighed: Array) -> Array:
+        """Return diag(DᵀWD) from `weighed`, (rows, columns)."""
+        return across(self.entries(weighed))
+
+    def between_cells(self, weighed: Array) -> Array:
+        """Return DᵀWD from `weighed`, (…, cells, cells)."""
+        return self.between(weighed)
+
+    def moved(self, weighed: Array, step: Array) -> tuple[Entries, Array]:
+        """Return the first-order changes for steps s = g·p, (rows, columns).
+
+        Returns
+        -------
+        change : Entries
+            Those of dK = D·diag(s)·Dᵀ; see `changes`.
+        drawn : array, shape (rows, columns)
+            2 diag(DᵀW dD), dDᵀ = X·diag(s)·Dᵀ.
+        """
+        currents = injected(step, self._impedance)
+        change = self.entries_of_product(self._impedance, currents)
+        second = self.entries_of_product(weighed, currents, symmetric=False, with_sources=False)
+        return change, 2 * across(second)
+
     @cached_property
     def source_differences(self) -> Array:
         """Difference of v = Z·x across every cell, (rows, columns)."""
@@ -178,13 +334,12 @@ class Network(ABC):
         potentials = self._impedance @ self.sources
         return np.asarray(potentials[: self.rows, None] - potentials[None, self.rows :])
 
-    @cached_property
-    def potential_differences(self) -> Array:
-        """D = Z·B (…, lines, cells) ohm: across every cell for a unit current into every line."""
-        differences = (
-            self._impedance[..., : self.rows, None] - self._impedance[..., None, self.rows :]
-        )
-        return differences.reshape(*self._impedance.shape[:-1], -1)
+    def own_differences(self) -> tuple[Array, Array]:
+        """Return (D_jc, D_kc) of every cell c at its own row j and column k, (rows, columns)."""
+        row, column, mutual, *_ = self._entries
+        return row - mutual, mutual - column
+
+    # Derivatives of single readings.
 
     def entry_responses(self, j: Any = EVERY_ROW, k: Any = EVERY_COLUMN) -> Entries:
         """Return g_c·(D_jc², D_kc², D_jc·D_kc).
@@ -211,12 +366,17 @@ class Network(ABC):
         return *responses, row * by_sources, column * by_sources
 
     def sensitivity(self) -> Array:
-        """Return J, (readings, cells)."""
+        """Return J, (…, readings, cells); of two-point readings J = (D_jc − D_kc)²·g_c."""
+        if self.law.two_point:
+            response: Array = self.across_readings**2
+            response *= self.flat_conductance[..., None, :]
+            return response
         response = self._sensitivity(EVERY_ROW, EVERY_COLUMN, self.slopes)
         return response.reshape(-1, response.shape[-1])
 
     def sensitivity_of(self, read: NDArray[np.bool_]) -> Array:
-        """Return the rows of J of the readings that are True in `read` (rows, columns)."""
+        if self.law.two_point:
+            return np.asarray(self.sensitivity()[read.ravel()])
         j, k = np.nonzero(read)
         return self._sensitivity(j, k, tuple(slope[read] for slope in self.slopes))
 
@@ -234,67 +394,30 @@ class Network(ABC):
         return response
 
     def own_response(self) -> Array:
-        """Return the diagonal of J, (rows, columns): the response of each cell's own reading."""
-        row, column = self._own_differences()
+        row, column = self.own_differences()
+        if self.law.two_point:
+            return np.asarray((row - column) ** 2 / self.cell_resistance)
         change: Entries = (row**2, column**2, row * column)
         if self.sources is not None:
             change = (*change, row * self.source_differences, column * self.source_differences)
         return np.asarray(self.conductance * self.read_change(change))
 
-    def _own_differences(self) -> tuple[Array, Array]:
-        """Return (D_jc, D_kc) of every cell c at its own row j and column k, (rows, columns)."""
-        row, column, mutual, *_ = self.entries(self._impedance)
-        return row - mutual, mutual - column
-
-    def response_of(self, response: Callable[["Network"], Array]) -> Array:
-        """Return a response of the readings, (…, rows, columns, k).
-
-        Of several networks, each reading has the response of the one that gives it.
-        """
+    def response_of(self, response: "Callable[[SolvedNetwork], Array]") -> Array:
         return response(self)
 
-    @property
-    def branch(self) -> Array:
-        """Sign of the median change of the readings where all cells grow by one factor, (…).
-
-        Panels that give the same readings and differ in sign lie on two sides of a fold; see
-        `lampest.panel.readouts.branches`.
-        """
-        grown = self.forward(np.ones(self.cell_resistance.shape))
-        return np.asarray(np.sign(np.median(grown, axis=(-2, -1))))
-
-    def second_order(self, weights: Array) -> "SecondOrder":
-        """Return the second derivatives of Σ w·y, for weights w of the readings (rows, columns)."""
-        return SecondOrder(self, weights)
+    def second_order(self, weights: Array) -> SecondOrder:
+        return SolvedSecondOrder(self, weights)
 
     def normal_by_lines(self, weight: Array) -> NormalByLines:
-        """Return an approximation of JᵀWJ for weights w ≥ 0 of the readings (rows, columns).
+        """Return JᵀWJ; of two-point readings with parts of rows and columns, `square_by_lines`."""
+        if not self.law.two_point:
+            return super().normal_by_lines(weight)
+        return square_by_lines(self.conductance, self.reading(), weight)
 
-        In the base class it contains the diagonal of J only; kinds of networks may add the parts of
-        lines.
-        """
-        diagonal: Array = weight * self.own_response() ** 2
-        none = LineBlocks(np.zeros((0, 0, sum(diagonal.shape))), np.zeros((0, 0, *diagonal.shape)))
-        return NormalByLines(diagonal, np.zeros((0, *diagonal.shape)), none, none)
-
-    def potentials(self) -> Array:
-        """Return the potential of every line, (lines, patterns) V/A.
-
-        Pattern k is a unit current into line k.
-        """
-        return self._impedance
-
-    def leaking(self, across: Array, siemens: float) -> "Network":
-        """Return the network with conductances between lines, for its readings.
+    def leaking(self, across: Array, siemens: float) -> Network:
+        """Return the network with conductances between lines; see `Network.leaking`.
 
         By Woodbury's formula Z becomes Z − Z B (1/G + BᵀZB)⁻¹ BᵀZ.
-
-        Parameters
-        ----------
-        across : array, shape (lines, leaks)
-            Incidence B of each leak, +1 and −1 at its lines.
-        siemens : float
-            G of each leak.
         """
         towards = self._impedance @ across
         # (1/G + Bᵀ Z B)⁻¹ = G (1 + G Bᵀ Z B)⁻¹, which allows G = 0
@@ -320,16 +443,13 @@ class Network(ABC):
             diagonal[..., None, rows:],
             matrix[..., :rows, rows:],
         )
-        return self._with_potentials(entries, lambda sources: matrix @ sources)
-
-    def _with_potentials(
-        self, entries: Entries, product: Callable[[Array], Array], *, wanted: bool = True
-    ) -> Entries:
-        """Return entries followed by both parts of a product with the sources, if there are any."""
-        if self.sources is None or not wanted:
+        if self.sources is None:
             return entries
-        potentials = product(self.sources[..., None])[..., 0]
-        return *entries, potentials[..., : self.rows, None], potentials[..., None, self.rows :]
+        return *entries, *self._parts(matrix @ self.sources)
+
+    def _parts(self, potentials: Array) -> Entries:
+        """Return potentials (lines,) of rows, (rows, 1), and of columns, (1, columns)."""
+        return potentials[: self.rows, None], potentials[None, self.rows :]
 
     def entries_of_product(
         self, left: Array, right: Array, *, symmetric: bool = True, with_sources: bool = True
@@ -344,71 +464,40 @@ class Network(ABC):
         if not symmetric:
             mutual = (mutual + (left[..., rows:, :] @ right[..., :rows]).swapaxes(-1, -2)) / 2
         entries = (diagonal[..., :rows, None], diagonal[..., None, rows:], mutual)
-        return self._with_potentials(
-            entries, lambda sources: left @ (right @ sources), wanted=with_sources
-        )
-
-    @cached_property
-    def transfer(self) -> Array:
-        """X = BᵀZB (…, cells, cells) ohm: ∂D_ac/∂g_d = −D_ad X_dc."""
-        return self.between(self._impedance)
+        if self.sources is None or not with_sources:
+            return entries
+        return *entries, *self._parts(left @ (right @ self.sources))
 
     def between(self, matrix: Array) -> Array:
         """Return BᵀKB (…, cells, cells) for K (…, lines, lines)."""
-        *leading, rows, columns = self.conductance.shape
+        *leading, rows, columns = self.shape
         at_cells = matrix[..., :rows, None] - matrix[..., None, rows:]
         transfer = at_cells[..., :rows, None, :, :] - at_cells[..., None, rows:, :, :]
         return transfer.reshape(*leading, rows * columns, rows * columns)
 
 
 @dataclass(frozen=True, eq=False)
-class SecondOrder:
-    """Second derivatives H = diag(g)·Σ_i w_i ∂²y_i/∂g²·diag(g) of the readings.
+class SolvedSecondOrder(SecondOrder):
+    """Second derivatives of a solved network, from D, X and the law; see `SecondOrder`."""
 
-    Σ_i w_i ∂²y_i/∂u² = H − diag(Jᵀw).
-
-    Attributes
-    ----------
-    network : Network
-    weights : array, shape (rows, columns)
-        Weights w of the readings.
-    """
-
-    network: Network
-    weights: Array
+    network: SolvedNetwork
 
     @cached_property
-    def loading(self) -> Loading:
-        """W for the weights, as its diagonal and its block between rows and columns."""
-        return self.network.loading(self.weights)
-
-    @cached_property
-    def _twice(self) -> Array:
-        """K = Z W Z (lines, lines)."""
-        impedance = self.network._impedance
-        return impedance @ self.network.loaded(self.loading, impedance)
+    def _weighed(self) -> Array:
+        """Product of the network with W for the weights; see `SolvedNetwork.weighed`."""
+        return self.network.weighed(self.network.loading(self.weights))
 
     def adjoint(self) -> Array:
-        """Return Jᵀ·w = g·bᵀ K b, (rows, columns), from the K that H needs."""
-        return np.asarray(across(self.network.entries(self._twice)) / self.network.cell_resistance)
+        """Return Jᵀ·w = g·diag(DᵀWD), (rows, columns)."""
+        return np.asarray(self.network.drawn_of(self._weighed) / self.network.cell_resistance)
 
     def products(self, step: Array) -> tuple[Array, Array]:
-        """Return the products with the Jacobian and the Hessian for a step p of u.
+        """Return J·p and H·p = g·(2 diag(DᵀW dD) + diag(DᵀW'D)).
 
-        Returns
-        -------
-        change : array, shape (rows, columns)
-            J·p.
-        second : array, shape (rows, columns)
-            H·p = g·(2 bᵀ K L_{g·p} Z b + bᵀ Z W' Z b), W' the change of W by that of the slopes of
-            h.
+        W' is the change of W by that of the slopes of h; see `SecondOrder.products`.
         """
         network = self.network
-        currents = injected(step / network.cell_resistance, network._impedance)
-        change = network.entries_of_product(network._impedance, currents)
-        second = 2 * across(
-            network.entries_of_product(self._twice, currents, symmetric=False, with_sources=False)
-        )
+        change, second = network.moved(self._weighed, step / network.cell_resistance)
         if network.curvatures is not None:
             second = second + network.drawn(loading_of(*self.change_of_slopes(change)))
         return network.read_change(change), second / network.cell_resistance
@@ -441,14 +530,15 @@ class SecondOrder:
         return np.asarray(self.weights * self.network.curvatures)
 
     def matrix(self) -> Array:
-        """Return H = 2 g (X ∘ BᵀKB) g plus the curvature of h, (…, cells, cells)."""
-        conductance = self.network.flat_conductance
-        matrix: Array = self.network.transfer * (2 * conductance[..., None])
-        matrix *= self._between
+        """Return H = 2 g (X ∘ DᵀWD) g plus the curvature of h, (…, cells, cells)."""
+        network = self.network
+        conductance = network.flat_conductance
+        matrix: Array = network.transfer * (2 * conductance[..., None])
+        matrix *= network.between_cells(self._weighed)
         matrix *= conductance[..., None, :]
-        if self.network.curvatures is not None:
+        if network.curvatures is not None:
             # Σ_i w_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i
-            row, column, mutual, *of_sources = self.network.entry_responses()
+            row, column, mutual, *of_sources = network.entry_responses()
             changes: Entries = (row[:, None], column[None], mutual)
             if of_sources:
                 changes = (*changes, of_sources[0][:, None], of_sources[1][None])
@@ -458,93 +548,3 @@ class SecondOrder:
             for axis, (part, by_part) in enumerate(zip(of_sources, by_sources, strict=True)):
                 matrix += part.T @ by_part.sum(axis=1 - axis)
         return matrix
-
-    @property
-    def _between(self) -> Array:
-        """BᵀKB (…, cells, cells)."""
-        return self.network.between(self._twice)
-
-
-def across(entries: Entries) -> Array:
-    """Return bᵀ K b = K_jj + K_kk − 2 K_jk of every cell, (…, rows, columns)."""
-    row, column, mutual, *_ = entries
-    return np.asarray(row + column - 2 * mutual)
-
-
-def loading_of(row: Array, column: Array, mutual: Array, *of_sources: Array) -> Loading:
-    """Return W from weights of Z_jj, Z_kk and Z_jk, each (…, rows, columns).
-
-    With potentials those of v_j and v_k follow.
-    """
-    return Loading(_sums(row, column), mutual / 2, _sums(*of_sources) if of_sources else None)
-
-
-def _sums(row: Array, column: Array) -> Array:
-    """Return the sums of weights of rows, and of columns, over the readings of every line."""
-    return np.concatenate([row.sum(axis=-1), column.sum(axis=-2)], axis=-1)
-
-
-def inverse_of(conductance: Array, ties: Array) -> Array:
-    """Return Z = (L(g) + diag(t))⁻¹, (…, lines, lines) ohm.
-
-    Raises LinAlgError if a line is not connected.
-
-    The lines of the longer side are eliminated by hand, so that the cost is that of the shorter
-    side's inverse and of the entries of Z. With a the sums of the eliminated lines, the others form
-    a network of conductances Gᵀ diag(a)⁻¹ G with ties t + Gᵀ diag(a)⁻¹ t. Positive sums lose no
-    digits where cells are decades apart.
-    Source: Grassmann, Taksar, Heyman, Operations Research 33 (1985).
-    """
-    rows, columns = conductance.shape[-2:]
-    if rows < columns:
-        return np.roll(inverse_of(*_exchanged(conductance, ties)), (rows, rows), axis=(-2, -1))
-    check_line_memory(rows, columns)
-    row_sums, shares, schur = _without_rows(conductance, ties)
-    # Z_kk' = S⁻¹, Z_jk = diag(a)⁻¹ G S⁻¹, Z_jj' = diag(a)⁻¹ + diag(a)⁻¹ G S⁻¹ Gᵀ diag(a)⁻¹
-    within: Array = np.linalg.inv(schur)
-    inverse = np.empty((*ties.shape, rows + columns), dtype=within.dtype)
-    between = shares @ within
-    inverse[..., rows:, rows:] = within
-    inverse[..., :rows, rows:] = between
-    inverse[..., rows:, :rows] = between.swapaxes(-1, -2)
-    inverse[..., :rows, :rows] = between @ shares.swapaxes(-1, -2)
-    np.einsum("...ii->...i", inverse)[..., :rows] += 1 / row_sums
-    return inverse
-
-
-def log_determinant(conductance: Array, ties: Array) -> float:
-    """Return ln det(L(g) + diag(t)) of a single network.
-
-    Raises LinAlgError if a line is not connected.
-    """
-    if conductance.shape[0] < conductance.shape[1]:
-        conductance, ties = _exchanged(conductance, ties)
-    row_sums, _, schur = _without_rows(conductance, ties)
-    return float(np.log(row_sums).sum() + np.linalg.slogdet(schur)[1])
-
-
-def _exchanged(conductance: Array, ties: Array) -> tuple[Array, Array]:
-    """Return the conductances and ties of a network whose rows are columns."""
-    rows = conductance.shape[-2]
-    return conductance.swapaxes(-1, -2), np.concatenate(
-        [ties[..., rows:], ties[..., :rows]], axis=-1
-    )
-
-
-def _without_rows(conductance: Array, ties: Array) -> tuple[Array, Array, Array]:
-    """Return a, diag(a)⁻¹ G, and the matrix of the columns' network without rows.
-
-    See `inverse_of`.
-    """
-    total = line_sums(conductance) + ties
-    if not total.all():
-        raise np.linalg.LinAlgError("a line is not connected")
-    rows = conductance.shape[-2]
-    row_sums = total[..., :rows]
-    shares = conductance / row_sums[..., None]
-    meshed = shares.swapaxes(-1, -2) @ conductance
-    np.einsum("...ii->...i", meshed)[...] = 0.0
-    tied = ties[..., rows:] + np.einsum("...jk,...j->...k", shares, ties[..., :rows])
-    schur = -meshed
-    np.einsum("...ii->...i", schur)[...] = meshed.sum(axis=-1) + tied
-    return row_sums, shares, schur

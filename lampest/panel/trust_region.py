@@ -1,12 +1,14 @@
-"""Trust-region subproblem by preconditioned conjugate gradients (Steihaug and Toint).
+"""Steps of a descent: the trust-region subproblem, and backtracking along a step.
 
+The subproblem is solved by preconditioned conjugate gradients (Steihaug and Toint).
 Source: Steihaug, SIAM J. Numer. Anal. 20, 1983; Conn, Gould & Toint, Trust-Region Methods, 2000,
-section 7.5.
+section 7.5; Nocedal & Wright, Numerical Optimization, 2006, algorithm 3.1 (backtracking).
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import inf, isfinite
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 from lampest.panel.panel import Array
 
 Linear = Callable[[Array], Array]
+T = TypeVar("T")
 DENSE_CELLS = 256  # unknowns up to which a factor costs less than the products that it saves
 # The same for problems with many products: absolute losses, joint pairs, error bars.
 MATRIX_CELLS = 600
@@ -170,6 +173,23 @@ def _length_to_largest_change(step: Array, search: Array) -> float:
     with np.errstate(divide="ignore"):
         reached = np.maximum(MAX_RELATIVE_CHANGE - np.abs(step), 0.0) / np.abs(search)
     return float(np.fmin.reduce(reached, initial=inf))
+
+
+def backtracked(trial: Callable[[float], T | None], lengths: int) -> T | None:
+    """Return the first accepted trial along a step; None if all are rejected.
+
+    Parameters
+    ----------
+    trial : callable
+        Function t → the trial at t times the step, or None if that is rejected.
+    lengths : int
+        Number of tried lengths t = 1, ½, ¼, ….
+    """
+    for power in range(lengths):
+        accepted = trial(0.5**power)
+        if accepted is not None:
+            return accepted
+    return None
 
 
 def restricted(product: Linear, chosen: NDArray[np.intp], size: int) -> Linear:

@@ -204,7 +204,8 @@ def run_batch(
     fresh : bool
         Whether finished cases are solved again.
     on_frames : callable
-        Receives the numbers of solved and of all frames every second, from another thread.
+        Receives the numbers of solved and of all frames at the beginning, and then every second
+        from another thread.
     on_checks : callable
         Receives the numbers of finished and of all checks.
 
@@ -330,9 +331,10 @@ def _different_lines(
 
 @contextmanager
 def _counted(tasks: Sequence[Task], on_frames: Callable[[int, int], None]) -> Iterator[None]:
-    """Call `on_frames` every second, and at the end, with the numbers of solved and of all frames.
+    """Call `on_frames` with the numbers of solved and of all frames.
 
-    Progress is read from files, whichever process or machine solves the cases.
+    It is called at the beginning, every second, and at the end. Progress is read from files,
+    whichever process or machine solves the cases.
     """
     frames = sum(task.case.frames for task in tasks)
     ended = threading.Event()
@@ -344,6 +346,7 @@ def _counted(tasks: Sequence[Task], on_frames: Callable[[int, int], None]) -> It
         while not ended.wait(EVERY_SECONDS):
             report()
 
+    report()
     thread = threading.Thread(target=watch, daemon=True)
     with suppress(RuntimeError):  # no further thread can be started: only the end is reported
         thread.start()

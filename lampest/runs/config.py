@@ -11,9 +11,9 @@ from typing import Any, ClassVar, Literal
 
 from lampest.cost.given import Background
 from lampest.cost.terms import AnyTerm, Term, term_types
-from lampest.estimate.estimator import AutoWeight, Estimator
+from lampest.estimate.estimator import Estimator, Tare, Verify
 from lampest.estimate.methods import AnyMethod, MethodName
-from lampest.estimate.objective import Tare, Verify
+from lampest.estimate.objective import AutoWeight
 from lampest.estimate.parts import check_by_parts
 from lampest.files import sweep
 from lampest.files.document import (
@@ -377,7 +377,8 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
     try:
         check_name(name, "estimator")
         return Estimator(
-            terms_of(entry.terms), *(getattr(entry, item.name) for item in fields(Choices))
+            terms_of(entry.terms),
+            **{item.name: getattr(entry, item.name) for item in fields(Choices)},
         )
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error

@@ -1,6 +1,7 @@
 """What a result follows from: the content of input files and the versions of libraries."""
 
 import hashlib
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
@@ -11,7 +12,12 @@ LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
 
 def library_versions(*further: str) -> dict[str, str]:
     """Return the versions of the libraries that determine results, and of further ones."""
-    return {library: version(library) for library in (*LIBRARIES, *further)}
+    return {library: _version(library) for library in (*LIBRARIES, *further)}
+
+
+@cache  # the metadata of a package take a millisecond to read
+def _version(library: str) -> str:
+    return version(library)
 
 
 def digest(path: Path) -> str:

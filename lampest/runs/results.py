@@ -191,12 +191,14 @@ def write_results(
             hdf5.set_attributes(
                 group, NX_class="NXsubentry", default=held[0].estimator, order=order
             )
+            measured: dict[str, bytes] = {}
             for number, case in enumerate(held):
                 if isinstance(case, StoredCase):
-                    _copy_case(group, case, with_measurement=not number)
+                    _copy_case(group, case, measured)
                     _replace_check(group[case.estimator], case)
                 else:
                     _write_case(group, case, table, with_measurement=not number)
+                measured = measured or checksums.digests_below(group[SHARED])
                 hdf5.set_attributes(group[case.estimator], order=number)
 
 
@@ -286,20 +288,20 @@ def _replace_check(estimate: h5py.Group, case: StoredCase) -> None:
         del estimate.attrs[name]
 
 
-def _copy_case(group: h5py.Group, case: StoredCase, *, with_measurement: bool) -> None:
+def _copy_case(group: h5py.Group, case: StoredCase, measured: Mapping[str, bytes]) -> None:
     """Copy an estimate of a file and, with the first case of a recording, the measurement.
 
-    Raises InputError for an unreadable file, or if its measurement differs from the first one's.
+    Raises InputError for an unreadable file, or if its measurement differs from that of the first
+    case, whose digests are `measured`.
     """
     with hdf5.existing_file(case.path) as source:
         held = source[f"entry/{case.recording}"]
-        if with_measurement:
+        if not measured:
             copy_group(held[SHARED], group, SHARED)
         else:
-            first = checksums.digests_below(group[SHARED])
             ours = checksums.digests_below(held[SHARED])
-            for name in sorted(first.keys() | ours.keys()):
-                if first.get(name) != ours.get(name):
+            for name in sorted(measured.keys() | ours.keys()):
+                if measured.get(name) != ours.get(name):
                     raise InputError(
                         f"{case.estimator} and an estimator before it "
                         "were given different recordings "

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
+from lampest.panel.trust_region import backtracked
 
 MILLIONTH = 1e-6  # relative error that a reading or a cell may have where the noise is not known
-STEP_LENGTHS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of log r, of the cell that moves most
+MAX_LENGTHS = 8  # tried lengths of a step that changes log r of the cell that moves most by 1
 MIN_DECREASE_SHARE = 1e-12  # of the cost's scale: a smaller decrease is rounding
 
 
@@ -47,12 +48,15 @@ def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
     """
     least = _certain_cost(at) - MIN_DECREASE_SHARE * at.cost_scale
     size = float(np.abs(along).max(initial=0.0)) or 1.0
-    for length in STEP_LENGTHS:
+
+    def lower(length: float) -> Evaluation | None:
         for sign in (1.0, -1.0):
             point = moved_by(at, sign * length / size * along)
             if point is not None and _certain_cost(point) < least:
                 return point
-    return None
+        return None
+
+    return backtracked(lower, MAX_LENGTHS)
 
 
 def _certain_cost(at: Evaluation) -> float:

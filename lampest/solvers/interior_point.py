@@ -8,7 +8,6 @@ a bound, take a tenth of the products.
 Source: Nocedal & Wright, Numerical Optimization, 2006, sections 19.2 and 19.3.
 """
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import SUFFICIENT_DECREASE, restricted, steihaug
+from lampest.panel.trust_region import SUFFICIENT_DECREASE, backtracked, restricted, steihaug
 from lampest.solvers.certificate import ACCURACY
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky, Numbers, TwoLevel
@@ -40,8 +39,8 @@ class InteriorPoint:
     min_step : float
         Share of a step that bounds must leave. Conjugate gradients end before a longer one, which
         directions of nearly no curvature cause.
-    max_steps, max_halvings : int
-        Maximum number of steps of the method, and of halvings of one step.
+    max_steps, max_lengths : int
+        Maximum number of steps of the method, and of tried lengths of one step.
     max_barrier_share : float
         Share of the cost due to the bounds at which the method ends; the last steps are left to
         Newton's method.
@@ -52,7 +51,7 @@ class InteriorPoint:
     step_to_boundary: float = 0.99
     min_step: float = 0.03
     max_steps: int = 90
-    max_halvings: int = 12
+    max_lengths: int = 12
     max_barrier_share: float = 1e-8
 
 
@@ -187,26 +186,27 @@ class Barrier:
         # Backtracking until the barrier function falls by a share of the predicted decrease.
         current = self.merit(mean)
         slope = SUFFICIENT_DECREASE * float(np.sum(push * step))
-        for _ in range(METHOD.max_halvings):
-            with suppress(np.linalg.LinAlgError):
-                trial = Barrier(
-                    self.at.elsewhere(1 / (self.conductance + length * step)), push, mean
-                )
-                if trial.merit(mean) <= current - slope * length:
-                    # δz = (μ − z·δg)/(g − g_low) − z, δw = (μ + w·δg)/(g_high − g) − w, as far as
-                    # they stay positive
-                    change = (
-                        over(mean - self.multipliers * SIDES * step, self.distances)
-                        - self.multipliers
-                    )
-                    share = reach(self.multipliers, change)
-                    return replace(
-                        trial,
-                        multipliers=self.multipliers + share * change,
-                        length=min(share, length),
-                    )
-            length /= 2
-        return None
+
+        def lower(share: float) -> Barrier | None:
+            conductance = self.conductance + share * length * step
+            try:
+                trial = Barrier(self.at.elsewhere(1 / conductance), push, mean, share * length)
+                return trial if trial.merit(mean) <= current - slope * trial.length else None
+            except np.linalg.LinAlgError:
+                return None
+
+        trial = backtracked(lower, METHOD.max_lengths)
+        if trial is None:
+            return None
+        # δz = (μ − z·δg)/(g − g_low) − z, δw = (μ + w·δg)/(g_high − g) − w, as far as they stay
+        # positive
+        change = over(mean - self.multipliers * SIDES * step, self.distances) - self.multipliers
+        share = reach(self.multipliers, change)
+        return replace(
+            trial,
+            multipliers=self.multipliers + share * change,
+            length=min(share, trial.length),
+        )
 
     def newton_step(self, push: Array) -> Array:
         """Return the step (∂²φ/∂g² + stiffness)⁻¹·push.

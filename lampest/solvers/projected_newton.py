@@ -90,10 +90,6 @@ class ProjectedNewton(Solver):
         """Return the solver that follows the central path of the barrier from its start."""
         return replace(self, preconditioner=None, from_afar=True)
 
-    def prepare(self) -> None:
-        """Compile the cost, so that the time of the first solve excludes it."""
-        _ = self.cost.functions.hessian.pattern
-
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from `start`.
 

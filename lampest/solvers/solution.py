@@ -301,7 +301,7 @@ class Solver(ABC):
 
     def prepare(self) -> None:
         """Compile the cost, so that the time of the first solve excludes it."""
-        _ = self.cost.functions
+        self.cost.compile()
 
     def continued(self, carried: object) -> "Solver":
         """Return the solver that begins with the data `carried` by the previous frame's solution.

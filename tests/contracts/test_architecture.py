@@ -45,7 +45,7 @@ DOORS: dict[str, tuple[str, ...]] = {
     "casadi": (
         "files.process",
         "panel.compiled",
-        "panel.tied_network",
+        "panel.law",
         "cost",
         "formulation",
         "estimate.own_program",

@@ -21,10 +21,9 @@ from lampest.apps.recognition import candidates
 from lampest.files.typed import members_of
 from lampest.panel import effects, systematic
 from lampest.panel.conditions import water_pressure
-from lampest.panel.network import NormalByLines
+from lampest.panel.line_blocks import NormalByLines, Stencil
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts import AnyReadout, readout, wired_network
-from lampest.panel.readouts.floating import Stencil
 from lampest.panel.response import BentSuction, ratio_from_pressure
 from lampest.panel.scene import OwnOfModule
 from lampest.panel.scene_file import scene_text

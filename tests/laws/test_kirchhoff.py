@@ -11,12 +11,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lampest import Array, two_point_resistance
 from lampest.formulation.circuit import Circuit
-from lampest.panel.kirchhoff import current_balance, injected, laplacian
-from lampest.panel.network import inverse_of
+from lampest.panel.kirchhoff import current_balance, injected, inverse_of, laplacian
+from lampest.panel.network import SolvedNetwork
 from lampest.panel.panel import as_panels_have
 from lampest.panel.readouts.floating import (
     MAX_RELATIVE_MISFIT,
-    FloatingNetwork,
     convex_start,
     grounding,
 )
@@ -57,7 +56,7 @@ def test_an_unconnected_line_is_an_error() -> None:
     tie[2] = 0
     tie[0] = 1.0
     with pytest.raises(np.linalg.LinAlgError):
-        FloatingNetwork.solve(conductance, tie)
+        SolvedNetwork.floating(conductance, tie)
 
 
 @given(panels)
@@ -87,7 +86,7 @@ def test_any_line_may_be_grounded(cells: Array) -> None:
     for line in range(sum(cells.shape)):
         tie = np.zeros(sum(cells.shape))
         tie[line] = 3 * np.max(1 / cells)
-        assert_allclose(FloatingNetwork.solve(1 / cells, tie).reading(), resistance, rtol=ROUNDING)
+        assert_allclose(SolvedNetwork.floating(1 / cells, tie).reading(), resistance, rtol=ROUNDING)
 
 
 def test_values_beyond_any_panel_become_zero_or_infinite() -> None:
@@ -125,10 +124,10 @@ def test_the_convex_start_of_large_panels_converges_quadratically(
     near = cells * 10 ** rng.uniform(-0.1, 0.1, shape)
     near[: shape[0] // 2 + 1, : shape[1] // 2] *= 3
     measured = two_point_resistance(cells) * (1 + 1e-3 * rng.standard_normal(shape))
-    solve = FloatingNetwork.solve
+    solve = SolvedNetwork.floating
     solved = []
     monkeypatch.setattr(
-        FloatingNetwork, "solve", lambda *network: solved.append(0) or solve(*network)
+        SolvedNetwork, "floating", lambda *network: solved.append(0) or solve(*network)
     )
     start = convex_start(measured, np.full(shape, 1e7), near)
     assert_allclose(two_point_resistance(start), measured, rtol=MAX_RELATIVE_MISFIT)

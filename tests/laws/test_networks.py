@@ -19,7 +19,8 @@ from lampest import (
     VirtualGroundReadout,
     two_point_resistance,
 )
-from lampest.panel.readouts.floating import FloatingNetwork, grounding
+from lampest.panel.network import SolvedNetwork
+from lampest.panel.readouts.floating import grounding
 
 SHAPES = ((1, 1), (1, 7), (4, 3), (5, 6), (9, 2))
 every_shape = pytest.mark.parametrize("shape", SHAPES)
@@ -79,7 +80,7 @@ def test_the_response_of_a_reading_to_another_cell_is_reciprocal(shape: tuple[in
     negative).
     """
     cells = random_cells(shape)
-    network = FloatingNetwork.solve(1 / cells, grounding(two_point_resistance(cells)))
+    network = SolvedNetwork.floating(1 / cells, grounding(two_point_resistance(cells)))
     sensitivity = network.sensitivity()
     squares = sensitivity * cells.ravel()
     assert_allclose(squares, squares.T, rtol=ROUNDING, atol=ROUNDING * np.max(squares))
@@ -118,3 +119,18 @@ def test_readings_move_one_way_with_every_cell(readout: Any, shape: tuple[int, i
     cells = random_cells(shape)
     own = readout.network(cells, readout.ties(cells), None).own_response()
     assert np.all(own != 0) and len(np.unique(np.sign(own))) == 1
+
+
+def test_shorts_keep_their_digits_where_lines_are_held() -> None:
+    """J·p equals the sum over cells of D_ac D_bc g_c p_c, which takes differences first."""
+    readout = DrivenReadout(drive_ohm=50.0, idle_ohm=0.0, load_ohm=1e3)
+    cells = 3000 * np.exp(0.5 * np.random.default_rng(3).standard_normal((5, 6)))
+    cells[1, 2] = 0.01
+    cells[3, 4] = 0.01
+    step = np.random.default_rng(4).standard_normal(cells.shape)
+    network = readout.solved_network(cells, readout.ties(cells))
+    differences = network.potential_differences
+    summed = (differences * (step / cells).ravel()) @ differences.T
+    expected = network.read_change(network.entries(summed))
+    largest = np.abs(expected).max()
+    assert_allclose(network.forward(step), expected, rtol=0, atol=1e-14 * largest)

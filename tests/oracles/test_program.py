@@ -351,6 +351,10 @@ def test_known_resistors_give_a_series_resistance_that_frames_share() -> None:
             r"constraint own is 4 × 5, not a column",
         ),
         (
+            lambda program: program.subject_to("balance", program.cells()[0, 0] - 1.0),
+            r"has a constraint balance already: balance, split",
+        ),
+        (
             lambda program: program.subject_to("own", casadi.SX(3)),
             r"depends on none of the unknowns conductance",
         ),
@@ -388,6 +392,29 @@ def test_errors_of_wrong_own_parts_name_the_required_ones(wrong: Any, message: s
 def test_wrong_arguments_of_a_program_are_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(lampest.InputError, match=message):
         own_program(**options)
+
+
+def test_an_end_at_a_saddle_is_no_optimum() -> None:
+    """The own cost (x² − 1)² has a maximum at 0, where IPOPT begins and stays."""
+    program, _ = own_program()
+    program, bend = program.with_unknown("bend", start=0.0)
+    at_saddle = program.with_cost((bend**2 - 1) ** 2).solve()
+    assert at_saddle.status.startswith("the optimality conditions hold, but at a saddle")
+    assert np.isnan(at_saddle.cell_resistance).all() and np.isnan(at_saddle["bend"]).all()
+    program, bend = own_program()[0].with_unknown("bend", start=0.5)
+    solved = program.with_cost((bend**2 - 1) ** 2).solve()
+    # φ'' = 8 at x = 1: the standard deviation is (½ φ'')^−½
+    assert solved.status == "optimum verified"
+    assert solved["bend"][0] == pytest.approx(1.0) and solved.errors("bend")[0] == pytest.approx(
+        0.5
+    )
+
+
+def test_an_unknown_that_nothing_determines_has_infinite_error_bars() -> None:
+    program, _ = own_program()
+    solved = program.with_unknown("idle", lower=-1.0, upper=1.0)[0].solve()
+    assert solved.solved and solved.status.startswith("an optimum, but a plateau")
+    assert np.isinf(solved.errors("idle")).all()
 
 
 def test_an_unsolvable_program_has_a_status_and_no_number() -> None:

@@ -23,7 +23,8 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Loss, Squared, Student
 from lampest.cost.terms import CellResistance, Gradient, Misfit
-from lampest.estimate.estimator import AutoWeight, Estimator
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.objective import AutoWeight
 from lampest.files.levels import TWO_SIDED
 from lampest.inference.outliers import impossible_readings
 from lampest.posterior import reference

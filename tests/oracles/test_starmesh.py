@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from lampest.panel.network import SolvedNetwork
 from lampest.panel.panel import Array
 from lampest.panel.readouts.floating import (
     SAFE_CONDITION,
-    FloatingNetwork,
     exact_two_point_resistance,
     grounding,
     two_point_resistance,
@@ -95,7 +95,7 @@ def test_an_unsafe_inverse_is_noticed() -> None:
     unsafe = wrong = 0
     for name, cells in structured_panels(1000, 7, 4):
         expected = in_digits(cells)
-        network = FloatingNetwork.solve(1 / cells, grounding(cells))
+        network = SolvedNetwork.floating(1 / cells, grounding(cells))
         worst = np.max(np.abs(network.reading() / expected - 1))
         unsafe += network.condition() > SAFE_CONDITION
         wrong += worst > TEN_DIGITS

@@ -32,7 +32,8 @@ from lampest.apps.studies.weight_curves import WeightSubject, bound_evidence, so
 from lampest.cost.given import Background
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import CellResistance, Gradient, LogGradient, Term
-from lampest.estimate.estimator import AutoWeight, Estimator
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.objective import AutoWeight
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.weights import EvidencePoint, WeightSearch, with_chosen_weights
 from lampest.panel.readouts import TwoPointReadout

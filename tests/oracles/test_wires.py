@@ -21,11 +21,12 @@ from lampest.cost.terms import Gradient, LogRatio, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.approximate import TruncatedMethod
 from lampest.estimate.sequence import reconstruct
+from lampest.panel.network import SolvedNetwork
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.panel.readouts.readout import with_memory, without_memory
-from lampest.panel.readouts.wired_network import WiredNetwork, wire_responses
+from lampest.panel.readouts.wired_network import wire_responses
 from lampest.panel.readouts.wiring import (
     ContactPrior,
     Contacts,
@@ -472,8 +473,8 @@ def log_normal_cells(rows: int, columns: int) -> Array:
     )
 
 
-def network_of(cells: Array, lines: Lines, ties: Array) -> WiredNetwork:
-    return WiredNetwork.solve(cells, ties, TwoPointReadout(), Wiring(lines))
+def network_of(cells: Array, lines: Lines, ties: Array) -> SolvedNetwork:
+    return TwoPointReadout().solved_network(cells, ties, Wiring(lines))
 
 
 def badcrossbar_of(cells: Array, row_ohm: float, column_ohm: float) -> Any:

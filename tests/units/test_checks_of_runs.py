@@ -123,7 +123,7 @@ def test_checks_come_after_all_estimates_and_count_as_a_step_of_their_own(
     )
     assert order == ["Task", "Task", "CheckTask"]
     measured = len(lampest.Recording.load(folder / "mine.h5").measured_frames())
-    assert frames[-1] == (2 * measured, 2 * measured)
+    assert frames[0] == (0, 2 * measured) and frames[-1] == (2 * measured, 2 * measured)
     assert steps == [(0, 1), (1, 1)]  # what is left shows from the beginning
 
 

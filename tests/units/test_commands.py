@@ -257,6 +257,38 @@ def test_progress_on_a_terminal_shows_the_count_and_the_remaining_time(
         )
 
 
+def test_the_remaining_time_follows_from_what_is_left(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a run with 4 frames of 10 done before; its two checks begin after the frames."""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "100")
+    calls = {  # clock in s, step, done, total → remaining time of both steps
+        (0, "checks", 0, 2): ("-:--:--", "-:--:--"),
+        (0, "frames", 4, 10): ("-:--:--", "-:--:--"),
+        (60, "frames", 4, 10): ("-:--:--", "-:--:--"),
+        (90, "frames", 6, 10): ("0:03:00", "-:--:--"),  # 2 frames in 90 s, 4 are left
+        (150, "frames", 9, 10): ("0:00:30", "-:--:--"),
+        (200, "frames", 10, 10): ("0:00:00", "-:--:--"),
+        (201, "frames", 10, 10): ("0:00:00", "-:--:--"),
+        (225, "checks", 1, 2): ("0:00:00", "0:00:25"),
+        (230, "checks", 2, 2): ("0:00:00", "0:00:00"),
+    }
+    for number, expected in enumerate(calls.values(), 1):
+        with screen.progress("frames", counted=True) as show:
+            for clock, step, done, total in list(calls)[:number]:
+                monkeypatch.setattr(screen, "monotonic", lambda clock=clock: float(clock))
+                show(done, total, step=step)
+        drawn = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
+        last = {line.split()[0]: line for line in drawn.replace("\r", "\n").split("\n") if line}
+        remaining = tuple(
+            re.findall(r"(\S+) left", last[step])[-1] if step in last else "-:--:--"
+            for step in ("frames", "checks")
+        )
+        assert remaining == expected
+
+
 def test_exhausted_memory_gives_one_sentence(
     lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -53,7 +53,7 @@ def test_stored_cases_give_the_file_of_cases_in_memory(tmp_path: Path) -> None:
 
 
 def test_a_value_is_digested_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A case by its own file; the file of all cases takes its digests."""
+    """A case by its own file; the file of all cases takes its digests, a check reads each once."""
     digested: list[str] = []
     entry = checksums._entry
 
@@ -65,10 +65,12 @@ def test_a_value_is_digested_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     [reference] = stored(tmp_path, [invented_case("LSM")])
     with h5py.File(reference.path) as file:
         nodes = [node for _, node in checksums.nodes_below(file, "/")]
-        assert len(digested) == sum(isinstance(node, h5py.Dataset) for node in nodes)
+        count = sum(isinstance(node, h5py.Dataset) for node in nodes)
+    assert len(digested) == count
     digested.clear()
     write_results(tmp_path / "r.h5", [reference])
     assert digested == []
+    assert hdf5.checked(reference.path)[1].datasets == len(digested) == count
 
 
 def test_a_reference_is_that_of_the_written_case(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lampest.apps.film.memory import ERRORS, MIN_PERIOD, FilmKnown, FilmMemory
 from lampest.apps.film.tare import TareWatch
-from lampest.estimate.objective import Tare
+from lampest.estimate.estimator import Tare
 from lampest.files.levels import NOISE_REACH, TWO_SIDED
 from lampest.panel.conditions import water_pressure
 from lampest.panel.panel import Array

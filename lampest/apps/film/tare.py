@@ -15,7 +15,7 @@ from lampest.files.levels import MAD_TO_SIGMA, MAX_MEAN_SQUARE, OUTLIER_THRESHOL
 from lampest.panel.panel import Array
 
 if TYPE_CHECKING:
-    from lampest.estimate.objective import Tare
+    from lampest.estimate.estimator import Tare
 
 # ln r/r0 beyond which a cell, and the mean of four neighbours, may be under a load: 0.8 and 0.3
 # kPa. The weakest suction of a lamprey, 0.6 kPa, covers more than four cells, while the drift of

@@ -29,8 +29,7 @@ from lampest.cost.terms import (
     RelativeChange,
     Term,
 )
-from lampest.estimate.estimator import Estimator
-from lampest.estimate.objective import Tare
+from lampest.estimate.estimator import Estimator, Tare
 from lampest.estimate.sequence import frame_period
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError, meant

@@ -19,12 +19,14 @@ from lampest.apps.recognition.candidates import UNIFORM, under
 from lampest.apps.recognition.contacts import contacts_of
 from lampest.apps.recognition.fit import RARE_LOG_ODDS, Verdict
 from lampest.apps.recognition.observation import Observation
+from lampest.apps.recognition.pulled import pulled_suction
 from lampest.apps.recognition.pumping import BLOCK_S, Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without_water
 from lampest.apps.recognition.suction import would_show
 from lampest.apps.recognition.swings import Patterns
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
 from lampest.panel.panel import Array, Panel
+from lampest.recording.shapes.shape import Candidate
 
 Pair = tuple[float, float]
 JUDGED_S = 1.0  # between two judgements of breath
@@ -47,6 +49,8 @@ class Attachment:
         Value and standard deviation; None where unknown.
     suctions : tuple of (float, float)
         Suction in kPa and its standard deviation at each recognition, thinned beyond MAX_SUCTIONS.
+    pulled_kpa : (float, float) or None
+        The strongest of all recognitions, each as of a mouth that may be pulled.
     cells : int
         Number of touched cells.
     conductance_s : (float, float) or None
@@ -75,6 +79,7 @@ class Attachment:
     y_mm: Pair
     diameter_mm: Pair | None = None
     suctions: tuple[Pair, ...] = ()
+    pulled_kpa: Pair | None = None
     cells: int = 0
     area_mm2: Pair | None = None
     conductance_s: Pair | None = None
@@ -109,16 +114,14 @@ class Attachment:
 
     @property
     def strongest_kpa(self) -> Pair | None:
-        """Strongest suction, kPa, and its standard deviation.
+        """Strongest suction, kPa, and its standard deviation; never weaker than the typical one.
 
-        The strongest one exceeds all others by more than its error, of those that are at least as
-        strong as the typical one.
+        Where readings do not show how far cells have opened, it reaches up to a vacuum.
         """
         typical = self.suction_kpa
-        if typical is None:
-            return None
-        strong = [pair for pair in self.suctions if pair[0] <= typical[0]]
-        return min(strong, key=lambda pair: pair[0] + pair[1])
+        if typical is None or self.pulled_kpa is None:
+            return typical
+        return min(typical, self.pulled_kpa)
 
     @property
     def breathing_hz(self) -> Pair | None:
@@ -221,6 +224,7 @@ class Attachment:
             placed_s = later.since_s
         begins_to_suck = self.sucks_s is None and later.sucks > 0.5
         suctions = (*self.suctions, *later.suctions)
+        pulls = [pair for pair in (self.pulled_kpa, later.pulled_kpa) if pair is not None]
         return replace(
             later,
             since_s=self.since_s,
@@ -228,6 +232,8 @@ class Attachment:
             moved_s=moved_s,
             placed_s=placed_s,
             suctions=suctions[::2] if len(suctions) > MAX_SUCTIONS else suctions,
+            # the one that exceeds the other by more than its error
+            pulled_kpa=min(pulls, key=sum, default=None),
             breath=self.breath,
             track=self.track,
         )
@@ -331,9 +337,9 @@ def attachments_of(
     clear = best.evidence - max(fit.evidence for fit in verdict.fits if fit.candidate in UNIFORM)
     for (candidate, parameters), effects in zip_longest(best.loads, patterns):
         disc = candidate.disc(parameters)
-        after = first + len(parameters)
-        covariance = best.covariance[first:after, first:after]
-        first = after
+        own = slice(first, first + len(parameters))
+        covariance = best.covariance[own, own]
+        first = own.stop
         sucks = verdict.sucks_at(disc)
         shape: dict[str, Any] = {}
         if disc is None:
@@ -349,6 +355,9 @@ def attachments_of(
                 shape[name] = (value, float(np.sqrt(slopes @ covariance @ slopes)))
             suction = shape.pop("suction_kpa", None)
             shape["suctions"] = () if suction is None else (suction,)
+            if candidate.sucks:
+                of_curves = 0.0 if best.of_curves is None else best.of_curves[own, own]
+                shape["pulled_kpa"] = _pulled(frame, candidate, parameters, covariance, of_curves)
         for group in groups:
             conductance = float(more[group].sum()), float(np.hypot.reduce(errors[group]))
             attachment = Attachment(
@@ -371,6 +380,31 @@ def attachments_of(
 def _drift_sd(frame: Observation) -> float:
     """Return the standard deviation of each cell's drift since the unloaded frames."""
     return frame.baseline.model_errors.resting_sd(frame.seconds)
+
+
+def _pulled(
+    frame: Observation,
+    candidate: Candidate,
+    parameters: Array,
+    covariance: Array,
+    of_curves: Array | float,
+) -> Pair:
+    """Return the suction of a load as of a mouth that may be pulled, kPa, and its error.
+
+    `of_curves` is the part of its covariance by alternative curves of the film.
+    """
+    priors = candidate.priors(frame.panel)
+    place = list(priors).index("suction")
+    variance = covariance[place, place]
+    curve_variance = float(np.broadcast_to(of_curves, covariance.shape)[place, place])
+    return pulled_suction(
+        frame.baseline.response,
+        float(np.mean(frame.water)),
+        float(parameters[place]),
+        float(variance) - curve_variance,
+        priors["suction"],
+        curve_variance,
+    )
 
 
 def _contacts(frame: Observation) -> list[NDArray[np.bool_]]:

@@ -32,13 +32,13 @@ from lampest.apps.recognition.fit import (
     Fit,
     Fitting,
     Verdict,
-    along_diameter,
     field_fit,
     inverse_beside_prior,
     prior_cost,
     states,
 )
 from lampest.apps.recognition.observation import Observation, Whitening, alone, outliers
+from lampest.apps.recognition.profile import along_diameter
 from lampest.apps.recognition.suction import Suction, groups_of, may_suck, suctions
 from lampest.files.levels import MAX_MEAN_SQUARE, SIGNIFICANT
 from lampest.panel.panel import Array, Panel
@@ -451,8 +451,8 @@ class Detector:
             )
         shares = softmax(EVIDENCE_SHARE * np.array(evidence))
         # law of total covariance: the covariance within a curve, and that between the curves
-        between = np.array(offsets)
-        return replace(fit, covariance=fit.covariance + (shares[:, None] * between).T @ between)
+        between = (shares[:, None] * np.array(offsets)).T @ np.array(offsets)
+        return replace(fit, covariance=fit.covariance + between, of_curves=between)
 
 
 def coarse_errors(frame: Observation, change: Array) -> CellLikelihood:

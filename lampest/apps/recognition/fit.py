@@ -24,7 +24,7 @@ from lampest.apps.recognition.suction import Suction
 from lampest.files.levels import MAX_MEAN_SQUARE, NOISE_REACH, SIGNIFICANT
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array, Panel
-from lampest.recording.shapes.disc import POINTS, Disc
+from lampest.recording.shapes.disc import Disc
 from lampest.recording.shapes.shape import Candidate, Prior
 
 # Search with one linearised circuit; a change of ln P below `settled` changes nothing that is
@@ -32,12 +32,6 @@ from lampest.recording.shapes.shape import Candidate, Prior
 SEARCH = LevenbergMarquardt(evaluations=30, settled=0.3)
 # Linearisations of the circuit in a fit; also fits with errors about the previous one.
 MAX_ROUNDS = 4
-# Profile along a parameter: the difference of ln P at its end, the evaluations and the largest
-# number of points to each side, and by how much a step is longer than the one before.
-NEGLIGIBLE = 5.0
-PROFILE_STEPS = 5
-MAX_PROFILE = 6
-FARTHER = 1.5
 # χ² of a reading beyond which a fit is refuted by its own misfit: films that keep a part of a load,
 # and shapes that are not quite theirs, have less (tests/apps/recognition/test_detector.py).
 MAX_MISFIT = 10.0
@@ -78,6 +72,8 @@ class Fit:
         candidates.
     scatter : float
         Relative deviation of the film.
+    of_curves : array, shape (parameters, parameters), or None
+        Part of `covariance` by alternative curves of the film; None for none.
     """
 
     candidate: Candidate
@@ -90,6 +86,7 @@ class Fit:
     volume: float
     evidence: float
     scatter: float = 0.0
+    of_curves: Array | None = None
 
     @property
     def score(self) -> float:
@@ -208,12 +205,10 @@ class Fitting:
         squares : SumOfSquares
             −ln P there.
         """
-        mean, sd, longest = self._prior
-        low = mean - SIGNIFICANT * sd
-        high = mean + SIGNIFICANT * sd
+        low, high = self.bounds
         if held is not None:
             low[held] = high[held] = start[held]
-        loop = replace(SEARCH, evaluations=steps, longest=longest)
+        loop = replace(SEARCH, evaluations=steps, longest=self._prior[2])
         model = partial(self.at, likelihood=likelihood)
         return loop.minimum(
             model, start, (low, high), lambda point, count: count > 4 and point.cost > most
@@ -274,6 +269,13 @@ class Fitting:
     def centred(self) -> NDArray[np.bool_]:
         """Whether each of φ is a coordinate of a centre, boolean (parameters,)."""
         return np.array([name.split(".")[-1] in ("x", "y") for name in self._priors], dtype=bool)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Smallest and largest φ, (parameters,) each."""
+        mean, sd, _ = self._prior
+        most = [prior.most for prior in self._priors.values()]
+        return mean - SIGNIFICANT * sd, np.minimum(mean + SIGNIFICANT * sd, most)
 
     @cached_property
     def _prior(self) -> Array:
@@ -344,96 +346,6 @@ def inverse_beside_prior(normal: Array, sd: Array) -> tuple[Array, float]:
     sizes, axes = np.linalg.eigh(normal * np.outer(sd, sd))
     sizes = np.maximum(sizes, 1.0)
     return (axes / sizes) @ axes.T * np.outer(sd, sd), float(np.log(sizes).sum()) / 2
-
-
-def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fit:
-    """Return the fit with the posterior covariance by a profile along ln d, where that is wider.
-
-    A profile may lead over a ridge of the cost into a deeper valley. The fit then begins again
-    there.
-
-    No reading depends on a rim between patches: the cost is flat there and steep around it, and the
-    curvature at the best φ̂ underestimates the width. δ = ln d is stepped, and all other parameters
-    are fitted for each δ:
-
-        P(δ) ∝ e^(−cost(δ)) |H(δ)|^(−½),   C = Σ P (H(δ)⁻¹ + (φ(δ) − φ̂)(φ(δ) − φ̂)ᵀ).
-
-    Parameters
-    ----------
-    fitting : Fitting
-        The problem of the fit's candidate.
-    fit : Fit
-        A fit without a diameter is returned unchanged.
-    likelihood : CellLikelihood
-        The circuit linearised at the fit.
-    """
-    names = list(fit.candidate.priors(fitting.frame.panel))
-    if "diameter" not in names:
-        return fit
-    place = names.index("diameter")
-    sd = fitting.candidate.sd(fitting.frame.panel)
-    remaining = np.ix_(*2 * [np.arange(len(names)) != place])
-    points = _profile(fitting, fit, likelihood, place)
-    for _ in range(MAX_ROUNDS):
-        position, lowest = min(points, key=lambda point: point[1].cost)
-        if lowest.cost > fitting.at(fit.parameters, likelihood).cost - SEARCH.settled:
-            break
-        fit = fitting.best(position, likelihood.whitening)
-        likelihood = fitting.about(fit.parameters, likelihood.whitening)
-        points = _profile(fitting, fit, likelihood, place)
-    steps = np.gradient([position[place] for position, _ in points])
-    # Prior precision of a centre that is uniform within a pitch: beyond, it would touch other
-    # patches.
-    centred = np.diag(fitting.centred * 12 / fitting.frame.panel.pitch_mm**2)
-    inverses, widths = zip(
-        *(
-            inverse_beside_prior((squares.normal + centred)[remaining], np.delete(sd, place))
-            for _, squares in points
-        ),
-        strict=True,
-    )
-    # P(δ) ∝ e^(−cost) |H|^(−½) dδ, with H of all parameters but ln d; then C = Σ P (H⁻¹ + (φ −
-    # φ̂)(φ − φ̂)ᵀ)
-    share = softmax(
-        np.log(steps)
-        - [squares.cost + width for (_, squares), width in zip(points, widths, strict=True)]
-    )
-    offsets = np.array([position for position, _ in points]) - fit.parameters
-    covariance = (share[:, None] * offsets).T @ offsets + np.diag(
-        fit.candidate.blind(fit.parameters) ** 2
-    )
-    covariance[remaining] += np.tensordot(share, inverses, 1)
-    wider = covariance[place, place] > fit.covariance[place, place]
-    return replace(fit, covariance=covariance) if wider else fit
-
-
-def _profile(
-    fitting: Fitting, fit: Fit, likelihood: CellLikelihood, place: int
-) -> list[tuple[Array, SumOfSquares]]:
-    """Return the profile of a fit along the parameter number `place`, in its order.
-
-    The parameter ln d is stepped in both directions, ever farther, until P(δ) is negligible; all
-    other parameters are fitted.
-    """
-    best = fitting.at(fit.parameters, likelihood)
-    points = [(fit.parameters, best)]
-    direction = np.eye(len(fit.parameters))[place]
-    # at least the distance of the points of a patch
-    spacing = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))
-    first_step = max(spacing, fit.covariance[place, place] ** 0.5)
-    for step in (first_step, -first_step):
-        position = fit.parameters
-        squares = best
-        number = 0
-        while squares.cost < best.cost + NEGLIGIBLE and number < MAX_PROFILE:
-            begin = position + FARTHER**number * step * direction
-            position, _ = fitting.descended(begin, likelihood, PROFILE_STEPS, held=place)
-            # linearised again: open cells change readings by much where they would close
-            here = fitting.about(position, likelihood.whitening)
-            position, squares = fitting.descended(position, here, PROFILE_STEPS, held=place)
-            points.append((position, squares))
-            number += 1
-    return sorted(points, key=lambda point: float(point[0][place]))
 
 
 # Assumed standard deviations of ln r/r0 in the four states: no load, half a kPa, a few kPa, tens of

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, lapack
 
-from lampest.apps.recognition.recognition_scene import RecognitionNetwork, RecognitionScene
+from lampest.apps.recognition.recognition_scene import RecognitionScene
 from lampest.files.levels import SIGNIFICANT
+from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, Response
 from lampest.panel.scene import Scene
@@ -344,7 +345,7 @@ class Baseline:
         response = scene.response or PUBLISHED
         return cls(logarithm, shifts, fine.covariance, model_errors, scene, response)
 
-    def network(self, change: Array | float = 0.0) -> RecognitionNetwork:
+    def network(self, change: Array | float = 0.0) -> Network:
         """Return the solved network of cells r0·e^change."""
         cells = np.exp(self.logarithm + change)
         circuit = self.scene.circuit
@@ -428,12 +429,12 @@ class Observation:
         """Return R − f(r0·e^change) − E δ, (cells,)."""
         return self.deviation(self.baseline.network(change))
 
-    def deviation(self, network: RecognitionNetwork) -> Array:
+    def deviation(self, network: Network) -> Array:
         """Return R − f − E δ, (cells,), of a solved network with the readings f."""
         expected = network.reading().ravel() + self.offsets(network) @ self.baseline.offsets
         return np.asarray(self.measured.ravel() - expected)
 
-    def offsets(self, network: RecognitionNetwork) -> Array:
+    def offsets(self, network: Network) -> Array:
         """Return E (cells, offsets), the effect of every offset's standard deviation.
 
         E belongs to the readings that a network predicts. With E of the measured readings, an error
@@ -446,7 +447,7 @@ class Observation:
         """Return ∂(f + E δ)/∂ln r at ln r/r0 = `change`, (cells, cells)."""
         return self.sensitivity(self.baseline.network(change))
 
-    def sensitivity(self, network: RecognitionNetwork) -> Array:
+    def sensitivity(self, network: Network) -> Array:
         """Return the derivative of f + E δ by ln r, (cells, cells), of a solved network."""
         return np.asarray(self._gain[:, None] * network.sensitivity())
 
@@ -478,7 +479,7 @@ class Observation:
         baseline = self.baseline
         return baseline.model_errors.gain(baseline.offsets, baseline.scene)
 
-    def covariance(self, network: RecognitionNetwork, cells: Array | float = 0.0) -> Array:
+    def covariance(self, network: Network, cells: Array | float = 0.0) -> Array:
         """Return the covariance of the readings about those of a network, (cells, cells).
 
         The sum σ² + V Vᵀ + H C Hᵀ + J T Jᵀ with H = (J, E) has the noise, errors shared within the
@@ -486,7 +487,7 @@ class Observation:
 
         Parameters
         ----------
-        network : RecognitionNetwork
+        network : Network
             Solved network, with the slope J.
         cells : array, shape (cells, cells)
             Further covariance of ln r, added to T.

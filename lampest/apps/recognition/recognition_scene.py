@@ -9,19 +9,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.response import Response
-
-
-class RecognitionNetwork(Protocol):
-    """Solved network of a panel's cells."""
-
-    def reading(self) -> Array:
-        """Return the readings, (rows, columns)."""
-
-    def sensitivity(self) -> Array:
-        """Return the Jacobian of the readings with respect to ln r, (readings, cells)."""
 
 
 class RecognitionCircuit(Protocol):
@@ -37,9 +28,7 @@ class RecognitionCircuit(Protocol):
     def ties(self, cell_resistance: Array, /) -> Array:
         """Return the conductances of the lines to ground, siemens."""
 
-    def network(
-        self, cell_resistance: Array, ties: Array, wiring: Wiring | None, /
-    ) -> RecognitionNetwork:
+    def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None, /) -> Network:
         """Return the solved network of cells (rows, columns) ohm."""
 
 

@@ -5,43 +5,18 @@ No current crosses a seam, so that the network of a window is block diagonal.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.apps.recognition.attachment import Attachment
-from lampest.apps.recognition.recognition_scene import RecognitionNetwork, RecognitionScene
+from lampest.apps.recognition.recognition_scene import RecognitionScene
 from lampest.apps.recognition.step_test import NEAR_PITCHES
+from lampest.panel.joined_network import JoinedNetwork
+from lampest.panel.network import Network
 from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.response import Response
-
-
-class WindowNetwork(NamedTuple):
-    """The solved networks of a window's modules, with the interface of one network.
-
-    Recognition needs no other methods of a network.
-    """
-
-    layout: Modules
-    networks: tuple[RecognitionNetwork, ...]
-
-    def reading(self) -> Array:
-        """Return the readings of the window, (rows, columns)."""
-        return np.asarray(
-            self.layout.joined(np.stack([network.reading() for network in self.networks]))
-        )
-
-    def sensitivity(self) -> Array:
-        """Return the block diagonal Jacobian J, (readings, cells)."""
-        numbers = self.layout.split(
-            np.arange(np.prod(self.layout.shape)).reshape(self.layout.shape)
-        )
-        matrix = np.zeros((numbers.size, numbers.size))
-        for network, index in zip(self.networks, numbers.reshape(len(numbers), -1), strict=True):
-            matrix[np.ix_(index, index)] = network.sensitivity()
-        return matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,15 +68,15 @@ class WindowScene:
         """Return an empty array, because every module has its own ties."""
         return np.zeros(0)
 
-    def network(self, cells: Array, ties: Array, wiring: Wiring | None) -> WindowNetwork:
+    def network(self, cells: Array, ties: Array, wiring: Wiring | None) -> Network:
         """Return the network of all modules."""
         layout = layout_of(self.panel)
         parts = zip(self.of_modules, layout.split(cells), strict=True)
-        solved = (
+        solved = [
             module.circuit.network(part, module.circuit.ties(part), module.wiring)
             for module, part in parts
-        )
-        return WindowNetwork(layout, tuple(solved))
+        ]
+        return JoinedNetwork.of_modules(cells, layout, solved)
 
     def _joined(self, part: Callable[[RecognitionScene, Array], Array], image: Array) -> Array:
         layout = layout_of(self.panel)

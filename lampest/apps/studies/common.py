@@ -65,7 +65,7 @@ class StudyMethod(Configuration):
         self, formulation: MethodName | Method, solver: Settings, **options: Any
     ) -> Estimator:
         """Return the method in a formulation, with further options of an estimator."""
-        return Estimator(self.parts, formulation, solver, self.bounds, **options)
+        return Estimator(self.parts, formulation, solver=solver, bounds=self.bounds, **options)
 
 
 def paper_methods() -> dict[str, StudyMethod]:

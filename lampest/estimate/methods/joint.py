@@ -23,6 +23,7 @@ from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.inference.assumptions import ASSUMED
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
+from lampest.panel.trust_region import backtracked
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.chain import Chain
 from lampest.posterior.frame_noise import FrameNoise
@@ -33,6 +34,7 @@ ROUNDING = 1e-11  # relative error of Φ, a sum of some thousand terms
 # Share of the frames' information on z that is used, because cells that move little and are taken
 # for still bias z.
 BELIEVED = 0.5
+MAX_LENGTHS = 26  # tried lengths of a step, down to the square root of the rounding error
 HELD_PRECISION = 1e8  # precision of fixed z, in units of its prior
 
 
@@ -449,16 +451,15 @@ class Joint:
         Return this point where no step achieves that.
         """
         step, shift = self.newton()
-        size = 1.0
-        while size > np.sqrt(np.finfo(float).eps):
+
+        def lower(length: float) -> Joint | None:
             position = np.clip(
-                self.position + size * np.where(self.pressed, 0.0, step), *self.bounds
+                self.position + length * np.where(self.pressed, 0.0, step), *self.bounds
             )
-            trial = replace(self, position=position, shift=self.shift + size * shift)
-            if trial.value <= self.value + ROUNDING * abs(self.value):
-                return trial
-            size /= 2
-        return self
+            trial = replace(self, position=position, shift=self.shift + length * shift)
+            return trial if trial.value <= self.value + ROUNDING * abs(self.value) else None
+
+        return backtracked(lower, MAX_LENGTHS) or self
 
 
 @dataclass(frozen=True, eq=False)

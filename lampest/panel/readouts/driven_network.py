@@ -32,9 +32,8 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.addressed import AddressedNetwork
-from lampest.panel.difference_network import HeldNetwork
-from lampest.panel.network import Network, inverse_of
+from lampest.panel.joined_network import JoinedNetwork
+from lampest.panel.network import Network
 from lampest.panel.panel import Array, connected_parts
 from lampest.panel.readouts.diode import Diode
 from lampest.panel.readouts.equation import Equation, LineStates, equation_of
@@ -57,9 +56,7 @@ from lampest.panel.readouts.readout import (
     Readout,
     Surroundings,
 )
-from lampest.panel.readouts.wired_network import WiredNetwork
 from lampest.panel.readouts.wiring import Wiring
-from lampest.panel.tied_network import TiedNetwork
 
 
 class DrivenNetwork(Readout):
@@ -322,27 +319,17 @@ class DrivenNetwork(Readout):
         ends: Sequence[Array | None] = [None] * len(each)
         if terms is not None and terms.sourced:
             ends = list(terms.ends)
-        networks = tuple(
-            self._network(cell_resistance, of_address, volts, wiring)
-            for of_address, volts in zip(each, ends, strict=True)
-        )
+        networks = list[Network]()
+        for of_address, volts in zip(each, ends, strict=True):
+            sources = None
+            if volts is not None:
+                # Potentials of held lines, currents into the others
+                held = np.isinf(of_address)
+                sources = np.where(held, volts, np.where(held, 0.0, of_address) * volts)
+            networks.append(self.solved_network(cell_resistance, of_address, wiring, sources))
         if ties.ndim == 1:
             return networks[0]
-        return AddressedNetwork.of(networks, equation.read_at)
-
-    def _network(
-        self, cell_resistance: Array, ties: Array, ends: Array | None, wiring: Wiring | None
-    ) -> Network:
-        """Return the network of one address, whose idle lines end in potentials `ends`."""
-        held = np.isinf(ties)
-        # Potentials of held lines, currents into the others
-        sources = None if ends is None else np.where(held, ends, np.where(held, 0.0, ties) * ends)
-        if wiring is not None:
-            return WiredNetwork.solve(cell_resistance, ties, self, wiring, sources)
-        if held.any():
-            return HeldNetwork.solve(cell_resistance, ties, self, sources)
-        impedance = inverse_of(1 / cell_resistance, ties)
-        return TiedNetwork(cell_resistance, impedance, self, sources=sources)
+        return JoinedNetwork.addressed(networks, equation.read_at > 0)
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
         """Return the readings of cells of any contrast.

@@ -1,4 +1,4 @@
-"""Network of floating lines with two-point readings, and the convex start of a solve.
+"""Floating lines with two-point readings: ground, convex start of a solve, star-mesh elimination.
 
 The readings are R = Z_jj + Z_kk − 2 Z_jk. ∂R_i/∂u_c = g_c D_ic² with the transfer resistances D =
 BᵀZB. As D is symmetric, one operator serves as forward and as adjoint product.
@@ -14,27 +14,14 @@ import scipy
 from numpy.typing import NDArray
 
 from lampest.files.typed import typed
-from lampest.panel.kirchhoff import line_sums
-from lampest.panel.line_blocks import LineBlocks
-from lampest.panel.network import (
-    Entries,
-    Loading,
-    Network,
-    NormalByLines,
-    Numbers,
-    across,
-    inverse_of,
-    log_determinant,
-)
+from lampest.panel.kirchhoff import line_sums, log_determinant
+from lampest.panel.line_blocks import Stencil
+from lampest.panel.network import Numbers, SolvedNetwork
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, steihaug
+from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, backtracked, steihaug
 
-# Smallest diagonal of the stencil, relative to R², for cells whose own response is due to their
-# lines alone.
-MIN_DIAGONAL_SHARE = 0.05
 MAX_ITERATIONS = 30  # 6 suffice from the uniform start at 10 × 10 to 32 × 32 without noise
-# Shares of a step; smaller ones change the cost by rounding.
-STEP_LENGTHS = tuple(0.5**power for power in range(20))
+MAX_LENGTHS = 20  # tried lengths of a step; smaller ones change the cost by rounding
 # Of a step's equation; near the minimum the relative misfit, for quadratic convergence.
 MAX_RESIDUAL = 0.05
 MIN_DECREASE_SHARE = 1e-12  # of ⟨R_m, g⟩: a smaller decrease is rounding
@@ -65,154 +52,6 @@ def grounding(two_point_resistance: Array, parts: Numbers | None = None) -> Arra
 def uniform_factor(rows: int, columns: int) -> float:
     """Return R/r = (M + N − 1)/(MN) of a panel with equal cells."""
     return (rows + columns - 1) / (rows * columns)
-
-
-@dataclass(frozen=True, eq=False)
-class FloatingNetwork(Network):
-    """Network whose readings are two-point resistances in ohm.
-
-    Many networks at once have leading axes.
-    """
-
-    @classmethod
-    def solve(cls, conductance: Array, tie: Array) -> "FloatingNetwork":
-        """Return the solved network of conductances with ties.
-
-        The conductances are (…, rows, columns) siemens, the ties (…, lines) siemens.
-
-        Raises numpy.linalg.LinAlgError if a line is not connected.
-        """
-        with np.errstate(divide="ignore"):
-            return cls(1 / conductance, inverse_of(conductance, tie))
-
-    def some(self, numbers: Numbers | int) -> "FloatingNetwork":
-        """Return the chosen networks, or a single one by its number."""
-        return FloatingNetwork(self.cell_resistance[numbers], self._impedance[numbers])
-
-    def read(self, entries: Entries) -> Array:
-        """Return R_jk = Z_jj + Z_kk − 2 Z_jk."""
-        return across(entries)
-
-    @property
-    def slopes(self) -> Entries:
-        return np.ones((1, 1)), np.ones((1, 1)), np.full((1, 1), -2.0)
-
-    def read_change(self, change: Entries) -> Array:
-        return across(change)
-
-    def loading(self, weights: Array) -> Loading:
-        """Return W = L_w, the Laplacian with the weights as conductances."""
-        return Loading(line_sums(weights), -weights)
-
-    def sensitivity(self) -> Array:
-        """Return J = (D∘D)·diag(g), (…, readings, cells)."""
-        response: Array = self.transfer**2
-        response *= self.flat_conductance[..., None, :]
-        return response
-
-    def sensitivity_of(self, read: NDArray[np.bool_]) -> Array:
-        return np.asarray(self.sensitivity()[read.ravel()])
-
-    def own_response(self) -> Array:
-        """Return the diagonal R²·g of J, as D_ii = R_i."""
-        return self.reading() ** 2 / self.cell_resistance
-
-    def normal_by_lines(self, weight: Array) -> NormalByLines:
-        """Return JᵀWJ as a diagonal plus parts of rows and columns; see `square_by_lines`."""
-        return square_by_lines(self.conductance, self.reading(), weight)
-
-
-@dataclass(frozen=True, eq=False)
-class Stencil:
-    """Preconditioner of D∘D, inverted through one matrix over the lines (Woodbury).
-
-    (D∘D)_il ≈ 1/A_j² for cells i, l of one row j, 1/B_k² for cells of one column k, and R_l² for i
-    = l. A and B are the total conductances of the lines.
-
-    Attributes
-    ----------
-    diagonal : array, shape (rows, columns)
-        1/d; zero for excluded cells.
-    inner : callable
-        Product with (S⁻¹ + Uᵀ diag(1/d) U)⁻¹ over the lines, U the incidence of cells and lines, S
-        the diagonal matrix of 1/A² and 1/B².
-    """
-
-    diagonal: Array
-    inner: Callable[[Array], Array]
-
-    @classmethod
-    def of(
-        cls, conductance: Array, two_point_resistance: Array, free: NDArray[np.bool_]
-    ) -> "Stencil":
-        """Return the stencil over the free cells of a network.
-
-        All arrays are (rows, columns), siemens and ohm.
-        """
-        cells, lines = _parts(conductance, two_point_resistance)
-        diagonal = np.where(free, 1 / cells, 0.0)
-        of_lines = LineBlocks((1 / lines + line_sums(diagonal))[None, None], diagonal[None, None])
-        return cls(diagonal, of_lines.inverse())
-
-    def solve(self, values: Array) -> Array:
-        """Return the inverse of the stencil times x, (rows, columns), zero for excluded cells."""
-        first = self.diagonal * values
-        # (diag(d) + U S Uᵀ)⁻¹ x = x/d − (1/d)·U (S⁻¹ + Uᵀ diag(1/d) U)⁻¹ Uᵀ (x/d)
-        lines = self.inner(line_sums(first))
-        rows = len(first)
-        solved: Array = first - self.diagonal * (lines[:rows, None] + lines[None, rows:])
-        return solved
-
-
-def square_by_lines(
-    conductance: Array, two_point_resistance: Array, weight: Array
-) -> NormalByLines:
-    """Return JᵀWJ of two-point readings with the stencil in place of D∘D.
-
-    J = (diag(d) + U K Uᵀ)·diag(g). JᵀWJ = diag(g²d²w) + V M Vᵀ with V = [g·dwU, g·U], M = [[0, K],
-    [K, K UᵀwU K]], M⁻¹ = [[−UᵀwU, K⁻¹], [K⁻¹, 0]].
-
-    Parameters
-    ----------
-    conductance : array, shape (rows, columns)
-        g in siemens.
-    two_point_resistance : array, shape (rows, columns)
-        R in ohm.
-    weight : array, shape (rows, columns)
-        w ≥ 0.
-    """
-    cells, lines = _parts(conductance, two_point_resistance)
-    heavy = conductance * cells * weight
-    of_lines = line_sums(weight)
-    no_lines = np.zeros_like(lines)
-    no_cells = np.zeros_like(weight)
-    of_rows, of_columns = np.split(lines, [len(weight)])
-    square_of_lines = lines * of_lines * lines
-    square_of_cells = of_rows[:, None] * weight * of_columns
-    mixed = LineBlocks(
-        np.array([[no_lines, lines], [lines, square_of_lines]]),
-        np.array([[no_cells, no_cells], [no_cells, square_of_cells]]),
-    )
-    inverse = LineBlocks(
-        np.array([[-of_lines, 1 / lines], [1 / lines, no_lines]]),
-        np.array([[-weight, no_cells], [no_cells, no_cells]]),
-    )
-    return NormalByLines(
-        heavy * conductance * cells, np.stack([heavy, conductance]), mixed, inverse
-    )
-
-
-def _parts(conductance: Array, two_point_resistance: Array) -> tuple[Array, Array]:
-    """Return the diagonal d of the stencil, (rows, columns), and K, 1/A² and 1/B² of the lines.
-
-    The latter are (lines,).
-    """
-    of_rows = conductance.sum(axis=1) ** -2.0
-    of_columns = conductance.sum(axis=0) ** -2.0
-    square = two_point_resistance**2
-    # d = R² − 1/A_j² − 1/B_k², because a cell is in both its row and its column
-    diagonal = np.maximum(square - of_rows[:, None] - of_columns, MIN_DIAGONAL_SHARE * square)
-    return diagonal, np.concatenate([of_rows, of_columns])
 
 
 def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Array:
@@ -268,9 +107,9 @@ class _ConvexPoint:
     conductance: Array
 
     @cached_property
-    def network(self) -> FloatingNetwork:
+    def network(self) -> SolvedNetwork:
         """The solved network."""
-        return FloatingNetwork.solve(self.conductance, self.tie)
+        return SolvedNetwork.floating(self.conductance, self.tie)
 
     @property
     def scale(self) -> float:
@@ -309,18 +148,20 @@ def _lower_point(point: _ConvexPoint) -> _ConvexPoint | None:
     step = _step(point.network, point.gradient, point.free, min(MAX_RESIDUAL, point.misfit))
     rounding = MIN_DECREASE_SHARE * point.scale
     least = np.maximum(point.least, point.conductance / 10)
-    for length in STEP_LENGTHS:
+
+    def accepted(length: float) -> _ConvexPoint | None:
         trial = replace(point, conductance=np.maximum(point.conductance + length * step, least))
         predicted = float(np.sum(point.gradient * (trial.conductance - point.conductance)))
-        if trial.value <= point.value + SUFFICIENT_DECREASE * predicted:
+        falls = trial.value <= point.value + SUFFICIENT_DECREASE * predicted
+        if falls or (trial.value <= point.value + rounding and trial.misfit <= point.misfit / 2):
             return trial
-        if trial.value <= point.value + rounding and trial.misfit <= point.misfit / 2:
-            return trial
-    return None
+        return None
+
+    return backtracked(accepted, MAX_LENGTHS)
 
 
 def _step(
-    network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_], accuracy: float
+    network: SolvedNetwork, gradient: Array, free: NDArray[np.bool_], accuracy: float
 ) -> Array:
     """Return the Newton step −(D∘D)⁻¹ ∇ over the free cells, (rows, columns) siemens.
 
@@ -379,7 +220,7 @@ def two_point_resistance(cell_resistance: Array) -> Array:
     if not np.all(cell_resistance >= 0):
         raise ValueError("cell resistances must be zero or positive, and numbers")
     with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
-        network = FloatingNetwork.solve(1 / cell_resistance, grounding(cell_resistance))
+        network = SolvedNetwork.floating(1 / cell_resistance, grounding(cell_resistance))
         if network.condition() <= SAFE_CONDITION:
             return network.reading()
     return exact_two_point_resistance(cell_resistance)

@@ -14,6 +14,7 @@ import scipy
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
+from lampest.panel.trust_region import backtracked
 
 MAX_DENSE = 400  # cells whose Jacobian is factored
 # Where no cells give the readings, the misfit falls by ever less: below 1 % an iteration it ends.
@@ -22,7 +23,7 @@ MAX_ITERATIONS = 20
 MAX_PRODUCTS = 30
 CONVERGED = 1e-3  # change of log r
 MAX_STEP = 2.0  # of log r
-STEP_LENGTHS = tuple(0.5**power for power in range(8))
+MAX_LENGTHS = 8  # tried lengths of a step
 SOLVED = 1e-2  # relative residual of a step's linear system
 
 
@@ -66,17 +67,21 @@ def _by_matrix(
 
 
 def _by_products(
-    network: Callable[[Array], Network], measured: Array, start: Array, lower: Array, upper: Array
+    network: Callable[[Array], Network], measured: Array, start: Array, low: Array, high: Array
 ) -> Array:
     """Return log cells by Newton's method with products of J."""
 
-    def at(logarithm: Array) -> tuple[Network, Array, Array]:
-        solved = network(np.exp(logarithm))
+    def at(position: Array) -> tuple[Array, Network, Array, Array]:
+        solved = network(np.exp(position))
         reading = solved.reading()
-        return solved, reading, np.log(measured / np.maximum(reading, np.finfo(float).tiny))
+        misfit = np.log(measured / np.maximum(reading, np.finfo(float).tiny))
+        return position, solved, reading, misfit
 
-    current = start
-    solved, reading, misfit = at(current)
+    def lower(length: float) -> tuple[Array, Network, Array, Array] | None:
+        trial = at(np.clip(current + length * step, low, high))
+        return trial if np.sum(trial[-1] ** 2) < np.sum(misfit**2) else None
+
+    current, solved, reading, misfit = at(start)
     for _ in range(MAX_ITERATIONS):
         response = scipy.sparse.linalg.LinearOperator(
             (measured.size, measured.size),
@@ -89,16 +94,11 @@ def _by_products(
             response, misfit.ravel(), rtol=SOLVED, restart=MAX_PRODUCTS, maxiter=1
         )
         step = np.clip(step.reshape(measured.shape), -MAX_STEP, MAX_STEP)
-        for length in STEP_LENGTHS:
-            trial = np.clip(current + length * step, lower, upper)
-            state = at(trial)
-            if np.sum(state[2] ** 2) < np.sum(misfit**2):
-                break
-        else:
+        following = backtracked(lower, MAX_LENGTHS)
+        if following is None:
             break
-        change = np.abs(trial - current).max()
-        current = trial
-        solved, reading, misfit = state
+        change = np.abs(following[0] - current).max()
+        current, solved, reading, misfit = following
         if change < CONVERGED:
             break
     return current

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.addressed import AddressedNetwork
+from lampest.panel.joined_network import JoinedNetwork
+from lampest.panel.law import EquationLaw, Law
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.divider import Divider
@@ -98,14 +99,18 @@ class ParallelDividers(Divider):
             mutual.shape
         )
 
+    @property
+    def law(self) -> Law:
+        return EquationLaw(self)
+
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
         """Return the solved network for ties (addresses, lines)."""
-        networks = tuple(
-            super(ParallelDividers, self).network(cell_resistance, part, wiring)
-            for part in np.atleast_2d(ties)
-        )
-        return AddressedNetwork.of(
-            networks, np.array([at.read for at in self.addresses(cell_resistance)], dtype=float)
+        networks = [
+            self.solved_network(cell_resistance, of_address, wiring)
+            for of_address in np.atleast_2d(ties)
+        ]
+        return JoinedNetwork.addressed(
+            networks, [address.read for address in self.addresses(cell_resistance)]
         )
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:

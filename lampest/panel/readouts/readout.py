@@ -12,7 +12,8 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.network import Network, inverse_of
+from lampest.panel.law import EquationLaw, Law
+from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.converter import Converter
 from lampest.panel.readouts.lines import LineNumber, of_side, per_line
@@ -209,6 +210,11 @@ class Readout(Converter, ABC):
 
     # Consequences of the circuit.
 
+    @property
+    def law(self) -> Law:
+        """Law of the readings, h with its derivatives."""
+        return EquationLaw(self)
+
     def addresses(self, measured: Array) -> tuple[Address, ...]:
         """Return the addresses of a scan, for readings (rows, columns).
 
@@ -231,13 +237,27 @@ class Readout(Converter, ABC):
         and terminals.
         Raises numpy.linalg.LinAlgError if a line is not connected.
         """
-        if wiring is not None:
-            from lampest.panel.readouts.wired_network import WiredNetwork  # for wire alone
+        return self.solved_network(cell_resistance, ties, wiring)
 
-            return WiredNetwork.solve(cell_resistance, ties, self, wiring)
-        from lampest.panel.tied_network import TiedNetwork  # not for floating lines
+    def solved_network(
+        self,
+        cell_resistance: Array,
+        ties: Array,
+        wiring: Wiring | None = None,
+        sources: Array | None = None,
+    ) -> SolvedNetwork:
+        """Return the network of one state of the lines.
 
-        return TiedNetwork(cell_resistance, inverse_of(1 / cell_resistance, ties), self)
+        Infinite ties hold lines at ground, and `sources` are the excitations of the lines by the
+        potentials in which they end, (lines,); see `network`.
+        """
+        if wiring is None and not np.isinf(ties).any():
+            return SolvedNetwork.tied(cell_resistance, ties, self.law, sources)
+        from lampest.panel.difference_network import DifferenceNetwork  # for wire and held lines
+
+        if wiring is None:
+            return DifferenceNetwork.held(cell_resistance, ties, self.law, sources)
+        return DifferenceNetwork.wired(cell_resistance, ties, self.law, wiring, sources)
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
         """Return the readings y of cells of any contrast.

@@ -4,17 +4,16 @@ A divider measures the resistance.
 """
 
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.network import Network, NormalByLines, SecondOrder, inverse_of
+from lampest.panel.law import TWO_POINT, Law
+from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array, EachModule, Modules
 from lampest.panel.readouts.divider import Divider
 from lampest.panel.readouts.floating import (
-    FloatingNetwork,
     convex_start,
     grounding,
     two_point_resistance,
@@ -117,14 +116,14 @@ class TwoPointReadout(Divider):
         """Return R = Z_jj + Z_kk − 2 Z_jk in ohm; paper, equations (5)-(10)."""
         return row + column - 2 * mutual
 
-    def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
-        """Return the solved network.
+    @property
+    def law(self) -> Law:
+        return TWO_POINT
 
-        A network without wiring is solved by the arithmetic of floating lines, which costs less.
-        """
+    def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
         if wiring is not None:
             return super().network(cell_resistance, ties, wiring)
-        return FloatingNetwork(cell_resistance, inverse_of(1 / cell_resistance, ties))
+        return SolvedNetwork.tied(cell_resistance, ties, TWO_POINT)
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
         """Return R = f(r); without wiring with at least ten correct digits for any contrast."""
@@ -257,8 +256,10 @@ class ModulesReadout(TwoPointReadout):
         return self.ties(measured)
 
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
-        inner = FloatingNetwork.solve(1 / self.layout.split(cell_resistance), ties)
-        return BlockNetwork(cell_resistance, inner.potentials(), self.layout, inner)
+        from lampest.panel.joined_network import JoinedNetwork  # for modules alone
+
+        modules = SolvedNetwork.floating(1 / self.layout.split(cell_resistance), ties)
+        return JoinedNetwork.of_modules(cell_resistance, self.layout, [modules])
 
     def uniform_start(self, measured: Array) -> Array:
         """Return the uniform start of each module; see `TwoPointReadout.uniform_start`."""
@@ -273,86 +274,3 @@ class ModulesReadout(TwoPointReadout):
         return np.asarray(
             self.layout.joined(np.stack([convex_start(*module) for module in modules]))
         )
-
-
-@dataclass(frozen=True, eq=False)
-class BlockNetwork(FloatingNetwork):
-    """Network of an image of modules.
-
-    Attributes
-    ----------
-    layout : Modules
-        Arrangement of the modules.
-    inner : FloatingNetwork
-        Networks of all modules, with a leading axis.
-    """
-
-    layout: Modules
-    inner: FloatingNetwork
-
-    def reading(self) -> Array:
-        return np.asarray(self.layout.joined(self.inner.reading()))
-
-    def forward(self, step: Array) -> Array:
-        """Return J·p, module by module."""
-        return np.asarray(self.layout.joined(self.inner.forward(self.layout.split(step))))
-
-    def adjoint(self, weights: Array) -> Array:
-        """Return Jᵀ·w, module by module."""
-        return np.asarray(self.layout.joined(self.inner.adjoint(self.layout.split(weights))))
-
-    def sensitivity(self) -> Array:
-        return self.scattered(self.inner.sensitivity())
-
-    def second_order(self, weights: Array) -> SecondOrder:
-        return BlockSecondOrder(self, weights)
-
-    def normal_by_lines(self, weight: Array) -> NormalByLines:
-        return Network.normal_by_lines(self, weight)
-
-    def condition(self) -> float:
-        """Return the largest condition of all modules; see `Network.condition`."""
-        return self.inner.condition()
-
-    def scattered(self, blocks: Array) -> Array:
-        """Return blocks (modules, cells, cells) as a matrix over the cells of the image.
-
-        The matrix has shape (cells, cells).
-        """
-        size = self.conductance.size
-        layout = self.layout
-        numbers = layout.split(np.arange(size).reshape(layout.shape)).reshape(layout.count, -1)
-        matrix = np.zeros((size, size))
-        matrix[numbers[:, :, None], numbers[:, None, :]] = blocks
-        return matrix
-
-
-@dataclass(frozen=True, eq=False)
-class BlockSecondOrder(SecondOrder):
-    """Second derivatives H of all modules; see `SecondOrder`."""
-
-    network: BlockNetwork
-
-    @cached_property
-    def _inner(self) -> SecondOrder:
-        """Second derivatives of the inner networks."""
-        return self.network.inner.second_order(self.network.layout.split(self.weights))
-
-    def products(self, step: Array) -> tuple[Array, Array]:
-        """Return the products of every module as one image.
-
-        Returns
-        -------
-        change, second : arrays, shape (rows, columns)
-            J·p and H·p.
-        """
-        layout = self.network.layout
-        change, second = self._inner.products(layout.split(step))
-        return np.asarray(layout.joined(change)), np.asarray(layout.joined(second))
-
-    def adjoint(self) -> Array:
-        """Return Jᵀ·w for the weights, module by module."""
-        return np.asarray(self.network.layout.joined(self._inner.adjoint()))
-
-    def matrix(self) -> Array:
-        return self.network.scattered(self._inner.matrix())

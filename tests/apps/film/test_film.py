@@ -12,7 +12,7 @@ from lampest import Cells, Course, Estimator, Recording, TwoPointReadout
 from lampest.apps.film.memory import Creep, FilmKnown, FilmMemory, Plays
 from lampest.apps.film.pressure import Pressure, pressure_of
 from lampest.cost.terms import Misfit
-from lampest.estimate.objective import Tare
+from lampest.estimate.estimator import Tare
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import to_yaml
 from lampest.panel.panel import Array, Panel

@@ -38,7 +38,8 @@ from lampest.apps.live.run import (
     recorder_of,
 )
 from lampest.apps.live.watcher import Scan
-from lampest.estimate.estimator import AutoWeight, Estimator
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.objective import AutoWeight
 from lampest.estimate.sequence import reconstruct
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Panel

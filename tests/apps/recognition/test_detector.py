@@ -37,13 +37,13 @@ from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.fit import (
     SD,
     Verdict,
-    along_diameter,
     field_fit,
     potts_cost,
     prior,
     states,
 )
 from lampest.apps.recognition.observation import Baseline, ModelErrors, Observation
+from lampest.apps.recognition.profile import along_diameter
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.files.levels import MAX_MEAN_SQUARE
@@ -280,7 +280,7 @@ def test_a_profile_leads_a_fit_out_of_a_shallower_valley(away: float) -> None:
     assert held.cost > best.cost + 10
     released = along_diameter(fitting, held, fitting.about(held.parameters, whitening))
     assert released.cost < best.cost + 1
-    assert released.parameters[2] == pytest.approx(best.parameters[2], abs=0.02)
+    assert released.parameters[2] == pytest.approx(best.parameters[2], abs=0.03)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import csv
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from math import log
 from pathlib import Path
 from typing import Any
 
@@ -32,12 +33,15 @@ from lampest.apps.recognition.detect.detection import Known, known_of, measured_
 from lampest.apps.recognition.detect.timeline import timeline
 from lampest.apps.recognition.detect.visits import COLUMNS, count_table, visits_of
 from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.pulled import pulled_suction
 from lampest.apps.recognition.pumping import Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames
 from lampest.apps.recognition.swings import Patterns
 from lampest.apps.recognition.watch import Watch
 from lampest.inference.prepared import Prepared
+from lampest.panel.response import PUBLISHED
 from lampest.recording.recording import MEASURED
+from lampest.recording.shapes.shape import Prior
 
 # P(sucks)
 MOUTH = 1.0
@@ -58,6 +62,7 @@ def load(
     numbers = {
         "diameter_mm": (diameter_mm, 1.0),
         "suctions": ((-10.0, 1.0), (-12.0, 1.0), (-30.0, 2.0)),
+        "pulled_kpa": (-30.0, 2.0),
     }
     return Attachment(
         sucks, since_s, (40.0, 1.0), (50.0, 1.0), until_s=until_s, breath=breath, **numbers
@@ -122,28 +127,46 @@ def test_a_mouth_of_the_same_size_is_a_possible_return() -> None:
     assert [visit.may_be_visit for visit in visits_of([detected_loads(*loads)])] == [None, None, 1]
 
 
-def test_two_animals_of_about_one_size_each_return_to_their_own_visit() -> None:
-    visits = visits_of(
-        [
-            detected_loads(
-                load(0.0, 100.0, 30.0),
-                load(120.0, 200.0, 32.0),
-                load(300.0, 400.0, 30.4),
-                load(500.0, 600.0, 32.2),
-                load(700.0, 800.0, 30.9),
-                load(900.0, None, 30.8),
-            )
-        ]
-    )
-    assert [visit.may_be_visit for visit in visits] == [None, None, 1, 2, 3, 5]
+def test_a_return_that_may_be_of_two_animals_names_no_visit() -> None:
+    """Animals of 30, 32 and 40 mm, at one time on the panel; 30.2 mm may be either of two."""
+    together = [load(10.0 * size, 900.0, size) for size in (30.0, 32.0, 40.0)]
+    returns = load(1000.0, 1100.0, 30.2), load(1200.0, 1300.0, 40.5), load(1400.0, 1500.0, 45.0)
+    visits = visits_of([detected_loads(*together, *returns)])
+    assert [visit.may_be_visit for visit in visits] == [None, None, None, None, 3, None]
+
+
+def test_an_animal_on_the_panel_does_not_return() -> None:
+    """Two of one size, of which the first stays."""
+    loads = load(0.0, None), load(100.0, 200.0), load(300.0, 400.0)
+    assert [visit.may_be_visit for visit in visits_of([detected_loads(*loads)])] == [None, None, 2]
 
 
 def test_the_strongest_suction_is_not_weaker_than_the_typical_one() -> None:
     """A stronger one with a large error, and a weaker one with a small error."""
-    suctions = ((-12.0, 6.0), (-11.0, 5.0), (-8.0, 0.5))
-    sucked = replace(load(0.0, 100.0), suctions=suctions)
-    assert sucked.suction_kpa == (-11.0, 5.0) and sucked.strongest_kpa in suctions[:2]
+    sucked = replace(load(0.0, 100.0), suctions=((-12.0, 6.0), (-11.0, 5.0), (-8.0, 0.5)))
+    assert replace(sucked, pulled_kpa=(-8.0, 0.5)).strongest_kpa == sucked.suction_kpa
+    assert replace(sucked, pulled_kpa=(-20.0, 6.0)).strongest_kpa == (-20.0, 6.0)
     assert replace(sucked, suctions=()).strongest_kpa is None
+
+
+def test_the_strongest_suction_of_all_recognitions_is_kept() -> None:
+    """The one that exceeds the other by more than its error."""
+    first = replace(load(0.0, None), pulled_kpa=(-20.0, 2.0))
+    for later, strongest in (((-40.0, 15.0), (-40.0, 15.0)), ((-21.0, 9.0), (-20.0, 2.0))):
+        again = first.continued(replace(load(9.0, None), pulled_kpa=later))
+        assert again.pulled_kpa == strongest
+
+
+def test_a_suction_that_opens_cells_has_no_upper_bound_but_a_vacuum() -> None:
+    """A pull of 70 kPa, by a fit that ends where cells hardly conduct, and a rest of 8 kPa."""
+    resting = Prior(log(8), 0.75)
+    value, sd = pulled_suction(PUBLISHED, 0.0, log(25), 0.28**2, resting)
+    assert 25 < -value < 101 and -value + 1.96 * sd > 70
+    value, sd = pulled_suction(PUBLISHED, 0.0, log(8), 0.05**2, resting)
+    assert -value == pytest.approx(8, rel=0.02) and sd == pytest.approx(0.4, rel=0.1)
+    # alternative curves of the film add their share
+    _, wider = pulled_suction(PUBLISHED, 0.0, log(8), 0.05**2, resting, 0.3**2)
+    assert wider == pytest.approx(8 * 0.304, rel=0.05)
 
 
 def test_visits_of_several_recordings_are_sorted_by_time() -> None:

@@ -10,8 +10,6 @@ from math import hypot, isnan
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from lampest.apps.recognition.detect.answer import ERRORS, LAMPREY, SUCKS, Detected
 from lampest.files import hdf5
 from lampest.files.whole import write_whole
@@ -187,35 +185,35 @@ def _clock(start: str | None, seconds: float) -> str | None:
 def _earlier(visits: Sequence[Visit]) -> dict[int, int]:
     """Return the number of the earlier visit that each visit of a lamprey may continue.
 
-    Diameters are about the same within two standard deviations of the difference, |z| < 2. Every
-    visit is continued at most once, so that the sum of 4 − z² is largest (an assignment problem).
-    Without a clock only visits of one recording are compared.
+    Diameters are about the same within ALIKE standard deviations of their difference. A visit that
+    may be of several animals continues none. Visits that continue each other are of one animal,
+    which has to have left. Without a clock only visits of one recording are compared.
     """
-    sized = [
-        visit
-        for visit in visits
-        if visit.answer == LAMPREY and visit.diameter_mm is not None and visit.diameter_sd_mm
-    ]
-    if len(sized) < 2:
-        return {}
-    # Only visits are assigned; most commands need none.
-    from scipy.optimize import linear_sum_assignment
+    animals = list[list[Visit]]()
+    earlier = dict[int, int]()
+    for visit in visits:
+        if visit.answer != LAMPREY or visit.diameter_mm is None or not visit.diameter_sd_mm:
+            continue
+        alike = [animal for animal in animals if _may_return(animal, visit)]
+        if len(alike) == 1:
+            earlier[visit.visit] = alike[0][-1].visit
+            alike[0].append(visit)
+        else:
+            animals.append([visit])
+    return earlier
 
-    gain = np.zeros((len(sized), len(sized)))
-    for row, visit in enumerate(sized):
-        for column, earlier in enumerate(sized[:row]):
-            pause_s = _pause_s(earlier, visit) if earlier.left == "yes" else None
-            if pause_s is None or not 0 <= pause_s < REVISIT_H * HOUR_S:
-                continue
-            difference = (visit.diameter_mm or 0.0) - (earlier.diameter_mm or 0.0)
-            difference_sd = hypot(visit.diameter_sd_mm or 0.0, earlier.diameter_sd_mm or 0.0)
-            gain[row, column] = max(ALIKE**2 - (difference / difference_sd) ** 2, 0.0)
-    rows, columns = linear_sum_assignment(gain, maximize=True)
-    return {
-        sized[row].visit: sized[column].visit
-        for row, column in zip(rows, columns, strict=True)
-        if gain[row, column] > 0
-    }
+
+def _may_return(animal: Sequence[Visit], visit: Visit) -> bool:
+    """Return whether a visit may be of an animal with earlier visits: its size, and the pause."""
+    last = animal[-1]
+    pause_s = _pause_s(last, visit) if last.left == "yes" else None
+    if pause_s is None or not 0 <= pause_s < REVISIT_H * HOUR_S:
+        return False
+    return all(
+        abs((visit.diameter_mm or 0.0) - (other.diameter_mm or 0.0))
+        < ALIKE * hypot(visit.diameter_sd_mm or 0.0, other.diameter_sd_mm or 0.0)
+        for other in animal
+    )
 
 
 def _pause_s(earlier: Visit, later: Visit) -> float | None:

@@ -1,0 +1,195 @@
+"""Several networks, each of which gives some of a panel's readings.
+
+Where several lines are loaded at once, each address of the readout has a network of its own, with
+its own impedance Z, over all cells. Each module of a panel of modules has a network over its own
+cells.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.network import Network, Numbers, SecondOrder, SolvedNetwork
+from lampest.panel.panel import Array, Modules
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkPart:
+    """Network of some cells of a panel, and the readings that it gives.
+
+    Attributes
+    ----------
+    network : Network
+        May have leading axes, for many networks at once.
+    cells : integer array, shape (…, rows, columns)
+        Numbers of its cells on the panel, row by row; readings have the number of their cell.
+    read : boolean array, shape (rows, columns), or None
+        Readings that the network gives; None: all.
+    """
+
+    network: Network
+    cells: Numbers
+    read: NDArray[np.bool_] | None = None
+
+    @cached_property
+    def given(self) -> Numbers:
+        """Numbers of the readings that the network gives."""
+        return self.cells if self.read is None else self.cells[self.read]
+
+    def give(self, readings: Array) -> Array:
+        """Return the readings that the network gives, (…, rows, columns, …) of all."""
+        return readings if self.read is None else readings[self.read]
+
+    def weights(self, weights: Array) -> Array:
+        """Return weights (rows, columns) of the panel's readings, zero where another gives them."""
+        own = weights.reshape(-1)[self.cells]
+        return own if self.read is None else np.where(self.read, own, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedNetwork(Network):
+    """Several networks, each of which gives some of the readings.
+
+    Every reading, and each of its derivatives, is that of the network that gives it.
+
+    Attributes
+    ----------
+    parts : tuple of NetworkPart
+    """
+
+    parts: tuple[NetworkPart, ...]
+
+    @classmethod
+    def addressed(
+        cls, networks: Iterable[Network], read_at: Iterable[NDArray[np.bool_]]
+    ) -> "JoinedNetwork":
+        """Return the network of all addresses of a readout, over the same cells.
+
+        `read_at` are the readings of each address, (rows, columns) each.
+        """
+        pairs = list(zip(networks, read_at, strict=True))
+        cells = pairs[0][0].cell_resistance
+        numbers = _numbers(*cells.shape)
+        return cls(cells, tuple(NetworkPart(network, numbers, read) for network, read in pairs))
+
+    @classmethod
+    def of_modules(
+        cls, cell_resistance: Array, layout: Modules, networks: Sequence[Network]
+    ) -> "JoinedNetwork":
+        """Return the network of an image (rows, columns) of modules.
+
+        The networks are those of the modules by their numbers, or a single one with all modules as
+        its leading axis.
+        """
+        numbers = _numbers_in_modules(layout)
+        cells = (numbers,) if len(networks) == 1 and layout.count > 1 else tuple(numbers)
+        pairs = zip(networks, cells, strict=True)
+        return cls(cell_resistance, tuple(NetworkPart(network, own) for network, own in pairs))
+
+    def reading(self) -> Array:
+        return self._readings([part.network.reading() for part in self.parts])
+
+    def forward(self, step: Array) -> Array:
+        flat = step.reshape(-1)
+        return self._readings([part.network.forward(flat[part.cells]) for part in self.parts])
+
+    def adjoint(self, weights: Array) -> Array:
+        return self._summed([part.network.adjoint(part.weights(weights)) for part in self.parts])
+
+    def sensitivity(self) -> Array:
+        sensitivity = np.zeros((self.cell_resistance.size, self.cell_resistance.size))
+        for part in self.parts:
+            *leading, rows, columns = part.cells.shape
+            cells = part.cells.reshape(*leading, 1, rows * columns)
+            if part.read is None:
+                given = cells.swapaxes(-1, -2)
+                sensitivity[given, cells] = part.network.sensitivity()
+            else:
+                sensitivity[part.given[:, None], cells] = part.network.sensitivity_of(part.read)
+        return sensitivity
+
+    def sensitivity_of(self, read: NDArray[np.bool_]) -> Array:
+        return np.asarray(self.sensitivity()[read.ravel()])
+
+    def own_response(self) -> Array:
+        return self._readings([part.network.own_response() for part in self.parts])
+
+    def second_order(self, weights: Array) -> SecondOrder:
+        return JoinedSecondOrder(self, weights)
+
+    def leaking(self, across: Array, siemens: float) -> Network:
+        """Return the network with conductances between lines that all parts have."""
+        parts = tuple(
+            NetworkPart(part.network.leaking(across, siemens), part.cells, part.read)
+            for part in self.parts
+        )
+        return JoinedNetwork(self.cell_resistance, parts)
+
+    def condition(self) -> float:
+        """Return the largest condition of all parts; see `Network.condition`."""
+        return max(part.network.condition() for part in self.parts)
+
+    def response_of(self, response: Callable[[SolvedNetwork], Array]) -> Array:
+        return self._readings([part.network.response_of(response) for part in self.parts])
+
+    def _readings(self, of_parts: Sequence[Array]) -> Array:
+        """Return the readings (rows, columns, …) of the networks that give them."""
+        behind = of_parts[0].shape[self.parts[0].cells.ndim :]
+        readings = np.empty((self.cell_resistance.size, *behind))
+        for part, of_part in zip(self.parts, of_parts, strict=True):
+            readings[part.given] = part.give(of_part)
+        return readings.reshape(*self.cell_resistance.shape, *behind)
+
+    def _summed(self, of_parts: Iterable[Array]) -> Array:
+        """Return the sums over the networks of values of their cells, (rows, columns)."""
+        total = np.zeros(self.cell_resistance.size)
+        for part, of_part in zip(self.parts, of_parts, strict=True):
+            total[part.cells] += of_part
+        return total.reshape(self.cell_resistance.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedSecondOrder(SecondOrder):
+    """Second derivatives H of several networks; see `SecondOrder`."""
+
+    network: JoinedNetwork
+
+    @cached_property
+    def _orders(self) -> list[SecondOrder]:
+        parts = self.network.parts
+        return [part.network.second_order(part.weights(self.weights)) for part in parts]
+
+    def adjoint(self) -> Array:
+        return self.network._summed(order.adjoint() for order in self._orders)
+
+    def products(self, step: Array) -> tuple[Array, Array]:
+        flat = step.reshape(-1)
+        pairs = zip(self._orders, self.network.parts, strict=True)
+        changes, seconds = zip(
+            *(order.products(flat[part.cells]) for order, part in pairs), strict=True
+        )
+        return self.network._readings(changes), self.network._summed(seconds)
+
+    def matrix(self) -> Array:
+        size = self.weights.size
+        matrix = np.zeros((size, size))
+        for order, part in zip(self._orders, self.network.parts, strict=True):
+            *leading, rows, columns = part.cells.shape
+            cells = part.cells.reshape(*leading, 1, rows * columns)
+            matrix[cells.swapaxes(-1, -2), cells] += order.matrix()
+        return matrix
+
+
+@lru_cache(maxsize=64)
+def _numbers(rows: int, columns: int) -> Numbers:
+    """Return the numbers of a panel's cells, (rows, columns)."""
+    return np.arange(rows * columns).reshape(rows, columns)
+
+
+@lru_cache(maxsize=64)
+def _numbers_in_modules(layout: Modules) -> Numbers:
+    """Return the numbers of the cells of an image by modules, (modules, rows, columns)."""
+    return layout.split(_numbers(*layout.shape))

@@ -1,0 +1,235 @@
+"""Laws of readings: a reading as a function of the entries of its network.
+
+    y = h(p, q, t),   p = K_jj, q = K_kk, t = K_jk
+
+K is the impedance of a panel's lines, or has the entries of `DifferenceNetwork`. Where idle lines
+end in potentials, x is the excitation of all lines by them, and a reading depends on v = K·x, too:
+y = h(p, q, t, e, f) with e = v_j and f = v_k. As v is linear in K, nothing new enters the
+derivatives.
+
+For weights w of the readings, d(Σ w y) = tr(W dK) with W = [[diag Σ_k w h_p, ½ w h_t], [·, diag
+Σ_j w h_q]]. With w_v the weights of v, W becomes W + ½(x w_vᵀ + w_v xᵀ).
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Hashable
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from itertools import combinations_with_replacement, product
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.compiled import Compiled, guarded
+from lampest.panel.kirchhoff import line_sums
+from lampest.panel.panel import Array
+
+ENTRY_NAMES = "pqtef"
+TWO_POINT_SLOPES = np.array(1.0), np.array(1.0), np.array(-2.0)
+# Values for (p, q, t), or (p, q, t, e, f), to be broadcast to (…, rows, columns)
+Entries = tuple[Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Loading:
+    """Matrix W of weights of the readings; see the module.
+
+    Attributes
+    ----------
+    diagonal : array, shape (…, lines)
+    between : array, shape (…, rows, columns)
+        Block between rows and columns.
+    of_potentials : array, shape (lines,), or None
+        w_v, where lines end in potentials.
+    """
+
+    diagonal: Array
+    between: Array
+    of_potentials: Array | None = None
+
+
+class Law(ABC):
+    """Law h of the readings of a network.
+
+    Attributes
+    ----------
+    two_point : bool
+        Whether h = p + q − 2t: readings are resistances between a row and a column, and h has no
+        curvature.
+    """
+
+    two_point: ClassVar[bool] = False
+
+    @abstractmethod
+    def read(self, entries: Entries, shape: tuple[int, ...]) -> Array:
+        """Return h of the entries, (…, rows, columns)."""
+
+    @abstractmethod
+    def slopes(self, entries: Entries, shape: tuple[int, ...]) -> Entries:
+        """Return the first derivatives (h_p, h_q, h_t), or (h_p, h_q, h_t, h_e, h_f)."""
+
+    @abstractmethod
+    def curvatures(self, entries: Entries, shape: tuple[int, ...]) -> Array | None:
+        """Return the second derivatives, (entries, entries, rows, columns); None: h is linear."""
+
+    def change(self, slopes: Entries, change: Entries) -> Array:
+        """Return h_p·dp + h_q·dq + h_t·dt, (…, rows, columns)."""
+        row, column, *others = (slope * part for slope, part in zip(slopes, change, strict=True))
+        return np.asarray(sum(others, row + column))
+
+    def loading(self, slopes: Entries, weights: Array) -> Loading:
+        """Return W of weights (…, rows, columns) of the readings."""
+        return loading_of(*(weights * slope for slope in slopes))
+
+
+@dataclass(frozen=True)
+class TwoPointLaw(Law):
+    """Two-point readings R_jk = Z_jj + Z_kk − 2 Z_jk in ohm."""
+
+    two_point: ClassVar[bool] = True
+
+    def read(self, entries: Entries, shape: tuple[int, ...]) -> Array:
+        return across(entries)
+
+    def slopes(self, entries: Entries, shape: tuple[int, ...]) -> Entries:
+        return TWO_POINT_SLOPES
+
+    def curvatures(self, entries: Entries, shape: tuple[int, ...]) -> None:
+        return None
+
+    def change(self, slopes: Entries, change: Entries) -> Array:
+        return across(change)
+
+    def loading(self, slopes: Entries, weights: Array) -> Loading:
+        """Return W = L_w, the Laplacian with the weights as conductances."""
+        return Loading(line_sums(weights), -weights)
+
+
+TWO_POINT = TwoPointLaw()
+
+
+class ReadCircuit(Hashable, Protocol):
+    """Interface of a readout for a law; see `lampest.panel.readouts.readout.Readout`."""
+
+    def reading(self, row: Any, column: Any, mutual: Any, *potentials: Any) -> Any:
+        """Return h(K_jj, K_kk, K_jk), or h(K_jj, K_kk, K_jk, v_j, v_k) with potentials."""
+
+
+@dataclass(frozen=True)
+class EquationLaw(Law):
+    """Equation of a readout, which CasADi differentiates.
+
+    The derivatives are compiled once for each equation and panel size, for readings of the whole
+    panel.
+
+    Attributes
+    ----------
+    readout : ReadCircuit
+        Readout that defines h.
+    """
+
+    readout: ReadCircuit
+
+    def read(self, entries: Entries, shape: tuple[int, ...]) -> Array:
+        reading = self.readout.reading(*entries)
+        return reading if reading.shape == shape else np.array(np.broadcast_to(reading, shape))
+
+    def slopes(self, entries: Entries, shape: tuple[int, ...]) -> Entries:
+        names = slope_names(with_potentials=len(entries) > 3)
+        return tuple(self._derivatives(names, entries, shape))
+
+    def curvatures(self, entries: Entries, shape: tuple[int, ...]) -> Array:
+        with_potentials = len(entries) > 3
+        names = curvature_names(with_potentials=with_potentials)
+        derivatives = self._derivatives(names, entries, shape)
+        return np.asarray(derivatives[curvature_places(with_potentials=with_potentials)])
+
+    def _derivatives(
+        self, names: tuple[str, ...], entries: Entries, shape: tuple[int, ...]
+    ) -> Array:
+        """Return derivatives of h, (names, rows, columns)."""
+        every = np.empty((len(entries), *shape))
+        for number, part in enumerate(entries):
+            every[number] = part
+        return equation_derivatives(self.readout, *shape, names)(every).reshape(-1, *shape)
+
+
+@cache
+def slope_names(*, with_potentials: bool) -> tuple[str, ...]:
+    """Return the names of the entries of which h is a function; see `ENTRY_NAMES`."""
+    return tuple(ENTRY_NAMES if with_potentials else ENTRY_NAMES[:3])
+
+
+@cache
+def curvature_names(*, with_potentials: bool) -> tuple[str, ...]:
+    """Return the names of the second derivatives of h: 'pp', 'pq', and so on."""
+    names = slope_names(with_potentials=with_potentials)
+    return tuple(map("".join, combinations_with_replacement(names, 2)))
+
+
+@cache
+def curvature_places(*, with_potentials: bool) -> NDArray[np.intp]:
+    """Return the place of h_pq among `curvature_names`, (entries, entries), where h_pq = h_qp."""
+    entries = slope_names(with_potentials=with_potentials)
+    names = curvature_names(with_potentials=with_potentials)
+    places = np.empty((len(entries), len(entries)), dtype=np.intp)
+    for (first, p), (second, q) in product(enumerate(entries), repeat=2):
+        places[first, second] = names.index(p + q if first <= second else q + p)
+    return places
+
+
+@guarded
+@lru_cache(maxsize=64)
+def equation_derivatives(
+    readout: ReadCircuit, rows: int, columns: int, names: tuple[str, ...]
+) -> Compiled:
+    """Return the function of the entries with the named derivatives of h, flat.
+
+    Its argument has the entries one after the other, (rows · columns) each.
+    """
+    import casadi
+
+    # Expressions of whole arrays: their number does not grow with the panel.
+    entries = slope_names(with_potentials=bool(set("".join(names)) & set(ENTRY_NAMES[3:])))
+    size = rows * columns
+    every = casadi.MX.sym("entries", size * len(entries))
+    ones = casadi.DM.ones(size)
+    parts = casadi.vertsplit(every, size)
+    flat = {name: casadi.MX.sym(name, size) for name in entries}
+    reading = readout.reading(*(casadi.reshape(entry, columns, rows).T for entry in flat.values()))
+
+    @cache
+    def derivative(name: str) -> Any:
+        """Return the derivative by the entries that `name` lists, flat.
+
+        Every reading depends on its own entries only: along a change of all entries by one it is
+        elementwise.
+        """
+        shorter: casadi.MX = (
+            derivative(name[:-1]) if name else casadi.vec(casadi.densify(reading).T)
+        )
+        return casadi.jtimes(shorter, flat[name[-1]], ones) if name else shorter
+
+    stacked = casadi.cse(casadi.vertcat(*(casadi.densify(derivative(name)) for name in names)))
+    (of_every,) = casadi.substitute([stacked], list(flat.values()), list(parts))
+    return Compiled(casadi.Function("derivatives", [every], [of_every]))
+
+
+def across(entries: Entries) -> Array:
+    """Return bᵀ K b = K_jj + K_kk − 2 K_jk of every cell, (…, rows, columns)."""
+    row, column, mutual, *_ = entries
+    return np.asarray(row + column - 2 * mutual)
+
+
+def loading_of(row: Array, column: Array, mutual: Array, *of_sources: Array) -> Loading:
+    """Return W from weights of K_jj, K_kk and K_jk, each (…, rows, columns).
+
+    With potentials those of v_j and v_k follow.
+    """
+    return Loading(_sums(row, column), mutual / 2, _sums(*of_sources) if of_sources else None)
+
+
+def _sums(row: Array, column: Array) -> Array:
+    """Return the sums of weights of rows, and of columns, over the readings of every line."""
+    return np.concatenate([row.sum(axis=-1), column.sum(axis=-2)], axis=-1)
