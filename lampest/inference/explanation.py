@@ -460,7 +460,6 @@ def some_in_series(
     rival: Rival,
     frames: ComparedFrames,
     to_beat: float = np.inf,
-    near: Explanation | None = None,
     *,
     fits: tuple[CellsFit, ...] = (),
     specified: Explanation | None = None,
@@ -473,20 +472,19 @@ def some_in_series(
     Parameters
     ----------
     rival : Rival
+        A circuit that does not explain the frames with its given resistance.
     frames : ComparedFrames
     to_beat : float
         Score above which an explanation does not count. The search ends where linear theory gives
         no resistance a score that exceeds it by less than FAR.
-    near : Explanation or None
-        Explanation with the given resistance.
     fits : tuple of CellsFit
         Fits with the given resistance where they explain only the unloaded panel.
     specified : Explanation or None
         See `Explanation.by`.
     """
     most = most_in_series(rival, frames)
-    best = None
-    begin = fits if near is None else near.fits
+    best = near = None
+    begin = fits
     for ohm in np.linspace(0.0, most, SERIES_POINTS) if most else ():
         if ohm == rival.ohm:
             continue
@@ -505,6 +503,34 @@ def some_in_series(
             gain = _linear_gain(explanation, _response_to_series(explanation, most))
             if explanation.score - gain > to_beat + FAR:
                 break
+    return best
+
+
+def _best_beside(explanation: Explanation, frames: ComparedFrames, most: float) -> Explanation:
+    """Return the best explanation with one of SERIES_POINTS resistances, or with the given one.
+
+    The resistances next to the given one come first. Smaller and larger ones follow while they are
+    no worse than the best by more than DOUBTFUL_GAIN: the score has one minimum.
+
+    Parameters
+    ----------
+    explanation : Explanation
+    frames : ComparedFrames
+    most : float
+        The largest resistance, ohm.
+    """
+    rival = explanation.rival
+    ohms = np.linspace(0.0, most, SERIES_POINTS)
+    best = explanation
+    for outwards in (ohms[ohms < rival.ohm][::-1], ohms[ohms > rival.ohm]):
+        near = explanation
+        for ohm in outwards:
+            tried = replace(rival.with_series(ohm), at_limit=ohm in (0.0, most))
+            further = None if broken_law(tried, frames) else Explanation.of(tried, frames, near)
+            if further is None or further.score > best.score + DOUBTFUL_GAIN:
+                break
+            near = further
+            best = min(best, further, key=attrgetter("score"))
     return best
 
 
@@ -543,9 +569,8 @@ class _ParameterSearch:
 def with_series(explanation: Explanation, frames: ComparedFrames) -> Explanation:
     """Return a circuit's explanation with the most probable or the given resistance in series.
 
-    Other resistances are tried where linear theory gives one of them any gain. The search is made
-    about the best of SERIES_POINTS, and about the given resistance where this gain exceeds the cost
-    of a parameter.
+    The search is made about the best of SERIES_POINTS, and about the given resistance only where a
+    change of it may gain by linear theory.
     """
     rival = explanation.rival
     most = most_in_series(rival, frames)
@@ -554,13 +579,11 @@ def with_series(explanation: Explanation, frames: ComparedFrames) -> Explanation
     spacing = most / (SERIES_POINTS - 1)
     best = explanation
     if rival.in_series is None:
-        gain = _linear_gain(explanation, _response_to_series(explanation, spacing))
-        if gain <= 0:
-            return explanation
-        coarse = some_in_series(rival, frames, near=explanation)
-        best = min(filter(None, (explanation, coarse)), key=attrgetter("score"))
-        if best is explanation and gain <= PARAMETER_COST:
-            return explanation
+        best = _best_beside(explanation, frames, most)
+        if best is explanation:
+            gain = _linear_gain(best, _response_to_series(best, spacing))
+            if gain <= PARAMETER_COST:
+                return explanation
     search = _ParameterSearch(
         lambda ohm: replace(rival.with_series(ohm), at_limit=False), frames, best
     )
