@@ -2,10 +2,10 @@
 
     import lampest
     recording = lampest.Recording.load("data/lamprey_35mm.h5")
-    found = lampest.reconstruct(recording, [lampest.Misfit(), lampest.Gradient(weight=1e-3)])
-    found.cell_resistance  # (frames, rows, columns) ohm
-    found.relative_change  # percent of the unloaded panel
-    found.plot()
+    estimate = lampest.reconstruct(recording, [lampest.Misfit(), lampest.Gradient(weight=1e-3)])
+    estimate.cell_resistance  # (frames, rows, columns) ohm
+    estimate.relative_change  # percent of the unloaded panel
+    estimate.plot()
 
 Names are loaded when they are first used, so that importing the package costs nothing.
 """
@@ -127,8 +127,8 @@ def reconstruct(
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit(), lampest.Gradient(weight=1e-3)])
-    >>> found.cell_resistance.shape
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit(), lampest.Gradient(weight=1e-3)])
+    >>> estimate.cell_resistance.shape
     (2, 2, 3)
     """
     from lampest.estimate.estimator import Estimator, checked_terms

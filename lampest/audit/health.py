@@ -159,7 +159,7 @@ class _View:
         return circuit.lsb_volt + OUTLIER_THRESHOLD * float(np.mean(circuit.sigma_volt()))
 
     def volts_of(self, cells: Array, faults: Faults | None = None) -> Array:
-        """Return the voltages of cells (rows, columns) ohm under the scene's circuit.
+        """Return the voltages of cells (…, rows, columns) ohm under the scene's circuit.
 
         The circuit is taken with other faults if given.
         """
@@ -174,10 +174,9 @@ class _View:
         """Cell resistance of a uniform panel with the unloaded panel's median voltage, ohm."""
         target = middle(self.resting)
         ohms = np.geomspace(1e1, 1e6, 26)
-        volts = [
-            float(np.median(self.volts_of(np.full(self.scene.panel.shape, ohm)))) for ohm in ohms
-        ]
-        return float(ohms[np.argmin(np.nan_to_num(np.abs(np.array(volts) - target), nan=np.inf))])
+        panels = np.broadcast_to(ohms[:, None, None], (len(ohms), *self.scene.panel.shape))
+        volts = np.median(self.volts_of(panels), axis=(1, 2))
+        return float(ohms[np.argmin(np.nan_to_num(np.abs(volts - target), nan=np.inf))])
 
     @property
     def modelled(self) -> bool:

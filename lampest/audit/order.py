@@ -197,7 +197,7 @@ def smooth_cost(images: Array) -> float:
             (within, np.outer(values, across).ravel()),
         )
         for of_part, (amplitudes, variances) in zip(costs, parts, strict=True):
-            of_part += [_cost_of_amplitudes(amplitudes, variances, rough) for rough in ROUGHNESS]
+            of_part += list(_costs_of_amplitudes(amplitudes, variances))
     return float(sum(np.sum(-2 * np.logaddexp.reduce(-np.array(c) / 2, axis=0)) for c in costs))
 
 
@@ -211,13 +211,17 @@ def _smooth_modes(count: int, length: float) -> tuple[Array, Array]:
     return np.maximum(values[1:], 0.0), vectors[:, 1:]
 
 
-def _cost_of_amplitudes(amplitudes: Array, variances: Array, roughness: float) -> Array:
-    """Return −2 ln evidence of amplitudes (n, modes) of these variances, up to a constant, (n,)."""
-    # n ln(Σ x²/λ / n) + Σ ln λ,   λ = variances over their mean + ρ
-    relative = np.ones(len(variances))
-    if np.isfinite(roughness):
-        relative = variances / variances.mean() + roughness
-    squares = np.sum(amplitudes**2 / relative, axis=1) / len(relative)
+def _costs_of_amplitudes(amplitudes: Array, variances: Array) -> Array:
+    """Return −2 ln evidence of amplitudes (n, modes) of these variances, up to a constant.
+
+    The shape is (roughnesses, n).
+    """
+    # n ln(Σ x²/λ / n) + Σ ln λ,   λ = variances over their mean + ρ; 1 without an order
+    rough = np.array(ROUGHNESS)[:, None]
+    relative = np.where(np.isfinite(rough), variances / variances.mean() + rough, 1.0)
+    count = len(variances)
+    squares = (1 / relative) @ (amplitudes**2).T / count
     return np.asarray(
-        len(relative) * np.log(np.maximum(squares, np.finfo(float).tiny)) + np.log(relative).sum()
+        count * np.log(np.maximum(squares, np.finfo(float).tiny))
+        + np.log(relative).sum(axis=1, keepdims=True)
     )

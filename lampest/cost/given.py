@@ -125,7 +125,14 @@ class Given:
     """
 
     measured: Any = input_field(lambda readings, background: readings.value, 1.0, per_frame=True)
-    sigma: Any = input_field(lambda readings, background: _noise(readings), 1.0, per_frame=True)
+    # The noise, ones where it is not known
+    sigma: Any = input_field(
+        lambda readings, background: (
+            np.ones_like(readings.value) if readings.sigma is None else readings.sigma
+        ),
+        1.0,
+        per_frame=True,
+    )
     side: Any = input_field(
         lambda readings, background: _mark(readings, readings.side),
         0.0,
@@ -141,8 +148,13 @@ class Given:
     previous: Any = input_field(
         lambda readings, background: background.previous, 1.0, after=lambda r: r
     )
+    # Before the baseline is known, the previous frame
     baseline: Any = input_field(
-        lambda readings, background: _baseline(background), 1.0, after=lambda r: r
+        lambda readings, background: (
+            background.previous if background.baseline is None else background.baseline
+        ),
+        1.0,
+        after=lambda r: r,
     )
     previous_deviation: Any = input_field(
         lambda readings, background: background.previous_deviation, 0.0, after=lambda r: 0 * r
@@ -208,16 +220,6 @@ class Given:
                 yield name, value
 
 
-def _noise(readings: FrameReadings) -> Array:
-    """Return the standard deviations of the readings; ones if they are not known."""
-    return np.ones_like(readings.value) if readings.sigma is None else readings.sigma
-
-
 def _mark(readings: FrameReadings, mark: Array) -> Array | None:
     """Return a mark of partial readings; None if all readings are values."""
     return mark if readings.partial else None
-
-
-def _baseline(background: Background) -> Array | None:
-    """Return the baseline's cells; before they are known, the previous frame's."""
-    return background.previous if background.baseline is None else background.baseline

@@ -56,9 +56,9 @@ class Data:
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> background = lampest.cost.given.Background(recording.scene)
-    >>> data = found.estimator.data(recording.readings()[2], background)
+    >>> data = estimate.estimator.data(recording.readings()[2], background)
     """
 
     given: Given

@@ -186,8 +186,8 @@ class Estimates:
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> isinstance(found, lampest.Estimates), found.cell_resistance.shape
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> isinstance(estimate, lampest.Estimates), estimate.cell_resistance.shape
     (True, (2, 2, 3))
     """
 

@@ -171,7 +171,7 @@ class OwnSolution(CasadiOwner):
 
     @cached_property
     def _status(self) -> Status:
-        """First order, then second order, along the active constraints."""
+        """Status by the first order, then by the second along the active constraints."""
         ended = STATUS.get(self.result.status, Status.BREAKDOWN)
         if ended is not Status.OPTIMUM:
             return ended
@@ -211,9 +211,8 @@ class OwnSolution(CasadiOwner):
     def cell_resistance_errors(self) -> Array:
         """Standard deviations of the cells, (frames, rows, columns) ohm.
 
-        They are zero at a bound, and infinite on a plateau.
-
-        The misfit must be weighted by the noise for them to have a meaning.
+        A cell at a bound has zero, a program on a plateau infinity. The misfit must be weighted by
+        the noise for these numbers to have a meaning.
         """
         conductance = self.instance.scale / self.instance.cells_of(self.result)
         relative = self._deviations("conductance").reshape(self.instance.shape) / conductance

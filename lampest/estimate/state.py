@@ -48,8 +48,8 @@ class Step:
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> step = found.steps[0]
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> step = estimate.steps[0]
     >>> step.cell_resistance.shape, step.status
     ((2, 3), 'optimum verified')
     """

@@ -225,10 +225,12 @@ class WeightSearch:
         for number in self.open_terms:
             if self.cost.terms[number].loss.enters != "dual":
                 continue
-            squares = [
-                _squares(model, number, reference.covariance)
-                for model, reference in zip(models, self.references, strict=True)
-            ]
+            squares = []
+            for model, reference in zip(models, self.references, strict=True):
+                of_term = model.penalty_term == number
+                rows = model.penalty_jacobian.tocsr()[of_term]
+                spread = np.sum((rows @ reference.covariance) * rows.toarray(), axis=1)
+                squares.append(model.penalty[of_term] ** 2 + spread)
             variance[number] = float(np.mean(np.concatenate(squares)))
         return tuple(variance)
 
@@ -338,14 +340,6 @@ class WeightSearch:
 
             errors = SampledErrors(model)
         return EvidencePoint(scale, weights, solution.cell_resistance, errors)
-
-
-def _squares(model: LinearModel, number: int, covariance: Array) -> Array:
-    """Return E x² of the residuals of a term, given the covariance of log r."""
-    of_term = model.penalty_term == number
-    rows = model.penalty_jacobian.tocsr()[of_term]
-    spread = np.sum((rows @ covariance) * rows.toarray(), axis=1)
-    return np.asarray(model.penalty[of_term] ** 2 + spread)
 
 
 @dataclass(frozen=True, eq=False)

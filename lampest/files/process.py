@@ -103,14 +103,8 @@ def check_address_space() -> None:
             f"and the limit is {in_bytes(limit)} (ulimit -v)"
         )
         raise InputError(f"not enough memory: {both}")
-    _reserve_buffers()
-
-
-def _reserve_buffers() -> None:
-    """Let each copy of OpenBLAS reserve its buffer, which it keeps.
-
-    OpenBLAS without a buffer asks for one without end.
-    """
+    # Each copy of OpenBLAS reserves its buffer now, and keeps it: without a buffer it asks for one
+    # without end.
     import casadi
     import numpy as np
     from scipy.linalg import lu_factor

@@ -387,8 +387,14 @@ class Program(CasadiOwner):
         size = self.cost.frames
         for first in range(0, self.conductance.shape[1], size):
             block = slice(first, first + size)
+            # Inputs of one block of frames
+            sources = self.given.sources()
+            some = {
+                name: value[:, block] if sources[name].per_frame else value
+                for name, value in self.given.named()
+            }
             symbols = Symbols(
-                self.cell_resistance[:, block], self.reading[:, block], self._given_of(block)
+                self.cell_resistance[:, block], self.reading[:, block], replace(self.given, **some)
             )
             pairs += self.cost.residuals(symbols)
         return program_groups(summands(self.cost.terms, pairs, self.weight))
@@ -418,15 +424,6 @@ class Program(CasadiOwner):
             casadi.densify(casadi.vertcat(*(part.residual for part in group))) for group in split
         ]
         return casadi.Function("split", [self.unknown.column, self.parameter.column], residuals)
-
-    def _given_of(self, block: slice) -> Given:
-        """Return the inputs of one block of frames."""
-        sources = self.given.sources()
-        some = {
-            name: value[:, block] if sources[name].per_frame else value
-            for name, value in self.given.named()
-        }
-        return replace(self.given, **some)
 
     @cached_property
     def statement(self) -> Statement:

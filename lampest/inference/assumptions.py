@@ -19,6 +19,9 @@ class Assumptions:
         Change in the skirt of a load, or under a load that covers many cells.
     skirt_cells : float
         Distance over which changes in a skirt are correlated, in cells.
+    slope_cells : float
+        The same on the slope of a load that is wider than a few cells: with `skirt_cells` alone,
+        80 % of the cells are within their bars where channels differ by 5 ohm under a palm.
     jump : float
         Change between frames under a load, and value of a cell that no reading determines.
     scatter, scatter_factor : float
@@ -31,6 +34,7 @@ class Assumptions:
     creep: float = 3e-3
     skirt: float = 0.3
     skirt_cells: float = 1.5
+    slope_cells: float = 3.0
     jump: float = 1.0
     scatter: float = 0.1
     scatter_factor: float = 2.0

@@ -60,13 +60,16 @@ class Share(NamedTuple):
     reach : float
         Mean of the share without attenuation: the interpolation is wrong over that time.
     gain : float
-        Decrease of −2 ln evidence from no share to the best one.
+        Decrease of −2 ln evidence from no motion to the most probable one.
+    trembling : float
+        Relative standard deviation of the load within a scan.
     """
 
     mean: float
     deviation: float
     reach: float
     gain: float = 0.0
+    trembling: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

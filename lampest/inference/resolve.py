@@ -23,7 +23,7 @@ from lampest.panel.readouts.converter import MAX_VOLT
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED, LIMITS, Systematic, within_limits
 from lampest.panel.systematic import READING_ERROR, SHARED_ERRORS, estimated_errors, systematic_of
-from lampest.recording.recording import MEASURED, Recording
+from lampest.recording.recording import Recording
 
 if TYPE_CHECKING:
     from lampest.inference.nuisances import Besides
@@ -129,11 +129,10 @@ def _as_the_whole(
 ) -> NoiseEstimate:
     """Return the noise of a part with the effects, motion and errors of the whole recording."""
     noise = without_effects(noise, recording, whole.corrected_effects)
-    measured = np.flatnonzero(recording.role == MEASURED)
     if whole.motion is not None and noise.readings.sigma is not None:
         from lampest.inference.effects.motion import interpolated  # for this key alone
 
-        noise = interpolated(noise, recording.scene, measured, whole.motion)
+        noise = interpolated(noise, recording, whole.motion)
     noise = replace(noise, possible_errors=whole.possible_errors, estimated=whole.estimated)
     noise = noise.with_reading_error(recording)
     return scaled(noise, recording, whole.model_factor)

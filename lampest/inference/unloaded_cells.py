@@ -10,7 +10,8 @@ from lampest.inference.cells_fit import FIT, CellsFit, data_of_cells
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.panel.systematic import recorded_share
+from lampest.panel.sizes import Systematic
+from lampest.panel.systematic import CHANNELS, error_columns, recorded_share
 from lampest.recording.readings import Readings
 
 READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))  # tried sizes e
@@ -21,8 +22,16 @@ SCATTERS = np.geomspace(0.01, 1.0, 48)
 LOG_PRIOR = -np.square(np.log(SCATTERS / ASSUMED.scatter) / np.log(ASSUMED.scatter_factor)) / 2
 
 
-def unloaded_costs(scene: Scene, resting: Readings, fit: CellsFit | None, tried: Array) -> Array:
+def unloaded_costs(
+    scene: Scene,
+    resting: Readings,
+    fit: CellsFit | None,
+    tried: Array,
+    channels_ohm: float = 0.0,
+) -> Array:
     """Return −2 ln likelihood of errors of the readings, up to a constant, (errors,).
+
+    The constant is the same for all errors and all spreads of the channels.
 
     The unloaded cells are log r ~ N(μ, s²). The readings are linearised at the most probable log
     cells u, with t = y − f(u) + J u. Let τ² = σ² + (e y')², where y' is the derivative of a reading
@@ -46,6 +55,9 @@ def unloaded_costs(scene: Scene, resting: Readings, fit: CellsFit | None, tried:
         Fit of the unloaded panel: no cells have a smaller χ². None: without this limit.
     tried : array, shape (errors,)
         Values of e.
+    channels_ohm : float
+        Standard deviation c of the resistance of each line's channel. With the columns C of one
+        ohm each, the covariance of the readings is τ² + c² C Cᵀ in place of τ².
 
     Raises
     ------
@@ -56,10 +68,15 @@ def unloaded_costs(scene: Scene, resting: Readings, fit: CellsFit | None, tried:
     share = np.abs(recorded_share(resting.value, scene))
     cells = np.log(data.uniform_start[0])
     costs = np.zeros((1, len(SCATTERS)))
-    few_errors = READING_ERRORS[1::4]
+    few_errors = READING_ERRORS[1::4] if len(tried) > 1 else tried
     least = 0.0 if fit is None else fit.chi_square
+    channels = np.zeros((resting.value.size, 0))
+    if channels_ohm and fit is not None:
+        spread = Systematic(channel_spread_ohm=channels_ohm)
+        columns = error_columns((CHANNELS,), fit.network, resting.value, scene, spread)
+        channels = columns.reshape(len(columns), -1).T
     for errors, previous_errors in (
-        (few_errors, READING_ERRORS[-1:]),
+        (few_errors, READING_ERRORS[-1:] if len(tried) > 1 else tried),
         (tried, few_errors),
     ):
         row, column = np.unravel_index(np.argmin(costs), costs.shape)
@@ -74,31 +91,39 @@ def unloaded_costs(scene: Scene, resting: Readings, fit: CellsFit | None, tried:
         costs = np.empty((len(errors), len(SCATTERS)))
         for number, error in enumerate(errors):
             tau = np.hypot(resting.known_sigma, error * share).ravel()[plain]
-            linear = _linear_costs(jacobian[plain], target[plain], tau)
-            widening = np.max(tau / resting.known_sigma.ravel()[plain])
-            logarithms = 2 * np.log(tau).sum()
+            both = np.column_stack([jacobian, target])[plain]
+            if channels.size:
+                root = np.linalg.cholesky(np.diag(tau**2) + channels[plain] @ channels[plain].T)
+                whitened = np.linalg.solve(root, both)
+                deviation = np.linalg.norm(root, axis=1)
+                logarithms = 2 * np.log(np.diag(root)).sum()
+            else:
+                whitened = both / tau[:, None]
+                deviation = tau
+                logarithms = 2 * np.log(tau).sum()
+            linear = _linear_costs(whitened[:, :-1], whitened[:, -1])
+            widening = np.max(deviation / resting.known_sigma.ravel()[plain])
             costs[number] = np.maximum(linear + logarithms, least / widening**2 + logarithms)
     # −2 ln Σ_s p(y | e, s) p(s)
     marginal = -2 * np.logaddexp.reduce(LOG_PRIOR - costs / 2, axis=1)
-    return np.asarray(marginal - marginal.min())
+    return np.asarray(marginal)
 
 
-def _linear_costs(jacobian: Array, target: Array, tau: Array) -> Array:
-    """Return −2 ln likelihood of linearised readings for SCATTERS, less Σ ln τ², (scatters,).
+def _linear_costs(scaled: Array, target: Array) -> Array:
+    """Return −2 ln likelihood of linearised readings for SCATTERS, less ln |covariance|.
 
-    The formula is that of `unloaded_costs`.
+    The shape is (scatters,). The formula is that of `unloaded_costs`.
 
     Parameters
     ----------
-    jacobian : array, shape (readings, cells)
-        J.
-    target, tau : array, shape (readings,)
-        t and τ.
+    scaled : array, shape (readings, cells)
+        A = L⁻¹ J, with the lower root L of the readings' covariance.
+    target : array, shape (readings,)
+        L⁻¹ t.
     """
-    scaled = jacobian / tau[:, None]
     values, vectors = np.linalg.eigh(scaled @ scaled.T)
     # a = Qᵀ t/τ, b = Qᵀ A 1, and v = 1 + s²λ, (scatters, readings)
-    a = vectors.T @ (target / tau)
+    a = vectors.T @ target
     b = vectors.T @ scaled.sum(axis=1)
     v = 1 + np.square(SCATTERS)[:, None] * np.maximum(values, 0.0)
     # Σ b²/v is the precision of μ, which is integrated out.

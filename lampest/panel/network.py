@@ -262,8 +262,8 @@ class SolvedNetwork(Network):
         if loading.of_potentials is not None:
             # ½ (x w_vᵀ + w_v xᵀ)
             assert self.sources is not None
-            product = product + 0.5 * np.outer(self.sources, loading.of_potentials @ values)
-            product = product + 0.5 * np.outer(loading.of_potentials, self.sources @ values)
+            product += (0.5 * self.sources)[:, None] * (loading.of_potentials @ values)
+            product += (0.5 * loading.of_potentials)[:, None] * (self.sources @ values)
         return product
 
     # Sums over the cells, D = Z·B, and X = BᵀZB. `DifferenceNetwork` has another D, and another X.
@@ -294,11 +294,13 @@ class SolvedNetwork(Network):
 
     def drawn(self, loading: Loading) -> Array:
         """Return diag(DᵀWD) = bᵀ(Z W Z)b of every cell, (rows, columns)."""
-        return across(
-            self.entries_of_product(
-                self._impedance, self.loaded(loading, self._impedance), with_sources=False
-            )
-        )
+        impedance = self._impedance
+        loaded = bipartite(loading.diagonal, loading.between, impedance)
+        drawn = across(self.entries_of_product(impedance, loaded, with_sources=False))
+        if loading.of_potentials is not None:
+            # ½ bᵀZ (x w_vᵀ + w_v xᵀ) Zb
+            drawn += self.source_differences * self._differences(impedance @ loading.of_potentials)
+        return drawn
 
     def weighed(self, loading: Loading) -> Array:
         """Return the product with W that second derivatives share, Z W Z (lines, lines)."""
@@ -331,7 +333,10 @@ class SolvedNetwork(Network):
     def source_differences(self) -> Array:
         """Difference of v = Z·x across every cell, (rows, columns)."""
         assert self.sources is not None
-        potentials = self._impedance @ self.sources
+        return self._differences(self._impedance @ self.sources)
+
+    def _differences(self, potentials: Array) -> Array:
+        """Return Bᵀv, (rows, columns), for potentials v (lines,)."""
         return np.asarray(potentials[: self.rows, None] - potentials[None, self.rows :])
 
     def own_differences(self) -> tuple[Array, Array]:

@@ -48,6 +48,10 @@ class FrameNoise:
     motion : array, shape (3,) or (0,)
         Relative standard deviations of the readings in the patterns of `motion_patterns`; of
         circuits that read resistances.
+    trembling : float
+        Relative standard deviation of the load at a time, about that at the middle of a scan.
+    resting : array, shape (rows, columns), or None
+        Readings of the unloaded panel, from which the load changes those of a frame.
     effect_errors : array, shape (2, n, rows, columns), or None
         Remaining errors of corrected effects, one standard deviation each, as fractions of the
         readings: in the unloaded panel, and in frames.
@@ -59,6 +63,8 @@ class FrameNoise:
     common_ripple: Array
     line_ripple: Array
     motion: Array = field(default_factory=lambda: np.zeros(0), kw_only=True)
+    trembling: float = field(default=0.0, kw_only=True)
+    resting: Array | None = field(default=None, kw_only=True)
     effect_errors: Array | None = None
 
     def columns(self, measured: Array, *, baseline: bool) -> Array:
@@ -94,9 +100,13 @@ class FrameNoise:
             for sign in (1, -1)
         ]
         columns = np.asarray((ends[0] - ends[1]).reshape(len(changes), -1).T / 2)
-        if not self.motion.size:
-            return columns
-        return np.column_stack([columns, motion_columns(measured, self.motion)])
+        if self.motion.size:
+            columns = np.column_stack([columns, motion_columns(measured, self.motion)])
+        if self.trembling and self.resting is not None:
+            columns = np.column_stack(
+                [columns, (self.trembling * (measured - self.resting)).ravel()]
+            )
+        return columns
 
     def _patterns(self, shape: tuple[int, ...]) -> Array:
         """Return the patterns of ripple in volt, (n, rows, columns).

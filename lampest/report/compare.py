@@ -362,8 +362,8 @@ def comparison(*paths: str | Path) -> "DataFrame":
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> found.save("results.h5", "LSM")
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> estimate.save("results.h5", "LSM")
     >>> table = lampest.comparison("results.h5")
     >>> table[["recording", "estimator", "frames solved"]].values.tolist()
     [['mine', 'LSM', 2]]

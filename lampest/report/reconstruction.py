@@ -44,8 +44,8 @@ class Reconstruction(Estimates):
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> found
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> estimate
     Reconstruction(mine: misfit, auto, 2 of 2 frames solved, the first: optimum verified)
     """
 
@@ -93,8 +93,8 @@ class Reconstruction(Estimates):
         >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
         >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
         >>> recording = lampest.simulate(of_rod, "mine")
-        >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-        >>> found.advice
+        >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+        >>> estimate.advice
         ()
         """
         from lampest.audit.advice import Audit
@@ -115,8 +115,8 @@ class Reconstruction(Estimates):
         >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
         >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
         >>> recording = lampest.simulate(of_rod, "mine")
-        >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-        >>> print(found.fit_report().splitlines()[0])
+        >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+        >>> print(estimate.fit_report().splitlines()[0])
         [[Model]]
         """
         from lampest.panel.estimated import estimated_lines

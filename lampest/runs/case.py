@@ -17,7 +17,7 @@ from lampest.files.typed import installed
 from lampest.panel.panel import Array
 from lampest.panel.scene_file import scene_text
 from lampest.recording.file import coordinates
-from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, Series
+from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, ReservedColumn, Variable
 from lampest.runs.content import Content
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ ATTRIBUTES: dict[str, tuple[str, Any]] = {
 
 
 def all_columns(further: Sequence[Column] = ()) -> tuple[Column, ...]:
-    """Return the columns of lampest, of installed packages, and further ones.
+    """Return the columns of lampest, of applications and installed packages, and further ones.
 
     Raises InputError for a repeated name.
     """
@@ -104,7 +104,8 @@ class CaseResult(Content):
     start_time : str
         Date and time at 0 s (ISO 8601), with time zone if known; '' if unknown.
     extra : mapping
-        Name → values of columns of installed packages or scripts.
+        Name → values of columns of applications, such as `pressure`, of installed packages or
+        scripts.
 
     Examples
     --------
@@ -112,8 +113,8 @@ class CaseResult(Content):
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> found.result().estimator
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> estimate.result().estimator
     'misfit'
     """
 
@@ -208,10 +209,12 @@ class CaseResult(Content):
         own, common : array, shape (values,)
             Standard deviations of each cell's own error, and of the common error, kPa.
         """
-        if self.pressing is None or self.pressure_own is None or self.pressure_common is None:
+        names = ("pressing", "pressure_own", "pressure_common")
+        pressing, own, common = map(self.column, names)
+        if pressing is None or own is None or common is None:
             return None
-        pressed = (self.pressing != 0) & chosen[:, None, None]
-        return self.pressure_own[pressed], self.pressure_common[pressed]
+        pressed = (pressing != 0) & chosen[:, None, None]
+        return own[pressed], common[pressed]
 
     @property
     def valued(self) -> NDArray[np.bool_]:
@@ -235,6 +238,64 @@ class CaseResult(Content):
         """Return the values of a column, or None."""
         return getattr(self, name) if name in NAMES else self.extra.get(name)
 
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Return the values of a column of an application, such as `pressure`, or None."""
+            if name in {column.name for column in all_columns()} - NAMES:
+                return self.extra.get(name)
+            raise AttributeError(f"a case has no attribute {name!r}")
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Texts of the case: names, resolved case and scene as YAML, sentences, versions."""
+        names = {
+            "recording": self.recording,
+            "estimator": self.estimator,
+            "scene": scene_text(self.scene),
+        }
+        values = {name: getattr(self, field) for name, (field, _) in ATTRIBUTES.items()}
+        texts = {name: text for name, text in values.items() if text and isinstance(text, str)}
+        started = {"start_time": self.start_time} if self.start_time else {}
+        versions = {f"{library}_version": text for library, text in sorted(self.versions.items())}
+        return names | texts | started | versions
+
+    @property
+    def coordinates(self) -> dict[str, Variable]:
+        """Row and column, and y and x (of outlines in space z, too) in mm, by name."""
+        return {
+            name: Variable(ReservedColumn(name, along, units, words, dtype=at.dtype.type), at)
+            for name, (along, at, units, words) in coordinates(self.scene.panel).items()
+        }
+
+    def variables(
+        self, columns: Sequence[Column] = (), *, raw: bool = False
+    ) -> dict[str, Variable]:
+        """Return every column and figure by label, in the unit of the readout.
+
+        Parameters
+        ----------
+        columns : sequence of Column
+            Descriptions of `extra`, besides those of installed packages.
+        raw : bool
+            Whether flags have the values of files; otherwise they are NaN for cells without an
+            estimate.
+        """
+        variables: list[Variable] = []
+        missing = np.isnan(self.cell_resistance)
+        for column in (column.of(self.scene.circuit) for column in all_columns(columns)):
+            if (values := self.column(column.name)) is None:
+                continue
+            flagged = column.flags and column.axes == MAPS and not column.shared
+            if flagged and not raw and missing.any():
+                values = np.where(missing, np.nan, values)
+                column = replace(column, dtype=np.float64)
+            variables.append(Variable(column, values))
+        for figures in FIGURES:
+            held = getattr(self, figures.name)
+            variables += [Variable(figures.column(name), held[name]) for name in held]
+        return {variable.column.label: variable for variable in variables}
+
     def to_xarray(self, columns: Sequence[Column] = ()) -> Dataset:
         """Return an xarray.Dataset over time (s), row and column, with x and y in mm.
 
@@ -245,16 +306,17 @@ class CaseResult(Content):
         """
         with extra("xarray"):
             from xarray import Dataset
-        held = series_of(self, self.described(columns))
-        axes = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | places_of(self)
+        self.described(columns)
+        held = self.variables(columns)
+        axes = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | self.coordinates
         parts = [
             {
-                name: (series.axes, np.asarray(series.values), series.attributes)
-                for name, series in part.items()
+                name: (each.column.axes, np.asarray(each.values), each.column.attributes)
+                for name, each in part.items()
             }
             for part in (held, axes)
         ]
-        return Dataset(*parts, about(self))
+        return Dataset(*parts, self.attributes)
 
     def to_dataframe(self, columns: Sequence[Column] = ()) -> DataFrame:
         """Return a long pandas.DataFrame with a line for every cell of every frame.
@@ -263,25 +325,27 @@ class CaseResult(Content):
         cells are repeated. Units are in `attrs["units"]`. Raises InputError as `to_xarray`.
         """
         held = self.long_columns(columns)
-        table = data_frame({name: series.values for name, series in held.items()})
-        table.attrs = about(self) | {
-            "units": {n: series.units for n, series in held.items() if n not in CELLS}
+        table = data_frame({name: variable.values for name, variable in held.items()})
+        table.attrs = self.attributes | {
+            "units": {name: each.column.units for name, each in held.items() if name not in CELLS}
         }
         return table
 
-    def long_columns(self, columns: Sequence[Column] = ()) -> dict[str, Series]:
+    def long_columns(self, columns: Sequence[Column] = ()) -> dict[str, Variable]:
         """Return the columns of `to_dataframe`, without need of pandas.
 
         Raises InputError as `to_xarray`.
         """
-        held = series_of(self, self.described(columns))
-        first = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | places_of(self)
-        held = first | {name: series for name, series in held.items() if "/" not in series.path}
+        self.described(columns)
+        held = self.variables(columns)
+        first = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | self.coordinates
+        # Figures depend on the case, and are left out.
+        held = first | {name: each for name, each in held.items() if "/" not in each.column.path}
         sizes = dict(zip(MAPS, self.measured.shape, strict=True))
-        for name, series in held.items():
-            shape = [size if axis in series.axes else 1 for axis, size in sizes.items()]
-            values = np.broadcast_to(np.reshape(series.values, shape), self.measured.shape).ravel()
-            held[name] = replace(series, values=values)
+        for name, variable in held.items():
+            shape = [size if axis in variable.column.axes else 1 for axis, size in sizes.items()]
+            values = np.broadcast_to(np.reshape(variable.values, shape), self.measured.shape)
+            held[name] = replace(variable, values=values.ravel())
         return held
 
     def described(self, columns: Sequence[Column] = ()) -> tuple[Column, ...]:
@@ -403,46 +467,6 @@ def check_name(name: str, noun: str) -> None:
         )
 
 
-def series_of(
-    case: CaseResult, columns: Sequence[Column], *, raw: bool = False
-) -> dict[str, Series]:
-    """Return every column and figure of a case by name, in the unit of its readout.
-
-    Costs are called cost_misfit.
-
-    raw : whether flags have the values of files; otherwise they are NaN for cells without an
-        estimate.
-    """
-    held: dict[str, Series] = {}
-    missing = np.isnan(case.cell_resistance)
-    for column in (column.of(case.scene.circuit) for column in columns):
-        if (values := case.column(column.name)) is not None:
-            flagged = column.flags and column.axes == MAPS and not column.shared
-            dtype = column.dtype
-            if flagged and not raw and missing.any():
-                values = np.where(missing, np.nan, values)
-                dtype = np.float64
-            words = column.units, column.long_name, column.flags, column.shared, dtype, column.path
-            held[column.label] = Series(column.label, column.axes, values, *words)
-    for folder in FIGURES:
-        for figure, values in getattr(case, folder.name).items():
-            name = f"{folder.folder}_{figure}"
-            units = folder.units
-            meaning = folder.long_name(figure)
-            held[name] = Series(
-                name, FRAMES, values, units, meaning, path=f"{folder.folder}/{figure}"
-            )
-    return held
-
-
-def places_of(case: CaseResult) -> dict[str, Series]:
-    """Return the coordinates row and column, y and x in mm."""
-    return {
-        name: Series(name, along, values, units, words, dtype=values.dtype.type, path=name)
-        for name, (along, values, units, words) in coordinates(case.scene.panel).items()
-    }
-
-
 def data_frame(columns: Any) -> DataFrame:
     """Return columns by name, or rows by column, as a pandas.DataFrame.
 
@@ -452,21 +476,3 @@ def data_frame(columns: Any) -> DataFrame:
         from pandas import DataFrame  # takes 0.3 s
 
     return DataFrame(columns)
-
-
-def about(case: CaseResult) -> dict[str, Any]:
-    """Return the texts of a case: names, resolved case and scene as YAML, sentences."""
-    names = {
-        "recording": case.recording,
-        "estimator": case.estimator,
-        "scene": scene_text(case.scene),
-    }
-    held = {name: getattr(case, field) for name, (field, _) in ATTRIBUTES.items()}
-    texts = {name: text for name, text in held.items() if text and isinstance(text, str)}
-    started = {"start_time": case.start_time} if case.start_time else {}
-    return (
-        names
-        | texts
-        | started
-        | {f"{library}_version": text for library, text in sorted(case.versions.items())}
-    )

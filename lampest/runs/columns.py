@@ -112,10 +112,10 @@ class Column(Validated):
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> taken = lambda estimates: estimates.time
     >>> force = lampest.Column("force", ("time",), "newton", "total force", value=taken)
-    >>> found.result(columns=[force]).extra["force"].shape
+    >>> estimate.result(columns=[force]).extra["force"].shape
     (2,)
     """
 
@@ -156,8 +156,33 @@ class Column(Validated):
 
     @property
     def label(self) -> str:
-        """Name in labelled arrays, tables and exports: the dataset's, but `name` if shared."""
-        return self.name if self.shared else self.path
+        """Name in labelled arrays, tables and exports: the dataset's, but `name` if shared.
+
+        Figures in a folder are called `cost_misfit`.
+        """
+        return self.name if self.shared else self.path.replace("/", "_")
+
+    @property
+    def stored_dtype(self) -> type[Any]:
+        """Type of numbers in a file, where truth values are 0 and 1."""
+        return np.uint8 if self.dtype is bool else self.dtype
+
+    @property
+    def meaning(self) -> str:
+        """Long name with the meanings of a flag's values."""
+        flags = "; ".join(f"{value}: {word.replace('_', ' ')}" for value, word in self.flags)
+        return f"{self.long_name} ({flags})" if flags else self.long_name
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Units, long name, and flags as the CF conventions have them (section 3.5)."""
+        attributes = {"units": self.units, "long_name": self.long_name}
+        if not self.flags:
+            return attributes
+        return attributes | {
+            "flag_values": np.array([value for value, _ in self.flags], dtype=self.stored_dtype),
+            "flag_meanings": " ".join(word for _, word in self.flags),
+        }
 
     def of(self, readout: Readout) -> Column:
         """Return the column in the unit of a readout, 'ohm' or 'volt'."""
@@ -192,67 +217,40 @@ class Column(Validated):
         part = part if self.axes[:1] == FRAMES else hdf5.ALL
         if self.dtype is str:
             return hdf5.read_texts(file, path, shape[0], part)
-        stored = np.uint8 if self.dtype is bool else self.dtype
-        integer = None if np.dtype(self.dtype).kind == "f" else stored
+        integer = None if np.dtype(self.dtype).kind == "f" else self.stored_dtype
         return hdf5.read_array(file, path, len(shape), shape, part, integer).astype(self.dtype)
 
 
+class ReservedColumn(Column):
+    """A column under a name that no package may use: a coordinate, or figures in a folder."""
+
+    def __post_init__(self) -> None:
+        pass
+
+
 @dataclass(frozen=True, eq=False)
-class Series:
-    """Values of a case with their description, for files, labelled arrays, tables and exports.
+class Variable:
+    """Values with their column, as a variable of xarray has its dimensions and attributes.
+
+    Files, labelled arrays, tables and exports are made of variables.
 
     Attributes
     ----------
-    name, units, long_name : str
-    axes : tuple of str
-        Some of time, row, column.
+    column : Column
+        Name, axes, unit and meaning.
     values : array or texts
         Values over the axes.
-    flags : tuple of (int, str)
-        Values of a flag and their meanings.
-    shared : bool
-        True for measurements.
-    dtype : type
-    path : str
-        Dataset in its group.
     """
 
-    name: str
-    axes: tuple[str, ...]
+    column: Column
     values: Any
-    units: str
-    long_name: str
-    flags: tuple[tuple[int, str], ...] = ()
-    shared: bool = False
-    dtype: type[Any] = np.float64
-    path: str = ""
 
     @property
     def stored(self) -> Any:
         """Values for a file: texts in ASCII, truth values as 0 and 1."""
-        if self.dtype is str:
+        if self.column.dtype is str:
             return hdf5.ascii_array(self.values)
-        return np.asarray(self.values).astype(np.uint8 if self.dtype is bool else self.dtype)
-
-    @property
-    def meaning(self) -> str:
-        """Long name with the meanings of a flag's values."""
-        flags = "; ".join(f"{value}: {word.replace('_', ' ')}" for value, word in self.flags)
-        return f"{self.long_name} ({flags})" if flags else self.long_name
-
-    @property
-    def attributes(self) -> dict[str, Any]:
-        """Units, long name, and flags as the CF conventions have them (section 3.5)."""
-        attributes = {"units": self.units, "long_name": self.long_name}
-        if not self.flags:
-            return attributes
-        values = np.array(
-            [value for value, _ in self.flags], dtype=np.uint8 if self.dtype is bool else self.dtype
-        )
-        return attributes | {
-            "flag_values": values,
-            "flag_meanings": " ".join(word for _, word in self.flags),
-        }
+        return np.asarray(self.values).astype(self.column.stored_dtype)
 
 
 @dataclass(frozen=True)
@@ -277,3 +275,8 @@ class Figures:
     long_name: Callable[[str], str]
     units: str = "1"
     name: str = ""
+
+    def column(self, figure: str) -> Column:
+        """Return the column of a figure, which lies along the frames."""
+        dataset = f"{self.folder}/{figure}"
+        return ReservedColumn(figure, FRAMES, self.units, self.long_name(figure), dataset=dataset)

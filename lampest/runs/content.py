@@ -439,34 +439,6 @@ class Content(Validated):
     baseline_resistance_errors: Array | None = _cells(
         "posterior standard deviation of the unloaded cell resistance", not_negative, default=None
     )
-    # Pressures of the cells; absent without error bars, which the uncertainty of pressures
-    # requires.
-    pressure: Array | None = _share("pressure of the load on the cell", "kPa")
-    pressure_errors: Array | None = _deviation("kPa", "standard deviation of the pressure")
-    pressure_own: Array | None = _deviation(
-        "kPa", "standard deviation of the pressure: each cell's own error"
-    )
-    pressure_common: Array | None = _deviation(
-        "kPa", "standard deviation of the pressure: common error of all cells"
-    )
-    pressure_lower: Array | None = _share("95 % interval, lower end", "kPa")
-    pressure_upper: Array | None = _share("95 % interval, upper end", "kPa")
-    saturated: NDArray[np.uint8] | None = _flag(
-        "1: the response leaves the pressure open",
-        *("response_tells_pressure", "response_does_not_tell_pressure"),
-        default=None,
-    )
-    pressing: NDArray[np.uint8] | None = _flag(
-        "1: a load presses on the cell, beyond errors and what the film keeps of earlier loads",
-        *("no_load_presses", "load_presses"),
-        default=None,
-    )
-    tared: tuple[str, ...] | None = _frames(
-        "1",
-        "why the zero of pressures was taken anew after the frame; empty: it was not",
-        dtype=str,
-        default=None,
-    )
     contacts: dict[str, Array] = _figures("contact", _contacts, _of_contact, "ohm")
     costs: dict[str, Array] = _figures("cost", _costs, "cost of the term {}".format)
     weights: dict[str, Array] = _figures("weight", _weights, "weight of the term {}".format)

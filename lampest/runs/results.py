@@ -30,11 +30,9 @@ from lampest.runs.case import (
     TIME,
     StoredCase,
     all_columns,
-    places_of,
-    series_of,
 )
 from lampest.runs.case import CaseResult as CaseResult
-from lampest.runs.columns import FRAMES, MAPS, Column, Series
+from lampest.runs.columns import FRAMES, MAPS, Column, Variable
 
 FORMAT = "results/1"
 POSITIONS = "y x"  # attribute `coordinates` of the CF conventions, which xarray reads
@@ -85,8 +83,8 @@ class Results:
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> lampest.Results((found.result("LSM"),)).estimators()
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> lampest.Results((estimate.result("LSM"),)).estimators()
     ('LSM',)
     """
 
@@ -166,10 +164,9 @@ def write_results(
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> lampest.write_results("results.h5", [found.result("LSM")])
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> lampest.write_results("results.h5", [estimate.result("LSM")])
     """
-    table = all_columns(columns)
     recordings: dict[str, list[CaseResult | StoredCase]] = {}
     for case in cases:
         recordings.setdefault(case.recording, []).append(case)
@@ -197,7 +194,7 @@ def write_results(
                     _copy_case(group, case, measured)
                     _replace_check(group[case.estimator], case)
                 else:
-                    _write_case(group, case, table, with_measurement=not number)
+                    _write_case(group, case, columns, with_measurement=not number)
                 measured = measured or checksums.digests_below(group[SHARED])
                 hdf5.set_attributes(group[case.estimator], order=number)
 
@@ -244,10 +241,10 @@ def _check_together(cases: Sequence[CaseResult], columns: Sequence[Column]) -> N
 
 
 def _write_case(
-    group: h5py.Group, case: CaseResult, table: Sequence[Column], *, with_measurement: bool
+    group: h5py.Group, case: CaseResult, columns: Sequence[Column], *, with_measurement: bool
 ) -> None:
     """Write an estimate and, with the first case of a recording, the measurement."""
-    series = series_of(case, table, raw=True).values()
+    variables = case.variables(columns, raw=True).values()
     if with_measurement:
         measurement = _group_of_data(group, SHARED, MEASURED.of(case.scene.circuit).path)
         texts = {"scene": (scene_text(case.scene), "what was measured, YAML")}
@@ -255,7 +252,7 @@ def _write_case(
             texts["start_time"] = case.start_time, "date and time at 0 s of the time axis, ISO 8601"
         for name, (text, words) in texts.items():
             hdf5.write_dataset(measurement, name, hdf5.ascii_array(text), "1", words)
-        _write_series(measurement, case, [column for column in series if column.shared])
+        _write_variables(measurement, case, [each for each in variables if each.column.shared])
     estimate = _group_of_data(group, case.estimator, "cell_resistance")
     attributes: dict[str, Any] = {}
     for name, (item, default) in ATTRIBUTES.items():
@@ -267,9 +264,8 @@ def _write_case(
     attributes["joint_start"] = np.uint8(case.joint_start)
     hdf5.set_attributes(estimate, **attributes)
     axes = (TIME.name, FRAME.name)
-    _write_series(
-        estimate, case, [column for column in series if not column.shared or column.name in axes]
-    )
+    own = [each for each in variables if not each.column.shared or each.column.name in axes]
+    _write_variables(estimate, case, own)
 
 
 def _replace_check(estimate: h5py.Group, case: StoredCase) -> None:
@@ -316,19 +312,20 @@ def _group_of_data(parent: h5py.Group, name: str, signal: str) -> h5py.Group:
     return group
 
 
-def _write_series(group: h5py.Group, case: CaseResult, series: Iterable[Series]) -> None:
-    """Write axes, positions, columns and figures of a case into a group, then attach the axes."""
+def _write_variables(group: h5py.Group, case: CaseResult, variables: Iterable[Variable]) -> None:
+    """Write coordinates, columns and figures of a case into a group, then attach the axes."""
     axes: dict[str, tuple[str, ...]] = {}
-    places = places_of(case)
-    for part in (*places.values(), *series):
-        attributes = part.attributes
-        if part.name not in places and part.axes != FRAMES:
+    places = case.coordinates
+    for variable in (*places.values(), *variables):
+        column = variable.column
+        attributes = column.attributes
+        if column.name not in places and column.axes != FRAMES:
             attributes["coordinates"] = POSITIONS
-        hdf5.write_dataset(group, part.path, part.stored, **attributes)
-        if part.axes == (part.name,):
-            group[part.path].make_scale(part.name)
+        hdf5.write_dataset(group, column.path, variable.stored, **attributes)
+        if column.axes == (column.name,):
+            group[column.path].make_scale(column.name)
         else:
-            axes[part.path] = part.axes
+            axes[column.path] = column.axes
     for folder in sorted({path.partition("/")[0] for path in axes if "/" in path}):
         hdf5.set_attributes(group[folder], NX_class="NXcollection")
     hdf5.attach_scales(group, axes)
@@ -364,8 +361,8 @@ def read_results(
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> found.save("results.h5", "LSM")
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> estimate.save("results.h5", "LSM")
     >>> lampest.read_results("results.h5").recordings()
     ('mine',)
     """

@@ -20,20 +20,24 @@ from lampest.files.errors import BROKEN
 from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.certificate import MIN_COST_SHARE
-from lampest.solvers.solution import MAX_STARTS, Outcome, Solution, Solver, Status, check, failure
+from lampest.solvers.solution import (
+    MAX_STARTS,
+    Outcome,
+    Solution,
+    Solver,
+    Status,
+    check,
+    failure,
+    lower_of,
+)
 
 # Starts of a frame whose first solve met negative curvature: as many as there are kinds of starts.
 MAX_MINIMA = 3
-# With losses that are not convex: starts of (a first frame, one that continues another). The frame
-# ends earlier where SHARED of them have costs within SAME_END of the lowest.
-MAX_RELAXED = (20, 6)
-SHARED = (3, 2)
-SAME_END = 1e-6
+MAX_SEARCHED = 40  # starts with losses that are not convex (docs/studies/minima.md)
 # iterations of all starts after which a frame ends: with, and without an estimate
 MAX_SPENT = 100
 MAX_UNSOLVED = 300
 START_SPREAD = 20.0  # largest factor between a scattered start and the apparent resistance
-SAME_MINIMUM = 1e-9  # relative difference of cost below which two minima are the same
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,7 @@ class Effort:
         """Return the effort of a frame.
 
         The number of starts, unless the settings state it, is MAX_MINIMA where the cost may have
-        several minima, MAX_RELAXED with losses that are not convex, and 1 otherwise.
+        several minima, MAX_SEARCHED with losses that are not convex, and 1 otherwise.
         """
         if solver.settings.starts is not None:
             return cls(solver.settings.starts, requested=True)
@@ -69,7 +73,7 @@ class Effort:
         convex_losses = solver.cost.convex_losses
         starts = MAX_MINIMA if several_minima(solver.cost, data) else 1
         return cls(
-            starts if convex_losses else MAX_RELAXED[continues],
+            starts if convex_losses else MAX_SEARCHED,
             requested=False,
             continues=continues,
             convex_losses=convex_losses,
@@ -81,7 +85,7 @@ class Effort:
         A strict minimum from the first start is kept in two cases: in a frame that continues an
         earlier one, and where the solver met no direction of negative curvature on its way. Further
         starts then rarely find a lower minimum (docs/studies/speed.md). With losses that are not
-        convex, a minimum is kept at which several starts end.
+        convex, the search ends itself, see `lampest.solvers.relaxation`.
         """
         iterations = sum(end.iterations for end in ends)
         if self.requested:
@@ -91,9 +95,7 @@ class Effort:
         if len(ends) >= self.starts:
             return True
         if not self.convex_losses:
-            costs = [end.objective for end in ends if end.solved]
-            same = np.isclose(costs, best.objective, rtol=SAME_END, atol=0)
-            return int(same.sum()) >= SHARED[self.continues]
+            return False
         kept = len(ends) == 1 and best.strict and (best.convex or self.continues)
         return kept or iterations > MAX_SPENT
 
@@ -121,7 +123,7 @@ def best_solution(
     branch = None
     ends = list[Solution]()
     with np.errstate(all="ignore"), delayed_interrupt():
-        for start in evaluable(solver.cost, data, _places(solver, data, previous)):
+        for start in evaluable(solver.cost, data, _places(solver, data, previous, ends)):
             again = solver.cold() if effort.convex_losses else solver.continued(None)
             ends.append(solved_from(again if ends else solver, start))
             branch = start.branch if branch is None else branch
@@ -132,34 +134,26 @@ def best_solution(
     return replace(best, starts=len(ends) or 1, solver=solver.name)
 
 
-def _places(solver: Solver, data: Data, previous: Array | None) -> Iterator[Array]:
-    """Yield the starts of a frame.
+def _places(
+    solver: Solver, data: Data, previous: Array | None, ends: Sequence[Solution]
+) -> Iterator[Array]:
+    """Yield the starts of a frame, given the solutions from those before.
 
-    The sequence has no end where the settings state the number of starts, and with losses that are
-    not convex.
+    The sequence has no end where the settings state the number of starts.
     """
     cost = solver.cost
     usual = starts(cost, data, previous)
     if not cost.convex_losses:
-        from lampest.solvers.relaxation import relaxed_starts  # for such losses alone
+        from lampest.solvers.relaxation import searched_starts  # for such losses alone
 
         first = next(usual)
         yield first
-        yield from relaxed_starts(solver.continued(None), evaluated(cost, data, first))
+        yield from searched_starts(solver.continued(None), evaluated(cost, data, first), ends)
+        if solver.settings.starts is None:
+            return
     yield from usual
     if solver.settings.starts is not None:
         yield from scattered(data)
-
-
-def lower_of(best: Solution | None, solution: Solution) -> Solution:
-    """Return the solution of lower cost, or `best` if the costs are equal or nothing is solved."""
-    if best is None or (solution.solved and not best.solved):
-        return solution
-    # near 0 relative differences say nothing: several panels may give the readings exactly
-    rounding = 0.0 if best.at is None else MIN_COST_SHARE * best.at.cost_scale
-    if solution.solved and solution.objective < best.objective * (1 - SAME_MINIMUM) - rounding:
-        return solution
-    return best
 
 
 def preferred(best: Solution | None, solution: Solution, branch: Array) -> Solution:

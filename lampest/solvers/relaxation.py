@@ -3,27 +3,38 @@
 Readings that are far off at a start have hardly any pull under such a loss, so that steps from
 there end where they are outliers. The relaxed cost has Huber's loss instead, with a corner where
 the loss still is a square: it is convex, and single wrong readings hardly move its minimum. The
-solver that minimises the cost minimises the relaxed one first, and begins at its minimum and around
-it. Losses that shrink from squares end higher (docs/studies/minima.md).
+solver that minimises the cost minimises the relaxed one first, and begins at its minimum.
+
+Minima differ in the readings that are outliers there. From the lowest one an outlier enters, or a
+reading with large leverage leaves, and the solver begins there. The search begins again at every
+lower minimum, and ends where no exchange lowers the cost. Losses that shrink from squares end
+higher, and so do starts at random (docs/studies/minima.md).
 Source: Yohai, Ann. Statist. 15, 1987 (a robust convex start for a redescending loss).
 """
 
-from collections.abc import Iterator
-from dataclasses import replace
-from functools import lru_cache
-from itertools import count
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache, reduce
 
 import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.losses import Huber, Loss
-from lampest.cost.problem import Evaluation
+from lampest.cost.problem import NO_DUAL, Evaluation, residuals
 from lampest.files.errors import BROKEN
 from lampest.panel.panel import Array
-from lampest.solvers.solution import Solver
+from lampest.solvers.preconditioners import preconditioner
+from lampest.solvers.solution import Solution, Solver, lower_of, sharp_hessian
 
 CORNER = 0.1  # of the residual at which the loss ceases to be convex
+FAR_OUT = 2.0  # times the range in which a loss is convex: residuals of outliers are beyond
+LARGEST_STEP = 2.0  # of log r: change of a cell where a reading is exchanged
 SPREAD = 0.5  # of log r: largest change of a cell in a start around another one
+# Starts around another one end where SHARED solutions have costs within SAME_END of the lowest.
+SHARED = 2
+MAX_AROUND = 6
+SAME_END = 1e-6
 # Residuals among which the end of convexity is searched for, in any unit.
 RESIDUALS = np.geomspace(1e-12, 1e12, 4801)
 
@@ -39,7 +50,6 @@ def relaxed(cost: Cost) -> Cost:
     return replace(cost, terms=tuple(terms))
 
 
-@lru_cache(maxsize=64)
 def huber_of(loss: Loss) -> tuple[float, float]:
     """Return the corner and the factor of the Huber loss that replaces a loss.
 
@@ -50,27 +60,144 @@ def huber_of(loss: Loss) -> tuple[float, float]:
     factor : float
         Curvature ½ρ''(0) of the loss.
     """
+    return CORNER * convex_range(loss), float(loss.curvature(np.zeros(1))[0])
+
+
+@lru_cache(maxsize=64)
+def convex_range(loss: Loss) -> float:
+    """Return the residual up to which a loss is convex; infinity if it is convex everywhere."""
+    if loss.convex:
+        return np.inf
     convex = loss.curvature(RESIDUALS) > 0
-    end = RESIDUALS[-1] if convex.all() else RESIDUALS[int(np.argmin(convex))]
-    return CORNER * float(end), float(loss.curvature(np.zeros(1))[0])
+    return float(RESIDUALS[-1] if convex.all() else RESIDUALS[int(np.argmin(convex))])
 
 
-def relaxed_starts(solver: Solver, start: Evaluation) -> Iterator[Array]:
+def searched_starts(solver: Solver, start: Evaluation, ends: Sequence[Solution]) -> Iterator[Array]:
     """Yield starts of a cost with losses that are not convex, (frames, rows, columns) ohm.
 
-    The minimum of the relaxed cost from `start`, then an endless sequence around it and `start`.
-    Nothing is yielded where the relaxed cost breaks down.
+    The first is the minimum of the relaxed cost, unless that breaks down. Those at which a reading
+    is exchanged follow, and, where a penalty has such a loss, starts around the first two.
+
+    Parameters
+    ----------
+    solver : Solver
+    start : Evaluation
+        First start of the frame.
+    ends : sequence of Solution
+        Solutions from all starts so far; the caller appends to it.
     """
     cost = relaxed(solver.cost)
-    try:
+    centres = [start.cell_resistance]
+    with suppress(*BROKEN):
         begin = Evaluation.at(cost, start.data, start.cell_resistance)
-        cells = replace(solver, cost=cost).solve(start.data, begin).cell_resistance
-    except BROKEN:
-        return
-    yield cells
-    for number in count():
+        centres.insert(0, replace(solver, cost=cost).solve(start.data, begin).cell_resistance)
+        yield centres[0]
+    yield from exchanging_starts(ends)
+    if not all(term.loss.convex or term.reads_measurement for term in solver.cost.terms):
+        yield from starts_around(centres, ends)
+
+
+def exchanging_starts(ends: Sequence[Solution]) -> Iterator[Array]:
+    """Yield starts at which one reading is exchanged, until none leads to a lower minimum."""
+    lowest = None
+    while (best := reduce(lower_of, ends, None)) is not lowest and best is not None:
+        lowest = best
+        possible = list[Exchange]()
+        with suppress(*BROKEN):
+            possible = exchanges(best)
+        for exchange in possible:
+            yield best.cell_resistance * np.exp(exchange.step)
+            if reduce(lower_of, ends, None) is not lowest:
+                break
+
+
+@dataclass(frozen=True, eq=False)
+class Exchange:
+    """Step from a minimum that changes whether one reading is an outlier.
+
+    Attributes
+    ----------
+    gain : float
+        Decrease of the cost in the quadratic model.
+    step : array, shape (frames, rows, columns)
+        Change of u = log r, at most LARGEST_STEP.
+    """
+
+    gain: float
+    step: Array
+
+
+def exchanges(minimum: Solution) -> list[Exchange]:
+    """Return the exchanges of one reading at a minimum, largest gain first.
+
+    None where the solution is not one.
+
+    With the gradient a = ∂x/∂u of a residual x, its loss ρ and weight w, its second derivative
+    k = wρ'', the Hessian M of the cost, and the leverage h = k aᵀM⁻¹a:
+
+    - An outlier enters by −x M⁻¹a/(aᵀM⁻¹a), the least costly step to x = 0. The gain is
+      wρ(x) − ½x²/(aᵀM⁻¹a).
+    - A reading whose x/√(1 − h) is that of an outlier leaves by k x M⁻¹a/(1 − h), the step to the
+      minimum without it, where its residual is x/(1 − h). The gain is
+      wρ(x) − wρ(x/(1 − h)) + ½k x² h/(1 − h). Panels too large for a matrix leave these out.
+
+    Source: Cook & Weisberg, Residuals and Influence in Regression, 1982, chapter 2.
+    """
+    at = minimum.at
+    if at is None:
+        return []
+    hessian = sharp_hessian(at, NO_DUAL if minimum.dual is None else minimum.dual)
+    inverse = preconditioner(hessian, hessian.free).over(hessian.free, at.cell_resistance)
+    part = residuals(at.cost).data
+    values = part.values(at)
+    by_reading = part.jacobian("reading", at).tocsr()
+    found = []
+    for number, term in enumerate(at.cost.terms):
+        loss = term.loss
+        weight = float(at.weights[number])
+        limit = FAR_OUT * convex_range(loss)
+        for row in np.flatnonzero((part.term == number) & (limit < np.inf)).tolist():
+            x = float(values[row])
+            enters = abs(x) > limit
+            if not (enters or hessian.dense):
+                continue
+            gradient = hessian.adjoint(by_reading[[row]].toarray().reshape(at.reading.shape))
+            response = np.zeros_like(gradient)
+            response[hessian.free] = inverse(gradient[hessian.free])
+            size = max(float(gradient @ response), np.finfo(float).tiny)
+            gain = weight * _cost(loss, x)
+            if enters:
+                factor = -x / size
+                gain -= x**2 / (2 * size)
+            else:
+                k = 2 * weight * float(loss.curvature(np.array([x]))[0])
+                remaining = 1 - k * size
+                if remaining <= 0 or abs(x) <= limit * np.sqrt(remaining):
+                    continue
+                factor = k * x / remaining
+                gain += k * x**2 * k * size / (2 * remaining) - weight * _cost(loss, x / remaining)
+            step = factor * response
+            step *= min(1.0, LARGEST_STEP / float(np.abs(step).max(initial=LARGEST_STEP)))
+            found.append(Exchange(gain, step.reshape(at.position.shape)))
+    return sorted(found, key=lambda exchange: -exchange.gain)
+
+
+def _cost(loss: Loss, residual: float) -> float:
+    """Return ρ of one residual."""
+    return float(loss.cost(np.array([residual])))
+
+
+def starts_around(centres: Sequence[Array], ends: Sequence[Solution]) -> Iterator[Array]:
+    """Yield starts around centres in turn, until SHARED solutions agree on the lowest cost.
+
+    The sequence has at most MAX_AROUND starts.
+    """
+    for number in range(MAX_AROUND):
+        costs = [end.objective for end in ends if end.solved]
+        if np.isclose(costs, min(costs, default=np.inf), rtol=SAME_END, atol=0).sum() >= SHARED:
+            return
+        centre = centres[number % len(centres)]
         # fractional parts of √3·n², in place of random numbers (Rudnick, Sarnak & Zaharescu 2001)
-        places = np.arange(1, cells.size + 1, dtype=float) + cells.size * number
-        share = (np.sqrt(3.0) * places**2 % 1.0).reshape(cells.shape)
-        centre = cells if number % 2 == 0 else start.cell_resistance
+        places = np.arange(1, centre.size + 1, dtype=float) + centre.size * number
+        share = (np.sqrt(3.0) * places**2 % 1.0).reshape(centre.shape)
         yield centre * np.exp(SPREAD * (2 * share - 1))

@@ -14,7 +14,7 @@ from lampest.files.errors import brief
 from lampest.files.typed import Validated, check_positive_fields, check_ranges, typed
 from lampest.panel.panel import Array
 from lampest.solvers.bounds import MILLIONTH, bounds_matter
-from lampest.solvers.certificate import Certificate, Definiteness, certificate
+from lampest.solvers.certificate import MIN_COST_SHARE, Certificate, Definiteness, certificate
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Preconditioner
 from lampest.solvers.smoothing import Smoothing
@@ -27,6 +27,7 @@ VERIFIED = MILLIONTH
 # A cell within 1 % of a bound counts as being at it.
 OPEN_FRACTION = 0.99
 MAX_STARTS = 1000
+SAME_MINIMUM = 1e-9  # relative difference of cost below which two minima are the same
 # A frame is MISSED where more than this share of its readings deviates by FAR standard deviations
 # (test_relaxation.py).
 FAR = 10.0
@@ -42,8 +43,8 @@ class Status(Enum):
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> found.steps[0].solution.status.value
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> estimate.steps[0].solution.status.value
     'optimum verified'
     """
 
@@ -173,9 +174,9 @@ class Outcome:
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> import numpy as np
-    >>> cells, dual = found.cell_resistance, np.zeros(0)
+    >>> cells, dual = estimate.cell_resistance, np.zeros(0)
     >>> lampest.Outcome(cells, dual, lampest.Status.APPROXIMATE, iterations=1).iterations
     1
     """
@@ -231,8 +232,8 @@ class Solution:
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> found.steps[0].solution.solved
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> estimate.steps[0].solution.solved
     True
     """
 
@@ -440,6 +441,17 @@ def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> 
         return fault
     rounded = certificate(sharp_hessian(at, outcome.dual)).definiteness is Definiteness.UNDETERMINED
     return Status.ROUNDED if rounded else fault
+
+
+def lower_of(best: Solution | None, solution: Solution) -> Solution:
+    """Return the solution of lower cost, or `best` if the costs are equal or nothing is solved."""
+    if best is None or (solution.solved and not best.solved):
+        return solution
+    # near 0 relative differences say nothing: several panels may give the readings exactly
+    rounding = 0.0 if best.at is None else MIN_COST_SHARE * best.at.cost_scale
+    if solution.solved and solution.objective < best.objective * (1 - SAME_MINIMUM) - rounding:
+        return solution
+    return best
 
 
 @typed

@@ -44,11 +44,11 @@ def results(tmp_path: Path) -> Path:
     flags = np.zeros((3, 4, 5), dtype=np.uint8)
     bars[1] = np.nan
     flags[0, 1, 2] = 1
-    maps = dict.fromkeys(
-        ("cell_resistance_errors", "cell_resistance_lower", "pressure", "pressure_errors"), bars
-    )
+    maps = {"cell_resistance_errors": bars, "cell_resistance_lower": bars}
+    maps["cell_resistance_upper"] = bars + np.inf
+    pressures = {"pressure": bars, "pressure_errors": bars, "saturated": flags}
     cases = [
-        dataclasses.replace(failing, **maps, cell_resistance_upper=bars + np.inf, saturated=flags),
+        dataclasses.replace(failing, **maps, extra=pressures),
         invented_case("LSR-gCR", "mouth", (3, 4, 5), start_time=START),
         invented_case("LSM", "other", (2, 3, 6), truth=False),
     ]

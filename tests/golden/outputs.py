@@ -103,14 +103,6 @@ def invented() -> tuple[lp.CaseResult, ...]:
             "sigma_common": own / 3,
             "resolution": 1 - own,
             "data_share": 1 - own / 2,
-            "pressure": kpa,
-            "pressure_errors": 0.1 * kpa,
-            "pressure_own": 0.1 * kpa,
-            "pressure_common": 0.02 * kpa,
-            "pressure_lower": 0.7 * kpa,
-            "pressure_upper": 1.3 * kpa,
-            "saturated": (kpa > 15).astype(np.uint8),
-            "pressing": (kpa > 1).astype(np.uint8),
             "scene": scene,
             "reading_sigma": 0.02 * case.measured,
             "warnings": "a warning" * (case.estimator == "LSM"),
@@ -121,14 +113,24 @@ def invented() -> tuple[lp.CaseResult, ...]:
             "model_sentence": "the circuit explains the readings",
             "noise_learned": "scatter 1.1",
         }
-        for name, values in known.items():
+        pressures = {
+            "pressure": kpa,
+            "pressure_errors": 0.1 * kpa,
+            "pressure_own": 0.1 * kpa,
+            "pressure_common": 0.02 * kpa,
+            "pressure_lower": 0.7 * kpa,
+            "pressure_upper": 1.3 * kpa,
+            "saturated": (kpa > 15).astype(np.uint8),
+            "pressing": (kpa > 1).astype(np.uint8),
+        }
+        for name, values in (known | pressures).items():
             if (
                 isinstance(values, np.ndarray)
                 and values.shape == errors.shape
                 and name not in ("sigma", "reading_sigma")
             ):
                 values[~case.solved] = np.nan if values.dtype.kind == "f" else 0
-        filled.append(replace(case, **known))
+        filled.append(replace(case, **known, extra=pressures))
     return tuple(filled)
 
 

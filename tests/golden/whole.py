@@ -43,7 +43,7 @@ from lampest.recording.simulation import simulation
 from lampest.recording.stored import save_parts
 from lampest.report.info import checked_sentence, describe
 from lampest.runs import batch
-from lampest.runs.case import ATTRIBUTES, COLUMNS, REQUIRED, all_columns
+from lampest.runs.case import ATTRIBUTES, REQUIRED, all_columns
 from lampest.runs.columns import FRAMES, Column
 from lampest.runs.executors import Serial
 from lampest.solvers import interior_point, projected_newton
@@ -433,7 +433,7 @@ def columns_row() -> dict[str, Any]:
     rows["twice"] = reason(
         lambda: all_columns((Column("cell_resistance", FRAMES, "1", "a value"),))
     )
-    for column in COLUMNS:
+    for column in all_columns():
         tried = [
             (np.array([value]), np.array([solved]))
             for value, solved in product(PROBED, (True, False))

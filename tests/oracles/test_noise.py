@@ -569,8 +569,12 @@ def test_still_cells_show_a_series_resistance_and_a_gentle_load_none() -> None:
     35 are usual, the rms of the remaining possible errors is near the actual one."""
     down, across = np.indices((10, 10)) - 4.5
     body = np.maximum(1 - (down / 5) ** 2 - ((across - 1) / 2) ** 2, 0)
-    gentle = Prepared(breathing(0, body, 0.75, systematic=SERIES)).noise
-    assert gentle.estimated["systematic.series_tolerance_ohm"][0] < 1.5 * USUAL_SERIES_OHM
+    for seed in (0, 2):
+        gentle = Prepared(breathing(seed, body, 0.75, systematic=SERIES)).noise
+        key = "systematic.series_tolerance_ohm"
+        size, _ = gentle.estimated.get(key, (0.0, 0.0))
+        assert size < 1.5 * USUAL_SERIES_OHM
+        assert (key in gentle.estimated) != ("press a few cells" in gentle.sentence)
     wrong = recorded(11, scene_of(0.7, SERIES), series=40)
     size, deviation = Prepared(wrong).noise.estimated["systematic.series_tolerance_ohm"]
     assert (

@@ -40,6 +40,24 @@ def test_values_that_do_not_fit_their_column_are_refused(tmp_path: Path) -> None
     assert not path.exists()
 
 
+def test_columns_of_an_application_are_attributes_of_a_case(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files are read without the application, too, but for its columns."""
+    pressure = np.arange(300.0).reshape(3, 10, 10)
+    write_results(tmp_path / "r.h5", [invented_case(extra={"pressure": pressure})])
+    (case,) = read_results(tmp_path / "r.h5").cases
+    np.testing.assert_array_equal(case.pressure, pressure)
+    assert case.to_xarray().pressure.units == "kPa" and case.pressing is None
+    with pytest.raises(AttributeError, match="no attribute 'presure'"):
+        _ = case.presure
+    monkeypatch.setattr("lampest.runs.case.installed", lambda group, kind: ())
+    (case,) = read_results(tmp_path / "r.h5").cases
+    assert case.column("pressure") is None and "pressure" not in case.variables()
+    with pytest.raises(AttributeError, match="no attribute 'pressure'"):
+        _ = case.pressure
+
+
 def test_columns_hold_texts_and_truth_values(tmp_path: Path) -> None:
     words = Column("word", FRAMES, "1", "a word", lambda done: None, dtype=str)
     marks = Column("marked", CELLS, "1", "1: marked", lambda done: None, dtype=bool)

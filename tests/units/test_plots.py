@@ -15,7 +15,7 @@ from support import invented_case
 
 from lampest import InputError, write_results
 from lampest.report.plots import PLOTS, plot_of, plot_results
-from lampest.runs.case import COLUMNS
+from lampest.runs.case import all_columns
 from lampest.runs.columns import FRAMES, Column
 
 
@@ -27,7 +27,9 @@ def test_every_kind_is_drawn_by_its_word(tmp_path: Path) -> None:
     )
     write_results(tmp_path / "r.h5", [*swept])
     for plot in PLOTS:
-        assert plot_of(plot.kind) is plot and set(plot.needs) <= {column.name for column in COLUMNS}
+        assert plot_of(plot.kind) is plot and set(plot.needs) <= {
+            column.name for column in all_columns()
+        }
         (file,) = plot_results(tmp_path / "r.h5", show=plot.kind)
         assert file.name == f"{plot.kind}_mouth.png" and file.read_bytes().startswith(b"\x89PNG")
 

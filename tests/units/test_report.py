@@ -41,10 +41,12 @@ def certain(case: CaseResult) -> CaseResult:
         "relative_change_upper": change + half,
         "resolution": np.where(case.solved[:, None, None], 0.7, np.nan) * np.ones(cells.shape),
         "data_share": np.where(case.solved[:, None, None], 0.8, np.nan) * np.ones(cells.shape),
+    }
+    pressures = {
         "saturated": case.open_cell,
         "pressure": np.where(case.solved[:, None, None], 3.0, np.nan) * np.ones(cells.shape),
     }
-    return dataclasses.replace(case, **fields)
+    return dataclasses.replace(case, **fields, extra=pressures)
 
 
 class Page(HTMLParser):
@@ -162,7 +164,7 @@ def pressing(estimator: str = "LSM", **maps: np.ndarray) -> CaseResult:
         "pressure_common": np.zeros(SHAPE),
         "pressing": (maps["pressure"] > 1).astype(np.uint8),
     }
-    return invented_case(estimator, shape=SHAPE, **known | maps)
+    return invented_case(estimator, shape=SHAPE, extra=known | maps)
 
 
 def maps() -> tuple[np.ndarray, np.ndarray]:

@@ -19,6 +19,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.sequence import first_stream
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
+from lampest.panel.trust_region import backtracked
 from lampest.solvers.by_ipopt import Ipopt
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import best_solution, evaluated
@@ -171,3 +172,14 @@ def test_ipopt_reaches_the_optimum_from_near_and_far(
         carried = solution.carried if len(iterations) > 1 else None
     cold, near_cold, warm = iterations
     assert 0 < warm <= near_cold and near_cold > 0 and cold > 0 and warm <= MAX_WARM_STEPS
+
+
+def test_a_step_is_halved_until_a_trial_is_accepted() -> None:
+    tried = list[float]()
+
+    def accepted(length: float) -> float | None:
+        tried.append(length)
+        return length if length < 0.3 else None
+
+    assert backtracked(accepted, 8) == 0.25 and tried == [1.0, 0.5, 0.25]
+    assert backtracked(accepted, 2) is None

@@ -236,7 +236,9 @@ def record(  # noqa: PLR0913 # the options of a command
         if made is None or tally.last is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")
         complete = bool(ended_by()) or tally.frames == frames
-        silent = 0.0 if seconds is None or complete else _silence(tally.last, seconds)
+        silent = 0.0  # s without frames at the end of the requested duration
+        if seconds is not None and not complete:
+            silent = max(seconds - tally.last.time - tally.last.hello.period, 0.0)
         scene, _, noise = made
         return Recorded(
             path=out,
@@ -256,11 +258,6 @@ def _end_of(out: Path) -> str:
     except InputError:
         return f"; lampest check --repair {out} completes the file once there is room"
     return ""
-
-
-def _silence(last: Sample, seconds: float) -> float:
-    """Return the time without frames at the end of the requested duration, s."""
-    return max(seconds - last.time - last.hello.period, 0.0)
 
 
 def _wanted(batches: Samples, frames: int | None, seconds: float | None, period: float) -> Samples:

@@ -226,6 +226,7 @@ class PressureTrack:
             )
             clear = -answer > NOISE_REACH * fall_sd
         pressing = clear & (expected > 0) & ~self.scene.broken
+        lowest, highest = self.films.response.told_kpa
         return Pressure(
             pressure=expected,
             lower=least,
@@ -233,7 +234,9 @@ class PressureTrack:
             errors=errors,
             own=individual,
             common=common,
-            saturated=self._saturated(least, most).astype(np.uint8),
+            saturated=np.asarray(
+                (least + self.films.water < lowest) | (most + self.films.water > highest)
+            ).astype(np.uint8),
             pressing=pressing.astype(np.uint8),
         )
 
@@ -270,11 +273,6 @@ class PressureTrack:
         return lambda moved: np.asarray(
             share * self._of_films(self.films.effective, change + moved, time)[0]
         )
-
-    def _saturated(self, least: Array, most: Array) -> NDArray[np.bool_]:
-        """Return whether an interval, water included, exceeds the range of the response."""
-        lowest, highest = self.films.response.told_kpa
-        return np.asarray((least + self.films.water < lowest) | (most + self.films.water > highest))
 
     def after(self, ratio: Array, time: float) -> "PressureTrack":
         """Return the track after a frame of r/r_baseline (rows, columns) at a time in s.

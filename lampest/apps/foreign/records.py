@@ -34,24 +34,20 @@ def records_of(path: Path) -> tuple[Arrays | FieldLines, tuple[str, ...]]:
         Remarks of the reader for the user.
     """
     content, notes = READERS[path.suffix.lower()](path)
-    held = _largest_records(content)
-    if held is None:
-        return _arrays(path, content if isinstance(content, dict) else {"": content}), notes
-    if all(_is_value(value) for record in held for value in record.values()):
-        return _table(path, held), notes
-    names = dict.fromkeys(name for record in held for name in record)
-    return _arrays(path, {name: [record.get(name) for record in held] for name in names}), notes
-
-
-def _largest_records(content: Any) -> list[dict[str, Any]] | None:
-    """Return the longest list of records in a file: the file itself, or one of its parts."""
+    # The longest list of records in the file: the file itself, or one of its parts
     lists = [content, *(content.values() if isinstance(content, dict) else ())]
     records = [
         part
         for part in lists
         if isinstance(part, list) and part and all(isinstance(r, dict) for r in part)
     ]
-    return max(records, key=len, default=None)
+    held = max(records, key=len, default=None)
+    if held is None:
+        return _arrays(path, content if isinstance(content, dict) else {"": content}), notes
+    if all(_is_value(value) for record in held for value in record.values()):
+        return _table(path, held), notes
+    names = dict.fromkeys(name for record in held for name in record)
+    return _arrays(path, {name: [record.get(name) for record in held] for name in names}), notes
 
 
 def _is_value(value: Any) -> bool:

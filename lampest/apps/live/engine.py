@@ -208,7 +208,8 @@ class Engine:
                 if look.due or moment - looked >= BARS_SECONDS:
                     looked = moment
                     self._beside.ask(Errand("look", look.findings, look.due))
-            if len(loaded) < LOADED_FRAMES and _shows_load(picture):
+            change = float(np.nanmean(np.abs(picture.measured_change)))
+            if len(loaded) < LOADED_FRAMES and change > NOTICED_PERCENT:
                 loaded = (*loaded, news.item)
                 if len(loaded) == LOADED_FRAMES:
                     self._check(unloaded, loaded)
@@ -247,11 +248,6 @@ class Engine:
         self._found.put(answer)
         if isinstance(answer, Findings) and answer.force is not None:
             self.show(deviation=answer.force.deviation, deviation_of=answer.number)
-
-
-def _shows_load(picture: Picture) -> bool:
-    """Return whether the readings of a picture have changed noticeably in the mean."""
-    return float(np.nanmean(np.abs(picture.measured_change))) > NOTICED_PERCENT
 
 
 def _warnings(unloaded: Unloaded, loaded: tuple[Scan, ...]) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
 from lampest.report.strongest import as_recorded, percent_change
-from lampest.solvers.multistart import SAME_MINIMUM
+from lampest.solvers.solution import SAME_MINIMUM
 
 ASKED = "it was asked for"
 # Change of a reading: far above the noise of any readout, and less than that by a finger.

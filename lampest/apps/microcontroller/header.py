@@ -73,12 +73,17 @@ def header(constants: Constants, name: str, about: Iterable[str]) -> str:
         Lines of the comment at the top.
     """
     rows, columns = constants.scene.panel.shape
+    budget = constants.budget
     entries = (
         _panel(constants)
         | _circuit(constants)
         | _converter(constants)
         | _cost(constants)
-        | _work(constants)
+        | {
+            "steps": str(budget.steps),
+            "products": str(budget.products),
+            "within": number(budget.within),
+        }
     )
     arrays = [
         entry.declaration(f"{name}_{field}")
@@ -253,16 +258,6 @@ def _cost(constants: Constants) -> Entries:
         "baseline": CArray.of_floats(constants.baseline),
         "loaded_limit": number(constants.loaded_limit),
         "follow": number(constants.follow),
-    }
-
-
-def _work(constants: Constants) -> Entries:
-    """Return the budget of a frame."""
-    budget = constants.budget
-    return {
-        "steps": str(budget.steps),
-        "products": str(budget.products),
-        "within": number(budget.within),
     }
 
 

@@ -326,9 +326,10 @@ def figures(case: CaseResult) -> dict[str, Any]:
         case.data_share, "share of an estimate that comes from the data, {} [1]", "median"
     )
     by_line["cells at the lower bound"] = int(np.sum(case.at_lower_bound != 0))
-    saturated = None if case.saturated is None else int(np.sum(case.saturated != 0))
-    by_line["saturated cells"] = saturated
-    return by_line | statistics(case.pressure, "pressure, {} [kPa]", "smallest", "largest")
+    saturated = case.column("saturated")
+    by_line["saturated cells"] = None if saturated is None else int(np.sum(saturated != 0))
+    pressure = case.column("pressure")
+    return by_line | statistics(pressure, "pressure, {} [kPa]", "smallest", "largest")
 
 
 def doubts(estimator: str, recordings: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:

@@ -30,7 +30,13 @@ def weights_figure(curves: Curves) -> Figure:
     """
     subject = curves.subject
     count = curves.subject.count
-    units = {name: _shown_unit(unit) for name, unit in subject.units.items()}
+    units = {
+        name: unit.replace("^2", "²")
+        .replace("ohm", "Ω")
+        .replace("percent", "%")
+        .replace("/", " / ")
+        for name, unit in subject.units.items()
+    }
     misfit = f"misfit ρ{'/s²' if subject.data.noise_known else ''} [{units['misfit']}]"
     penalty = f"penalty η [{units['penalty']}]"
     free = subject.data.measured.size - curves.values("bound_cells")
@@ -75,10 +81,6 @@ def weights_figure(curves: Curves) -> Figure:
     look: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": 3}
     figure.legend(*grid[2, 0].get_legend_handles_labels(), loc="outside lower center", **look)
     return figure
-
-
-def _shown_unit(unit: str) -> str:
-    return unit.replace("^2", "²").replace("ohm", "Ω").replace("percent", "%").replace("/", " / ")
 
 
 def _above_least(values: Array) -> Array:

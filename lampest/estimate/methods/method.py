@@ -28,8 +28,8 @@ from lampest.panel.scene import Scene
 from lampest.posterior.linear import UNKNOWN_SD, LinearModel
 from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
-from lampest.solvers.multistart import best_solution, lower_of, settles
-from lampest.solvers.solution import Settings, Solution, Solver
+from lampest.solvers.multistart import best_solution, settles
+from lampest.solvers.solution import Settings, Solution, Solver, lower_of
 
 # Cells up to which IPOPT takes some hundredths of a second a frame (docs/studies/formulations.md).
 NODAL_CELLS = 144

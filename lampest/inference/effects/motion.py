@@ -8,6 +8,11 @@ that no load touches determine the share: a wrong one makes them move. So do err
 has in all frames, because a load changes their effect on the cells: the share is sought jointly
 with their size where that is unknown.
 
+A load that trembles faster than frames are taken displaces each reading along the change that the
+load makes, by a random share of relative size q: σ grows by q times that change, and all readings
+of a frame share the load's deviation at the middle of the scan. Still cells tell q, jointly with
+the share.
+
 The displacement has errors, too, where a load moves unevenly between two frames. The still cells
 then seem stillest at less than the scan's share, as the slope of a regression is attenuated by
 errors of its variable (Fuller, Measurement Error Models, 1987, section 1.1).
@@ -15,6 +20,7 @@ errors of its variable (Fuller, Measurement Error Models, 1987, section 1.1).
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -28,11 +34,14 @@ from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.fitted_pair import FittedPair
 from lampest.inference.noise import NoiseEstimate, Share
 from lampest.inference.nuisances import Besides
+from lampest.inference.number import Number, summed_out
+from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_panel_order
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED
 from lampest.panel.systematic import READING_ERROR, estimated_errors, own_errors
+from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.gaussian import Information
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
@@ -41,6 +50,11 @@ from lampest.recording.recording import MAX_NEIGHBOURS, MEASURED, UNLOADED, Reco
 SHARES = np.linspace(0, 1, 6)  # of the time between frames that a scan takes
 # Sizes of each reading's own error that are tried beside a share, all equally probable.
 READING_ERRORS = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
+# Sizes of the trembling of a load within a scan that are tried beside them, and their prior
+# probabilities: no trembling is as probable as all others together.
+TREMBLINGS = np.array([0.0, 0.015, 0.04, 0.1, 0.25])
+TREMBLING_ODDS = np.where(TREMBLINGS > 0, 0.5 / np.count_nonzero(TREMBLINGS), 0.5)
+LOADED_SHARE = 0.15  # of the largest change: a cell that changes by more is under the load
 # Error of a value interpolated between two frames, over √(τ(1 − τ)) times the second difference of
 # the frames: 0.7 for a change at once, 0.2 to 0.4 for one that takes a frame or longer.
 INTERPOLATION_ERROR = 0.5
@@ -137,15 +151,16 @@ def share_of_motion(
     readings: Readings,
     measured: NDArray[np.intp],
     errors_tried: Sequence[float],
+    shares: Array = SHARES,
 ) -> Share | None:
-    """Return the share of the time between frames that a scan takes.
+    """Return the share of the time between frames that a scan takes, and the load's trembling.
 
     The result is None where it is unknown. A load that moves displaces all readings of a frame
     along one known direction, by share · displacement. Cells that no load touches seem to move by K
     times as much, K the inverse of the Jacobian. The evidence of the changes since rest is compared
-    over SHARES, all equally probable before, for the frames with the largest motion, and summed
-    over sizes of each reading's own error. The reach is the share over the reliability of the
-    displacements, 1 − Σ errors²/Σ displacements², at most the whole time.
+    over `shares`, all equally probable before, for the frames with the largest motion, and summed
+    over TREMBLINGS and sizes of each reading's own error. The reach is the share over the
+    reliability of the displacements, 1 − Σ errors²/Σ displacements², at most the whole time.
 
     Parameters
     ----------
@@ -159,6 +174,8 @@ def share_of_motion(
     errors_tried : sequence of float
         Sizes of each reading's own error, the same in all frames: READING_ERRORS where it is
         unknown, (0.0,) where the readings have none beside their σ.
+    shares : array
+        Shares that are tried; one alone is known.
     """
     inner = measured[1:-1]
     if not len(inner) or readings.sigma is None or resting.sigma is None:
@@ -178,7 +195,8 @@ def share_of_motion(
             return None
         near = fit.cells
         of_frame = Displacement(*(part[frame] for part in moved))
-        frame_changes = _Frame.of((base, fit), of_frame, errors_tried)
+        tried = list(product(errors_tried, shares.tolist(), TREMBLINGS.tolist()))
+        frame_changes = _Frame.of((base, fit), of_frame, tried)
         if frame_changes.is_mostly_still and well_determined((base, fit)):
             compared.append(frame_changes)
             noise = readings.known_sigma[frame]
@@ -186,27 +204,29 @@ def share_of_motion(
             errors += float(np.sum((of_frame.smooth / noise) ** 2))
     if base is None or not compared:
         return None
-    joint_costs = [
-        [_joint_cost([frame.explained[size, share] for frame in compared]) for share in SHARES]
-        for size in errors_tried
-    ]
-    costs = -2 * np.logaddexp.reduce(-np.array(joint_costs) / 2, axis=0)
-    odds = np.exp(-(costs - costs.min()) / 2)
-    odds /= odds.sum()
-    mean = float(odds @ SHARES)
-    # A share between two of those compared is known to a uniform distribution at best.
-    variance = max(float(odds @ SHARES**2) - mean**2, 0.0) + (SHARES[1] - SHARES[0]) ** 2 / 12
+    costs = np.array(
+        [_joint_cost([frame.explained[key] for frame in compared]) for key in tried]
+    ).reshape(len(errors_tried), len(shares), len(TREMBLINGS))
+    by_trembling = Number.by_costs(TREMBLINGS, costs, TREMBLING_ODDS, axis=2)
+    trembling = float(np.sqrt(by_trembling.mean_square))
+    costs -= 2 * np.log(TREMBLING_ODDS)
+    none = float(summed_out(costs[:, 0, 0], axis=0))
+    gain = none - float(summed_out(costs, axis=0).min())
+    if len(shares) == 1:
+        known = float(shares[0])
+        return Share(known, 0.0, known, gain, trembling)
+    number = Number.by_costs(shares, costs, axis=1)
     # Below the smallest share any share may be the whole time.
-    reliable = max(displacements - errors, SHARES[1] * displacements)
-    unattenuated = np.minimum(SHARES * displacements, SHARES[-1] * reliable)
-    reach = float(odds @ unattenuated) / reliable if reliable else mean
+    reliable = max(displacements - errors, shares[1] * displacements)
+    unattenuated = np.minimum(shares * displacements, shares[-1] * reliable)
+    reach = float(number.odds @ unattenuated) / reliable if reliable else number.mean
     # The share of the scan is anywhere between both.
-    variance += (reach - mean) ** 2 / 3
-    return Share(mean, float(np.sqrt(variance)), reach, float(costs[0] - costs.min()))
+    deviation = float(np.hypot(number.deviation, (reach - number.mean) / np.sqrt(3)))
+    return Share(number.mean, deviation, reach, gain, trembling)
 
 
 class _Explained(NamedTuple):
-    """Changes of a frame with a share of motion and a size of each reading's own error.
+    """Changes of a frame with a size of each reading's own error, a share and a trembling.
 
     Attributes
     ----------
@@ -229,24 +249,28 @@ class _Explained(NamedTuple):
     beside: float
 
 
+# Size of each reading's own error, share, and trembling.
+Motion = tuple[float, float, float]
+
+
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """A frame with each share and each size of errors.
+    """A frame with each size of errors, share and trembling.
 
     Attributes
     ----------
-    explained : mapping of (float, float) to _Explained
-        By size of errors and share.
+    explained : mapping of (float, float, float) to _Explained
+        By size of errors, share and trembling.
     is_mostly_still : bool
         Whether most cells are still under the likeliest of them.
     """
 
-    explained: Mapping[tuple[float, float], _Explained]
+    explained: Mapping[Motion, _Explained]
     is_mostly_still: bool
 
     @classmethod
     def of(
-        cls, fits: tuple[CellsFit, CellsFit], displaced: Displacement, sizes: Sequence[float]
+        cls, fits: tuple[CellsFit, CellsFit], displaced: Displacement, tried: Sequence[Motion]
     ) -> "_Frame":
         """Return a frame.
 
@@ -261,8 +285,8 @@ class _Frame:
             The unloaded panel and the frame.
         displaced : Displacement
             That of the frame, (rows, columns).
-        sizes : sequence of float
-            Standard deviations of each reading's own error, relative.
+        tried : sequence of (float, float, float)
+            Relative standard deviation of each reading's own error, share, and trembling.
         """
         resting, frame = fits
         pair = FittedPair(fits)
@@ -278,41 +302,44 @@ class _Frame:
         of_unloaded = np.linalg.cholesky(
             resting.covariance + ASSUMED.creep**2 * np.eye(len(weight))
         )
+        by_load = frame.gain * (frame.readings.value - resting.readings.value).ravel()
         explained = {}
         exact = {}
         starts = usual_starts(changes.change)
-        for share in SHARES:
+        for key in tried:
+            size, share, trembling = key
             # variance of the mean with the neighbouring frame, over that of the reading
             remaining = (1 - share * weight) ** 2 + (share * weight) ** 2
             averaged = frame.gain * (noise * np.sqrt(1 - remaining))
+            exact[key] = replace(
+                changes,
+                change=changes.change - share * by_motion,
+                noise=changes.noise
+                - averaged @ averaged.T
+                + size**2 * of_readings @ of_readings.T
+                + trembling**2 * by_load @ by_load.T,
+            )
             doubt = share * frame.gain * smooth
-            for size in sizes:
-                exact[size, share] = replace(
-                    changes,
-                    change=changes.change - share * by_motion,
-                    noise=changes.noise
-                    - averaged @ averaged.T
-                    + size**2 * of_readings @ of_readings.T,
-                )
-                doubted = replace(
-                    exact[size, share], noise=exact[size, share].noise + doubt @ doubt.T
-                )
-                cost, moved = doubted.selected(starts)
-                # Further searches begin at the moved cells of the share and size before.
-                starts = [moved]
-                # Moved cells are free, and take as many readings out of the density.
-                jacobian = -2 * (1 - np.mean(moved)) * np.sum(np.log(1 - share * weight))
-                shared = np.column_stack([size * of_readings, of_unloaded])
-                explained[size, share] = _Explained(
-                    cost + jacobian,
-                    doubted.change,
-                    doubted.covariance + np.diag(1.0 * moved) - shared @ shared.T,
-                    shared,
-                    MOVED_COST * int(moved.sum()) + jacobian,
-                )
+            doubted = replace(exact[key], noise=exact[key].noise + doubt @ doubt.T)
+            cost, moved = doubted.selected(starts)
+            # Further searches begin at the moved cells of the numbers before.
+            starts = [moved]
+            # Moved cells are free, and take as many readings out of the density.
+            jacobian = -2 * (1 - np.mean(moved)) * np.sum(np.log(1 - share * weight))
+            shared = np.column_stack([size * of_readings, of_unloaded])
+            explained[key] = _Explained(
+                cost + jacobian,
+                doubted.change,
+                doubted.covariance + np.diag(1.0 * moved) - shared @ shared.T,
+                shared,
+                MOVED_COST * int(moved.sum()) + jacobian,
+            )
         likeliest = exact[min(explained, key=lambda key: explained[key].cost)]
         moved = likeliest.selected(usual_starts(likeliest.change))[1]
-        return cls(explained, mostly_still(moved))
+        # A load that trembles may move any cell: those that changed as loaded ones are not still.
+        change = np.abs(likeliest.change - np.median(likeliest.change))
+        loaded = change > LOADED_SHARE * change.max()
+        return cls(explained, mostly_still(moved | loaded))
 
 
 def _joint_cost(frames: Sequence[_Explained]) -> float:
@@ -322,31 +349,39 @@ def _joint_cost(frames: Sequence[_Explained]) -> float:
     return joint.evidence_cost + sum(frame.beside for frame in frames)
 
 
-def interpolated(
-    noise: NoiseEstimate, scene: Scene, measured: NDArray[np.intp], share: Share
-) -> NoiseEstimate:
+def interpolated(noise: NoiseEstimate, recording: Recording, share: Share) -> NoiseEstimate:
     """Return the noise with readings that are interpolated to the middle of their scan.
 
-    Their σ contains the error of the interpolation.
+    Their σ contains the errors of the interpolation and of the load's trembling.
 
     Parameters
     ----------
     noise : NoiseEstimate
-    scene : Scene
-    measured : integer array
-        Numbers of the measured frames.
+    recording : Recording
     share : Share
-        Share of the time between frames that a scan takes.
+        Share of the time between frames that a scan takes, and the load's trembling.
     """
     readings = noise.readings
-    displaced, doubt, weight = displacement(scene, readings, measured)
-    variance = readings.known_sigma**2
+    measured = np.flatnonzero(recording.role == MEASURED)
+    unloaded = recording.role == UNLOADED
+    displaced, doubt, weight = displacement(recording.scene, readings, measured)
+    noise_variance = readings.known_sigma**2
     # A reading less its displacement is a mean of two frames, whose noise is independent.
-    own = variance * ((1 - share.mean * weight) ** 2 + (share.mean * weight) ** 2)
-    moved = np.maximum(displaced**2 - 2 * variance * weight**2, 0.0)
-    sigma = np.sqrt(own + (share.reach * doubt) ** 2 + share.deviation**2 * moved)
-    readings = replace(readings, value=readings.value - share.mean * displaced, sigma=sigma)
-    return replace(noise, readings=readings, motion=share)
+    own = noise_variance * ((1 - share.mean * weight) ** 2 + (share.mean * weight) ** 2)
+    moved = np.maximum(displaced**2 - 2 * noise_variance * weight**2, 0.0)
+    variance = own + (share.reach * doubt) ** 2 + share.deviation**2 * moved
+    frame = noise.frame
+    if share.trembling and unloaded.any():
+        resting = readings[unloaded].mean().value
+        by_load = np.zeros(readings.value.shape)
+        by_load[measured] = readings.value[measured] - resting
+        variance += share.trembling**2 * np.maximum(by_load**2 - noise_variance, 0.0)
+        frame = frame or FrameNoise(recording.scene, int(unloaded.sum()), 0.0, NO_RIPPLE, NO_RIPPLE)
+        frame = replace(frame, trembling=share.trembling, resting=resting)
+    readings = replace(
+        readings, value=readings.value - share.mean * displaced, sigma=np.sqrt(variance)
+    )
+    return replace(noise, readings=readings, motion=share, frame=frame)
 
 
 class ScanMotion(SceneEffect):
@@ -365,26 +400,33 @@ class ScanMotion(SceneEffect):
         share = scene.motion
         if readings.sigma is None or share is None or len(measured) < 2:
             return noise
-        if share != ESTIMATED:
-            number = Share(mean=float(share), deviation=0.0, reach=float(share))
-            return interpolated(noise, scene, measured, number) if share else noise
+        known = None if share == ESTIMATED else float(share)
+        if known == 0:
+            return noise
         unloaded = recording.role == UNLOADED
         unknown_errors = READING_ERROR.setting in estimated_errors(scene)
-        errors_tried = READING_ERRORS if unknown_errors else (0.0,)
-        size = (
-            share_of_motion(scene, readings[unloaded].mean(), readings, measured, errors_tried)
-            if unloaded.any()
-            else None
-        )
+        size = None
+        if unloaded.any():
+            size = share_of_motion(
+                scene,
+                readings[unloaded].mean(),
+                readings,
+                measured,
+                READING_ERRORS if unknown_errors else (0.0,),
+                SHARES if known is None else np.array([known]),
+            )
+        if known is not None:
+            return interpolated(noise, recording, size or Share(known, 0.0, known))
         if size is None:
-            return interpolated(noise, scene, measured, UNKNOWN_SHARE).undetermined(
+            return interpolated(noise, recording, UNKNOWN_SHARE).undetermined(
                 "motion",
                 "no frame has still cells beside a load that moves. "
                 "Error bars allow for any share of the time between frames; give the share, "
                 "or record five unloaded frames and a load that leaves most cells free",
             )
-        noise = interpolated(noise, scene, measured, size)
-        return noise.determined("motion", (size.mean, size.deviation))
+        return interpolated(noise, recording, size).determined(
+            "motion", (size.mean, size.deviation)
+        )
 
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield advice on loads that move while a frame is scanned."""

@@ -80,7 +80,8 @@ class Characteristic(Configuration):
         if len(self.curve) < 2:
             raise ValueError("curve needs two or more points [volt, code]")
         volt, code = np.array(sorted(self.curve)).T
-        if not (np.all(np.diff(volt) > 0) and (np.all(np.diff(code) > 0) or _falls(code))):
+        rises, falls = np.all(np.diff(code) > 0), np.all(np.diff(code) < 0)
+        if not (np.all(np.diff(volt) > 0) and (rises or falls)):
             raise ValueError("curve must rise or fall throughout: each voltage has one code")
 
     @cached_property
@@ -104,10 +105,6 @@ class Characteristic(Configuration):
             return "zero of the converter estimated"
         end = "" if self.full_volt is None else f" to {self.full_volt:.6g} V"
         return f"codes from {self.zero_volt:.6g} V{end}"
-
-
-def _falls(code: Array) -> bool:
-    return bool(np.all(np.diff(code) < 0))
 
 
 Known = Literal["esp32", "avr", "inverting amplifier"]

@@ -324,8 +324,7 @@ class DrivenNetwork(Readout):
             sources = None
             if volts is not None:
                 # Potentials of held lines, currents into the others
-                held = np.isinf(of_address)
-                sources = np.where(held, volts, np.where(held, 0.0, of_address) * volts)
+                sources = np.where(np.isinf(of_address), 1.0, of_address) * volts
             networks.append(self.solved_network(cell_resistance, of_address, wiring, sources))
         if ties.ndim == 1:
             return networks[0]

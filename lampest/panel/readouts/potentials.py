@@ -17,6 +17,7 @@ ends but the source have it, d and s are those of the equation without potential
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -51,7 +52,7 @@ class LineEnds:
     idle_load: float
     connected: tuple[bool, bool, bool]
 
-    @property
+    @cached_property
     def reference(self) -> float:
         """Potential from which all others are counted.
 
@@ -77,7 +78,7 @@ class LineEnds:
             return min(ends)
         return max(ends)
 
-    @property
+    @cached_property
     def sign(self) -> float:
         """1 if the source is above the reference, −1 if it is below it."""
         return 1.0 if self.source >= self.reference else -1.0
@@ -115,10 +116,21 @@ class PotentialTerms:
     ends: Array
     follows: Array | None
 
-    @property
+    @cached_property
     def sourced(self) -> bool:
         """Whether Z is excited by idle potentials, so that readings depend on v."""
         return self.follows is not None or bool(self.ends.any())
+
+    @cached_property
+    def loaded(self) -> bool:
+        """Whether a sensed line that is read has a potential of its own, F ≠ 0."""
+        return bool(self.of_load.any())
+
+    @cached_property
+    def shares(self) -> tuple[Array, Array] | None:
+        """1 where sensed lines are held while idle, and where they are not; None: none is held."""
+        held = self.held.astype(float)
+        return (held, 1 - held) if self.held.any() else None
 
     def line_volt(
         self,
@@ -157,18 +169,19 @@ class PotentialTerms:
         own_driven, own_sensed, mutual = entries
         driven_volt, sensed_volt = potentials
         driving = drive + own_driven * by_drive
-        determinant = driving * (load + own_sensed * by_load) - mutual * mutual * (
-            by_drive * by_load
-        )
-        # Of a sensed line that is tied while idle B = 1, and 1/Rs of one that is held
-        held = self.held.astype(float)
-        through = (1 - held) * own_sensed + held
-        rises = (
-            mutual * (of_drive - driven_volt * by_drive)
-            + driving * (sensed_volt + through * of_load)
-            - (1 - held) * (of_load * by_drive) * (mutual * mutual)
-        )
-        return rises / determinant + held * self.held_volt
+        square = mutual * mutual
+        determinant = driving * (load + own_sensed * by_load) - square * (by_drive * by_load)
+        lifted = sensed_volt
+        held, free = self.shares or (None, 1.0)
+        if self.loaded:
+            # Of a sensed line that is tied while idle B = 1, and 1/Rs of one that is held
+            through = own_sensed if held is None else free * own_sensed + held
+            lifted = sensed_volt + through * of_load
+        rises = mutual * (of_drive - driven_volt * by_drive) + driving * lifted
+        if self.loaded:
+            rises = rises - free * (of_load * by_drive) * square
+        volt = rises / determinant
+        return volt if held is None else volt + held * self.held_volt
 
 
 class EndedCircuit(Protocol):

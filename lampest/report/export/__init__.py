@@ -83,8 +83,8 @@ def export_results(
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
-    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> found.save("results.h5", "LSM")
+    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> estimate.save("results.h5", "LSM")
     >>> lampest.export_results("results.h5", "mat")[0].name
     'results.mat'
     """

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError, extra
 from lampest.report.compare import write_rows
 from lampest.report.words import no_formula
-from lampest.runs.case import CaseResult, about, all_columns, places_of, series_of
-from lampest.runs.columns import FRAMES, Series
+from lampest.runs.case import CaseResult, all_columns
+from lampest.runs.columns import CELLS, FRAMES, Column
 
 MAX_SHEET_ROWS = 1_048_576  # of Excel
 # Of XML Schema, by numpy's letter.
@@ -97,7 +97,7 @@ class CsvExport(Export):
             "url": name,
             "tableSchema": {"columns": columns},
         }
-        content = head | {"notes": [about(case) for case in cases]}
+        content = head | {"notes": [case.attributes for case in cases]}
         beside.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
@@ -183,16 +183,16 @@ class ParquetExport(Export):
                     {"units": meaning.units, "long_name": meaning.long_name} | flags
                 )
             )
-        known = {b"lampest": json.dumps([about(case) for case in cases]).encode()}
+        known = {b"lampest": json.dumps([case.attributes for case in cases]).encode()}
         parquet.write_table(table.cast(pyarrow.schema(fields, known)), path, compression="zstd")
 
 
-def _words(meaning: Series) -> dict[str, str]:
+def _words(meaning: Column) -> dict[str, str]:
     """Return value → word of a flag."""
     return {str(value): word for value, word in meaning.flags}
 
 
-def long_tables(cases: Sequence[CaseResult]) -> tuple[list[Table], dict[str, Series]]:
+def long_tables(cases: Sequence[CaseResult]) -> tuple[list[Table], dict[str, Column]]:
     """Return a table of each case, with a line for every cell of every frame.
 
     Names end in their unit: time_s, x_mm, cell_resistance_ohm; those of counts, flags and texts
@@ -203,34 +203,34 @@ def long_tables(cases: Sequence[CaseResult]) -> tuple[list[Table], dict[str, Ser
     -------
     tables : list of dict
         Masked arrays of each case by the names of the columns.
-    meanings : dict of str to Series
-        Meaning of every column, by name.
+    meanings : dict of str to Column
+        Unit and meaning of every column, by name.
     """
     dtypes = {
         column.label: np.dtype(column.dtype) for column in all_columns() if column.dtype is not str
     }
     tables = list[Table]()
-    meanings = dict[str, Series]()
+    meanings = dict[str, Column]()
     for case in cases:
         words = {
-            word: Series(word, FRAMES, None, "1", f"name of the {word}", dtype=str)
-            for word in NAMES
+            word: Column(word, FRAMES, "1", f"name of the {word}", dtype=str) for word in NAMES
         }
         table: dict[str, Values] = {
             word: np.ma.masked_array(np.full(case.measured.size, getattr(case, word), object))
             for word in NAMES
         }
         meanings |= words
-        for label, series in case.long_columns().items():
-            name = label if series.units == "1" else f"{label}_{series.units}"
-            values = np.asarray(series.values)
+        for label, variable in case.long_columns().items():
+            column = variable.column
+            name = label if column.units == "1" else f"{label}_{column.units}"
+            values = np.asarray(variable.values)
             missing = (
                 np.isnan(values) if values.dtype.kind == "f" else np.zeros(len(values), dtype=bool)
             )
             dtype = dtypes.get(label, values.dtype)
             filled = np.where(missing, 0, values) if missing.any() else values
             table[name] = np.ma.masked_array(filled.astype(dtype), missing)
-            meanings[name] = replace(series, dtype=dtype.type)
+            meanings[name] = replace(column, dtype=dtype.type)
         tables.append(table)
     return tables, meanings
 
@@ -262,25 +262,26 @@ class MatlabExport(Export):
 
 
 def _struct(case: CaseResult) -> dict[str, Any]:
-    held = series_of(case, all_columns())
-    places = places_of(case)
-    words = {name: zip(*series.flags, strict=True) for name, series in held.items() if series.flags}
+    held = case.variables()
+    places = case.coordinates
+    columns = {name: variable.column for name, variable in (held | places).items()}
     flags = {
-        name: {"values": np.array(numbers), "meanings": _cells(texts)}
-        for name, (numbers, texts) in words.items()
+        name: {
+            "values": np.array([value for value, _ in column.flags]),
+            "meanings": _cells([word for _, word in column.flags]),
+        }
+        for name, column in columns.items()
+        if column.flags
     }
     values = {
-        name: _cells(series.values) if series.dtype is str else series.stored
-        for name, series in held.items()
+        name: _cells(variable.values) if variable.column.dtype is str else variable.stored
+        for name, variable in held.items()
     }
-    units = {
-        name: series.units
-        for name, series in (held | places).items()
-        if name not in ("row", "column")
-    }
-    names = {name: series.long_name for name, series in held.items()}
-    where = {name: series.values for name, series in places.items()}
-    return about(case) | values | where | {"units": units, "long_name": names, "flags": flags}
+    units = {name: column.units for name, column in columns.items() if name not in CELLS}
+    names = {name: variable.column.long_name for name, variable in held.items()}
+    where = {name: variable.values for name, variable in places.items()}
+    further = {"units": units, "long_name": names, "flags": flags}
+    return case.attributes | values | where | further
 
 
 def _cells(values: Sequence[Any]) -> NDArray[Any]:

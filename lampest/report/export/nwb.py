@@ -13,7 +13,7 @@ import numpy as np
 from lampest.files.errors import InputError, extra
 from lampest.panel.conditions import Experiment, MeasuredSubject
 from lampest.report.export.formats import Export
-from lampest.runs.case import TIME, CaseResult, about, all_columns, series_of
+from lampest.runs.case import TIME, CaseResult
 from lampest.runs.columns import CELLS
 
 
@@ -48,7 +48,7 @@ class NwbExport(Export):
             session.add_acquisition(element)
         for case in cases:
             words = "\n".join(
-                f"{name}: {text}" for name, text in about(case).items() if name != "scene"
+                f"{name}: {text}" for name, text in case.attributes.items() if name != "scene"
             )
             called = case.estimator.replace(":", "_").replace("/", "_")  # NWB allows neither
             session.create_processing_module(name=called, description=words).add(
@@ -90,7 +90,7 @@ def _session(cases: Sequence[CaseResult]) -> Any:
         identifier=hashlib.sha256(session_name.encode()).hexdigest()[:32],
         session_start_time=start,
         session_id=first.recording,
-        notes=about(first)["scene"],
+        notes=first.attributes["scene"],
         experiment_description="; ".join(filter(None, (experiment.title, water, experiment.note)))
         or None,
         experimenter=(experiment.experimenter,) if experiment.experimenter else None,
@@ -117,12 +117,16 @@ def _elements(case: CaseResult, *, shared: bool) -> Iterator[Any]:
     from hdmf.common import DynamicTable, VectorData
     from pynwb import TimeSeries
 
-    all_series = series_of(case, all_columns()).values()
-    held = [series for series in all_series if series.shared == shared and series.name != TIME.name]
-    for series in held:
-        if series.dtype is not str and series.axes != CELLS:
-            known = {"name": series.name, "unit": series.units, "description": series.meaning}
-            yield TimeSeries(data=series.stored, timestamps=case.time, **known)
+    held = {
+        name: variable
+        for name, variable in case.variables().items()
+        if variable.column.shared == shared and name != TIME.name
+    }
+    for name, variable in held.items():
+        column = variable.column
+        if column.dtype is not str and column.axes != CELLS:
+            known = {"name": name, "unit": column.units, "description": column.meaning}
+            yield TimeSeries(data=variable.stored, timestamps=case.time, **known)
     rows, lines = np.indices(case.scene.panel.shape)
     x, y = case.scene.panel.places_mm
     places: list[tuple[str, str, Any]] = [
@@ -133,20 +137,17 @@ def _elements(case: CaseResult, *, shared: bool) -> Iterator[Any]:
     if case.scene.panel.heights_mm is not None:
         places.append(("z_mm", "position of the cell, mm", case.scene.panel.heights_mm))
     time = [("time", "time of the frame, s", case.time)]
+    texts = {name: each for name, each in held.items() if each.column.dtype is str}
+    fixed = {name: each for name, each in held.items() if each.column.axes == CELLS}
     for name, words, first, requested in (
-        (
-            "frames",
-            "what frames say in words",
-            time,
-            [series for series in held if series.dtype is str],
-        ),
-        ("cells", "what has no time", places, [series for series in held if series.axes == CELLS]),
+        ("frames", "what frames say in words", time, texts),
+        ("cells", "what has no time", places, fixed),
     ):
         columns = [
             *first,
             *(
-                (series.name, f"{series.meaning}, {series.units}", series.values)
-                for series in requested
+                (called, f"{each.column.meaning}, {each.column.units}", each.values)
+                for called, each in requested.items()
             ),
         ]
         vectors = [

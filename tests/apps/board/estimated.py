@@ -104,9 +104,7 @@ def sums_of(scene, cells, seed=1):
     rng = np.random.default_rng(seed)
     readout = scene.circuit
     zero = np.zeros(scene.panel.rows), np.zeros(scene.panel.columns)
-    volt = readout.volt_from_recorded(
-        np.array([readout.simulated(frame, scene, *zero) for frame in cells])
-    )
+    volt = readout.volt_from_recorded(readout.simulated(cells, scene, *zero))
     codes = volt[..., None] / readout.lsb_volt + readout.noise_lsb * rng.standard_normal(
         (*volt.shape, readout.readings)
     )
@@ -126,10 +124,12 @@ def unchecked_case(estimate, name="estimator"):
     The check takes longer than all the rest; tests/oracles/test_model_check.py has it.
     """
     content = "lampest.runs.content"
+    no_check = lampest.ModelCheck(None, "")
     no_verdict = SimpleNamespace(mark="", sentence="")
     with (
         mock.patch(f"{content}._verdict", lambda done: no_verdict),
         mock.patch(f"{content}._advice", lambda done: ""),
+        mock.patch("lampest.inference.prepared.Prepared.check", no_check),
     ):
         return estimate.result(name)
 

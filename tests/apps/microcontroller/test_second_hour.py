@@ -38,13 +38,17 @@ ROUNDED = 1e-5  # of a reading
 
 
 @cache
-def panel(circuit, rows=6, columns=5, **keys):
-    """Return (scene, constants, median standard deviation of ln r of each cell)."""
-    scene = scene_of(circuit, rows, columns, **keys)
-    _, case = solved_case(scene, [NOISY, SMOOTH])
-    with np.errstate(invalid="ignore"):
-        own = np.nanmedian(np.where(case.sigma_own > 0, case.sigma_own, np.nan), axis=0)
-    return scene, Constants.of(case), own
+def solved(circuit, rows=6, columns=5, **keys):
+    """Return (sums of the measured frames, case, compiled library); compiling takes a second."""
+    sums, case = solved_case(scene_of(circuit, rows, columns, **keys), [NOISY, SMOOTH])
+    with compiled(Constants.of(case)) as host:
+        return sums, case, host
+
+
+def panel(circuit, rows=6, columns=5):
+    """Return (scene, constants, compiled library)."""
+    _, case, host = solved(circuit, rows, columns)
+    return case.scene, Constants.of(case), host
 
 
 def with_object(rng, cells):
@@ -93,25 +97,27 @@ def garbled(rng, sums, top):
     ],
 )
 def test_objects_and_garbled_frames_are_forgotten_five_frames_later(circuit, shape):
-    scene, constants, own = panel(circuit, *shape)
+    scene, constants, host = panel(circuit, *shape)
+    sigma = solved(circuit, *shape)[1].sigma_own
+    with np.errstate(invalid="ignore"):
+        own = np.nanmedian(np.where(sigma > 0, sigma, np.nan), axis=0)
     rng = np.random.default_rng(84)
     cells = pressed_cells(scene, seed=3)
-    with compiled(constants) as host:
-        for trial in range(OBJECTS + GARBLED):
-            later = cells[rng.integers(len(cells))]
-            if trial < OBJECTS:
-                bridged = with_object(rng, rng.permutation(np.array([cells[0], later]))[0])
-                disturbed = sums_of(scene, np.array([bridged] * rng.integers(1, 4)), trial)
-            else:
-                first = sums_of(scene, later[None], trial)[0]
-                disturbed = garbled(rng, first, constants.top_sum)[None]
-            good = sums_of(scene, np.array([later] * FRAMES_LATER), trial)
-            start = sums_of(scene, cells[:1], trial + 1)
-            estimates = host.frames(np.concatenate([start, disturbed, good]), BUDGET)
-            optimum = host.frames(good[[-1] * 2], Budget(30, 100, 1e-3)).log_change[-1]
-            deviation = np.sqrt(np.mean(((estimates.log_change[-1] - optimum) / own) ** 2))
-            assert deviation < MAX_DEVIATION, trial
-            assert (estimates.products <= BUDGET.steps * (BUDGET.products + 4)).all()
+    for trial in range(OBJECTS + GARBLED):
+        later = cells[rng.integers(len(cells))]
+        if trial < OBJECTS:
+            bridged = with_object(rng, rng.permutation(np.array([cells[0], later]))[0])
+            disturbed = sums_of(scene, np.array([bridged] * rng.integers(1, 4)), trial)
+        else:
+            first = sums_of(scene, later[None], trial)[0]
+            disturbed = garbled(rng, first, constants.top_sum)[None]
+        good = sums_of(scene, np.array([later] * FRAMES_LATER), trial)
+        start = sums_of(scene, cells[:1], trial + 1)
+        estimates = host.frames(np.concatenate([start, disturbed, good]), BUDGET)
+        optimum = host.frames(good[[-1] * 2], Budget(30, 100, 1e-3)).log_change[-1]
+        deviation = np.sqrt(np.mean(((estimates.log_change[-1] - optimum) / own) ** 2))
+        assert deviation < MAX_DEVIATION, trial
+        assert (estimates.products <= BUDGET.steps * (BUDGET.products + 4)).all()
 
 
 def drifting(resting, frames, change=LN_DRIFT):
@@ -121,18 +127,17 @@ def drifting(resting, frames, change=LN_DRIFT):
 
 
 def test_the_baseline_follows_a_drift_under_presses_that_come_and_go():
-    scene, constants, _ = panel("grounded_one")
+    scene, _, host = panel("grounded_one")
     cells = drifting(pressed_cells(scene)[0], FRAMES_OF_DRIFT)
     pressed = np.arange(FRAMES_OF_DRIFT) % 100 >= 60
     cells[pressed, 2:4, 2:4] *= np.exp(-PRESS)
     sums = sums_of(scene, cells)
-    with compiled(constants) as host:
-        host.begin(BUDGET)
-        moved = []
-        for frame in sums:
-            change, _ = host.frame(frame)
-            moved.append(host.follow())
-            final = change
+    host.begin(BUDGET)
+    moved = []
+    for frame in sums:
+        change, _ = host.frame(frame)
+        moved.append(host.follow())
+        final = change
     assert not np.any(np.array(moved)[pressed])
     assert np.mean(np.array(moved)[~pressed]) > 0.9
     expected = np.zeros(scene.panel.shape)
@@ -141,47 +146,44 @@ def test_the_baseline_follows_a_drift_under_presses_that_come_and_go():
 
 
 def test_unloaded_frames_of_a_drift_are_taken_up_by_the_baseline():
-    scene, constants, _ = panel("grounded_one")
+    scene, _, host = panel("grounded_one")
     sums = sums_of(scene, drifting(pressed_cells(scene)[0], FRAMES_OF_DRIFT)[::10])
-    with compiled(constants) as host:
-        host.begin(BUDGET)
-        for frame in np.repeat(sums, 10, axis=0):
-            assert host.baseline(frame)[0] == FINE
-        change, _ = host.frame(sums[-1])
+    host.begin(BUDGET)
+    for frame in np.repeat(sums, 10, axis=0):
+        assert host.baseline(frame)[0] == FINE
+    change, _ = host.frame(sums[-1])
     assert np.abs(change).max() < MAX_LEFT
 
 
 @pytest.mark.parametrize("factor", [0.75, 1.3])
 def test_a_step_that_is_no_load_is_taken_up_and_a_long_press_is_not(factor):
     """The film warms up at once; then a press lasts for 10 minutes at 10 frames a second."""
-    scene, constants, _ = panel("grounded_one")
+    scene, constants, host = panel("grounded_one")
     resting = factor * pressed_cells(scene)[0]
     pressed = resting.copy()
     pressed[1:3, 1:3] *= np.exp(-PRESS)
     still, press = sums_of(scene, np.array([resting, pressed]))
-    with compiled(constants) as host:
-        host.begin(BUDGET)
-        for _ in range(int(4 * constants.follow)):
-            host.frame(still)
-            host.follow()
-        assert np.abs(host.frame(still)[0]).max() < MAX_LEFT
-        for _ in range(6000):
-            host.frame(press)
-            assert not host.follow()
-        assert host.baseline(press)[0] == UNDER_LOAD
-        np.testing.assert_allclose(host.frame(press)[0][1:3, 1:3], -PRESS, atol=MAX_LEFT)
+    host.begin(BUDGET)
+    for _ in range(int(4 * constants.follow)):
+        host.frame(still)
+        host.follow()
+    assert np.abs(host.frame(still)[0]).max() < MAX_LEFT
+    for _ in range(6000):
+        host.frame(press)
+        assert not host.follow()
+    assert host.baseline(press)[0] == UNDER_LOAD
+    np.testing.assert_allclose(host.frame(press)[0][1:3, 1:3], -PRESS, atol=MAX_LEFT)
 
 
 def test_a_frame_that_has_not_settled_moves_no_baseline():
-    scene, constants, _ = panel("grounded_one")
+    scene, constants, host = panel("grounded_one")
     sums = sums_of(scene, pressed_cells(scene)[:1])
-    with compiled(constants) as host:
-        host.begin(BUDGET)
-        assert not host.follow()
-        host.frame(garbled(np.random.default_rng(2), sums[0], constants.top_sum))
-        assert not host.follow()
-        host.frame(np.full(scene.panel.shape, MISSING))
-        assert not host.follow()
+    host.begin(BUDGET)
+    assert not host.follow()
+    host.frame(garbled(np.random.default_rng(2), sums[0], constants.top_sum))
+    assert not host.follow()
+    host.frame(np.full(scene.panel.shape, MISSING))
+    assert not host.follow()
 
 
 def test_the_export_chooses_a_shorter_time_constant_for_a_film_that_moves():
@@ -206,19 +208,17 @@ def test_the_export_chooses_a_shorter_time_constant_for_a_film_that_moves():
     ],
 )
 def test_any_converter_whose_sums_fit_32_bits_is_estimated(adc_bits, readings):
-    scene = scene_of("two_point", adc_bits=adc_bits, readings=readings)
-    sums, case = solved_case(scene, [NOISY, SMOOTH])
+    sums, case, host = solved("two_point", adc_bits=adc_bits, readings=readings)
     constants = Constants.of(case)
     assert constants.top_sum == readings * (2**adc_bits - 1)
     np.testing.assert_array_equal(constants.sums_of(case), sums)
-    with compiled(constants) as host:
-        estimates = host.frames(sums, Budget(8, 60, 0.01))
-        optimum = np.log(case.cell_resistance / case.baseline_resistance)
-        assert np.abs(estimates.log_change - optimum).max() < 1e-3
-        gap = sums[-1].copy()
-        gap[1, 1] = MISSING
-        gap[2, 2] = constants.top_sum + 1
-        change, status = host.frame(gap)
+    estimates = host.frames(sums, Budget(8, 60, 0.01))
+    optimum = np.log(case.cell_resistance / case.baseline_resistance)
+    assert np.abs(estimates.log_change - optimum).max() < 1e-3
+    gap = sums[-1].copy()
+    gap[1, 1] = MISSING
+    gap[2, 2] = constants.top_sum + 1
+    change, status = host.frame(gap)
     assert (status[0], status[5]) == (FINE, 2)
     assert np.isfinite(change).all()
 
@@ -233,31 +233,27 @@ def test_any_converter_whose_sums_fit_32_bits_is_estimated(adc_bits, readings):
     ],
 )
 def test_missing_readings_leave_the_other_cells_where_they_were(circuit, adc_bits, readings):
-    scene = scene_of(circuit, adc_bits=adc_bits, readings=readings)
-    sums, case = solved_case(scene, [NOISY, SMOOTH])
+    sums, case, host = solved(circuit, adc_bits=adc_bits, readings=readings)
     optimum = np.log(case.cell_resistance[-1] / case.baseline_resistance)
     rng = np.random.default_rng(11)
     moved = []
-    with compiled(Constants.of(case)) as host:
-        host.begin(Budget(8, 60, 0.01))
-        for _ in range(GARBLED):
-            host.frame(sums[-2])
-            gap = sums[-1].copy()
-            missing = rng.choice(gap.size, rng.integers(1, MAX_MISSING + 1), replace=False)
-            gap.ravel()[missing] = MISSING
-            change, status = host.frame(gap)
-            assert (status[0], status[5]) == (FINE, len(missing))
-            moved.append(np.abs(change - optimum)[gap != MISSING].max())
+    host.begin(Budget(8, 60, 0.01))
+    for _ in range(GARBLED):
+        host.frame(sums[-2])
+        gap = sums[-1].copy()
+        missing = rng.choice(gap.size, rng.integers(1, MAX_MISSING + 1), replace=False)
+        gap.ravel()[missing] = MISSING
+        change, status = host.frame(gap)
+        assert (status[0], status[5]) == (FINE, len(missing))
+        moved.append(np.abs(change - optimum)[gap != MISSING].max())
     assert np.median(moved) < MAX_MOVED
 
 
 def test_noise_below_single_precision_counts_as_its_rounding():
-    scene = scene_of("two_point", adc_bits=24, readings=4)
-    sums, case = solved_case(scene, [NOISY, SMOOTH])
+    sums, case, host = solved("two_point", adc_bits=24, readings=4)
     assert np.median(case.sigma_own) < ROUNDED / 10
-    with compiled(Constants.of(case)) as host:
-        host.frames(sums, Budget(8, 60, 0.01))
-        assert ROUNDED < host.deviation(2, 2, 60) < 10 * ROUNDED
+    host.frames(sums, Budget(8, 60, 0.01))
+    assert ROUNDED < host.deviation(2, 2, 60) < 10 * ROUNDED
 
 
 def test_sums_beyond_32_bits_are_refused():
@@ -302,11 +298,10 @@ def test_potentials_driven_groups_and_curved_converters_are_refused(keys, senten
 
 
 def test_constants_of_another_version_are_refused(tmp_path):
-    _, constants, _ = panel("grounded_one")
+    _, constants, host = panel("grounded_one")
     text = header(constants, "panel", ())
     assert f".version = {library_version()}," in text
-    with compiled(constants) as host:
-        host.begin(BUDGET)
+    assert host.begin(BUDGET) == FINE
     outdated = re.sub(r"\.version = \d+", ".version = 101", text)
     (tmp_path / "panel_constants.h").write_text(outdated)
     (tmp_path / "host.c").write_text(HOST)

@@ -55,19 +55,18 @@ def pressed_of(case: CaseResult) -> PressedCells | None:
     outline may lie anywhere within it. The pressure between the films of two cells is not measured:
     a spot smaller than a cell has the force of one that fills it.
     """
-    if (
-        case.pressure is None
-        or case.pressure_own is None
-        or case.pressure_common is None
-        or case.pressing is None
-    ):
+    names = ("pressure", "pressure_own", "pressure_common")
+    pressures = [case.column(name) for name in names]
+    pressing = case.column("pressing")
+    if pressing is None or any(values is None for values in pressures):
         return None
-    touched = case.pressing != 0
-    known = determined(case.scene, case.pressure, case.pressure_own, case.pressure_common)
+    touched = pressing != 0
+    known = determined(case.scene, *pressures)
     both = [
         _frame(case.scene.panel, frame, *maps) for frame, *maps in zip(touched, *known, strict=True)
     ]
-    beyond = np.zeros(touched.shape) if case.saturated is None else case.saturated
+    saturated = case.column("saturated")
+    beyond = np.zeros(touched.shape) if saturated is None else saturated
     values, errors = (np.array([pair[part] for pair in both]) for part in (0, 1))
     counts = np.sum(touched & (beyond != 0), axis=(1, 2))
     return PressedCells(case, values, errors, counts)

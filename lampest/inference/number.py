@@ -1,0 +1,113 @@
+"""Posterior of one number by its costs on a grid.
+
+A cost is −2 ln evidence of one value of the number; other numbers that it can be mistaken for are
+tried beside it and summed out:
+
+    p(value | data) ∝ prior · Σ_others exp(−cost/2).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lampest.panel.panel import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Number:
+    """Posterior of a number on a grid.
+
+    Attributes
+    ----------
+    values : array, shape (n,)
+        Tried values, ascending.
+    odds : array, shape (n,)
+        Their posterior probabilities, of sum 1.
+    gain : float
+        Decrease of −2 ln evidence from the first value to the best one.
+    """
+
+    values: Array
+    odds: Array
+    gain: float
+
+    @classmethod
+    def by_costs(
+        cls, values: Array, costs: Array, prior: Array | float = 1.0, *, axis: int = 0
+    ) -> "Number":
+        """Return the posterior of a number.
+
+        Parameters
+        ----------
+        values : array, shape (n,)
+            Tried values, ascending.
+        costs : array
+            −2 ln evidence of each value beside those of other numbers; a value without an
+            explanation costs infinity.
+        prior : array, shape (n,), or float
+            Prior probabilities up to a factor.
+        axis : int
+            The axis of `costs` along which the value differs.
+        """
+        beside = np.moveaxis(np.asarray(costs, dtype=float), axis, 0).reshape(len(values), -1)
+        marginal = summed_out(beside, axis=1)
+        logarithms = -(marginal - marginal.min()) / 2
+        odds = np.exp(logarithms) * prior
+        return cls(values, odds / odds.sum(), float(marginal[0] - marginal.min()))
+
+    @property
+    def mean(self) -> float:
+        """The posterior mean."""
+        return float(self.odds @ self.values)
+
+    @property
+    def mean_square(self) -> float:
+        """E[value²]."""
+        return float(self.odds @ np.square(self.values))
+
+    @property
+    def median(self) -> float:
+        """The value below which half of the probability is, between two tried ones."""
+        return float(np.interp(0.5, np.cumsum(self.odds), self.values))
+
+    @property
+    def deviation(self) -> float:
+        """The posterior standard deviation.
+
+        A value between two tried ones is known to a uniform distribution at best.
+        """
+        variance = max(self.mean_square - self.mean**2, 0.0)
+        after = int(np.clip(np.searchsorted(self.values, self.mean), 1, len(self.values) - 1))
+        step = float(self.values[after] - self.values[after - 1])
+        return float(np.sqrt(variance + step**2 / 12))
+
+    @property
+    def log_deviation(self) -> float:
+        """The posterior standard deviation of the logarithm of a positive number."""
+        logarithms = np.log(self.values)
+        return float(np.sqrt(max(self.odds @ logarithms**2 - (self.odds @ logarithms) ** 2, 0.0)))
+
+
+def summed_out(costs: Array, axis: int | tuple[int, ...]) -> Array:
+    """Return −2 ln Σ exp(−cost/2) along axes; the values there are equally probable."""
+    return np.asarray(-2 * np.logaddexp.reduce(-costs / 2, axis=axis))
+
+
+def parabola(values: Array, costs: Array) -> tuple[float, float]:
+    """Return the least of a parabola through the least cost and its neighbours, and its deviation.
+
+    The deviation is √(2/curvature), infinite where the costs have no least value within.
+
+    Parameters
+    ----------
+    values, costs : array, shape (n,)
+        At least three, the values at equal distances.
+    """
+    middle = int(np.clip(np.argmin(costs), 1, len(values) - 2))
+    below, least, above = costs[middle - 1 : middle + 2]
+    spacing = float(values[1] - values[0])
+    curvature = (above - 2 * least + below) / spacing**2
+    if not curvature > 0:
+        return float(values[np.argmin(costs)]), np.inf
+    slope = (above - below) / (2 * spacing)
+    return float(values[middle]) - slope / curvature, float(np.sqrt(2 / curvature))

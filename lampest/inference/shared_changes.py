@@ -1,0 +1,358 @@
+"""Changes of the log cells by errors that all frames share, with skirts of loads and channels.
+
+Errors z ~ N(0, 1) that the unloaded panel b and a frame f share change the estimated log cells by a
+z, with
+
+    a = K_f U_f − K_b U_b,
+
+where U is the response of the readings to the errors (`lampest.panel.systematic`), and K the
+inverse of the readings' Jacobian. Over the still cells d = a z + noise. The slope of a wide load
+moves cells like a shared error: each evidence is summed over the size of such a skirt, and over
+the spread of the channels where it is unknown.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lampest.files.levels import NOISE_REACH, UNUSUAL
+from lampest.inference.assumptions import ASSUMED
+from lampest.inference.cells_fit import CellsFit, data_of_cells, fitted
+from lampest.inference.changed_cells import MIN_STILL_SHARE, Changes, Chosen, away_from_changed
+from lampest.inference.number import Number, summed_out
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
+from lampest.panel.systematic import (
+    CHANNELS,
+    READING_ERROR,
+    REFERENCE,
+    SHARED_ERRORS,
+    SharedError,
+    error_columns,
+    estimated_errors,
+)
+from lampest.posterior.frame_noise import FrameNoise
+from lampest.recording.readings import Readings
+
+# Tried spreads of the channels over the usual one. Their logarithms are N(0, ln² 3), because parts
+# differ from the usual one by a factor of three.
+CHANNEL_FACTORS = 2.0 ** np.arange(-3, 4)
+LOG_SD_OF_FACTORS = float(np.log(3))
+LOG_PRIOR_OF_FACTORS = -np.square(np.log(CHANNEL_FACTORS) / LOG_SD_OF_FACTORS) / 2
+# Those that are tried beside each size of the readings' own errors.
+FEW_FACTORS = slice(1, None, 2)
+# Of the probability: with less, loads cover the panel under most combinations.
+MIN_SHARE_EXPLAINED = 0.5
+# Of the probability: combinations of skirt and spread with less add nothing.
+NEGLIGIBLE = 1e-3
+# Of log r: the second order of a larger error moves cells by more than one per cent.
+LINEAR_LIMIT = 0.15
+# Tried sizes of a load's skirt, of log r. Always the largest would hide errors where no load has a
+# skirt.
+SKIRTS = ASSUMED.skirt * np.array([0.0, 0.03, 0.1, 0.3, 1.0])
+# Of log r: only loads move cells by more, errors within the limit do not.
+LOADED_CHANGE = NOISE_REACH * LINEAR_LIMIT
+
+
+@dataclass(frozen=True, eq=False)
+class SharedChanges:
+    """Changes of the log cells from the unloaded panel to a frame, by the size e of errors.
+
+    Attributes
+    ----------
+    change : array, shape (cells,)
+        d.
+    noise : array, shape (cells, cells)
+        Covariance of d over still cells, without the errors below.
+    hidden, own : array, shapes (cells, k) and (cells, cells)
+        Response of d to the estimated errors, and to each reading's own error of size 1.
+    reach : float
+        Median standard deviation of log r of the unloaded cells if e = 1.
+    errors : tuple of SharedError
+        The estimated errors without each reading's own.
+    counts : dict
+        Field of `Systematic` → number of columns of an estimated error.
+    """
+
+    change: Array
+    noise: Array
+    hidden: Array
+    own: Array
+    reach: float
+    errors: tuple[SharedError, ...]
+    counts: dict[str, int]
+
+    @property
+    def has_channels(self) -> bool:
+        """Whether the spread of the channels is estimated."""
+        return CHANNELS.setting in self.counts
+
+    def scales(self, factor: float, columns: int) -> Array:
+        """Return the factor on channels, and 1 for other errors, (columns,)."""
+        scales = np.ones(columns)
+        first = 0
+        for setting, count in self.counts.items():
+            if setting == CHANNELS.setting:
+                scales[first : first + count] = factor
+            first += count
+        return scales
+
+    def with_channels(self, factor: float) -> "SharedChanges":
+        """Return the changes with a spread of the channels that is larger by a factor."""
+        hidden = self.hidden * self.scales(factor, self.hidden.shape[1])
+        return replace(self, hidden=hidden)
+
+    def changes(self, size: float) -> Changes:
+        """Return the changes with the estimated errors and each reading's own error.
+
+        `size` is e.
+        """
+        return Changes(
+            self.change,
+            self.noise,
+            np.hstack([self.hidden, size * self.own]) if size else self.hidden,
+        )
+
+
+def shared_changes(
+    scene: Scene, resting: CellsFit, loaded: Readings, sizes: Systematic, noise: FrameNoise | None
+) -> SharedChanges | None:
+    """Return the changes from the unloaded panel to a frame; None where the fit of the frame fails.
+
+    Parameters
+    ----------
+    scene : Scene
+    resting : CellsFit
+        Fit of the unloaded panel.
+    loaded : Readings
+        (rows, columns).
+    sizes : Systematic
+        Standard deviations of the errors.
+    noise : FrameNoise or None
+        Errors that the readings of a frame share.
+    """
+    fit = fitted(scene, loaded, resting.cells) or fitted(scene, loaded, patient=True)
+    if fit is None:
+        return None
+    requested = estimated_errors(scene)
+    further = [error for error in SHARED_ERRORS if error is not READING_ERROR and error.size(sizes)]
+    estimated = tuple(
+        error for error in further if error.setting in requested and error is not REFERENCE
+    )
+    fixed = tuple(error for error in further if error not in estimated)
+    groups = ((READING_ERROR,), fixed, *((error,) for error in estimated))
+    steadied = _steadied(scene, fit, resting.cells)
+    unit = replace(sizes, reading_error=1.0)
+    at_rest = _responses(resting, groups, unit)
+    under_load = _responses(steadied, groups, unit)
+    own, of_fixed, *of_estimated = (
+        of_frame - of_rest for of_frame, of_rest in zip(under_load, at_rest, strict=True)
+    )
+    size = resting.cells.size
+    # The unloaded panel and the frame have errors of their own; creep, and a common change of all
+    # cells.
+    covariance = (
+        _with_frame_noise(resting.covariance, resting, noise, baseline=True)
+        + _with_frame_noise(fit.covariance, steadied, noise, baseline=False)
+        + ASSUMED.creep**2 * np.eye(size)
+        + ASSUMED.common_change**2
+    )
+    reach = float(np.median(np.linalg.norm(at_rest[0], axis=1)))
+    counts = {
+        error.setting: part.shape[1] for error, part in zip(estimated, of_estimated, strict=True)
+    }
+    hidden = np.hstack([np.zeros((size, 0)), *of_estimated])
+    change = np.log(fit.cells / resting.cells).ravel()
+    return SharedChanges(
+        change, covariance + of_fixed @ of_fixed.T, hidden, own, reach, estimated, counts
+    )
+
+
+def _responses(
+    fit: CellsFit, groups: Sequence[tuple[SharedError, ...]], sizes: Systematic
+) -> list[Array]:
+    """Return the responses K U of the log cells to each group of errors, (cells, columns)."""
+    readings = fit.readings.value
+    return [
+        fit.response(error_columns(errors, fit.network, readings, fit.scene, sizes))
+        for errors in groups
+    ]
+
+
+def _with_frame_noise(
+    covariance: Array, fit: CellsFit, noise: FrameNoise | None, *, baseline: bool
+) -> Array:
+    """Return the covariance of the log cells with the errors that the readings of a frame share."""
+    if noise is None:
+        return covariance
+    responses = fit.gain @ noise.columns(fit.readings.value[None], baseline=baseline)
+    return np.asarray(covariance + responses @ responses.T)
+
+
+def _steadied(scene: Scene, fit: CellsFit, near: Array) -> CellsFit:
+    """Return the fit with still cells at their unloaded values, and with their model readings.
+
+    A cell is still unless it clearly moved. The linearisation of frames and unloaded panel then
+    agrees for still cells, whatever the noise.
+
+    Parameters
+    ----------
+    scene : Scene
+    fit : CellsFit
+    near : array, shape (rows, columns)
+        Unloaded cells, ohm; a common factor on all cells remains.
+    """
+    change = np.log(fit.cells / near)
+    middle = np.median(change)
+    moved = np.abs(change - middle) > UNUSUAL * np.sqrt(2 * np.diag(fit.covariance)).reshape(
+        change.shape
+    )
+    data = data_of_cells(scene, fit.readings)
+    cells = np.where(moved, fit.cells, near * np.exp(middle))
+    return CellsFit.at(
+        scene, data, replace(fit.readings, value=data.network(0, cells).reading()), cells
+    )
+
+
+def _smooth_loads(shape: tuple[int, ...], cells: float) -> Array:
+    """Return the covariance (cells, cells) of changes in the skirt of a load of unit size.
+
+    The covariance is exp(−distance²/(2 ℓ²)), with ℓ in `cells`.
+    """
+    row, column = (index.ravel() for index in np.indices(shape))
+    square = (row[:, None] - row) ** 2 + (column[:, None] - column) ** 2
+    return np.asarray(np.exp(-square / (2 * cells**2)))
+
+
+def _slope_of_load(change: Array, shape: tuple[int, ...]) -> Array:
+    """Return the covariance (cells, cells) of changes on the slope around a load.
+
+    The load's core are the cells that changed by more than half of the largest change D. Around it
+    changes are smooth and of size D exp(−distance²/(2 ℓ²)).
+
+    Parameters
+    ----------
+    change : array, shape (cells,)
+        d.
+    shape : tuple of int
+        Rows and columns.
+    """
+    size = np.abs(change - np.median(change))
+    core = np.argwhere(size.reshape(shape) > size.max() / 2)
+    places = np.argwhere(np.ones(shape, dtype=bool))
+    square = ((places[:, None] - core) ** 2).sum(axis=-1).min(axis=1)
+    deviation = size.max() * np.exp(-square / (2 * ASSUMED.slope_cells**2))
+    smooth = _smooth_loads(shape, ASSUMED.skirt_cells)
+    return np.asarray(deviation[:, None] * smooth * deviation)
+
+
+def _still(changes: Changes, begun: Chosen | None = None) -> tuple[float, Chosen]:
+    """Return −2 ln evidence, and the still cells.
+
+    Parameters
+    ----------
+    changes : Changes
+    begun : boolean array, shape (cells,), optional
+        Still cells that the search begins with; by default the half that changed least. Other
+        starts are not tried, because a shared error may explain a smooth load as well as moved
+        cells do.
+    """
+    deviation = np.abs(changes.change - np.median(changes.change))
+    begun = deviation <= np.median(deviation) if begun is None else begun
+    score, moved = changes.selected([~begun], np.abs(changes.change) >= LOADED_CHANGE)
+    return score, ~moved
+
+
+def error_costs(
+    scene: Scene, moves: SharedChanges, errors: Array, factors: Array, cells: float
+) -> Array:
+    """Return −2 ln evidence of errors by the changes to a loaded frame, (factors, errors).
+
+    The evidence is averaged over SKIRTS, which are equally probable: skirts of loads are no errors
+    of the readings. Each search begins with the still cells of the error before, because these
+    change little.
+
+    Parameters
+    ----------
+    scene : Scene
+    moves : SharedChanges
+    errors : array, shape (errors,)
+        Sizes of each reading's own error.
+    factors : array, shape (factors,)
+        Spreads of the channels over the usual one.
+    cells : float
+        Distance over which changes in a skirt are correlated.
+    """
+    loads = _smooth_loads(scene.panel.shape, cells)
+    costs = np.zeros((len(SKIRTS), len(factors), len(errors)))
+    for skirt, of_skirt in zip(SKIRTS, costs, strict=True):
+        smoothed = replace(moves, noise=moves.noise + skirt**2 * loads)
+        for factor, of_factor in zip(factors, of_skirt, strict=True):
+            spread = smoothed.with_channels(factor)
+            start = None
+            for column, size in enumerate(errors):
+                of_factor[column], start = _still(spread.changes(size), start)
+    # −2 ln Σ_skirt p(d | e, skirt)
+    return summed_out(costs, axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class JointPosterior:
+    """Posterior of the errors z of all readings, in units of their priors.
+
+    Attributes
+    ----------
+    second, covariance : array, shape (columns, columns)
+        E[z zᵀ], and the covariance of z.
+    channel_factor : Number
+        The spread of the channels over the usual one.
+    """
+
+    second: Array
+    covariance: Array
+    channel_factor: Number
+
+
+def joint_posterior(
+    scene: Scene, moves: SharedChanges, size: float, spread: Number
+) -> JointPosterior | None:
+    """Return the posterior of errors z, summed over spreads of the channels.
+
+    The slope around a load is none of the errors. The result is None where a load leaves no still
+    cells.
+
+    Parameters
+    ----------
+    scene : Scene
+    moves : SharedChanges
+    size : float
+        Standard deviation e of each reading's own error.
+    spread : Number
+        Spread of the channels over the usual one.
+    """
+    sloped = replace(moves, noise=moves.noise + _slope_of_load(moves.change, scene.panel.shape))
+    start = None
+    means = list[Array]()
+    seconds = list[Array]()
+    weights = list[float]()
+    for factor, odds in zip(spread.values, spread.odds, strict=True):
+        if odds < NEGLIGIBLE:
+            continue
+        changes = sloped.with_channels(factor).changes(size)
+        start = _still(changes, start)[1]
+        # Neighbours of moved cells are left out, because a load has a skirt.
+        distant = away_from_changed(start, scene.panel.shape)
+        if distant.mean() < MIN_STILL_SHARE:
+            continue
+        mean, covariance = changes.posterior(distant)
+        scale = moves.scales(factor, len(mean))
+        means.append(scale * mean)
+        seconds.append(scale[:, None] * (covariance + np.outer(mean, mean)) * scale)
+        weights.append(odds)
+    if not sum(weights) > MIN_SHARE_EXPLAINED:
+        return None
+    mean = np.average(means, axis=0, weights=weights)
+    second = np.average(seconds, axis=0, weights=weights)
+    return JointPosterior(second, second - np.outer(mean, mean), spread)

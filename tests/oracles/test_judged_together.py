@@ -1,0 +1,62 @@
+"""Effects that other things imitate: the slope of a load, trembling, and errors of readings."""
+
+from dataclasses import replace
+
+import pytest
+
+from docs.studies.effects import LOADS, ROWS, Row, figures, recording
+from lampest import Systematic
+from lampest.audit.effects import unnamed_effects
+from lampest.inference.prepared import Prepared
+
+SPREAD = "systematic.channel_spread_ohm"
+SERIES = "systematic.series_tolerance_ohm"
+
+
+def test_the_slope_of_a_palm_is_not_taken_for_a_resistance_in_series() -> None:
+    """It was taken for 411 +- 6 ohm, where 20 were right."""
+    row = ROWS["series +20 ohm"]
+    noise = Prepared(recording(100, LOADS["palm"], row, row.estimated)).noise
+    assert noise.estimated.get(SERIES, (0.0, 0.0))[0] < 80
+    assert (SERIES in noise.estimated) != ("press a few cells" in noise.sentence)
+
+
+@pytest.mark.parametrize("true_ohm", [2, 10])
+def test_the_unloaded_panel_tells_the_spread_of_channels_under_a_palm(true_ohm: int) -> None:
+    """The slope of the palm was taken for 75 ohm, whatever was right."""
+    row = ROWS[f"channels of {true_ohm} ohm"]
+    noise = Prepared(recording(100, LOADS["palm"], row, row.estimated)).noise
+    spread, deviation = noise.estimated[SPREAD]
+    assert abs(spread - true_ohm) < 2 * deviation and deviation < 0.8 * spread
+
+
+def test_channels_are_told_beside_errors_of_each_reading() -> None:
+    both = Systematic(channel_spread_ohm="estimated", reading_error="estimated")
+    of_both = recording(100, LOADS["still"], Row(channel_ohm=10, static=0.01), {"systematic": both})
+    noise = Prepared(of_both).noise
+    spread, deviation = noise.estimated[SPREAD]
+    size, size_deviation = noise.estimated["systematic.reading_error"]
+    assert abs(spread - 10) < 2 * deviation
+    assert abs(size - 0.01) < 2 * size_deviation
+
+
+@pytest.mark.parametrize("motion", ["estimated", 1.0])
+def test_bars_hold_a_load_that_trembles_within_a_scan(motion: str | float) -> None:
+    """With the steps between frames alone, 51 to 58 % of the changes were held."""
+    trembling = recording(500, LOADS["trembling"], Row(), {"motion": motion})
+    of_load = figures(trembling, advised=False)
+    assert of_load.own > 85 and of_load.changes > 85
+    assert 0.03 < Prepared(trembling).noise.motion.trembling < 0.12
+
+
+def test_a_load_that_trembles_is_advised_to_be_named() -> None:
+    trembling = Prepared(recording(500, LOADS["trembling"], Row(), {}))
+    assert "motion: estimated" in {finding.line for finding in unnamed_effects(trembling)}
+
+
+def test_a_load_that_stands_does_not_tremble() -> None:
+    standing = recording(500, LOADS["still"], Row(), {"motion": "estimated"})
+    noise = Prepared(standing).noise
+    assert noise.motion.trembling < 0.002
+    known = Prepared(replace(standing, scene=replace(standing.scene, motion=1.0))).noise
+    assert known.motion.trembling < 0.002
