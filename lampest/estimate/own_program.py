@@ -157,7 +157,7 @@ class OwnSolution(CasadiOwner):
     >>> terms = [lampest.Misfit(), lampest.Gradient(weight=1e-3)]
     >>> solved = lampest.program(recording, terms).solve()
     >>> solved.status
-    'optimum verified'
+    'local optimum verified'
     """
 
     instance: Instance

@@ -51,7 +51,7 @@ class Step:
     >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> step = estimate.steps[0]
     >>> step.cell_resistance.shape, step.status
-    ((2, 3), 'optimum verified')
+    ((2, 3), 'local optimum verified')
     """
 
     solution: Solution

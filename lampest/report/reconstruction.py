@@ -46,7 +46,7 @@ class Reconstruction(Estimates):
     >>> recording = lampest.simulate(of_rod, "mine")
     >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> estimate
-    Reconstruction(mine: misfit, auto, 2 of 2 frames solved, the first: optimum verified)
+    Reconstruction(mine: misfit, auto, 2 of 2 frames solved, the first: local optimum verified)
     """
 
     @classmethod
@@ -205,16 +205,6 @@ class Reconstruction(Estimates):
         Units are in `attrs["units"]`.
         """
         return self.result(columns=columns).to_dataframe(columns)
-
-    @property
-    def reading_model(self) -> Array:
-        """Readings of the estimated cells, (frames, rows, columns) in the readout's unit."""
-        return np.stack([step.solution.reading[-1] for step in self.steps])
-
-    @property
-    def solve_time(self) -> Array:
-        """Wall times of the solves, (frames,) s."""
-        return np.array([step.seconds for step in self.steps])
 
     def plot(
         self,

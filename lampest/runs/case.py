@@ -63,6 +63,10 @@ def all_columns(further: Sequence[Column] = ()) -> tuple[Column, ...]:
     return columns
 
 
+# Beginnings of the statuses of local optima; the second one is that of files before version 0.2.
+OPTIMA = ("local optimum", "optimum", "an optimum,")
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CaseResult(Content):
     """Result of a case: the estimates of a recording's measured frames by an estimator.
@@ -175,7 +179,7 @@ class CaseResult(Content):
 
         The value is None if the numbers of starts are unknown, or no frame is at an optimum.
         """
-        optima = np.array([status.startswith(("optimum", "an optimum,")) for status in self.status])
+        optima = np.array([status.startswith(OPTIMA) for status in self.status])
         if self.starts is None or not optima.any():
             return None
         return int(optima.sum()), int(self.starts[optima].min()), int(self.starts[optima].max())

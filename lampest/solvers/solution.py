@@ -45,10 +45,10 @@ class Status(Enum):
     >>> recording = lampest.simulate(of_rod, "mine")
     >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> estimate.steps[0].solution.status.value
-    'optimum verified'
+    'local optimum verified'
     """
 
-    OPTIMUM = "optimum verified"
+    OPTIMUM = "local optimum verified"
     HELD = (
         "an optimum, but only within the bounds: "
         "cells that these hold leave readings off by more than their noise "

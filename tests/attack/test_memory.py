@@ -209,6 +209,6 @@ def test_ipopt_needs_no_further_buffer_when_data_filled_the_addresses() -> None:
     )
     assert (completed.returncode, completed.stdout, completed.stderr) == (
         0,
-        "optimum verified\n",
+        "local optimum verified\n",
         "",
     )

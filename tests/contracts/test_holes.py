@@ -33,7 +33,7 @@ estimators:
   LSR-gCR: {{terms: {{misfit: {{}}, gradient: {{weight: 1.0e-3}}}}}}
 """
 OPTIMUM_AT_BOUNDS = "an optimum, but only within the bounds"
-VERIFIED = "optimum verified"
+VERIFIED = "local optimum verified"
 PLAIN = lampest.Scene(lampest.Panel(6, 6))
 LOADED = lampest.Scene(lampest.Panel(6, 6), lampest.TwoPointReadout(adc_bits=14, noise_lsb=2.0))
 

@@ -43,7 +43,7 @@ def test_a_run_writes_its_estimates(disk: SimpleNamespace, lampest: Command) -> 
         ("small", name) for name in names
     ]
     for case in written:
-        assert case.status == ("optimum verified",) * 2 and not case.joint_start
+        assert case.status == ("local optimum verified",) * 2 and not case.joint_start
         assert (
             case.frame.tolist() == case.time.tolist() == [1, 2]
             and case.scene.series_resistance_ohm == 140

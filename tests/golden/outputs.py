@@ -252,7 +252,7 @@ def page_row() -> dict[str, Any]:
         name: [case for case in invented() if case.estimator == name] for name in METHODS
     }
     optimal = invented_case(
-        status=("optimum verified",) * 3, starts=np.array([1, 7, 3]), shape=(3, 2, 3)
+        status=("local optimum verified",) * 3, starts=np.array([1, 7, 3]), shape=(3, 2, 3)
     )
     starts = {
         "several": [optimal] * 2,
@@ -1026,7 +1026,7 @@ def described_row() -> dict[str, Any]:
 def described_results() -> list[str]:
     """Results without a solved frame, and of estimators that look for optima or do not."""
     status = (
-        "optimum verified",
+        "local optimum verified",
         "an optimum, but a plateau",
         "approximate, as the formulation asks; not an optimum",
     )

@@ -30,7 +30,7 @@ def outliers(scene: Scene, recorded: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
 @pytest.mark.parametrize("seed", range(4))
 def test_an_infinite_reading_among_good_ones_is_an_outlier(scene: Scene, seed: int) -> None:
-    """It moved its cell by 50 % and more, as "optimum verified"."""
+    """It moved its cell by 50 % and more, as "local optimum verified"."""
     recorded = read(scene, seed)
     row, column = np.random.default_rng(seed).integers((6, 8))
     wrong = recorded.copy()

@@ -54,7 +54,7 @@ def test_exact_readings_give_the_cells_back(outline: str, formulation: str) -> N
     panel, cells = random_panel(outline, 1)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
     estimate = estimate_of(panel, readings[None], lampest.Misfit(), formulation=formulation)
-    assert estimate.status[0] == "optimum verified"
+    assert estimate.status[0] == "local optimum verified"
     np.testing.assert_allclose(
         estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=CONVERGED
     )
@@ -176,7 +176,7 @@ def test_an_unread_cell_follows_its_neighbours(outline: str) -> None:
     row, column = np.argwhere(panel.present)[3]
     readings[row, column] = np.nan
     estimate = estimate_of(panel, readings[None], lampest.Misfit(), lampest.LogGradient(weight=1.0))
-    assert estimate.status[0] == "optimum verified"
+    assert estimate.status[0] == "local optimum verified"
     np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], 500.0, rtol=CONVERGED)
 
 

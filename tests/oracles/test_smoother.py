@@ -245,7 +245,7 @@ def test_the_smoother_halves_the_error_and_its_error_bars_hold() -> None:
     for seed in range(6):
         recording = panel(seed, systematic="none")
         estimate = estimate_of(recording)
-        assert estimate.solved.all() and set(estimate.status) == {"optimum verified"}
+        assert estimate.solved.all() and set(estimate.status) == {"local optimum verified"}
         held.append(in_intervals(estimate))
         together.append(np.abs(log_errors(estimate)))
         alone.append(np.abs(log_errors(estimate_of(recording, (Misfit(),)))))

@@ -7,8 +7,9 @@ by its leak and drifts with the film,
 
 Three hypotheses on the jumps J are compared: those of a quiet cup, rare and of either sign; of a
 disturbed cup, frequent and of either sign; and the pumps of a mouth, upwards and at intervals of 20
-to 200 s (Shi et al., PLoS ONE 16, e0247884, 2021). The probabilities are summed over the unknown
-leak λ, noise σ and drift q. Source: Adams & MacKay, arXiv 0710.3742, 2007;
+to 200 s (Shi et al., PLoS ONE 16, e0247884, 2021). A pump restores the suction of the last one, and
+a push does not: from the second on its jump is to that level. The probabilities are summed over the
+unknown leak λ, noise σ and drift q. Source: Adams & MacKay, arXiv 0710.3742, 2007;
 docs/theory/recognition.md.
 """
 
@@ -16,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import logsumexp, ndtr
 
 from lampest.apps.recognition.fit import MAX_LOG_RATIO
 from lampest.panel.panel import Array
@@ -52,7 +53,13 @@ KINDS = (
     Jumps(0.05, 1 / 30, 0.0, 0.6),
     Jumps(0.5, 1 / 63, 0.4, 0.3, interval_s=10.0),
 )
-# The same, along the first axis of GRID.
+# Assumed: u after a pump is that after the last one, with this standard deviation; and mean and
+# standard deviation of the level of the first pump, over u at its recognition.
+RESTORED_SD = 0.12
+FIRST_LEVEL = (0.1, 0.15)
+# Larger changes of u are pulls, or another load: their samples do not count.
+MAX_CHANGE = 1.5
+# The same as KINDS, along the first axis of GRID.
 OF_KINDS = Jumps(*np.array(KINDS).T[..., None, None, None, None])
 # λ, 1/s: between pumps a tenth is lost in 200 s, or half in 20 s
 LEAKS = np.array([0.0, 0.001, 0.003, 0.01, 0.03])
@@ -91,6 +98,8 @@ class Pumping:
         Mean and variance of u given a hypothesis.
     age_s : array, same shape
         Time since its last jump, s.
+    level, level_variance : array, same shape
+        Mean and variance of u after its last jump.
     observed_s : float
         Time over which samples were taken, s.
     pumps : tuple of (int, float, float)
@@ -105,6 +114,8 @@ class Pumping:
     mean: Array
     variance: Array
     age_s: Array
+    level: Array
+    level_variance: Array
     observed_s: float = 0.0
     pumps: tuple[int, float, float] = (0, np.inf, -np.inf)
 
@@ -133,6 +144,8 @@ class Pumping:
             mean=np.zeros(GRID),
             variance=np.ones(GRID),
             age_s=np.zeros(GRID),
+            level=np.full(GRID, FIRST_LEVEL[0]),
+            level_variance=np.full(GRID, FIRST_LEVEL[1] ** 2),
         )
         if before is None:
             return track
@@ -141,10 +154,12 @@ class Pumping:
     def after(self, logarithms: Array, time: float) -> "Pumping":
         """Return the state after one more sample at a time in s.
 
-        The sample is the median of ln y (frames, readings).
+        The sample is the median of ln y (frames, readings); one beyond MAX_CHANGE is left out.
         """
         sample = float(self.weights @ (np.median(logarithms, axis=0) - self.reference))
         seconds = time - self.since_s
+        if abs(sample) > MAX_CHANGE:
+            return replace(self, since_s=time)
         updated = self._predicted(seconds)._updated(sample)._limited()
         updated = replace(updated, since_s=time, observed_s=self.observed_s + seconds)
         return updated._counted(time, seconds)
@@ -162,18 +177,33 @@ class Pumping:
         variance = self.variance + drift**2 * seconds
         jumps = self.logarithm + np.log(-np.expm1(-rate * seconds))
         stays = self.logarithm - rate * seconds
-        # The hypothesis of a jump merges all leaks and all earlier hypotheses by their mean and
-        # variance.
+        # A pump raises the suction. The hypothesis of a jump merges all leaks and all earlier
+        # hypotheses by their mean and variance.
+        rises = self.level - mean
+        higher = ndtr(rises / np.sqrt(self.level_variance + variance + RESTORED_SD**2))
+        jumps[-1] += np.log(np.maximum(higher[-1], np.exp(-MAX_LOG_RATIO)))
         total = logsumexp(jumps, axis=(1, 4), keepdims=True)
         share = np.exp(jumps - total)
-        middle = (share * mean).sum(axis=(1, 4), keepdims=True)
-        spread = (share * (variance + (mean - middle) ** 2)).sum(axis=(1, 4), keepdims=True)
+
+        def merged(means: Array, variances: Array) -> tuple[Array, Array]:
+            middle = (share * means).sum(axis=(1, 4), keepdims=True)
+            spread = (share * (variances + (means - middle) ** 2)).sum(axis=(1, 4), keepdims=True)
+            return middle, spread
+
+        middle, spread = merged(mean, variance)
+        level, level_spread = merged(self.level, self.level_variance)
+        after = middle + OF_KINDS.jump
+        after_spread = spread + OF_KINDS.jump_sd**2
+        after[-1] = level[-1]
+        after_spread[-1] = level_spread[-1] + RESTORED_SD**2
         return replace(
             self,
             logarithm=_with_hypothesis(total - np.log(len(LEAKS)), stays),
-            mean=_with_hypothesis(middle + OF_KINDS.jump, mean),
-            variance=_with_hypothesis(spread + OF_KINDS.jump_sd**2, variance),
+            mean=_with_hypothesis(after, mean),
+            variance=_with_hypothesis(after_spread, variance),
             age_s=_with_hypothesis(np.zeros_like(total), self.age_s + seconds),
+            level=_with_hypothesis(level, self.level),
+            level_variance=_with_hypothesis(level_spread, self.level_variance),
         )
 
     def _updated(self, sample: float) -> "Pumping":
@@ -186,16 +216,29 @@ class Pumping:
         misfit = (sample - self.mean) ** 2 / wide + np.log(wide)
         logarithm: Array = self.logarithm - 0.5 * misfit
         best = np.argsort(-logarithm, axis=-1)[..., :HYPOTHESES]
-        logarithm, mean, variance, age, wide = (
+        logarithm, mean, variance, age, level, level_variance, wide = (
             np.take_along_axis(values, best, axis=-1)
-            for values in (logarithm, self.mean, self.variance, self.age_s, wide)
+            for values in (
+                logarithm,
+                self.mean,
+                self.variance,
+                self.age_s,
+                self.level,
+                self.level_variance,
+                wide,
+            )
         )
+        mean = mean + variance / wide * (sample - mean)
+        variance = variance * (1 - variance / wide)
+        pumped = age == 0
         return replace(
             self,
             logarithm=logarithm - logsumexp(logarithm),
-            mean=mean + variance / wide * (sample - mean),
-            variance=variance * (1 - variance / wide),
+            mean=mean,
+            variance=variance,
             age_s=age,
+            level=np.where(pumped, mean, level),
+            level_variance=np.where(pumped, variance, level_variance),
         )
 
     def _limited(self) -> "Pumping":

@@ -160,7 +160,7 @@ def test_live_readings_equal_those_of_the_file(tmp_path: Path, wiring: str) -> N
             estimator, 1, lambda engine: recorded_from_board(engine, source, 4)
         )
     cells = reconstruct(Recording.load(out), estimator)
-    assert [picture.status for picture in pictures] == ["optimum verified"] * 3
+    assert [picture.status for picture in pictures] == ["local optimum verified"] * 3
     ratio = np.array([1 + picture.relative_change / 100 for picture in pictures])
     np.testing.assert_allclose(
         ratio, cells.cell_resistance / cells.baseline_resistance, rtol=1e-9 if dead else 1e-7

@@ -126,7 +126,7 @@ def test_every_frame_waits_for_its_findings_if_the_other_process_dies(lamprey: R
             until(lambda: engine._beside.gone)
 
     view = replay(engine, lamprey, kill)
-    assert view.picture is not None and view.picture.status == "optimum verified"
+    assert view.picture is not None and view.picture.status == "local optimum verified"
     assert view.deviation_of == view.picture.number, "error bars come with the frame"
 
 
@@ -169,7 +169,7 @@ def test_live_estimates_equal_those_of_a_batch(method: Estimator) -> None:
     )
     change = 100 * (batch.measured / batch.measured_baseline - 1)
     np.testing.assert_array_equal([picture.measured_change for picture in live], change)
-    assert [picture.status for picture in live] == ["optimum verified"] * 6
+    assert [picture.status for picture in live] == ["local optimum verified"] * 6
     flags = [step.solution.open_cell[-1] for step in batch.steps]
     np.testing.assert_array_equal([picture.open_cell for picture in live], flags)
 
@@ -261,7 +261,10 @@ def test_a_failed_frame_shows_no_number_and_the_next_is_solved(lamprey: Recordin
         and np.isnan(failed.force.newton)
         and not failed.open_cell.any()
     )
-    assert recovered.status == "optimum verified" and np.isfinite(recovered.relative_change).all()
+    assert (
+        recovered.status == "local optimum verified"
+        and np.isfinite(recovered.relative_change).all()
+    )
     view = with_picture(View("here", "LSM", "receiving", lamprey.scene.panel), failed)
     content = json.loads(view_text(view, 0.0), parse_constant=pytest.fail)
     assert (

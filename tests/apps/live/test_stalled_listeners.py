@@ -40,7 +40,7 @@ def message(number: int, side: int = 64) -> Message:
     panel = Panel(side, side)
     cells = np.full(panel.shape, 1000.123 + number)
     no = np.zeros(panel.shape, dtype=bool)
-    status = "optimum verified"
+    status = "local optimum verified"
     saturated = np.zeros(panel.shape, dtype=np.uint8)
     picture = Picture(
         number,

@@ -302,6 +302,24 @@ def test_a_leaking_creeping_or_touched_cup_is_not_alive(course: Array, seed: int
     assert np.max(odds) < ANSWER_LOG_ODDS and odds[-1] < 0.5
 
 
+def test_a_pump_restores_the_suction_of_the_last_one() -> None:
+    """Jumps of one size and interval; those of a cup that is pushed lead from level to level."""
+    number = np.floor(BLOCKS / 50)
+    levels = np.array([0.0, 0.3, -0.2, 0.4, 0.1, 0.5, 0.0, 0.4, -0.1, 0.3, 0.0, 0.2, 0.4, 0.1])
+    decayed = np.mod(BLOCKS, 50.0) * -0.005
+    restored = followed(decayed)
+    pushed = followed(decayed + levels[number.astype(int) % len(levels)])
+    within = BLOCKS < 300
+    assert np.max(restored[within]) > ANSWER_LOG_ODDS > np.max(pushed[within])
+
+
+def test_changes_beyond_a_pump_are_no_evidence() -> None:
+    """A cup that is pressed harder every 25 s, in the end to eleven times its suction."""
+    levels = (0.0, 0.1, 0.2, 0.25, 0.4, 0.6, 0.8, 3.7, 2.1, 8.6, 13.2, 9.5, 11.0, 11.4, 7.9)
+    number = np.minimum(BLOCKS / 25, len(levels) - 1).astype(int)
+    assert np.max(followed(np.array(levels)[number], noise=0.08)) < ANSWER_LOG_ODDS
+
+
 @pytest.mark.slow
 def test_rare_and_frequent_bumps_are_not_pumping() -> None:
     """At one in a minute and one in twenty seconds.

@@ -68,7 +68,7 @@ def timed(
             frame=frame,
             seconds=seconds,
             kind="later" if frame else "first",
-            status="optimum verified",
+            status="local optimum verified",
             objective=1.0,
             gap=0.0,
             iterations=1,
