@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import lampest
-from lampest.estimate.modules import begin_networks, network_scenes
+from lampest.estimate.modules import ModulesStream, begin_networks, network_scenes
 from lampest.estimate.sequence import deciding_data, first_stream
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import with_chosen_weights
@@ -93,7 +93,9 @@ def took(
     before = time.process_time() - begin
     spent = []
     statuses = []
-    parts = [part for part in stream.modules if isinstance(part, Stream)] if alone else []
+    parts = list[Stream]()
+    if alone and isinstance(stream, ModulesStream):
+        parts = [part for part in stream.modules if part is not None]
     for frame in recording.measured_frames():
         begin = time.process_time()
         if alone and layout is not None:

@@ -6,11 +6,11 @@ the estimates of a recording, and on the health of the panel. No estimate uses i
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
-from lampest.audit.effects import effects_to_try, unnamed_effects
-from lampest.audit.finding import Finding, with_addition
+from lampest.audit.effects import effects_to_try, named, unnamed_effects
+from lampest.audit.finding import Finding
 from lampest.audit.health import Health
 from lampest.audit.verdict import verdict
 from lampest.files.errors import InputError
@@ -50,8 +50,8 @@ class Audit:
     def _effects(self) -> tuple[Finding, ...]:
         """Return the unnamed effects.
 
-        Under a wrong circuit effects mean nothing. If no circuit explains the readings, only the
-        first effect with which the scene's circuit explains them counts.
+        Under a wrong circuit effects mean nothing. If no circuit explains the readings, the first
+        effect counts with which the scene's circuit does, and those that show beside it.
         """
         check = self.prepared.check
         found = unnamed_effects(self.prepared) if check.explains is not None else ()
@@ -59,12 +59,11 @@ class Audit:
             return found
         if check.better:
             return ()
-        recording = self.prepared.recording
-        for finding in (*found, *effects_to_try(recording.scene)):
+        for finding in (*found, *effects_to_try(self.prepared.recording.scene)):
             with suppress(InputError):
-                named = replace(recording, scene=with_addition(recording.scene, finding.addition))
-                if Prepared(named).check.explains:
-                    return (finding,)
+                restored = named(self.prepared, finding)
+                if restored.check.explains:
+                    return (finding, *unnamed_effects(restored))
         return ()
 
     def _circuit(self) -> Iterator[Finding]:

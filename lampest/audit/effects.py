@@ -4,28 +4,30 @@ Each effect comes with its evidence and the entries to add. The search is made o
 finished readings; no estimate depends on it.
 """
 
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
-from lampest.audit.finding import Finding
-from lampest.files.errors import BROKEN
+from lampest.audit.finding import Finding, with_addition
+from lampest.files.errors import BROKEN, InputError
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.prepared import Prepared
 from lampest.inference.resolve import ENTRIES
 from lampest.panel.scene import Scene, specified
 
-# A key of each effect, in the order in which they are advised.
+# A key of each effect, in the order in which they are advised: errors of each reading explain most,
+# and come last.
 SEARCHED = (
     "readout.passes_volt",
     "gain",
     "leaks",
     "creep",
     "converter_memory",
-    "systematic.reading_error",
     "motion",
+    "systematic.reading_error",
 )
 
 
@@ -43,19 +45,45 @@ def searched_effects() -> tuple[SceneEffect, ...]:
 def unnamed_effects(prepared: Prepared) -> tuple[Finding, ...]:
     """Return the effects that a recording shows and its scene does not name.
 
-    Of modules each line is returned once.
+    Of several effects those are returned that show beside each other. Of modules each line is
+    returned once.
     """
     if prepared.layout is None:
-        if prepared.cleaned.readings.sigma is None:
-            return ()
-        return searched(Gathered(prepared.cleaned.recording, prepared))
+        return _of_network(prepared)
     findings = dict[str, Finding]()
     for number, part in enumerate(prepared.modules):
-        for finding in () if part is None else unnamed_effects(part):
+        for finding in () if part is None else _of_network(part):
             named = f"module {list(prepared.layout.place(number))}: {finding.what}"
             # a line of the scene holds for all modules
             findings.setdefault(finding.line, replace(finding, what=named))
     return tuple(findings.values())
+
+
+def _of_network(prepared: Prepared) -> tuple[Finding, ...]:
+    """Return the effects of a single network that show beside each other.
+
+    Each of several effects may be the only one, and explain what the others seem to. The first is
+    the one that leaves the fewest others when the scene names it; then follow those it leaves.
+    """
+    if prepared.cleaned.readings.sigma is None:
+        return ()
+    findings = searched(Gathered(prepared.cleaned.recording, prepared))
+    if len(findings) < 2:
+        return findings
+    together = list[tuple[Finding, ...]]()
+    for finding in findings:
+        with suppress(InputError):
+            together.append((finding, *_of_network(named(prepared, finding))))
+    return min(together, key=len, default=findings)
+
+
+def named(prepared: Prepared, finding: Finding) -> Prepared:
+    """Return the recording, prepared anew with a scene that has a finding's entries.
+
+    Raises InputError where the scene cannot have them.
+    """
+    recording = prepared.recording
+    return Prepared(replace(recording, scene=with_addition(recording.scene, finding.addition)))
 
 
 @ONE_BLAS_THREAD

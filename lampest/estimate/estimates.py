@@ -290,6 +290,16 @@ class Estimates:
         return np.array([step.solution.solved for step in self.steps])
 
     @property
+    def solve_time(self) -> Array:
+        """Wall times of the solves, (frames,) s."""
+        return np.array([step.seconds for step in self.steps])
+
+    @property
+    def reading_model(self) -> Array:
+        """Readings of the estimated cells, (frames, rows, columns) in the readout's unit."""
+        return np.stack([step.solution.reading[-1] for step in self.steps])
+
+    @property
     def cell_resistance(self) -> Array:
         """r, (frames, rows, columns) ohm; NaN at a crossing without a cell."""
         cells = np.stack([step.cell_resistance for step in self.steps])
@@ -372,11 +382,10 @@ class Estimates:
             [np.full(scene.panel.shape, np.nan) if frame is None else frame for frame in deviation]
         )
         if scene.readout is not None:
-            model = np.stack([step.solution.reading[-1] for step in self.steps])
             # σ² = σ² of the cells' errors + noise², with the noise of bounds and missing readings
             # at the model's reading
             at_model = self.noise.sigma_factor * scene.readout.sigma(
-                scene.circuit.to_recorded(model, scene)
+                scene.circuit.to_recorded(self.reading_model, scene)
             )
             noise = np.where(self.readings.plain, noise, at_model)
         return np.asarray(np.hypot(of_cells, noise))
@@ -487,8 +496,7 @@ class Estimates:
         """
         if self.sigma is None:
             return {}
-        model = np.stack([step.solution.reading[-1] for step in self.steps])
-        return frame_misfit(model, self.measured, self.sigma, self.resolution)
+        return frame_misfit(self.reading_model, self.measured, self.sigma, self.resolution)
 
     @cached_property
     def _bars(self) -> dict[str, Array] | None:

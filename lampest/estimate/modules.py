@@ -5,9 +5,9 @@ scene requests terms across the seams (`coupled`), the image is one problem whos
 diagonal over the modules.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ from lampest.solvers.solution import OPTIMA, Status
 # Statuses that count as estimates; the last is the weakest.
 WEAKEST_LAST = (*OPTIMA, Status.APPROXIMATE)
 Network = tuple[Estimator, Scene, Readings]
+MODULE = "module_{:04d}_"  # before the names of a module's arrays
 
 
 def begin_stream(estimator: Estimator, scene: Scene, period: float, resting: Readings) -> Stream:
@@ -209,10 +210,59 @@ class CoupledStream(Stream):
 
 @dataclass(frozen=True, eq=False)
 class ModulesStream(Stream):
-    """Stream of a panel of independent `modules`.
+    """Stream of a panel of independent modules.
+
+    Attributes
+    ----------
+    modules : tuple of Stream or None
+        Streams of the modules by number, None for a dead one.
 
     All other attributes are those of the whole image.
     """
+
+    joined: ClassVar[bool] = True
+    modules: tuple[Stream | None, ...] = ()
+
+    def restarted(self, first: Stream) -> "ModulesStream":
+        """Return the stream with the solvers' caches of `first`, as `Stream.restarted`."""
+        assert isinstance(first, ModulesStream)
+        modules = tuple(
+            None if module is None or start is None else module.restarted(start)
+            for module, start in zip(self.modules, first.modules, strict=True)
+        )
+        return replace(self, prepared=first.prepared, modules=modules)
+
+    @property
+    def carried(self) -> dict[str, Array]:
+        """Memory of each module, with its number before the names."""
+        return {
+            MODULE.format(number) + name: values
+            for number, module in enumerate(self.modules)
+            if module is not None
+            for name, values in module.carried.items()
+        }
+
+    def carrying(self, arrays: Mapping[str, Array]) -> "ModulesStream":
+        """Return the stream with the memory of each module, as `Stream.carrying`."""
+        modules = list[Stream | None]()
+        for number, module in enumerate(self.modules):
+            prefix = MODULE.format(number)
+            own = {
+                name.removeprefix(prefix): values
+                for name, values in arrays.items()
+                if name.startswith(prefix)
+            }
+            modules.append(None if module is None else module.carrying(own))
+        return replace(self, modules=tuple(modules), first=False)
+
+    @property
+    def is_independent(self) -> bool:
+        """Whether frames may be solved in blocks; modules are solved together instead."""
+        return False
+
+    def verified(self, readings: Readings, after: Stream, step: Step) -> tuple[Stream, Step]:
+        """Return the stream and the step unchanged: the steps of modules have no second solve."""
+        return after, step
 
     @ONE_BLAS_THREAD
     def tared(self, resting: Readings) -> "ModulesStream":

@@ -144,8 +144,8 @@ class MeasuredPart(Generic[Kind]):
         while len(steps) < count:
             for after, step in next_steps(stream, readings[len(steps) :]):
                 number = len(steps)
-                if verifies[number] and not stream.modules and step.solution.solved:
-                    after, step = method.verified(stream, readings[number], after, step)
+                if verifies[number] and step.solution.solved:
+                    after, step = stream.verified(readings[number], after, step)
                 stream = after
                 steps.append(step)
                 on_frame(len(steps), count, so_far)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -26,7 +26,6 @@ MIN_INCREASE = 1.1
 # Of a network: with more, inverse Hessians of a block cost more than they save
 # (docs/studies/speed.md).
 MAX_BLOCK_CELLS = 400
-MODULE = "module_{:04d}_"  # before the names of a module's arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +65,8 @@ class Stream(SequenceState):
         Change from rest of the frame that chose them.
     keeps_weights : bool
         Whether the present weights are kept even if a frame would choose others.
-    modules : tuple of Stream or None
-        Streams of the modules of a panel by number, None for a dead one; () for a single network.
+    joined : bool
+        Whether frames are those of several networks, each with a stream of its own.
 
     All other attributes are those of `SequenceState`.
     """
@@ -78,7 +77,7 @@ class Stream(SequenceState):
     prior_variance: tuple[float, ...] = ()
     weighed_at: float = 0.0
     keeps_weights: bool = False
-    modules: "tuple[Stream | None, ...]" = ()
+    joined: ClassVar[bool] = False
 
     def __repr__(self) -> str:
         """Return the object in one line, arrays by their shapes."""
@@ -171,11 +170,37 @@ class Stream(SequenceState):
 
         Results thus do not depend on earlier frames.
         """
-        modules = tuple(
-            None if module is None or start is None else module.restarted(start)
-            for module, start in zip(self.modules, first.modules, strict=True)
-        )
-        return replace(self, prepared=first.prepared, modules=modules)
+        return replace(self, prepared=first.prepared)
+
+    @property
+    def carried(self) -> dict[str, Array]:
+        """Memory that the frames of the next part of a long recording need, by name."""
+        arrays: dict[str, Any] = {"previous": self.previous}
+        if self.track is not None:
+            arrays |= {"deviation": self.track.deviation, "answers": self.track.answers}
+            if self.track.memory is not None:
+                arrays |= vars(self.track.memory)
+        present = {name: value for name, value in arrays.items() if value is not None}
+        return {name: np.atleast_1d(np.asarray(value, float)) for name, value in present.items()}
+
+    def carrying(self, arrays: Mapping[str, Array]) -> Self:
+        """Return the stream after the frames whose memory is given, from the one before them."""
+        track = self.track
+        if track is not None:
+            memory: Memory | None = None
+            if "blocks" in arrays:
+                memory = DenseMemory(arrays["blocks"])
+            elif "samples" in arrays:
+                from lampest.posterior.sampled import SampledMemory
+
+                memory = SampledMemory(arrays["samples"], int(arrays["frames"][0]))
+            track = replace(
+                track,
+                deviation=arrays.get("deviation"),
+                memory=memory,
+                answers=arrays.get("answers"),
+            )
+        return replace(self, previous=arrays.get("previous"), track=track, first=False)
 
     @ONE_BLAS_THREAD
     def push(self, readings: Readings) -> tuple["Stream", Step]:
@@ -214,6 +239,10 @@ class Stream(SequenceState):
             )
         return stream, step
 
+    def verified(self, readings: Readings, after: "Stream", step: Step) -> tuple["Stream", Step]:
+        """Compare the step of a solved frame with a second solve, see `Method.verified`."""
+        return self.estimator.method.verified(self, readings, after, step)
+
     @property
     def weighted(self) -> Estimator:
         """The estimator with the weights that the data chose, if there are any."""
@@ -236,7 +265,7 @@ class Stream(SequenceState):
     def is_independent(self) -> bool:
         """Whether estimates depend on no other measured frame, and cells are the only unknowns."""
         estimator = self.estimator
-        if self.modules or not self.rested or estimator.uses_previous or estimator.automatic:
+        if not self.rested or estimator.uses_previous or estimator.automatic:
             return False
         return estimator.problem(self.scene, 1, self.period).cells_alone
 
@@ -311,56 +340,8 @@ class CarriedOver:
     @classmethod
     def of(cls, stream: Stream) -> "CarriedOver":
         """Return the memory of a stream."""
-        arrays: dict[str, Any] = {"previous": stream.previous}
-        if stream.track is not None:
-            arrays |= {"deviation": stream.track.deviation, "answers": stream.track.answers}
-            if stream.track.memory is not None:
-                arrays |= vars(stream.track.memory)
-        if stream.modules:
-            arrays = {}
-            for number, module in enumerate(stream.modules):
-                if module is not None:
-                    prefix = MODULE.format(number)
-                    of_module = cls.of(module).arrays
-                    arrays |= {prefix + name: value for name, value in of_module.items()}
-        present = {name: value for name, value in arrays.items() if value is not None}
-        return cls(
-            {name: np.atleast_1d(np.asarray(value, float)) for name, value in present.items()}
-        )
+        return cls(stream.carried)
 
     def onto(self, begun: Stream) -> Stream:
         """Return the stream after those frames, given the stream with its baseline before them."""
-        if begun.modules:
-            modules = tuple(
-                None if module is None else self._of_module(number).onto(module)
-                for number, module in enumerate(begun.modules)
-            )
-            return replace(begun, modules=modules, first=False)
-        arrays = self.arrays
-        track = begun.track
-        if track is not None:
-            memory: Memory | None = None
-            if "blocks" in arrays:
-                memory = DenseMemory(arrays["blocks"])
-            elif "samples" in arrays:
-                from lampest.posterior.sampled import SampledMemory
-
-                memory = SampledMemory(arrays["samples"], int(arrays["frames"][0]))
-            track = replace(
-                track,
-                deviation=arrays.get("deviation"),
-                memory=memory,
-                answers=arrays.get("answers"),
-            )
-        return replace(begun, previous=arrays.get("previous"), track=track, first=False)
-
-    def _of_module(self, number: int) -> "CarriedOver":
-        """Return the memory of one module of a panel."""
-        prefix = MODULE.format(number)
-        return CarriedOver(
-            {
-                name.removeprefix(prefix): array
-                for name, array in self.arrays.items()
-                if name.startswith(prefix)
-            }
-        )
+        return begun.carrying(self.arrays)

@@ -8,7 +8,7 @@ import numpy as np
 from lampest.cost.problem import Evaluation
 from lampest.formulation.circuit import Circuit
 from lampest.formulation.patterns import Excitation
-from lampest.formulation.program import Program, value_of
+from lampest.formulation.program import Program, Rule, value_of
 from lampest.formulation.values import Values
 from lampest.panel.panel import Array
 
@@ -120,33 +120,26 @@ class Instance:
         unknowns = program.statement.unknowns
         constraints = program.statement.constraints
 
-        def start(at: Values) -> Array:
+        def column(rules: dict[str, Rule], at: Values) -> Array:
             return program.unknown.stacked(
-                {name: value_of(each.start, at) for name, each in unknowns.items()}
+                {name: value_of(rule, at) for name, rule in rules.items()}
             )
 
-        def parameter(at: Values) -> Array:
-            return program.parameter.stacked(at.parameters)
-
+        starts = {name: each.start for name, each in unknowns.items()}
         at = Values.of(circuits, excitation, blocks)
-        residuals = program.split_residuals(start(at), parameter(at))
+        parameter = program.parameter.stacked(at.parameters)
+        residuals = program.split_residuals(column(starts, at), parameter)
         apparent = list[Array]()
         if residuals:
-            of_apparent = at.with_cells(at.apparent)
-            apparent = program.split_residuals(start(of_apparent), parameter(at))
+            of_apparent = column(starts, at.with_cells(at.apparent))
+            apparent = program.split_residuals(of_apparent, parameter)
         at = at.with_split(residuals, apparent)
-        lower, upper = (
-            program.unknown.stacked(
-                {name: value_of(getattr(each, side), at) for name, each in unknowns.items()}
-            )
-            for side in ("lower", "upper")
-        )
         return cls(
             program,
-            start(at),
-            lower,
-            upper,
-            parameter(at),
+            start=column(starts, at),
+            lower=column({name: each.lower for name, each in unknowns.items()}, at),
+            upper=column({name: each.upper for name, each in unknowns.items()}, at),
+            parameter=program.parameter.stacked(at.parameters),
             equations=(
                 program.equation.stacked({name: each.lower for name, each in constraints.items()}),
                 program.equation.stacked({name: each.upper for name, each in constraints.items()}),

@@ -141,7 +141,7 @@ def pose(program: "Program") -> Statement:
     voltages follow the conductances, see `Program.hessian`.
     """
     networks = program.networks
-    lowered = program.lowered
+    losses = program.lowered
 
     def voltage(name: str) -> ProgramUnknown:
         symbol = casadi.vertcat(*(network.voltages[name] for network in networks))
@@ -159,7 +159,7 @@ def pose(program: "Program") -> Statement:
         **{name: voltage(name) for name in networks[0].voltages},
         # Parts p, q of residuals whose loss has no second derivative at zero
         "split": ProgramUnknown(
-            casadi.vertcat(EMPTY, *(side for part in lowered for side in part.split)),
+            casadi.vertcat(EMPTY, *(side for part in losses for side in part.split)),
             start=lambda at: at.split,
             lower=0.0,
         ),
@@ -170,12 +170,12 @@ def pose(program: "Program") -> Statement:
         "balance": Constraint(casadi.vertcat(*(network.balance for network in networks))),
         # p − q − x = 0
         "split": Constraint(
-            casadi.vertcat(EMPTY, *(part.equation for part in lowered if part.equation is not None))
+            casadi.vertcat(EMPTY, *(part.equation for part in losses if part.equation is not None))
         ),
         **program.own_constraints,
     }
     # φ = Σ_t w_t ρ_t(x_t(r, y)) + own costs, with y = h(V)
-    cost = sum((part.objective for part in lowered), casadi.SX(0)) + program.own_cost
+    cost = sum((part.objective for part in losses), casadi.SX(0)) + program.own_cost
     return Statement(unknowns, constraints, cost / program.cost_scale)
 
 

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from lampest.files.applications import applications
-from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
+from lampest.files.levels import MAD_TO_SIGMA, MIN_EVIDENCE_GAIN, SIGNIFICANT
+from lampest.inference.cells_fit import well_determined
 from lampest.inference.compared_frames import ComparedFrames, below_series, broken_law
 from lampest.inference.explanation import Explanation, better_rival
 from lampest.inference.fitted_pair import FittedPair
@@ -30,7 +31,8 @@ from lampest.recording.recording import (
     baseline_readings,
 )
 
-EXPLAINED = "the circuit explains its readings"
+EXPLAINED = "the circuit can give these readings"
+NO_LIKELIER = "no other known one is likelier"
 # Deviation of ln of a module's median reading at rest from the other modules: none of 1,640
 # simulated modules whose cells scatter by 0.2 exceeds it, and a reference that is off by 20 % does.
 MIN_AWAY = 0.15
@@ -65,8 +67,10 @@ class ModelCheck:
         Entries of a scene that state `better`; empty where none do.
     doubts : tuple of str
         Reasons why a circuit that explains the readings is not certain.
+    compared : bool
+        Whether the other known circuits were compared, and none is likelier.
 
-    >>> lampest.ModelCheck(True, "the circuit explains its readings").mark
+    >>> lampest.ModelCheck(True, "the circuit can give these readings").mark
     'yes'
     """
 
@@ -79,6 +83,7 @@ class ModelCheck:
     loaded_at_rest: bool = False
     doubts: tuple[str, ...] = ()
     addition: Mapping[str, Any] = field(default_factory=dict)
+    compared: bool = False
 
     @property
     def mark(self) -> str:
@@ -154,6 +159,7 @@ class Question(ComparedFrames):
             return self._check_without_cells()
         best = self._better(besides) if self._complete else BetterExplanation()
         explains = not self.fault and not best.name
+        compared = explains and not best.nearly and not self._uncompared
         check = ModelCheck(
             explains,
             self._verdict(best),
@@ -163,12 +169,13 @@ class Question(ComparedFrames):
             bool(best.name) and best is besides,
             besides.loaded_at_rest,
             addition=best.addition,
+            compared=compared,
         )
         doubts = []
         if noise > 1:
             doubts.append(f"the unloaded frames scatter by {noise:.2g} times the specified noise")
         if explains and best.nearly:
-            doubts.append(f"{best.nearly} explains them about as well, or better")
+            doubts.append(f"{best.nearly} gives them about as well, or better")
         return check.with_doubts(*doubts)
 
     def _check_without_cells(self) -> ModelCheck:
@@ -201,19 +208,35 @@ class Question(ComparedFrames):
 
     def _verdict(self, best: BetterExplanation) -> str:
         """Return the verdict in words: the fault, the best alternative, or neither."""
-        if not self._complete:
-            return (
-                f"{self.fault or EXPLAINED}; "
-                "other circuits were not tried, too many readings are missing or bounds"
-            )
         if self.fault:
+            if not self._complete:
+                return f"{self.fault}; other circuits were not compared: {self._uncompared}"
             alternative = "no other circuit that was tried gives them"
             if best.name:
                 alternative = f"{best.name} does"
             return f"{self.fault}; {alternative}"
         if best.name:
             return f"{best.name} explains the readings better: {best.reason}"
-        return EXPLAINED
+        if self._uncompared:
+            return f"{EXPLAINED}; other circuits were not compared: {self._uncompared}"
+        return EXPLAINED if best.nearly else f"{EXPLAINED}, and {NO_LIKELIER}"
+
+    @cached_property
+    def _uncompared(self) -> str:
+        """The reason why other circuits were not compared, in words; '' where they were."""
+        if not self._complete:
+            return "too many readings are missing or bounds"
+        if self.fault or self.explanation is None:
+            return ""
+        if not len(self.standing):
+            return "no frame is loaded"
+        pair = self.explanation.pair
+        if pair is None:
+            return "the panel is too large"
+        # none has to be tried where none can gain enough evidence
+        gains = pair.beyond_noise >= MIN_EVIDENCE_GAIN
+        badly = gains and not well_determined(self.explanation.fits)
+        return "cells are not determined well enough" if badly else ""
 
     def effects(self, kinds: Sequence[type[Effect]] = EFFECTS) -> CircuitEffects:
         """Return the effects beside the circuit.
@@ -288,6 +311,7 @@ def check_of_modules(
         loaded_at_rest=loaded,
         doubts=doubts,
         addition={} if better is None else better.addition,
+        compared=all(check.compared for check in agreeing.values()),
     )
 
 

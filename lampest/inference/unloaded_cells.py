@@ -70,7 +70,7 @@ def unloaded_costs(
     costs = np.zeros((1, len(SCATTERS)))
     few_errors = READING_ERRORS[1::4] if len(tried) > 1 else tried
     least = 0.0 if fit is None else fit.chi_square
-    channels = np.zeros((resting.value.size, 0))
+    channels: Array = np.zeros((resting.value.size, 0))
     if channels_ohm and fit is not None:
         spread = Systematic(channel_spread_ohm=channels_ohm)
         columns = error_columns((CHANNELS,), fit.network, resting.value, scene, spread)

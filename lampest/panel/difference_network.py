@@ -11,9 +11,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.kirchhoff import laplacian, line_sums
+from lampest.panel.kirchhoff import NormalByLines, laplacian, line_sums
 from lampest.panel.law import Entries, Law, Loading
-from lampest.panel.line_blocks import NormalByLines
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array
 from lampest.panel.readouts.ladder import Wire

@@ -15,9 +15,16 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.kirchhoff import bipartite, injected, inverse_of, line_sums
+from lampest.panel.kirchhoff import (
+    LineBlocks,
+    NormalByLines,
+    bipartite,
+    injected,
+    inverse_of,
+    line_sums,
+    square_by_lines,
+)
 from lampest.panel.law import TWO_POINT, Entries, Law, Loading, across, loading_of
-from lampest.panel.line_blocks import LineBlocks, NormalByLines, square_by_lines
 from lampest.panel.panel import Array
 
 Numbers = NDArray[np.intp]

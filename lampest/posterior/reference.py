@@ -30,6 +30,7 @@ from scipy.linalg import blas, block_diag
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
+from lampest.files.levels import MAD_TO_SIGMA, OUTLIER_THRESHOLD
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.posterior.interval import LEVEL
@@ -47,6 +48,8 @@ class ReferenceModel:
 
     Attributes
     ----------
+    first_variance : float
+        First τ² of the iteration, and the least one of steps that count as far beyond the others.
     degrees_of_freedom : float
         ν of Student's t: the smallest integer for which the variance is finite. With squared losses
         instead, four cells of five times the resistance on a 10 × 10 panel look like errors four
@@ -81,6 +84,7 @@ class ReferenceModel:
 
     degrees_of_freedom: float = 3.0
     prior_variance: float = 0.015
+    first_variance: float = 0.1
     scale_ratio: float = 2.0
     max_scales: int = 14
     min_relative_noise: float = 1e-4
@@ -345,7 +349,7 @@ class ReferenceFit:
     position: Array
     reading_weights: Array
     step_weights: Array
-    variance: float = 0.1
+    variance: float = MODEL.first_variance
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     change: Array = field(default_factory=lambda: np.zeros(0))
     bound: float = np.inf
@@ -373,6 +377,12 @@ class ReferenceFit:
             raise np.linalg.LinAlgError("no cells are neighbours")
         start = data.readout.start(data.measured[frame], data.upper[frame], None)
         position = np.log(np.clip(start, data.lower[frame], data.upper[frame])).ravel()
+        # Steps far beyond the usual ones count little from the first expectation on: it would take
+        # a single cell of many times the resistance for an error of its reading.
+        squares = (steps @ position[cells] - origin) ** 2
+        usual = max(float(np.median(squares)) * MAD_TO_SIGMA**2, MODEL.first_variance)
+        nu = MODEL.degrees_of_freedom
+        far = squares > OUTLIER_THRESHOLD**2 * usual
         return cls(
             data,
             frame,
@@ -381,7 +391,7 @@ class ReferenceFit:
             origin,
             position,
             np.ones(panel.crossings),
-            np.ones(len(steps)),
+            np.where(far, (nu + 1) / (nu + squares / usual), 1.0),
         )
 
     @cached_property

@@ -206,16 +206,6 @@ class Reconstruction(Estimates):
         """
         return self.result(columns=columns).to_dataframe(columns)
 
-    @property
-    def reading_model(self) -> Array:
-        """Readings of the estimated cells, (frames, rows, columns) in the readout's unit."""
-        return np.stack([step.solution.reading[-1] for step in self.steps])
-
-    @property
-    def solve_time(self) -> Array:
-        """Wall times of the solves, (frames,) s."""
-        return np.array([step.seconds for step in self.steps])
-
     def plot(
         self,
         kind: "str | Plot" = "contours",

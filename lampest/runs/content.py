@@ -14,7 +14,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lampest.files.levels import Witness
 from lampest.files.typed import Validated
@@ -40,7 +40,6 @@ from lampest.runs.columns import (
 
 if TYPE_CHECKING:  # readers of results need not load the solvers
     from lampest.estimate.estimates import Estimates
-    from lampest.estimate.state import Step
     from lampest.inference.model_check import ModelCheck
 
 
@@ -64,7 +63,6 @@ _maps = partial(_declared, MAPS)
 _frames = partial(_declared, FRAMES)
 _cells = partial(_declared, CELLS, "ohm")
 _counts = partial(_frames, "1", dtype=np.int64)
-_given = partial(_cells, shared=True)
 
 
 def _flag(words: str, unset: str, then: str, **more: Any) -> Any:
@@ -94,14 +92,9 @@ def _attribute(name: str, source: str = "", default: Any = "", value: Any = None
     )
 
 
-def of_steps(value: Callable[[Step], ArrayLike]) -> Callable[[Estimates], Array]:
-    """Return a function that stacks values of all steps, shape (frames, ...)."""
-    return lambda done: np.stack([np.asarray(value(step)) for step in done.steps])
-
-
 def _of_solutions(name: str) -> Callable[[Estimates], Array]:
     """Return a function that stacks an attribute of all solutions, shape (frames,)."""
-    return of_steps(lambda step: getattr(step.solution, name))
+    return lambda done: np.array([getattr(step.solution, name) for step in done.steps])
 
 
 def _of_witness(name: str, absent: float) -> Callable[[Estimates], Array | None]:
@@ -348,7 +341,6 @@ class Content(Validated):
         "reading of the estimated cells",
         numbers_if_solved,
         not_negative,
-        value=of_steps(lambda step: step.solution.reading[-1]),
         dataset="two_point_model",
         as_volt="reading_model",
     )
@@ -373,7 +365,7 @@ class Content(Validated):
         "1",
         "solver that gave the estimate; empty where none did",
         dtype=str,
-        value=lambda done: tuple(step.solution.solver for step in done.steps),
+        value=_of_solutions("solver"),
         default=None,
     )
     verified: NDArray[np.uint8] | None = _frames(
@@ -407,9 +399,7 @@ class Content(Validated):
         value=_of_solutions("starts"),
         default=None,
     )
-    solve_time: Array = _frames(
-        "s", "wall time of the solve", value=of_steps(lambda step: step.seconds)
-    )
+    solve_time: Array = _frames("s", "wall time of the solve")
     objective: Array = _frames("1", "value of the cost function", value=_of_solutions("objective"))
     kkt_residual: Array = _frames(
         "1", "violation of the optimality conditions", value=_of_solutions("kkt_residual")

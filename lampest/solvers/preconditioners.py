@@ -17,8 +17,7 @@ from scipy import sparse
 from scipy.linalg import lapack
 from scipy.sparse.linalg import splu
 
-from lampest.panel.kirchhoff import line_sums
-from lampest.panel.line_blocks import LineBlocks
+from lampest.panel.kirchhoff import LineBlocks, line_sums
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, restricted
 from lampest.solvers.hessian import Hessian

@@ -21,7 +21,7 @@ from lampest.apps.recognition import candidates
 from lampest.files.typed import members_of
 from lampest.panel import effects, systematic
 from lampest.panel.conditions import water_pressure
-from lampest.panel.line_blocks import NormalByLines, Stencil
+from lampest.panel.kirchhoff import NormalByLines, Stencil
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts import AnyReadout, readout, wired_network
 from lampest.panel.response import BentSuction, ratio_from_pressure

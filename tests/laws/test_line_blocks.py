@@ -14,8 +14,7 @@ from lampest import (
     reconstruct,
     two_point_resistance,
 )
-from lampest.panel.kirchhoff import laplacian, log_determinant
-from lampest.panel.line_blocks import LineBlocks
+from lampest.panel.kirchhoff import LineBlocks, laplacian, log_determinant
 
 SHAPES = (1, 30), (30, 1), (4, 20), (20, 4), (6, 6)
 NARROW = 1, 420  # beyond the cells up to which whole matrices are used

@@ -34,7 +34,7 @@ from lampest.cost.terms import (
     Term,
 )
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.line_blocks import Stencil
+from lampest.panel.kirchhoff import Stencil
 from lampest.panel.readouts import TwoPointReadout, floating
 from lampest.solvers import hessian, interior_point, projected_newton
 from lampest.solvers.interior_point import METHOD, Barrier, central_path

@@ -95,6 +95,23 @@ def test_laws_of_a_circuit_hold_only_for_its_own_readings(circuit: Readout) -> N
         assert broken.excess[0] > FAR_BEYOND
 
 
+def test_a_verdict_says_whether_other_circuits_were_compared() -> None:
+    """Yes: this circuit can give the readings, and no other known one is likelier."""
+    rng = np.random.default_rng(3)
+    cells = np.repeat(3000 * np.exp(0.1 * rng.standard_normal((1, 6, 6))), 8, axis=0)
+    cells[5:, 2:4, 2:4] *= 0.4
+    exact = lampest.two_point_resistance(cells)
+    scene = Scene(Panel(6, 6), TwoPointReadout(readings=20, noise_lsb=0.7))
+    lsb = scene.readout.lsb_volt
+    volt = scene.readout.volt_from_recorded(exact) + 0.16 * lsb * rng.standard_normal(exact.shape)
+    recording = recording_of(scene, scene.readout.recorded_from_volt(volt), unloaded=5)
+    check = Prepared(recording).check
+    assert check.mark == "yes" and check.compared
+    unloaded = recording_of(scene, recording.recorded[:5], unloaded=5)
+    alone = Prepared(unloaded).check
+    assert alone.explains and not alone.compared
+
+
 # 90079: cells that 8 bits leave uncertain; 90220: cells at their bounds.
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [*range(6), 90079, 90220])

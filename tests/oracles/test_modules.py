@@ -201,19 +201,20 @@ def test_a_sequence_resumes_from_its_saved_arrays(panel: str) -> None:
     ]
     assert not restored.first and shapes[0] == shapes[1]
     assert all(
-        part is None or part.prepared is None for part in (restarted.modules or (restarted,))
+        part is None or part.prepared is None
+        for part in (restarted.modules if restarted.joined else (restarted,))
     )
     (_, expected), (_, step) = (each.push(readings[third]) for each in (restarted, restored))
     assert_allclose(step.cell_resistance, expected.cell_resistance, rtol=1e-12)
     assert_allclose(step.bars.change.deviation, expected.bars.change.deviation, rtol=1e-10)
-    part = stream.modules[0] if stream.modules else stream
+    part = stream.modules[0] if stream.joined else stream
     pairs = np.random.default_rng(1).standard_normal((2, 2, 4, 5))
     track = replace(part.track, memory=SampledMemory(pairs[0], 3), answers=pairs[1])
     tracked = replace(part, track=track)
     track = CarriedOver.of(
-        replace(stream, modules=(tracked, *stream.modules[1:])) if stream.modules else tracked
+        replace(stream, modules=(tracked, *stream.modules[1:])) if stream.joined else tracked
     ).onto(stream)
-    track = (track.modules[0] if stream.modules else track).track
+    track = (track.modules[0] if stream.joined else track).track
     assert isinstance(track.memory, SampledMemory) and track.memory.frames == 3
     assert_allclose([track.memory.samples, track.answers], pairs)
 

@@ -6,6 +6,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ import pytest
 from promises import promise
 
 import lampest
-from docs.studies.effects import figures
+from docs.studies.effects import Row, figures
+from docs.studies.effects import recording as channels_recording
 from docs.studies.motion import Motion
 from docs.studies.motion import recording as moving_load
 from lampest import (
@@ -27,6 +29,7 @@ from lampest import (
     TwoPointReadout,
 )
 from lampest.audit import advice, effects
+from lampest.audit.finding import Finding
 from lampest.inference import model_check, resolve
 from lampest.inference import warnings as objections
 from lampest.inference.effects import (
@@ -37,6 +40,7 @@ from lampest.inference.effects import (
     motion,
     static_errors,
 )
+from lampest.inference.explanation import DOUBTFUL_GAIN
 from lampest.inference.prepared import Prepared
 from tests.estimates import recording_of
 
@@ -262,6 +266,41 @@ def test_an_error_that_the_scene_states_is_no_doubt_of_its_circuit() -> None:
     stated = with_errors(0.05, systematic=Systematic(reading_error=0.05))
     assert "only with errors" not in advice.Audit(Prepared(stated)).verdict.sentence
     assert Prepared(stated).check.explains
+
+
+def test_channels_that_differ_are_advised_and_not_as_errors_of_each_reading() -> None:
+    differing = channels_recording(100, "mouth", Row(channel_ohm=10.0), {})
+    lines = [finding.line for finding in effects.unnamed_effects(Prepared(differing))]
+    assert lines == ["systematic: {channel_spread_ohm: estimated}"]
+    explanation = Prepared(channels_recording(100, "mouth", Row(), {})).question.explanation
+    assert explanation is not None and explanation.pair is not None
+    assert explanation.pair.spread_of_channels()[1] < DOUBTFUL_GAIN, "equal channels"
+
+
+def test_an_effect_that_gains_only_alone_is_not_advised(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Named, motion leaves nothing, and errors of readings leave motion; a gain is beside both."""
+    motion_found, error, gain_found = (
+        Finding("effects", name, "", {name: "estimated"}) for name in ("motion", "error", "gain")
+    )
+    shown = {
+        (): (gain_found, error, motion_found),
+        ("gain",): (error, motion_found),
+        ("error",): (gain_found, motion_found),
+        ("motion",): (gain_found,),
+        ("error", "gain"): (motion_found,),
+    }
+
+    class Fake:
+        layout = None
+        cleaned = SimpleNamespace(readings=SimpleNamespace(sigma=1.0), recording=None)
+
+        def __init__(self, *names: str) -> None:
+            self.names = tuple(sorted(names))
+
+    monkeypatch.setattr(effects, "Gathered", lambda _, prepared: prepared)
+    monkeypatch.setattr(effects, "searched", lambda fake: shown.get(fake.names, ()))
+    monkeypatch.setattr(effects, "named", lambda fake, finding: Fake(*fake.names, finding.what))
+    assert effects.unnamed_effects(Fake()) == (gain_found, motion_found)
 
 
 def test_errors_beyond_those_of_parts_are_another_circuit() -> None:

@@ -44,6 +44,7 @@ MAX_ERROR = 0.3  # rms of log r; measured at most 0.26, and of plain least squar
 MAX_CLEAN_ERROR = 0.07  # the same without a static error; limit: twice the value measured
 MAX_FACTOR = 60  # of the noise; STATIC/NOISE is 23, measured 26
 MIN_RATIO = 10  # of a reading's σ over its noise; measured 30
+MAX_OPEN_NOISE = 3.0  # of the noise; measured 1.2, and 10 as an error of the reading
 MIN_COVERAGE = 0.9  # of 95 % intervals, over frames whose readings share their errors
 # readings, and the share that may lie within; measured 0.93
 MIN_WITHHELD = 300
@@ -123,6 +124,16 @@ def test_cells_and_the_error_scale_are_recovered_from_readings_with_7_percent_er
     )
     z = np.log(estimate.cells[0] / truth).ravel() / np.sqrt(np.diag(estimate.covariance))
     assert abs(rms(z) - 1) < RMS_ERROR
+
+
+@pytest.mark.parametrize("factor", [8.0, 15.0])
+def test_a_single_open_cell_is_no_error_of_its_reading(factor: float) -> None:
+    """Its weight was chosen for a reading that is ten times as noisy, ten times too large."""
+    truth = smooth(6)
+    truth[2, 3] *= factor
+    data, cost = problem_of(truth, 1)
+    _, (estimate,) = references([data], cost, believed=True)
+    assert np.max(estimate.deviation / data.deviation) < MAX_OPEN_NOISE
 
 
 @pytest.mark.parametrize("factor", [0.15, 0.5, 5.0])

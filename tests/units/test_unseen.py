@@ -31,7 +31,7 @@ INPUTS = DrivenReadout(
     drive_ohm=45.0, idle_ohm=45.0, load_ohm=inf, supply_volt=3.3, adc_bits=16, readings=1
 )
 SHAPE = (5, 6)
-EXPLAINED = ModelCheck(explains=True, sentence="the circuit explains its readings")
+EXPLAINED = ModelCheck(explains=True, sentence="the circuit can give these readings")
 
 
 def cells() -> lampest.Array:

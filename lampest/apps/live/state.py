@@ -155,7 +155,7 @@ class PanelState:
             begin_stream(estimator, scene, period, resting),
             PressureTrack.begin(scene, tare=estimator.tare),
         )
-        return start.in_haste() if hasty and not start.stream.modules else start
+        return start.in_haste() if hasty and not start.stream.joined else start
 
     def in_haste(self) -> "PanelState":
         """Return a state that solves frames as fast as possible.
@@ -264,7 +264,7 @@ def solved_scan(
             *(as_recorded(frame.shown, scene) for frame in (readings, stream.resting))
         )
         picture = replace(picture, measured_change=change)
-        if not stream.modules:
+        if not stream.joined:
             state = replace(state, previous=before.after(readings))
             readings, outliers = before.without_outliers(
                 readings, scene, stream.resting, stream.baseline_resistance

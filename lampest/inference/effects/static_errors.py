@@ -23,6 +23,7 @@ from lampest.files.levels import SIGNIFICANCE
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
+from lampest.inference.explanation import DOUBTFUL_GAIN
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides
 from lampest.inference.number import Number, summed_out
@@ -408,7 +409,10 @@ class StaticErrors(SceneEffect):
         return noise
 
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
-        """Yield advice on errors of each reading that stay the same in all frames."""
+        """Yield advice on channels, or on errors of each reading that stay the same."""
+        yield from (channels := tuple(self._channels(evidence)))
+        if channels:  # they make cells rougher, too, while errors of each reading show no channels
+            return
         scene = evidence.scene
         noise = evidence.noise
         unloaded = evidence.unloaded
@@ -438,3 +442,13 @@ class StaticErrors(SceneEffect):
                 "the same in all frames: cells are rougher than those of films",
                 "systematic.reading_error",
             )
+
+    def _channels(self, evidence: Gathered) -> Iterator[Unnamed]:
+        """Yield advice on channels of the lines that differ."""
+        explanation = evidence.prepared.question.explanation
+        key = f"systematic.{CHANNELS.setting}"
+        if explanation is None or explanation.pair is None or not evidence.names_none(key):
+            return
+        spread, gain = explanation.pair.spread_of_channels()
+        if gain > DOUBTFUL_GAIN:
+            yield Unnamed.of(f"channels of the lines seem to differ by {spread:.1g} ohm", key)

@@ -14,8 +14,7 @@ import scipy
 from numpy.typing import NDArray
 
 from lampest.files.typed import typed
-from lampest.panel.kirchhoff import line_sums, log_determinant
-from lampest.panel.line_blocks import Stencil
+from lampest.panel.kirchhoff import Stencil, line_sums, log_determinant
 from lampest.panel.network import Numbers, SolvedNetwork
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, backtracked, steihaug

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.joined_network import JoinedNetwork
-from lampest.panel.law import EquationLaw, Law
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.divider import Divider
@@ -98,10 +97,6 @@ class ParallelDividers(Divider):
         return self._total(driven_of(self).reading(row, column, mutual)) - self._channels(
             mutual.shape
         )
-
-    @property
-    def law(self) -> Law:
-        return EquationLaw(self)
 
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
         """Return the solved network for ties (addresses, lines)."""
