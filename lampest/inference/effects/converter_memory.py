@@ -91,7 +91,9 @@ def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
         return 0.0
     if not may_gain_by_memory(without, frames):
         return 0.0
-    best = min(_explanations(frames, np.array(TRIED), without), key=_cost)
+    # Only where noise does not give the misfit without a memory, it counts with one
+    patient = not all(fit.within_noise for fit in without.fits)
+    best = min(_explanations(frames, np.array(TRIED), without, patient=patient), key=_cost)
     if best is None or best.pair is None:
         return 0.0
     shown = without.pair.gain_apart(best.pair) > PARAMETER_COST * best.pair.excess
@@ -99,17 +101,22 @@ def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
 
 
 def _explanations(
-    frames: ComparedFrames, shares: Array, near: Explanation | None = None
+    frames: ComparedFrames,
+    shares: Array,
+    near: Explanation | None = None,
+    *,
+    patient: bool = True,
 ) -> list[Explanation | None]:
     """Return the explanations of frames with each share; None without a fit.
 
-    Each fit begins at the cells of the share before, the first at those of `near`.
+    Each fit begins at the cells of the share before, the first at those of `near`; `patient` as in
+    `fits_of`.
     """
     explanations = list[Explanation | None]()
     with np.errstate(all="ignore"):
         for share in shares.tolist():
             rival = frames.specified.with_memory(share)
-            explanation = Explanation.of(rival, frames, near, patient=True)
+            explanation = Explanation.of(rival, frames, near, patient=patient)
             near = explanation or near
             # Channels and moved cells are of this share, not of the one before.
             explanations.append(explanation and explanation.final)
