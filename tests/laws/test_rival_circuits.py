@@ -21,6 +21,8 @@ from lampest.solvers.posed import cost_of_solve
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
+pytestmark = pytest.mark.long  # fits of rivals: seconds each
+
 CIRCUITS = (
     lampest.TwoPointReadout(),
     LoadedColumnsReadout(load_ohm=3300.0, drive_ohm=100.0),
