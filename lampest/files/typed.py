@@ -145,10 +145,14 @@ def _arguments(
     owner: Any, name: str, args: Sequence[Any], kwargs: dict[str, Any]
 ) -> dict[str, Any]:
     """Return validated arguments by parameter."""
-    try:
-        arguments = _signature(owner).bind(*args, **kwargs).arguments
-    except TypeError as error:
-        raise InputError(f"{name}: {error}") from error
+    signature = _signature(owner)
+    arguments: Mapping[str, Any] = kwargs
+    # `dataclasses.replace` names all of them
+    if args or kwargs.keys() != signature.parameters.keys():
+        try:
+            arguments = signature.bind(*args, **kwargs).arguments
+        except TypeError as error:
+            raise InputError(f"{name}: {error}") from error
     checks = _checks(owner)
     return {
         word: checks[word](value, f"{name}: {word}") if word in checks else value

@@ -41,17 +41,19 @@ SMALL_CHI_SQUARE = 3.0
 FIT = LevenbergMarquardt(
     evaluations=16, settled=EXACT_CHI_SQUARE / 2, share=0.1, damping=0.0, longest=1.5
 )
-# Patient fits with cells at the boundary r = 0 or r = ∞ take 2 to 30 further iterations.
+# Fits with cells at the boundary r = 0 or r = ∞ take 2 to 30 further iterations.
 LONG_FIT = replace(FIT, evaluations=40, share=0.0)
-# Fits of rivals take some 20 iterations of the solver of the estimates, where circuits that cannot
-# explain the readings take hundreds.
+# Fits of rivals on panels of more than MAX_CELLS take some 20 iterations of the solver of the
+# estimates, where circuits that cannot explain the readings take hundreds.
 BRIEF = Settings(max_iterations=25)
 # Factor on the lower bound that estimates have: a short behind a drive resistor of a kilo-ohm is
 # smaller than that.
 MIN_CELL_FACTOR = 1e-3
-# χ² for each reading that noise never reaches: a circuit is given up above it. Without it checks
-# take four times as long.
+# χ² for each reading that noise never reaches: on panels of more than MAX_CELLS a circuit is given
+# up above it. Without it checks take four times as long.
 MAX_CHI_SQUARE = 10.0
+# Factor by which further iterations lower χ² of a fit at most, where they reach noise.
+MAX_LOWERED = 4.0
 CELL_PRECISION = UNKNOWN_SD**-2  # prior precision of log r of a cell that no reading determines
 # Median standard deviation of the log cells beyond which linear theory does not hold: 8 bits and
 # one reading on 12 x 8 cells leave 1.4, and distinguishable circuits at most 0.2
@@ -171,6 +173,13 @@ class CellsFit(SumOfSquares):
         # χ² of at least one degree of freedom exceeds 1 in a third of all cases.
         return self.chi_square <= 1 or self.tail >= SIGNIFICANCE
 
+    @property
+    def hopeless(self) -> bool:
+        """Whether no minimum that further iterations reach from these cells is within noise."""
+        if not self.jacobian.size:
+            return self.chi_square > MAX_CHI_SQUARE * self.residual.size
+        return bool(chi_square_tail(self.chi_square / MAX_LOWERED, self.degrees) < SIGNIFICANCE)
+
     @cached_property
     def covariance(self) -> Array:
         """Covariance of the log cells, (cells, cells)."""
@@ -244,8 +253,8 @@ def fitted(
     near : array, shape (rows, columns), optional
         Cells in ohm to begin at; by default the readout's start.
     patient : bool
-        Whether every start is tried, and any misfit accepted. Otherwise few iterations are allowed,
-        and a fit far from noise is given up.
+        Whether every start is tried, and any misfit accepted. Otherwise a fit beyond noise is given
+        up.
     effects : sequence of Effect
         Effects in the network in addition to its circuit. With effects the fit that the first loop
         reaches is returned.
@@ -259,13 +268,15 @@ def fitted(
             return fit
         if not patient and fit.chi_square <= SMALL_CHI_SQUARE:
             return fit
-        if not patient and fit.chi_square > MAX_CHI_SQUARE * readings.value.size:
+        if not patient and fit.hopeless:
             return None
         # Elsewhere cells stand at the boundary r = 0 or r = ∞, which takes more iterations.
-        if patient and fit.jacobian.size:
+        if fit.jacobian.size:
             fit = _levenberg_marquardt_fit(scene, data, readings, fit.cells, loop=LONG_FIT)
             if fit.within_noise:
                 return fit
+            if not patient:
+                return None
         # A minimum that noise does not give may not be the lowest: other starts are tried.
         from lampest.solvers.projected_newton import ProjectedNewton
 

@@ -46,6 +46,7 @@ USUAL_MEMORY = MEMORIES[2]
 # MEMORIES, are no finding.
 MIN_MEMORY = MEMORIES[0] / 2 * 1.1
 MAX_MEMORY = MEMORIES[-1] * 1.9
+MIN_LINEAR_SHARE = 0.5  # of the gain by a memory that linear theory gives at least
 MEMORY_ACCURACY = 0.03  # of the search about the best one, as a share of it
 SERIES_ACCURACY = 0.05  # of that search, as a share of their distance
 SAME_SCORE = 1e-3  # scores that differ by less are rounding's
@@ -300,14 +301,20 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
         )
         if not broken_law(_without_series(rival), frames)
     ]
-    explanations = []
+    explanations: list[Explanation | None] = []
+    failed: list[tuple[Rival, tuple[CellsFit, ...]]] = []
     for rival in rivals:
         lawful = rival.ohm == 0 or not broken_law(rival, frames)
         fits = _rival_fits(rival, frames, specified=specified) if lawful else ()
         explanation = Explanation.by(fits, rival, frames, specified=specified)
         if explanation is None:
-            explanation = some_in_series(rival, frames, fits=fits, specified=specified)
+            failed.append((rival, fits))
         explanations.append(explanation)
+    # A search for a resistance in series costs several fits: last, so that it ends where it cannot
+    # reach the best ones.
+    for rival, fits in failed:
+        to_beat = min(limit, _score_to_beat(explanations))
+        explanations.append(some_in_series(rival, frames, to_beat, fits=fits, specified=specified))
     if specified is None:
         explanations.append(some_in_series(frames.specified, frames))
         down = rounded_down(frames.specified)
@@ -319,6 +326,12 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
     ]
     best = sorted(better, key=attrgetter("score"))[:MAX_CANDIDATES]
     return [explanation.final for explanation in best]
+
+
+def _score_to_beat(explanations: Sequence[Explanation | None]) -> float:
+    """Return the score of the last of MAX_CANDIDATES explanations; infinite with fewer."""
+    scores = sorted(explanation.score for explanation in explanations if explanation is not None)
+    return scores[MAX_CANDIDATES - 1] if len(scores) >= MAX_CANDIDATES else np.inf
 
 
 def _without_twins(candidates: Sequence[Explanation]) -> list[Explanation]:
@@ -426,7 +439,7 @@ def _compared(
     if specified.pair is None or gain <= DOUBTFUL_GAIN or not best.pair.moved.any():
         return BetterExplanation()
     insignificant = gain <= MIN_EVIDENCE_GAIN
-    if insignificant or specified.pair.gain_apart(best.pair) <= PARAMETER_COST:
+    if insignificant or specified.pair.gain_apart(best.pair) <= DOUBTFUL_GAIN:
         # A resistance in series follows hidden errors of the circuit, a memory the edge of a load:
         # alone, neither is a doubt.
         as_specified = best.rival.scene.converter_memory == frames.specified.scene.converter_memory
@@ -446,7 +459,7 @@ def _compared(
 def some_in_series(
     rival: Rival,
     frames: ComparedFrames,
-    near: Explanation | None = None,
+    to_beat: float = np.inf,
     *,
     fits: tuple[CellsFit, ...] = (),
     specified: Explanation | None = None,
@@ -459,17 +472,19 @@ def some_in_series(
     Parameters
     ----------
     rival : Rival
+        A circuit that does not explain the frames with its given resistance.
     frames : ComparedFrames
-    near : Explanation or None
-        Explanation with the given resistance.
+    to_beat : float
+        Score above which an explanation does not count. The search ends where linear theory gives
+        no resistance a score that exceeds it by less than FAR.
     fits : tuple of CellsFit
         Fits with the given resistance where they explain only the unloaded panel.
     specified : Explanation or None
         See `Explanation.by`.
     """
     most = most_in_series(rival, frames)
-    best = None
-    begin = fits if near is None else near.fits
+    best = near = None
+    begin = fits
     for ohm in np.linspace(0.0, most, SERIES_POINTS) if most else ():
         if ohm == rival.ohm:
             continue
@@ -484,6 +499,38 @@ def some_in_series(
         near = explanation
         if best is None or explanation.score < best.score:
             best = explanation
+        if explanation.score > to_beat + FAR:
+            gain = _linear_gain(explanation, _response_to_series(explanation, most))
+            if explanation.score - gain > to_beat + FAR:
+                break
+    return best
+
+
+def _best_beside(explanation: Explanation, frames: ComparedFrames, most: float) -> Explanation:
+    """Return the best explanation with one of SERIES_POINTS resistances, or with the given one.
+
+    The resistances next to the given one come first. Smaller and larger ones follow while they are
+    no worse than the best by more than DOUBTFUL_GAIN: the score has one minimum.
+
+    Parameters
+    ----------
+    explanation : Explanation
+    frames : ComparedFrames
+    most : float
+        The largest resistance, ohm.
+    """
+    rival = explanation.rival
+    ohms = np.linspace(0.0, most, SERIES_POINTS)
+    best = explanation
+    for outwards in (ohms[ohms < rival.ohm][::-1], ohms[ohms > rival.ohm]):
+        near = explanation
+        for ohm in outwards:
+            tried = replace(rival.with_series(ohm), at_limit=ohm in (0.0, most))
+            further = None if broken_law(tried, frames) else Explanation.of(tried, frames, near)
+            if further is None or further.score > best.score + DOUBTFUL_GAIN:
+                break
+            near = further
+            best = min(best, further, key=attrgetter("score"))
     return best
 
 
@@ -532,10 +579,11 @@ def with_series(explanation: Explanation, frames: ComparedFrames) -> Explanation
     spacing = most / (SERIES_POINTS - 1)
     best = explanation
     if rival.in_series is None:
-        coarse = some_in_series(rival, frames, near=explanation)
-        best = min(filter(None, (explanation, coarse)), key=attrgetter("score"))
-        if best is explanation and not _may_gain(best, _response_to_series(best, spacing)):
-            return explanation
+        best = _best_beside(explanation, frames, most)
+        if best is explanation:
+            gain = _linear_gain(best, _response_to_series(best, spacing))
+            if gain <= PARAMETER_COST:
+                return explanation
     search = _ParameterSearch(
         lambda ohm: replace(rival.with_series(ohm), at_limit=False), frames, best
     )
@@ -569,12 +617,16 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
 
 
 def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool:
-    """Return whether a memory of the converter may gain more than its cost, by linear theory."""
-    return _may_gain(explanation, _response_to_memory(explanation, frames))
+    """Return whether linear theory allows a memory of the converter a gain that is significant.
+
+    A smaller gain is no doubt.
+    """
+    gain = _linear_gain(explanation, _response_to_memory(explanation, frames))
+    return gain > MIN_LINEAR_SHARE * MIN_EVIDENCE_GAIN
 
 
-def _may_gain(explanation: Explanation, response: Array | None) -> bool:
-    """Return whether a parameter may gain more than its cost, by linear theory; True if unknown.
+def _linear_gain(explanation: Explanation, response: Array | None) -> float:
+    """Return the gain of a parameter in score by linear theory; infinite where it is unknown.
 
     Parameters
     ----------
@@ -583,9 +635,9 @@ def _may_gain(explanation: Explanation, response: Array | None) -> bool:
         Change of d by one standard deviation of the parameter.
     """
     if explanation.pair is None or response is None:
-        return True
+        return np.inf
     pair = explanation.pair
-    return pair.explained(response[:, None]).score < pair.evidence.score - PARAMETER_COST
+    return pair.evidence.score - pair.explained(response[:, None]).score
 
 
 def _response_to_series(explanation: Explanation, ohm: float) -> Array | None:

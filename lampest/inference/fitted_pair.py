@@ -355,13 +355,18 @@ class FittedPair:
             else replace(self, frames=(resting, loaded_fit), known_channels=self.channels)
         )
 
-    def settled(self, effects: Sequence[Effect], *, constant: bool = True) -> "FittedPair | None":
+    def settled(
+        self, effects: Sequence[Effect], to_beat: float = np.inf, *, constant: bool = True
+    ) -> "FittedPair | None":
         """Return the pair with the most probable sizes of these effects; None where no cells fit.
 
         Parameters
         ----------
         effects : sequence of Effect
             Effects of the pair, then further ones of size 0.
+        to_beat : float
+            Score above which a pair does not count. The result is None where the sizes move away
+            from a lower one, by linear theory at each of them.
         constant : bool
             Whether the sizes of effects that the unloaded frames have, too, may change.
         """
@@ -371,7 +376,7 @@ class FittedPair:
             free = np.array([constant or effect.since for effect in effects])
             step = np.where(free, evidence.size[1:], 0.0)
             sd = evidence.sd[1:]
-            if not np.isfinite(step).all():
+            if not np.isfinite(step).all() or evidence.score > to_beat:
                 return None
             # Gauss-Newton step of θ, of at most one prior deviation; halved until cells explain
             # both frames.

@@ -201,7 +201,7 @@ def _with_one_more_effect(pair: FittedPair, kinds: Sequence[type[Effect]]) -> It
     for number in np.argsort(scores)[:MAX_CANDIDATES]:
         if scores[number] > pair.evidence.score - PARAMETER_COST:
             return
-        settled = pair.settled((*pair.effects, effects[number]))
+        settled = pair.settled((*pair.effects, effects[number]), pair.evidence.score)
         if settled is not None:
             yield settled
 

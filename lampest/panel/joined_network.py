@@ -85,7 +85,7 @@ class JoinedNetwork(Network):
         its leading axis.
         """
         numbers = _numbers_in_modules(layout)
-        cells = (numbers,) if len(networks) == 1 and layout.count > 1 else tuple(numbers)
+        cells = (numbers,) if networks[0].cell_resistance.ndim > 2 else tuple(numbers)
         pairs = zip(networks, cells, strict=True)
         return cls(cell_resistance, tuple(NetworkPart(network, own) for network, own in pairs))
 

@@ -485,7 +485,10 @@ def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = N
     if np.all(whole):
         return value
     known = ((whole if seen is None else seen) > 0) & (side == Sidedness.VALUE)
-    return np.where(whole > 0, value, stand_in(value, known))
+    predicted = value.copy()
+    with_holes = ~np.all(whole > 0, axis=(-2, -1))
+    predicted[with_holes] = stand_in(value[with_holes], known[with_holes])
+    return np.where(whole > 0, value, predicted)
 
 
 def _filled(values: Array, seen: Array) -> Array:

@@ -20,12 +20,14 @@ TOLERANT = {
     for name, places in rows.items()
 }
 LONG_ROWS = {  # rows of 0.8 s or more
+    "estimate estimate smoother at bounds",
     "estimate moved resistors",
     "report live smoother",
     "report pictures of files",
     "report pictures of variants",
     "runs damaged files",
     "runs refused commands",
+    "solvers minima",
     "studies tradeoff",
     "whole weights figure",
 }

@@ -3,6 +3,7 @@
 A network of resistors is passive and reciprocal, and its lines have no order.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -19,8 +20,13 @@ from lampest import (
     VirtualGroundReadout,
     two_point_resistance,
 )
-from lampest.panel.network import SolvedNetwork
+from lampest.panel.joined_network import JoinedNetwork
+from lampest.panel.network import Network, SolvedNetwork
+from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts.floating import grounding
+from lampest.panel.readouts.two_point import ModulesReadout
+from lampest.panel.readouts.wired_network import wire_responses
+from lampest.panel.readouts.wiring import Lines
 
 SHAPES = ((1, 1), (1, 7), (4, 3), (5, 6), (9, 2))
 every_shape = pytest.mark.parametrize("shape", SHAPES)
@@ -134,3 +140,32 @@ def test_shorts_keep_their_digits_where_lines_are_held() -> None:
     expected = network.read_change(network.entries(summed))
     largest = np.abs(expected).max()
     assert_allclose(network.forward(step), expected, rtol=0, atol=1e-14 * largest)
+
+
+@pytest.mark.parametrize("modules", [(1, 1), (2, 1), (1, 3)])
+def test_an_image_of_modules_has_the_readings_of_each(modules: tuple[int, int]) -> None:
+    """Readings, derivatives and responses to wire, for all modules at once and one by one."""
+    layout = Modules(*modules, EachModule(3, 4))
+    readout = ModulesReadout(layout=layout)
+    cells = 3000 * np.exp(np.random.default_rng(5).standard_normal(layout.shape))
+    step, weights = np.random.default_rng(6).standard_normal((2, *layout.shape))
+    single = TwoPointReadout()
+    networks = [single.network(part, single.ties(part)) for part in layout.split(cells)]
+
+    def image(of_module: Callable[[int], Any]) -> Any:
+        return layout.joined(np.stack([of_module(number) for number in range(layout.count)]))
+
+    def all_of(network: Network) -> list[Any]:
+        second = network.second_order(weights)
+        products = second.products(step)
+        wire = np.moveaxis(wire_responses(network, Lines()), 0, -1)
+        dense = network.sensitivity() @ step.ravel(), second.matrix() @ step.ravel()
+        return [network.reading(), network.adjoint(weights), *products, *dense, wire]
+
+    together = all_of(readout.network(cells, readout.ties(cells)))
+    one_by_one = all_of(JoinedNetwork.of_modules(cells, layout, networks))
+    for first, second in zip(together, one_by_one, strict=True):
+        assert_allclose(first, second, rtol=ROUNDING, atol=ROUNDING * np.abs(second).max())
+    assert_allclose(together[0], image(lambda number: networks[number].reading()), rtol=ROUNDING)
+    moved = image(lambda number: networks[number].forward(layout.split(step)[number]))
+    assert_allclose(together[2], moved, rtol=ROUNDING, atol=ROUNDING * np.abs(moved).max())

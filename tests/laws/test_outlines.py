@@ -15,6 +15,7 @@ from lampest.inference.outliers import impossible_readings
 from lampest.inference.prepared import Prepared
 from lampest.panel.readouts.floating import exact_two_point_resistance
 from lampest.panel.response import PUBLISHED
+from tests.apps.board.estimated import unchecked_case
 from tests.estimates import recording_of
 from tests.outlines import OUTLINES
 
@@ -206,7 +207,7 @@ def test_results_and_pictures_have_the_outline_of_the_panel(outline: str, tmp_pa
         lampest.Misfit(),
         lampest.LogGradient(weight=1.0),
     )
-    result = estimate.result()
+    result = unchecked_case(estimate)
     assert np.array_equal(np.isfinite(result.cell_resistance[0]), panel.present)
     for axis in ("x", "y"):
         assert np.array_equal(np.isfinite(result.to_xarray()[axis]), panel.present)

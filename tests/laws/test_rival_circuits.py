@@ -7,17 +7,21 @@ import pytest
 
 import lampest
 from lampest import DrivenReadout, GroundedReadout, LoadedColumnsReadout, Panel, Scene
-from lampest.inference import explanation
+from lampest.inference import cells_fit, explanation
 from lampest.inference.cells_fit import LEAST_SQUARES, CellsFit, data_of_cells, fitted
 from lampest.inference.compared_frames import broken_law
 from lampest.inference.prepared import Prepared
-from lampest.inference.rivals import Rival
+from lampest.inference.rivals import Rival, rivals_of
+from lampest.panel.effects import LooseContact
+from lampest.panel.readouts.driven_starts import UNIFORM_KNOTS, uniform_readings
 from lampest.panel.readouts.readout import Readout
 from lampest.recording.readings import Readings
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.posed import cost_of_solve
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
+
+pytestmark = pytest.mark.long  # fits of rivals: seconds each
 
 CIRCUITS = (
     lampest.TwoPointReadout(),
@@ -29,6 +33,13 @@ CIRCUITS = (
     DrivenReadout(load_ohm=1000.0, drive_ohm=50.0, idle_ohm=50.0, idle_load_ohm=0.0),
     DrivenReadout(load_ohm=1000.0, drive_ohm=50.0, groups=((0, 1), (2, 3, 4)), sense_ohm=20.0),
 )
+
+
+# Factors on the readings of a panel of 4 x 5 cells
+FAR = np.ones((4, 5))
+FAR[1, 2] = FAR[0, 4] = 5.0
+FAR[3, 1] = 0.2
+NEAR = 1 + 1e-4 * np.sin(np.arange(20.0)).reshape(4, 5)
 
 
 def panel_cells(rows: int, columns: int) -> np.ndarray:
@@ -141,10 +152,7 @@ def test_a_fit_to_readings_that_no_cells_give_ends_at_the_minimum_of_the_solver(
     cells = panel_cells(4, 5)
     recorded = circuit.to_recorded(circuit.exact_reading(cells), scene)[None]
     # no cells give these beside the other readings of most circuits
-    factor = np.ones((4, 5))
-    factor[1, 2] = factor[0, 4] = 5.0
-    factor[3, 1] = 0.2
-    frame = Rival(scene, factor * recorded, None).readings[0]
+    frame = Rival(scene, FAR * recorded, None).readings[0]
     fit = fitted(scene, frame, cells, patient=True)
     assert fit is not None
     data = replace(data_of_cells(scene, frame), lower=np.full((1, 4, 5), 1e-3))
@@ -153,3 +161,96 @@ def test_a_fit_to_readings_that_no_cells_give_ends_at_the_minimum_of_the_solver(
     assert solution.solved
     least = CellsFit.at(scene, data, frame, solution.cell_resistance[0])
     assert fit.chi_square <= 1.01 * least.chi_square + 0.1
+
+
+@pytest.fixture
+def rival_fits(monkeypatch: pytest.MonkeyPatch) -> list[Rival]:
+    """Return the list of rivals that are fitted from now on."""
+    fitted_rivals: list[Rival] = []
+    fits_of = explanation.fits_of
+
+    def counted(rival: Rival, *further: object, **named: object) -> object:
+        fitted_rivals.append(rival)
+        return fits_of(rival, *further, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(explanation, "fits_of", counted)
+    return fitted_rivals
+
+
+def test_a_search_for_a_resistance_in_series_ends_where_none_can_win(
+    pressed: lampest.Recording, rival_fits: list[Rival]
+) -> None:
+    question = Prepared(pressed).question
+    rival = next(rival for rival in rivals_of(question.specified) if "virtual" in rival.name)
+    best = explanation.some_in_series(rival, question)
+    assert best is not None
+    every_resistance = len(rival_fits)
+    rival_fits.clear()
+    assert explanation.some_in_series(rival, question, to_beat=best.score) is not None
+    assert len(rival_fits) == every_resistance
+    rival_fits.clear()
+    explanation.some_in_series(rival, question, to_beat=best.score - 1000)
+    assert len(rival_fits) == 1 < every_resistance
+
+
+def test_of_the_right_circuit_the_next_resistances_are_fitted_and_no_memory(
+    rival_fits: list[Rival],
+) -> None:
+    question = Prepared(lampest.datasets.load("lamprey_35mm")).question
+    specified = question.explanation
+    assert specified is not None
+    rival_fits.clear()
+    assert explanation.with_converter_memory(specified, question) is specified
+    assert not rival_fits
+    assert explanation.with_series(specified, question) is specified
+    assert len(rival_fits) <= 2
+
+
+@pytest.mark.parametrize("circuit", CIRCUITS[:4], ids=lambda circuit: str(circuit.kind))
+def test_fits_of_rivals_never_need_the_solver(
+    monkeypatch: pytest.MonkeyPatch, circuit: Readout
+) -> None:
+    scene = Scene(Panel(4, 5), circuit).with_series(0.0)
+    cells = panel_cells(4, 5)
+    recorded = circuit.to_recorded(circuit.exact_reading(cells), scene)[None]
+    # no cells give the first of these readings; noise gives a part of the second ones
+    far, near = (Rival(scene, factor * recorded, None).readings[0] for factor in (FAR, NEAR))
+    monkeypatch.setattr(cells_fit, "solved_from", None)
+    assert fitted(scene, far, cells) is None
+    fit = fitted(scene, near, cells)
+    assert fit is not None and fit.within_noise
+
+
+def test_sizes_of_an_effect_that_cannot_win_are_not_fitted(
+    monkeypatch: pytest.MonkeyPatch, pressed: lampest.Recording
+) -> None:
+    specified = Prepared(pressed).question.explanation
+    assert specified is not None and specified.pair is not None
+    pair = specified.pair
+    refits: list[object] = []
+    monkeypatch.setattr(CellsFit, "refitted", lambda fit, *given: refits.append(given))
+    assert pair.settled((LooseContact((1,)),), to_beat=pair.evidence.score - 1000) is None
+    assert not refits
+    pair.settled((LooseContact((1,)),))
+    assert refits
+
+
+@pytest.mark.parametrize("idle_volt", ["follows", 0.0])
+def test_readings_of_uniform_panels_are_interpolated_between_a_few(
+    monkeypatch: pytest.MonkeyPatch, idle_volt: float
+) -> None:
+    circuit = DrivenReadout(load_ohm=1000.0, drive_ohm=30.0, idle_ohm=5.0, idle_volt=idle_volt)
+    solved: list[np.ndarray] = []
+    exact_reading = DrivenReadout.exact_reading
+
+    def counted(self: DrivenReadout, cells: np.ndarray, *further: object) -> np.ndarray:
+        if cells.ndim == 2:
+            solved.append(cells)
+        return exact_reading(self, cells, *further)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(DrivenReadout, "exact_reading", counted)
+    uniform_readings.cache_clear()
+    levels, readings = uniform_readings(circuit, 3, 4)
+    assert len(solved) == UNIFORM_KNOTS < len(levels)
+    exact = np.stack([exact_reading(circuit, np.full((3, 4), level)) for level in levels])
+    np.testing.assert_allclose(readings, exact, rtol=2e-3, atol=3e-4)

@@ -32,6 +32,7 @@ from lampest.panel.readouts.unseen import Scale, unseen_scales
 
 LARGEST_OHM = 1e8  # of such cells: insulation beside usual ones
 UNIFORM_LEVELS = 140  # of uniform panels, from 10 ohm to 100 Mohm: 12 % from one to the next
+UNIFORM_KNOTS = 48  # of these levels that networks are solved for; the others are interpolated
 OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
 
 
@@ -231,9 +232,18 @@ def uniform_readings(circuit: DrivenNetwork, rows: int, columns: int) -> tuple[A
         Resistances of the panels in ohm.
     readings : array, shape (levels, rows, columns)
     """
-    levels = np.geomspace(LEVELS[0], LEVELS[-1], UNIFORM_LEVELS)
-    panels = np.broadcast_to(levels[:, None, None], (len(levels), rows, columns))
-    return levels, circuit.exact_reading(panels)
+    knots = np.geomspace(LEVELS[0], LEVELS[-1], UNIFORM_KNOTS)
+    panels = np.broadcast_to(knots[:, None, None], (len(knots), rows, columns))
+    solved = circuit.exact_reading(panels)
+    # Cubic polynomials in the logarithm through the four knots about each level
+    place = np.linspace(0, UNIFORM_KNOTS - 1, UNIFORM_LEVELS)
+    first = np.clip(place.astype(int) - 1, 0, UNIFORM_KNOTS - 4)
+    readings = np.zeros((UNIFORM_LEVELS, rows, columns))
+    for knot in range(4):
+        others = [other for other in range(4) if other != knot]
+        weight = np.prod([(place - first - other) / (knot - other) for other in others], axis=0)
+        readings += weight[:, None, None] * solved[first + knot]
+    return np.geomspace(LEVELS[0], LEVELS[-1], UNIFORM_LEVELS), readings
 
 
 @lru_cache(maxsize=32)

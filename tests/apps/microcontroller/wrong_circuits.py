@@ -20,6 +20,7 @@ from lampest.apps.microcontroller.host import Host, compiled
 from lampest.apps.microcontroller.library import library_folder
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from tests.apps.board.estimated import unchecked_case
 
 SHAPE = (8, 12)
 KEY_OHM = 30_000.0  # at rest; a tenth of it differs between keys
@@ -205,7 +206,7 @@ def exported(scene: Scene, resting: Array, rng: np.random.Generator) -> Constant
         lampest.LogRatio(loss=lampest.Squared(), weight=1e-4),
     ]
     estimate = lampest.reconstruct(recording, terms, formulation="reduced", error_bars=False)
-    return Constants.of(estimate.result("estimator"))
+    return Constants.of(unchecked_case(estimate))
 
 
 class Keyboard:

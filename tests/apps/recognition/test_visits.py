@@ -108,6 +108,31 @@ def test_contacts_under_a_clearer_load_are_its_rim() -> None:
     assert len(continued_by([mouth], clearer, 60.0)) == 2
 
 
+def waved(since_s: float, x_mm: float = 40.0, clear: float = 10.0) -> Attachment:
+    """A contact of 2 s."""
+    return replace(load(since_s, since_s + 2.0, sucks=RING), x_mm=(x_mm, 1.0), clear=clear)
+
+
+def test_a_waving_plant_is_one_disturbance() -> None:
+    """Contacts every 5 s, another one beside them, and one a minute later."""
+    plant = [waved(5.0 * number, clear=float(number)) for number in range(12)]
+    beside, later = waved(20.0, x_mm=90.0), waved(120.0)
+    detected = detected_loads(*plant, beside, later)
+    joined = [(contact.since_s, contact.until_s, contact.clear) for contact in detected.attachments]
+    assert joined == [(0.0, 57.0, 11.0), (20.0, 22.0, 10.0), (120.0, 122.0, 10.0)]
+    # what sucks is a visit each time, and on a mat each contact is a step
+    assert len(detected_loads(load(0.0, 2.0), load(4.0, 6.0)).attachments) == 2
+    assert len(Detected.of("mat", plant, 4.0, mat=True).attachments) == 12
+
+
+def test_numbers_of_visits_have_two_digits_of_their_error() -> None:
+    measured = replace(load(600.0, 900.0), diameter_mm=(33.4567, 1.2345), x_mm=(40.123, 0.034))
+    (visit,) = visits_of([detected_loads(measured)])
+    assert (visit.diameter_mm, visit.diameter_sd_mm, visit.x_mm) == (33.5, 1.2, 40.123)
+    (visit,) = visits_of([detected_loads(replace(measured, diameter_mm=(133.4, 12.3)))])
+    assert (visit.diameter_mm, visit.diameter_sd_mm) == (133.0, 12.0)
+
+
 def test_visits_are_counted_by_day_and_by_night() -> None:
     answer = detected_loads(load(600.0, 900.0), load(3600.0, 3700.0))  # at 17:40 and at 18:30
     table = count_table([answer], visits_of([answer]))

@@ -176,6 +176,21 @@ def test_a_load_in_the_last_frames_is_recognised() -> None:
     assert live.detected.answer == CANNOT_SAY and "touched the panel at 17.0 s" in live.detected.why
 
 
+def test_live_and_detect_end_the_same_attachments_at_the_same_frames() -> None:
+    """A pulled mouth that leaves, a rod, and a mouth that stays."""
+    pulling = dataclasses.replace(MOUTH, pressure_kpa=-40)
+    courses = (MOUTH, 8, 13), (pulling, 13, 16), (MOUTH, 16, 21), (ROD, 25, 30), (MOUTH, 34, 40)
+    recording = recording_with(*courses, frames=40)
+    live = Watched("watched").after(unloaded(recording))
+    for frame in range(UNLOADED, 40):
+        live = live.after(scan_of(recording, frame))
+    ends, detected = (
+        [(attachment.since_s, attachment.until_s) for attachment in answer.attachments]
+        for answer in (live.detected, answered(recording))
+    )
+    assert ends == detected == [(8.0, 21.0), (25.0, 30.0), (34.0, None)]
+
+
 @pytest.mark.slow
 def test_a_poorly_visible_load_arrives_and_leaves() -> None:
     """Pull-ups of 35 kohm: readings change little.

@@ -10,6 +10,7 @@ import numpy as np
 from lampest.apps.recognition.attachment import Attachment, Pair
 from lampest.apps.recognition.breath import too_slow
 from lampest.apps.recognition.breathing import MIN_WINDOW_S
+from lampest.apps.recognition.detect.disturbance import disturbances
 from lampest.files import hdf5
 from lampest.files.errors import counted
 from lampest.panel.panel import Array, Panel
@@ -135,7 +136,8 @@ class Detected:
     ) -> "Detected":
         """Return the answer by the most alarming attachment.
 
-        Among equals it is by a present one, then by the last one.
+        Among equals it is by a present one, then by the last one. Contacts of one disturbance are
+        one attachment, but on a mat.
 
         Parameters
         ----------
@@ -146,6 +148,8 @@ class Detected:
         **known
             Further attributes.
         """
+        if not known.get("mat", False):
+            attachments = disturbances(attachments)
         loads = [*filter(lambda load: load.present, reversed(attachments)), *reversed(attachments)]
         called = [answer_of(load, rate, known.get("threshold", MIN_PROBABILITY)) for load in loads]
         chosen = min(

@@ -6,7 +6,7 @@ Visits are one row for each attachment, with clock times.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from math import hypot, isnan
+from math import floor, hypot, inf, isnan, log10
 from pathlib import Path
 from typing import Any
 
@@ -139,7 +139,7 @@ def rows_of(
         until = load["until_s"]
         stop = end if until is None else until
         names = "x_mm", "y_mm", "breathing_hz", "breathing_depth"
-        values: Any = {name: (load[name] or (None,))[0] for name in names}
+        values: Any = {name: _significant(load[name])[0] for name in names}
         suction = _with_error("suction_kpa", load) | _with_error("strongest_kpa", load)
         visits.append(
             Visit(
@@ -163,9 +163,20 @@ def rows_of(
 
 def _with_error(name: str, load: dict[str, Any]) -> Any:
     """Return a pair of a load as two columns."""
-    value, sd = load[name] or (None, None)
+    value, sd = _significant(load[name])
     stem, unit = name.rsplit("_", 1)
     return {name: value, f"{stem}_sd_{unit}": sd}
+
+
+def _significant(pair: tuple[float, float] | None) -> tuple[float | None, float | None]:
+    """Return a value and its standard deviation, rounded to two digits of the latter."""
+    if pair is None:
+        return None, None
+    value, sd = pair
+    if not 0 < sd < inf:
+        return value, sd
+    decimals = 1 - floor(log10(sd))
+    return round(value, decimals), round(sd, decimals)
 
 
 def _clock(start: str | None, seconds: float) -> str | None:
