@@ -164,10 +164,10 @@ class Prepared:
 
             noise = with_resolved_ends(noise, self.recording, self.cleaned.recording)
         memory = self.cleaned.memory
-        if isinstance(memory, str):
-            noise = noise.undetermined("converter_memory", memory)
-        elif memory is not None:
-            noise = noise.determined("converter_memory", memory)
+        if memory is not None:
+            from lampest.inference.effects.converter_memory import with_uncertain_memory  # as above
+
+            noise = with_uncertain_memory(noise, self.cleaned.recording, memory)
         places = [f"row {row}, column {column}" for row, column in np.argwhere(self.cleaned.frozen)]
         if places:
             noise = noise.with_warnings(

@@ -127,6 +127,8 @@ class DifferenceNetwork(SolvedNetwork):
     @cached_property
     def transfer(self) -> Array:
         """X (cells, cells): the potential differences for a unit current through every cell."""
+        if self.wire is None:
+            return self.between(np.where(self.of_free, self.excited, 0.0))
         each = np.eye(self.cell_resistance.size)
         return self.driven(each, self.excited @ self.entering(each))
 
@@ -225,18 +227,21 @@ def excitations(admittance: Array, ties: Array) -> tuple[Array, Array]:
         K and P.
     """
     held = np.isinf(ties)
-    free = ~held
-    within = np.linalg.inv(admittance[np.ix_(free, free)] + np.diag(ties[free]))
+    count = int(held.sum())
+    # Held lines first
+    order = np.argsort(~held, kind="stable")
+    places = np.argsort(order)
+    ordered = admittance[order][:, order]
+    within = np.linalg.inv(ordered[count:, count:] + np.diag(ties[order[count:]]))
     # Current into held lines from the free ones: −G = admittance between them
-    between = -admittance[np.ix_(held, free)] @ within
-    of_held = admittance[np.ix_(held, held)] + between @ admittance[np.ix_(free, held)]
-    entries = np.zeros_like(admittance)
-    entries[np.ix_(free, free)] = within
-    entries[np.ix_(held, free)] = between
-    entries[np.ix_(free, held)] = between.T
-    entries[np.ix_(held, held)] = -of_held
+    between = -ordered[:count, count:] @ within
+    entries = np.empty_like(admittance)
+    entries[count:, count:] = within
+    entries[:count, count:] = between
+    entries[count:, :count] = between.T
+    entries[:count, :count] = -(ordered[:count, :count] + between @ ordered[count:, :count])
     potentials = np.zeros_like(admittance)
-    potentials[np.ix_(free, free)] = within
-    potentials[np.ix_(held, free)] = between
-    potentials[np.ix_(held, held)] = np.eye(int(held.sum()))
-    return entries, potentials
+    potentials[count:, count:] = within
+    potentials[:count, count:] = between
+    np.einsum("ii->i", potentials)[:count] = 1.0
+    return entries[places][:, places], potentials[places][:, places]

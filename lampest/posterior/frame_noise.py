@@ -9,7 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from lampest.panel.panel import Array
-from lampest.panel.readouts.readout import in_panel_order
+from lampest.panel.readouts.readout import in_panel_order, in_scan_order
 from lampest.panel.scene import Scene
 
 
@@ -52,6 +52,8 @@ class FrameNoise:
         Relative standard deviation of the load at a time, about that at the middle of a scan.
     resting : array, shape (rows, columns), or None
         Readings of the unloaded panel, from which the load changes those of a frame.
+    memory : float
+        Standard deviation of the share of the channel before that a converter keeps.
     effect_errors : array, shape (2, n, rows, columns), or None
         Remaining errors of corrected effects, one standard deviation each, as fractions of the
         readings: in the unloaded panel, and in frames.
@@ -65,6 +67,7 @@ class FrameNoise:
     motion: Array = field(default_factory=lambda: np.zeros(0), kw_only=True)
     trembling: float = field(default=0.0, kw_only=True)
     resting: Array | None = field(default=None, kw_only=True)
+    memory: float = field(default=0.0, kw_only=True)
     effect_errors: Array | None = None
 
     def columns(self, measured: Array, *, baseline: bool) -> Array:
@@ -76,7 +79,9 @@ class FrameNoise:
         parts = []
         for number, frame in enumerate(measured):
             resting = baseline and number == 0
-            columns = self._of_frame(frame) / (np.sqrt(self.unloaded) if resting else 1.0)
+            columns = self._of_frame(frame) / (np.sqrt(max(self.unloaded, 1)) if resting else 1.0)
+            if self.memory:
+                columns = np.column_stack([columns, self._of_memory(frame)])
             if self.effect_errors is not None:
                 fractions = self.effect_errors[0 if resting else 1] * frame
                 columns = np.column_stack([columns, fractions.reshape(len(fractions), -1).T])
@@ -88,9 +93,35 @@ class FrameNoise:
 
         The columns of V are central differences of the readout.
         """
-        circuit = self.scene.circuit
-        volt = circuit.volt_from_recorded(circuit.to_recorded(measured, self.scene))
+        volt = self._volt(measured)
         changes = np.concatenate([self.gain * volt[None], self._patterns(measured.shape)])
+        columns = self._by_volt(volt, changes)
+        if self.motion.size:
+            columns = np.column_stack([columns, motion_columns(measured, self.motion)])
+        if self.trembling and self.resting is not None:
+            columns = np.column_stack(
+                [columns, (self.trembling * (measured - self.resting)).ravel()]
+            )
+        return columns
+
+    def _of_memory(self, measured: Array) -> Array:
+        """Return the column of a converter's memory for one frame's readings, (cells, 1).
+
+        A channel differs by the share of what it differs from the channel before.
+        """
+        volt = self._volt(measured)
+        channels = in_scan_order(self.scene.circuit, volt)
+        before = in_panel_order(self.scene.circuit, np.roll(channels, 1, axis=-1), volt.shape)
+        return self._by_volt(volt, self.memory * (volt - before)[None])
+
+    def _volt(self, measured: Array) -> Array:
+        """Return the voltages of readings."""
+        circuit = self.scene.circuit
+        return circuit.volt_from_recorded(circuit.to_recorded(measured, self.scene))
+
+    def _by_volt(self, volt: Array, changes: Array) -> Array:
+        """Return the changes of readings (cells, n) by those of the voltages (n, rows, columns)."""
+        circuit = self.scene.circuit
         # Changes stay within half of the distance to the ends of the converter's range.
         lower, upper = circuit.range_volt
         most = 0.5 * np.minimum(volt - lower, upper - volt)
@@ -99,14 +130,7 @@ class FrameNoise:
             circuit.from_recorded(circuit.recorded_from_volt(volt + sign * changes), self.scene)
             for sign in (1, -1)
         ]
-        columns = np.asarray((ends[0] - ends[1]).reshape(len(changes), -1).T / 2)
-        if self.motion.size:
-            columns = np.column_stack([columns, motion_columns(measured, self.motion)])
-        if self.trembling and self.resting is not None:
-            columns = np.column_stack(
-                [columns, (self.trembling * (measured - self.resting)).ravel()]
-            )
-        return columns
+        return np.asarray((ends[0] - ends[1]).reshape(len(changes), -1).T / 2)
 
     def _patterns(self, shape: tuple[int, ...]) -> Array:
         """Return the patterns of ripple in volt, (n, rows, columns).

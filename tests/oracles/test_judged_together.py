@@ -60,3 +60,30 @@ def test_a_load_that_stands_does_not_tremble() -> None:
     assert noise.motion.trembling < 0.002
     known = Prepared(replace(standing, scene=replace(standing.scene, motion=1.0))).noise
     assert known.motion.trembling < 0.002
+
+
+def test_bars_carry_the_memory_that_a_palm_does_not_tell() -> None:
+    row = ROWS["memory of 3 %"]
+    palm = recording(102, LOADS["palm"], row, row.estimated)
+    noise = Prepared(palm).noise
+    assert "converter_memory" not in noise.estimated and "press a few cells" in noise.sentence
+    assert figures(palm, advised=False).own > 90
+    unaware = replace(palm, scene=replace(palm.scene, converter_memory=None))
+    assert figures(unaware, advised=False).own < 88
+
+
+def test_an_edge_that_looks_like_a_memory_is_within_its_deviation() -> None:
+    """The edge of a rod gave 0.0385 +- 0.0027."""
+    row = ROWS["memory of 3 %"]
+    rod = Prepared(recording(100, LOADS["still"], row, row.estimated)).noise
+    share, deviation = rod.estimated["converter_memory"]
+    assert abs(share - 0.03) < 2 * deviation < 0.03
+    assert rod.frame.memory == deviation
+
+
+def test_a_load_that_trembles_tells_no_memory() -> None:
+    """It was taken for a memory of 0.22 +- 0.01."""
+    both = {"converter_memory": "estimated", "motion": "estimated"}
+    noise = Prepared(recording(102, LOADS["trembling"], Row(), both)).noise
+    assert "converter_memory" not in noise.estimated
+    assert "record one that stands" in noise.sentence

@@ -257,3 +257,12 @@ def test_lines_of_estimated_numbers_have_their_units_and_are_few() -> None:
         and of_modules[-1] == "8 more numbers, which the scene of the results holds"
     )
     assert estimated_lines(None) == ()
+
+
+def test_optima_of_older_files_count_as_local_optima() -> None:
+    case = invented_case(
+        status=("optimum verified", "local optimum verified", "an optimum, but a plateau"),
+        starts=np.array([1, 7, 3]),
+        shape=(3, 2, 3),
+    )
+    assert case.local_optima == (3, 1, 7)

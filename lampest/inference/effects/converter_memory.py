@@ -18,13 +18,22 @@ from lampest.inference.compared_frames import ComparedFrames
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.explanation import MEMORIES as TRIED
 from lampest.inference.explanation import Explanation, may_gain_by_memory
+from lampest.inference.noise import NoiseEstimate
+from lampest.inference.number import parabola
+from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.panel import Array
+from lampest.panel.scene import specified
+from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 KEY = "converter_memory"
 MEMORIES = np.linspace(0.0, 0.3, 16)
 FINER = 9  # points between the neighbours of the most probable one
+# Of the share, where edges of loads look like a memory (docs/studies/effects.md).
+EDGE_ERROR = 0.012
+# Root mean square of converters whose capacitor is charged by some 10 kohm: 0 to 5 %.
+USUAL_MEMORY = 0.03
 MAX_DEVIATION = 0.05  # of the share: with more, the recording does not determine it
 
 
@@ -43,6 +52,8 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
         return "the scene has no readout"
     if not unloaded.any() or not len(measured):
         return "record unloaded frames, and a load on a few cells"
+    if specified(recording.scene, "motion"):
+        return "a load that moves within a scan looks like a memory: record one that stands"
     if recording.scene.panel.crossings > MAX_CELLS:
         return f"the panel has more than {MAX_CELLS} cells: estimate it on a part of it"
     plain = replace(recording, scene=replace(recording.scene, converter_memory=None))
@@ -58,18 +69,10 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
         return "no cells explain the unloaded panel and a loaded frame"
     if not mostly_still(nearest.pair.moved):
         return "the load touches most cells: press a few cells"
-    costs = costs / nearest.pair.excess
-    # parabola through the three points around the least cost: its vertex, and 1/√(half of its
-    # curvature)
-    middle = int(np.clip(np.argmin(costs), 1, len(shares) - 2))
-    below, least, above = costs[middle - 1 : middle + 2]
-    spacing = float(shares[1] - shares[0])
-    slope = (above - below) / (2 * spacing)
-    curvature = (above - 2 * least + below) / spacing**2
-    deviation = float(np.sqrt(2 / curvature)) if curvature > 0 else np.inf
+    least, deviation = parabola(shares, costs / nearest.pair.excess)
     if deviation > MAX_DEVIATION:
         return "the load changes all channels alike: press a few cells"
-    return max(float(shares[middle]) - slope / curvature, 0.0), deviation
+    return max(least, 0.0), float(np.hypot(deviation, EDGE_ERROR))
 
 
 def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
@@ -152,6 +155,31 @@ def with_estimated_memory(
     estimate = estimated_memory(recording)
     share = None if isinstance(estimate, str) else estimate[0]
     return replace(recording, scene=replace(recording.scene, converter_memory=share)), estimate
+
+
+def with_uncertain_memory(
+    noise: NoiseEstimate, recording: Recording, memory: tuple[float, float] | str
+) -> NoiseEstimate:
+    """Return the noise with the memory, whose error bars carry its standard deviation.
+
+    Parameters
+    ----------
+    noise : NoiseEstimate
+    recording : Recording
+    memory : (float, float) or str
+        As `estimated_memory` returns it. Where nothing determines it, its prior is USUAL_MEMORY.
+    """
+    if isinstance(memory, str):
+        noise = noise.undetermined(KEY, memory)
+        deviation = USUAL_MEMORY
+    else:
+        noise = noise.determined(KEY, memory)
+        deviation = memory[1]
+    if recording.scene.readout is None or not deviation:
+        return noise
+    unloaded = int((recording.role == UNLOADED).sum())
+    frame = noise.frame or FrameNoise(recording.scene, unloaded, 0.0, NO_RIPPLE, NO_RIPPLE)
+    return replace(noise, frame=replace(frame, memory=deviation))
 
 
 class ConverterMemory(SceneEffect):
