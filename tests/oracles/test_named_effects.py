@@ -14,7 +14,7 @@ import pytest
 from promises import promise
 
 import lampest
-from docs.studies.effects import Row, figures
+from docs.studies.effects import LOADS, Row, figures
 from docs.studies.effects import recording as channels_recording
 from docs.studies.motion import Motion
 from docs.studies.motion import recording as moving_load
@@ -269,10 +269,10 @@ def test_an_error_that_the_scene_states_is_no_doubt_of_its_circuit() -> None:
 
 
 def test_channels_that_differ_are_advised_and_not_as_errors_of_each_reading() -> None:
-    differing = channels_recording(100, "mouth", Row(channel_ohm=10.0), {})
+    differing = channels_recording(100, LOADS["mouth"], Row(channel_ohm=10.0), {})
     lines = [finding.line for finding in effects.unnamed_effects(Prepared(differing))]
     assert lines == ["systematic: {channel_spread_ohm: estimated}"]
-    explanation = Prepared(channels_recording(100, "mouth", Row(), {})).question.explanation
+    explanation = Prepared(channels_recording(100, LOADS["mouth"], Row(), {})).question.explanation
     assert explanation is not None and explanation.pair is not None
     assert explanation.pair.spread_of_channels()[1] < DOUBTFUL_GAIN, "equal channels"
 

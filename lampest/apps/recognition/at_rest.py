@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from lampest.apps.recognition.detector import Detector
-from lampest.apps.recognition.observation import ModelErrors, patch_of
+from lampest.apps.recognition.model_errors import ModelErrors
+from lampest.apps.recognition.observation import patch_of
 from lampest.apps.recognition.watch import MAX_CELLS, Watch
 from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.files.process import ONE_BLAS_THREAD

@@ -8,7 +8,8 @@ import numpy as np
 from lampest.apps.recognition.breathing import WINDOW_S
 from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.fit import Verdict
-from lampest.apps.recognition.observation import Baseline, ModelErrors, Observation, patch_of
+from lampest.apps.recognition.model_errors import ModelErrors
+from lampest.apps.recognition.observation import Baseline, Observation, patch_of
 from lampest.apps.recognition.recognition_scene import RecognitionScene
 from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH
 from lampest.panel.conditions import water_pressure

@@ -28,7 +28,8 @@ from lampest.apps.recognition.detect.answer import CUP, LAMPREY, SUCKS
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.fit import Fitting
-from lampest.apps.recognition.observation import ModelErrors, Observation, Whitening
+from lampest.apps.recognition.model_errors import ModelErrors
+from lampest.apps.recognition.observation import Observation, Whitening
 from lampest.apps.recognition.profile import along_diameter
 from lampest.apps.recognition.window import Window
 from lampest.panel.panel import EachModule, Modules

@@ -42,7 +42,8 @@ from lampest.apps.recognition.fit import (
     prior,
     states,
 )
-from lampest.apps.recognition.observation import Baseline, ModelErrors, Observation
+from lampest.apps.recognition.model_errors import ModelErrors
+from lampest.apps.recognition.observation import Baseline, Observation
 from lampest.apps.recognition.profile import along_diameter
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import WatchSetup

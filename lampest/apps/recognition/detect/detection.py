@@ -16,7 +16,7 @@ from lampest.apps.recognition.at_rest import touched
 from lampest.apps.recognition.breath import too_slow
 from lampest.apps.recognition.detect.answer import MIN_PROBABILITY, Detected
 from lampest.apps.recognition.image import ImageWatch
-from lampest.apps.recognition.observation import ModelErrors
+from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.apps.recognition.watch import MAX_CELLS, Watch
 from lampest.apps.recognition.watch_parts import WatchSetup, assumed_to_explain
 from lampest.files.errors import InputError

@@ -1,0 +1,152 @@
+"""Standard deviations of what is not measured on a panel: films, circuits, drift."""
+
+from dataclasses import dataclass, replace
+from math import hypot, log10
+
+import numpy as np
+
+from lampest.apps.recognition.recognition_scene import RecognitionScene
+from lampest.panel.panel import Array
+from lampest.panel.response import RESPONSE_SD
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
+from lampest.panel.systematic import TYPICAL_CHANNEL_OHM, USUAL, systematic_of
+
+
+@dataclass(frozen=True)
+class ModelErrors:
+    """Standard deviations of quantities that are not measured.
+
+    Parameters
+    ----------
+    response : of ln(r/r0) at a pressure, as a fraction of ln f(p), because cells respond
+        differently.
+    common, near : parts of that variance that all cells share, and that neighbours within
+        `near_pitches` share.
+    bent : of the same, equal in all cells, because bent film responds less, by half where it is
+        bent sharply.
+    edge_mm : of the place of a patch's edge, at a relative deviation of 1: patches are glued by
+        hand, rims are soft.
+    patch : of the patches' edge, relative, equal in all cells: a round patch is like a square one
+        of 0.89 its width.
+    cell_spread : of the logarithm of the unloaded cells about their mean; only a prior where data
+        are too noisy.
+    drift, common_drift : of ln r at rest for each decade of minutes, of each cell and of all alike
+        (temperature).
+    settled : of ln r at rest, apart from drift.
+    channel_ohm : of the on-resistance of a multiplexer's channel about its mean, one for each line.
+    reference : relative error of the reference resistor: 1 % at most, uniform.
+    reading_error : of the logarithm of a factor on each reading, the same in all frames.
+    swaying : of changes of ln r and of ln y that all cells and all readings share: temperature,
+        waves, supply.
+    residue : of the residue in the film after a load, relative to the load's ln r/r0.
+    mapped, coarse : of ln r/r0 of cells on the map in which loads are searched, and about the field
+        in coarse fits.
+
+    Source: CD74HC4067 (about 10 ohm between any two channels), ordinary 1 % resistors, films that
+    creep by a few percent for each decade of time; the others are assumptions.
+    """
+
+    response: float = RESPONSE_SD
+    common: float = 0.2
+    near: float = 0.2
+    near_pitches: float = 1.5
+    bent: float = 0.15
+    edge_mm: float = 3.0
+    patch: float = 0.13
+    cell_spread: float = 0.4
+    drift: float = 0.01
+    common_drift: float = 0.02
+    settled: float = 0.002
+    channel_ohm: float = TYPICAL_CHANNEL_OHM
+    reference: float = 0.006
+    reading_error: float = 0.0
+    swaying: float = 0.1
+    residue: float = 0.12
+    mapped: float = 0.5
+    coarse: float = 0.2
+
+    def of_scene(self, scene: Scene, reading_error: float) -> "ModelErrors":
+        """Return the errors that a scene specifies, with each reading's own error.
+
+        The own error is as estimated from the frames.
+        """
+        errors = replace(self, reading_error=reading_error)
+        if scene.systematic is None:
+            return errors
+        sizes = systematic_of(scene) or Systematic()
+        # Of a uniform distribution of that half width. E δ is of first order: a larger error, such
+        # as that of a pin's pull-ups, scales all cells and hardly their changes, but E δ would
+        # explain a light contact by it.
+        tolerance = min(float(sizes.reference_tolerance), float(USUAL.reference_tolerance))
+        reference = tolerance / np.sqrt(3)
+        return replace(errors, channel_ohm=float(sizes.channel_spread_ohm), reference=reference)
+
+    def in_motion(self, motion: Array) -> "ModelErrors":
+        """Return the errors in water that moves cells by fractions `motion`, (n,).
+
+        Each cell has a part of its own, because cells respond differently.
+        """
+        own = self.response * float(np.hypot.reduce(motion, initial=0.0))
+        return replace(self, settled=hypot(self.settled, own))
+
+    def resting_sd(self, seconds: float) -> float:
+        """Return the standard deviation of each cell's drift, seconds after the baseline."""
+        return hypot(self.drift * log10(1 + seconds / 60), self.settled)
+
+    def resting_covariance(self, seconds: float, cells: int) -> Array:
+        """Return the covariance of ln r of all cells at rest, (cells, cells).
+
+        The covariance is the sum of the cells' own part and a common one.
+        """
+        common = self.common_drift * log10(1 + seconds / 60)
+        return self.resting_sd(seconds) ** 2 * np.eye(cells) + common**2
+
+    def offsets(self, measured: Array, scene: RecognitionScene) -> Array:
+        """Return the effect of every offset on the readings, E·sd (cells, offsets).
+
+        Each column is the effect of one standard deviation of an offset. Offsets are those of the
+        channels of rows and columns of every module and of the reference (for two-point
+        resistances), and of each reading if `reading_error` is nonzero. Voltages depend on the
+        cells over the reference, so that an error of the reference is one of ln r0, common to all
+        cells and frames.
+
+        Parameters
+        ----------
+        measured : array, shape (rows, columns)
+            Readings without the resistance in series, in the readout's unit, as predicted.
+        scene : RecognitionScene
+        """
+        layout = scene.panel.modules
+        rows, columns = measured.shape
+        row, column = np.indices(measured.shape)
+        row_channel = row
+        column_channel = column
+        if layout is not None:
+            # every module has channels of its own: number its lines separately
+            row_channel = row + rows * (column // layout.each.columns)
+            column_channel = column + columns * (row // layout.each.rows)
+        in_ohm = scene.circuit.unit == "ohm"
+        total = (measured + scene.series_ohm if in_ohm else measured).reshape(-1, 1)
+        effects = list[Array]()
+        if in_ohm:
+            for channel in (row_channel, column_channel):
+                on_channel = channel.reshape(-1, 1) == np.unique(channel)
+                effects.append(self.channel_ohm * on_channel)
+            effects.append(self.reference * total)
+        if self.reading_error:
+            effects.append(np.diag(self.reading_error * total[:, 0]))
+        return np.hstack([np.zeros((total.size, 0)), *effects])
+
+    def gain(self, shifts: Array, scene: RecognitionScene) -> Array:
+        """Return the derivative of f + E δ by f, (cells,): E depends linearly on the readings f.
+
+        Parameters
+        ----------
+        shifts : array, shape (offsets,)
+            δ.
+        scene : RecognitionScene
+        """
+        shape = scene.panel.shape
+        none, one = (self.offsets(end, scene) for end in (np.zeros(shape), np.ones(shape)))
+        return np.asarray(1 + (one - none) @ shifts)
