@@ -28,7 +28,6 @@ from lampest.recording.readings import median
 from lampest.recording.recording import UNLOADED, Recording
 
 ODDS = 1000.0  # of an order against the scene's
-PERIODIC = 0.01  # prior odds of a load on every second line
 MIN_LINES = 4  # of each side: with fewer, another order is smoother by chance
 LENGTHS = (1.5, 3.0, 8.0)  # ℓ, lines: loads reach over more than one
 ROUGHNESS = (1e-2, 1e-1, 1.0, np.inf)  # ρ; inf: no order
@@ -175,7 +174,7 @@ def smoother_order(patterns: Array) -> tuple[Order, float] | None:
     tried = list(orders(*patterns.shape[1:]))
     gains = []
     for values in (flat, scores):
-        as_specified = specified_cost(values.reshape(patterns.shape))
+        as_specified = smooth_cost(values.reshape(patterns.shape))
         gains.append([as_specified - smooth_cost(values[:, order.image]) for order in tried])
     least = np.min(gains, axis=0).round(6)
     best = int(np.argmax(least))
@@ -183,34 +182,14 @@ def smoother_order(patterns: Array) -> tuple[Order, float] | None:
     return (tried[best], float(least[best])) if least[best] > enough else None
 
 
-def specified_cost(images: Array) -> float:
-    """Return −2 ln evidence of images (n, rows, columns) in the scene's order.
-
-    Some loads lie on every second row or column, and are smooth over these: ribs, combs and
-    gratings. They look like interleaved lines.
-    """
-    costs = [
-        smooth_cost(images),
-        *(smooth_cost(images, steps) - 2 * np.log(PERIODIC) for steps in ((2, 1), (1, 2))),
-    ]
-    return float(-2 * np.logaddexp.reduce(-np.array(costs) / 2))
-
-
-def smooth_cost(images: Array, steps: tuple[int, int] = (1, 1)) -> float:
-    """Return −2 ln evidence of images (n, rows, columns) as smooth processes of their lines.
-
-    Parameters
-    ----------
-    images : array, shape (n, rows, columns)
-    steps : tuple of int
-        Distances between rows, and between columns, that a load covers: 2 for every second one.
-    """
+def smooth_cost(images: Array) -> float:
+    """Return −2 ln evidence of images (n, rows, columns) as smooth processes of their lines."""
     costs: tuple[list[Array], ...] = ([], [], [])
     by_rows = images.mean(axis=2)
     by_columns = images.mean(axis=1)
     for length in LENGTHS:
-        values, rows = _smooth_modes(images.shape[1], length, steps[0])
-        across, columns = _smooth_modes(images.shape[2], length, steps[1])
+        values, rows = _smooth_modes(images.shape[1], length)
+        across, columns = _smooth_modes(images.shape[2], length)
         within = (rows.T @ images @ columns).reshape(len(images), -1)
         parts = (
             (by_rows @ rows, values),
@@ -223,15 +202,11 @@ def smooth_cost(images: Array, steps: tuple[int, int] = (1, 1)) -> float:
 
 
 @lru_cache(maxsize=64)
-def _smooth_modes(count: int, length: float, step: int) -> tuple[Array, Array]:
-    """Return the eigenvalues and eigenvectors of K on lines, without the mean.
-
-    Only lines whose distance is a multiple of the step are alike.
-    """
+def _smooth_modes(count: int, length: float) -> tuple[Array, Array]:
+    """Return the eigenvalues and eigenvectors of K on lines, without the mean."""
     lines = np.arange(count)
     centring = np.eye(count) - 1 / count
-    distance = (lines[:, None] - lines) / step
-    kernel = np.where(distance % 1 == 0, np.exp(-(distance**2) / (2 * length**2)), 0.0)
+    kernel = np.exp(-((lines[:, None] - lines) ** 2) / (2 * length**2))
     values, vectors = np.linalg.eigh(centring @ kernel @ centring)
     return np.maximum(values[1:], 0.0), vectors[:, 1:]
 
