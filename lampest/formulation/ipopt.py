@@ -31,10 +31,11 @@ COMMON = {
     "print_level": 0,
     "sb": "yes",
 }
-# The barrier parameter stays below a hundredth of the unit of the objective. Without this limit the
-# adaptive rule lets it grow by decades where readings are far from linear (driven lines), and cells
-# end at their bounds.
-COLD = {"mu_strategy": "adaptive", "mu_max": 0.01}
+COLD = {"mu_strategy": "adaptive"}
+# The barriers of all cells together stay below a hundredth of the unit of the objective. Otherwise
+# they outweigh the cost of a start near the readings, and the iterates leave it for the middle
+# between the bounds.
+MAX_BARRIER = 0.01
 GIVEN_MULTIPLIERS = {"warm_start_init_point": "yes", "mu_strategy": "adaptive"}
 WARM = {
     **GIVEN_MULTIPLIERS,
@@ -126,7 +127,8 @@ class Interface(CasadiOwner):
     @guarded
     def of(cls, program: Program, limits: Limits, *, scaled: bool = False) -> "Interface":
         """Return the interface to a program, with its derivatives."""
-        cold = _solver(program, COLD | limits.options(), scaled=scaled)
+        barrier = {"mu_max": MAX_BARRIER / program.conductance.numel()}
+        cold = _solver(program, COLD | barrier | limits.options(), scaled=scaled)
         return cls(program, limits, cold, scaled)
 
     @cached_property

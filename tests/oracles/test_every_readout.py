@@ -530,7 +530,7 @@ def test_the_model_contains_a_diode_and_the_converter(
     for frames, close in ((np.stack([recorded] * 3), truth), (noisy, None)):
         recording = recording_of(scene, frames, 2)
         reduced, nodal = (
-            reconstruct(recording, Estimator(LSM, name, FINE_SETTINGS))
+            reconstruct(recording, Estimator(LSM, name, solver=FINE_SETTINGS))
             for name in ("reduced", "nodal")
         )
         assert all(step.solution.solved for step in (*reduced.steps, *nodal.steps))

@@ -18,7 +18,7 @@ from lampest.apps.recognition import (
     watch,
     watch_parts,
 )
-from lampest.estimate import objective, parts
+from lampest.estimate import estimator, parts
 from lampest.estimate.methods import method
 from lampest.files import hdf5, levels, process
 from lampest.inference import explanation, model_check, noise, nuisances, variance_components
@@ -85,7 +85,7 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
         ("up to 144 cells", method.NODAL_CELLS, 144),
         ("at no more than two frames a second", 1 / method.NODAL_PERIOD, 2),
         ("on panels of up to 256 cells", method.FALLBACK_CELLS, 256),
-        ("on panels of at most 144 cells", objective.MAX_VERIFIED_CELLS, 144),
+        ("on panels of at most 144 cells", estimator.MAX_VERIFIED_CELLS, 144),
     ],
     "docs/howto/error_bars.md": [
         ("every verified estimate of up to 600 cells", trust_region.MATRIX_CELLS, 600),
