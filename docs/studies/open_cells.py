@@ -50,6 +50,7 @@ def pad(seed: int, draw: int) -> lampest.Recording:
     exact = readout.to_recorded(readout.exact_reading(cells), scene)
     steps = readout.volt_from_recorded(exact) / readout.lsb_volt
     size = (readout.readings, *steps.shape)
+    assert isinstance(readout.noise_lsb, float)
     codes = np.round(steps + readout.noise_lsb * noise.standard_normal(size))
     codes = codes.clip(0, 2**readout.adc_bits - 1).mean(axis=0)
     role = (np.arange(FRAMES) >= UNLOADED).astype(np.uint8)
@@ -67,6 +68,7 @@ def excess(seed: int, draws: int, penalty: lampest.Term) -> float:
         terms = [lampest.Misfit(weighting="noise"), replace(penalty, weight=weight)]
         results = lampest.reconstruct(recording, terms, error_bars=False)
         truth = recording.truth_cell_resistance
+        assert truth is not None
         error = np.log(results.cell_resistance[-1] / truth[-1])
         return float(np.mean(error**2)), float(results.steps[-1].weights[1])
 
