@@ -64,11 +64,12 @@ def _of_network(prepared: Prepared) -> tuple[Finding, ...]:
 
     Each of several effects may be the only one, and explain what the others seem to. The first is
     the one that leaves the fewest others when the scene names it; then follow those it leaves.
+    Where the scene cannot name one of them, all are returned.
     """
     if prepared.cleaned.readings.sigma is None:
         return ()
     findings = searched(Gathered(prepared.cleaned.recording, prepared))
-    if len(findings) < 2:
+    if len(findings) < 2 or not all(finding.addition for finding in findings):
         return findings
     together = list[tuple[Finding, ...]]()
     for finding in findings:
