@@ -295,7 +295,7 @@ def test_more_starts_find_the_lower_of_two_minima() -> None:
         replace(plain, course=course, unmodelled=Unmodelled(series_resistance_ohm=20))
     )
     estimator = Estimator(
-        (Misfit(), Gradient(weight=1e-3)), "reduced", Settings(starts=9), error_bars=False
+        (Misfit(), Gradient(weight=1e-3)), "reduced", solver=Settings(starts=9), error_bars=False
     )
     readings = recording.readings()
     random = np.random.default_rng(0)

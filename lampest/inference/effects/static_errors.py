@@ -212,6 +212,9 @@ def significant_reading_error(
     if resting.sigma is None or resting.value.size > MAX_CELLS:
         return None
     fit, moves = _fit_and_changes(scene, resting, loaded, noise)
+    if moves is not None and moves.has_channels:
+        error = _error_beside_channels(scene, resting, fit, moves)
+        return (error.mean, error.deviation) if error.odds[0] < SIGNIFICANCE else None
     coarse = unloaded_costs(scene, resting, fit, READING_ERRORS[COARSE])
     coarse = coarse + _costs_of_errors(scene, moves, COARSE)[0, COARSE]
     if coarse[0] - coarse.min() < COARSE_GAIN:
@@ -410,9 +413,25 @@ class StaticErrors(SceneEffect):
 
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield advice on channels, or on errors of each reading that stay the same."""
-        yield from (channels := tuple(self._channels(evidence)))
-        if channels:  # they make cells rougher, too, while errors of each reading show no channels
+        channels = tuple(self._channels(evidence))
+        error = self._reading_error(evidence, beside_channels=bool(channels))
+        if error is None:
+            yield from channels
             return
+        mean, deviation = error
+        yield Unnamed.of(
+            f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, "
+            "the same in all frames: cells are rougher than those of films",
+            "systematic.reading_error",
+        )
+
+    def _reading_error(
+        self, evidence: Gathered, *, beside_channels: bool
+    ) -> tuple[float, float] | None:
+        """Return the significant size of each reading's own error and its deviation, or None.
+
+        Channels make cells rougher, too: where they may differ, their spread is summed out.
+        """
         scene = evidence.scene
         noise = evidence.noise
         unloaded = evidence.unloaded
@@ -421,27 +440,23 @@ class StaticErrors(SceneEffect):
             or not unloaded.any()
             or not evidence.names_none("systematic.reading_error")
         ):
-            return
+            return None
         sizes = scene.systematic if isinstance(scene.systematic, Systematic) else Systematic()
-        estimating = replace(scene, systematic=replace(sizes, reading_error=ESTIMATED))
+        sizes = replace(sizes, reading_error=ESTIMATED)
+        if beside_channels:
+            sizes = replace(sizes, channel_spread_ohm=ESTIMATED)
+        estimating = replace(scene, systematic=sizes)
         # without the error of the model: the same misses would count for it and for errors of the
         # readings
         readings = replace(noise.readings, sigma=noise.readings.sigma / noise.model_factor)
         resting = readings[unloaded].mean()
         loaded = None
         if resting.plain[scene.requested].mean() < MIN_SHARE_READ:
-            return
+            return None
         if len(evidence.measured):
             strongest = strongest_frame(readings.plain_values, resting.value, evidence.measured)
             loaded = readings[strongest]
-        error = significant_reading_error(estimating, resting, loaded, noise.frame)
-        if error is not None:
-            mean, deviation = error
-            yield Unnamed.of(
-                f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, "
-                "the same in all frames: cells are rougher than those of films",
-                "systematic.reading_error",
-            )
+        return significant_reading_error(estimating, resting, loaded, noise.frame)
 
     def _channels(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield advice on channels of the lines that differ."""
