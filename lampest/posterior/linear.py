@@ -52,8 +52,6 @@ class LinearModel:
     prior_variance : tuple of float
         For every term with an absolute loss whose weight has the least risk, the mean square of its
         residuals as the data show it, otherwise NaN; () if there is none.
-    held_variance : float or None
-        Variance of those residuals that the absolute loss holds at 0, if it is known.
     """
 
     at: Evaluation
@@ -62,7 +60,6 @@ class LinearModel:
     deviation: Array | None = field(default=None, kw_only=True)
     weight_sigma: tuple[float, ...] = field(default=(), kw_only=True)
     prior_variance: tuple[float, ...] = field(default=(), kw_only=True)
-    held_variance: float | None = field(default=None, kw_only=True)
 
     @cached_property
     def gradient(self) -> Array:
@@ -181,11 +178,6 @@ class LinearModel:
         return np.isin(self.penalty_term, numbers)
 
     @cached_property
-    def held(self) -> NDArray[np.bool_]:
-        """Whether an absolute loss holds a penalty row at 0, (penalty rows,)."""
-        return self.absolute & (np.abs(self.penalty) < PINNED)
-
-    @cached_property
     def plateaus(self) -> sparse.csc_array:
         """Orthonormal changes of log r that keep residuals of absolute losses at 0, sparse.
 
@@ -195,7 +187,8 @@ class LinearModel:
         Tibshirani & Taylor, Ann. Stat. 40, 2012).
         """
         cells = self.at.cell_resistance.size
-        rows = sparse.csr_array(self.penalty_jacobian)[self.held]
+        pinned = self.absolute & (np.abs(self.penalty) < PINNED)
+        rows = sparse.csr_array(self.penalty_jacobian)[pinned]
         counts = np.diff(rows.indptr)
         entries = rows.indices
         fixed = np.zeros(cells, dtype=bool)
@@ -224,18 +217,14 @@ class LinearModel:
         """Curvature ω of the penalties, (penalty rows,).
 
         Where the data show the variance of residuals, ω is s² over this variance: an absolute loss
-        with the weight of least risk holds more residuals at 0 than are 0. These have a variance of
-        their own, if it is known.
+        with the weight of least risk holds more residuals at 0 than are 0.
         """
         curvature = self.penalty_curvature_for(self.at.weights)
-        for number, variance in self.shown_variances():
-            rows = self.penalty_term == number
-            curvature[rows] = self.scale / variance
-            if self.held_variance is not None:
-                curvature[rows & self.held] = self.scale / self.held_variance
+        for number, variance in self._shown_variances():
+            curvature[self.penalty_term == number] = self.scale / variance
         return curvature
 
-    def shown_variances(self) -> Iterator[tuple[int, float]]:
+    def _shown_variances(self) -> Iterator[tuple[int, float]]:
         """Yield the numbers of terms whose variance the data show, and the variance."""
         for number, variance in enumerate(self.prior_variance):
             if np.isfinite(variance) and len(self.dual):
@@ -268,7 +257,7 @@ class LinearModel:
         columns = [sparse.csc_array((len(residual), 0))]
         for number, loss, rows in curved_rows(self.at.cost, self.penalty_term):
             beyond[rows] = weights[number] * loss.steady_pull(residual[rows])
-        with_variance = [number for number, _ in self.shown_variances()]
+        with_variance = [number for number, _ in self._shown_variances()]
         for number in with_variance:
             pull = -self.penalty_curvature * residual
             rows = self.penalty_term == number

@@ -279,12 +279,7 @@ def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = N
     """
     samples = None if memory is None or memory.exact else memory
     if samples is None and model.at.cell_resistance.size <= MAX_DENSE:
-        errors = DenseErrors(model, memory, drawn)
-        if not any(np.isfinite(model.prior_variance)):
-            return errors
-        from lampest.posterior.held import with_held_variance
-
-        return with_held_variance(errors)
+        return DenseErrors(model, memory, drawn)
     from lampest.posterior.sampled import SampledErrors
 
     return SampledErrors(model, samples, drawn)

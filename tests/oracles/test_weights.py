@@ -31,12 +31,11 @@ from lampest import (
 from lampest.apps.studies.weight_curves import WeightSubject, bound_evidence, solve_at
 from lampest.cost.given import Background
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms import CellResistance, Gradient, LogGradient, LogRatio, Term
+from lampest.cost.terms import CellResistance, Gradient, LogGradient, Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.objective import AutoWeight
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.weights import EvidencePoint, WeightSearch, with_chosen_weights
-from lampest.files.levels import TWO_SIDED
 from lampest.panel.readouts import TwoPointReadout
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel
@@ -296,26 +295,6 @@ def test_bars_of_changes_that_noise_hides_are_as_wide_as_the_changes() -> None:
     drawn = calibration(PRIORS[ABSOLUTE], 0.06, 0.06, True, 3, 11)
     assert np.median(drawn.weights) > 2
     assert np.sqrt(np.mean(drawn.scores**2)) < 1.4
-
-
-def test_bars_of_cells_that_stand_still_are_those_of_the_baseline() -> None:
-    """Six unloaded frames: √(1/6) of a frame's noise, and some doubt whether cells stand still."""
-    rng = np.random.default_rng(1)
-    truth = np.repeat(3000 * np.exp(0.1 * rng.standard_normal((1, 6, 6))), 9, axis=0)
-    truth[6:, 2:4, 1:3] *= 0.4
-    exact = two_point_resistance(truth)
-    sigma = 0.003 * exact
-    readings = exact + sigma * rng.standard_normal(exact.shape)
-    recording = recording_of(Scene(Panel(6, 6)), readings, unloaded=6, sigma=sigma)
-    weighted = Misfit(weighting="noise")
-    estimate = lampest.reconstruct(recording, [weighted, LogRatio()])
-    plain = lampest.reconstruct(recording, [weighted])
-    assert estimate.sigma_own is not None and plain.sigma_own is not None
-    still = (truth[6] == truth[0]).nonzero()
-    own = estimate.sigma_own[:, *still]
-    assert np.median(own / plain.sigma_own[:, *still]) < 0.75, "1.2 with one variance for all cells"
-    errors = np.log(estimate.cell_resistance / truth[estimate.frame])[:, *still]
-    assert np.mean(np.abs(errors) < TWO_SIDED * own) > 0.9
 
 
 def going_over(folder: Path) -> lampest.Recording:

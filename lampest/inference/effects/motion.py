@@ -195,7 +195,13 @@ def share_of_motion(
             return None
         near = fit.cells
         of_frame = Displacement(*(part[frame] for part in moved))
-        tried = list(product(errors_tried, shares.tolist(), TREMBLINGS.tolist()))
+        # Those without trembling first: the search for moved cells begins with them.
+        tried = [
+            (size, share, trembling)
+            for trembling, size, share in product(
+                TREMBLINGS.tolist(), errors_tried, shares.tolist()
+            )
+        ]
         frame_changes = _Frame.of((base, fit), of_frame, tried)
         if frame_changes.is_mostly_still and well_determined((base, fit)):
             compared.append(frame_changes)
@@ -206,20 +212,29 @@ def share_of_motion(
         return None
     costs = np.array(
         [_joint_cost([frame.explained[key] for frame in compared]) for key in tried]
-    ).reshape(len(errors_tried), len(shares), len(TREMBLINGS))
-    by_trembling = Number.by_costs(TREMBLINGS, costs, TREMBLING_ODDS, axis=2)
-    trembling = float(np.sqrt(by_trembling.mean_square))
-    costs -= 2 * np.log(TREMBLING_ODDS)
+    ).reshape(len(TREMBLINGS), len(errors_tried), len(shares))
+    costs = np.moveaxis(costs, 0, 2)
+    trembling = 0.0
+    if all(frame.shows_trembling for frame in compared):
+        by_trembling = Number.by_costs(TREMBLINGS, costs, TREMBLING_ODDS, axis=2)
+        trembling = float(np.sqrt(by_trembling.mean_square))
+        costs -= 2 * np.log(TREMBLING_ODDS)
+    else:
+        costs = costs[:, :, :1]
     none = float(summed_out(costs[:, 0, 0], axis=0))
     gain = none - float(summed_out(costs, axis=0).min())
     if len(shares) == 1:
         known = float(shares[0])
         return Share(known, 0.0, known, gain, trembling)
     number = Number.by_costs(shares, costs, axis=1)
+    steady = Number.by_costs(shares, costs[:, :, :1], axis=1)
     # Below the smallest share any share may be the whole time.
     reliable = max(displacements - errors, shares[1] * displacements)
     unattenuated = np.minimum(shares * displacements, shares[-1] * reliable)
-    reach = float(number.odds @ unattenuated) / reliable if reliable else number.mean
+    # A share that trembling hides remains possible.
+    reach = number.mean
+    if reliable:
+        reach = max(float(tried.odds @ unattenuated) / reliable for tried in (number, steady))
     # The share of the scan is anywhere between both.
     deviation = float(np.hypot(number.deviation, (reach - number.mean) / np.sqrt(3)))
     return Share(number.mean, deviation, reach, gain, trembling)
@@ -262,11 +277,14 @@ class _Frame:
     explained : mapping of (float, float, float) to _Explained
         By size of errors, share and trembling.
     is_mostly_still : bool
-        Whether most cells are still under the likeliest of them.
+        Whether most cells are still under the likeliest of them without trembling.
+    shows_trembling : bool
+        Whether most cells are still and without a load. Otherwise trembling explains any motion.
     """
 
     explained: Mapping[Motion, _Explained]
     is_mostly_still: bool
+    shows_trembling: bool
 
     @classmethod
     def of(
@@ -334,12 +352,12 @@ class _Frame:
                 shared,
                 MOVED_COST * int(moved.sum()) + jacobian,
             )
-        likeliest = exact[min(explained, key=lambda key: explained[key].cost)]
-        moved = likeliest.selected(usual_starts(likeliest.change))[1]
-        # A load that trembles may move any cell: those that changed as loaded ones are not still.
-        change = np.abs(likeliest.change - np.median(likeliest.change))
+        steady = min((key for key in tried if not key[2]), key=lambda key: explained[key].cost)
+        moved = exact[steady].selected(usual_starts(exact[steady].change))[1]
+        # A load that trembles may move any cell that changed as loaded ones do.
+        change = np.abs(exact[steady].change - np.median(exact[steady].change))
         loaded = change > LOADED_SHARE * change.max()
-        return cls(explained, mostly_still(moved | loaded))
+        return cls(explained, mostly_still(moved), mostly_still(moved | loaded))
 
 
 def _joint_cost(frames: Sequence[_Explained]) -> float:
