@@ -274,8 +274,7 @@ class Fitting:
     def bounds(self) -> tuple[Array, Array]:
         """Smallest and largest φ, (parameters,) each."""
         mean, sd, _ = self._prior
-        most = [prior.most for prior in self._priors.values()]
-        return mean - SIGNIFICANT * sd, np.minimum(mean + SIGNIFICANT * sd, most)
+        return mean - SIGNIFICANT * sd, mean + SIGNIFICANT * sd
 
     @cached_property
     def _prior(self) -> Array:

@@ -15,8 +15,10 @@ from lampest.recording.shapes.shape import Prior
 
 # Of ln of the suction in kPa: 95 % between 1.7 and 85 kPa. Mouths suck with 0.6 to 26 kPa at rest,
 # and with 8 to 70 kPa while they are pulled off (Shi et al., PLoS ONE 16, e0247884, 2021).
-PULLED = Prior(log(12), 1.0, most=log(-VACUUM_KPA))
-LEAST = log(0.3)  # of the grid over ln of the suction, and its number of points
+PULLED = Prior(log(12), 1.0)
+# Ends of the grid over ln of the suction, the last one a vacuum, and its number of points.
+LEAST = log(0.3)
+MOST = log(-VACUUM_KPA)
 POINTS = 400
 
 
@@ -48,8 +50,8 @@ def pulled_suction(
     """
     precision = max(1 / variance - 1 / resting.sd**2, 1e-9)
     mean = (logarithm / variance - resting.mean / resting.sd**2) / precision
-    mean = float(np.clip(mean, LEAST, PULLED.most))
-    grid = np.linspace(LEAST, PULLED.most, POINTS)
+    mean = float(np.clip(mean, LEAST, MOST))
+    grid = np.linspace(LEAST, MOST, POINTS)
     at_rest = response.logarithm(water_kpa)
 
     def conductance(logarithms: np.ndarray) -> np.ndarray:

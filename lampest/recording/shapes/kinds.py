@@ -310,7 +310,7 @@ class OralDisc(RoundShape):
         numbers={
             "diameter": DIAMETER,
             "width": Prior(log(5.5), 0.3),
-            "suction": Prior(log(8), 0.75, most=log(-VACUUM_KPA)),
+            "suction": Prior(log(8), 0.75),
             "push": Prior(log(1.5), 2.2, step=2.0),
         },
         uneven=(0.05, 0.05, 0.17, 0.17),

@@ -7,7 +7,6 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -31,15 +30,12 @@ class Prior(NamedTuple):
         Longest Gauss-Newton step.
     sway : float
         Standard deviation of periodic movements of the whole load in this parameter.
-    most : float
-        Largest possible value.
     """
 
     mean: float
     sd: float
     step: float = 0.7
     sway: float = 0.0
-    most: float = inf
 
 
 class Template(NamedTuple):
