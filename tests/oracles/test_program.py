@@ -453,3 +453,16 @@ except KeyboardInterrupt:
         [sys.executable, "-c", text], capture_output=True, text=True, timeout=100
     )
     assert completed.stdout == "interrupted\n", completed.stderr
+
+
+def test_barriers_do_not_lead_away_from_a_start_that_nearly_explains_the_readings() -> None:
+    """With the limit of MAX_BARRIER for each cell instead of all together, 181 iterations."""
+    readout = lampest.LoadedColumnsReadout(load_ohm=35_000.0, drive_ohm=30.0, noise_lsb=1.0)
+    scene = lampest.Scene(lampest.Panel(6, 6), readout)
+    cells = 3000 * np.exp(0.1 * np.random.default_rng(3).standard_normal((1, 6, 6)))
+    recorded = readout.to_recorded(readout.exact_reading(cells), scene).repeat(2, axis=0)
+    role = np.array([lampest.UNLOADED, lampest.MEASURED], dtype=np.uint8)
+    recording = lampest.Recording(scene, recorded, np.arange(2.0), role)
+    estimate = lampest.reconstruct(recording, [NOISE], formulation="nodal", error_bars=False)
+    assert estimate.steps[0].solution.optimum
+    assert estimate.steps[0].solution.iterations < 40
