@@ -303,6 +303,22 @@ def test_an_effect_that_gains_only_alone_is_not_advised(monkeypatch: pytest.Monk
     assert effects.unnamed_effects(Fake()) == (gain_found, motion_found)
 
 
+def test_effects_that_a_scene_cannot_name_leave_advice_as_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Without entries the search beside such an effect would begin anew with the same scene."""
+    found = (Finding("effects", "own", "", {}), Finding("effects", "gain", "", {"gain": 0.01}))
+
+    class Plain:
+        layout = None
+        cleaned = SimpleNamespace(readings=SimpleNamespace(sigma=1.0), recording=None)
+
+    monkeypatch.setattr(effects, "Gathered", lambda _, prepared: prepared)
+    monkeypatch.setattr(effects, "searched", lambda prepared: found)
+    monkeypatch.setattr(effects, "named", lambda prepared, finding: prepared)
+    assert effects.unnamed_effects(Plain()) == found
+
+
 def test_errors_beyond_those_of_parts_are_another_circuit() -> None:
     assert not advice.Audit(Prepared(with_errors(0.2))).advice
     named = with_errors(0.2, systematic=Systematic(reading_error="estimated"))
