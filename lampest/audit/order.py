@@ -217,8 +217,8 @@ def _costs_of_amplitudes(amplitudes: Array, variances: Array) -> Array:
     The shape is (roughnesses, n).
     """
     # n ln(Σ x²/λ / n) + Σ ln λ,   λ = variances over their mean + ρ; 1 without an order
-    rough = np.array(ROUGHNESS)[:, None]
-    relative = np.where(np.isfinite(rough), variances / variances.mean() + rough, 1.0)
+    roughness = np.array(ROUGHNESS)[:, None]
+    relative = np.where(np.isfinite(roughness), variances / variances.mean() + roughness, 1.0)
     count = len(variances)
     squares = (1 / relative) @ (amplitudes**2).T / count
     return np.asarray(

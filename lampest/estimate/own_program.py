@@ -12,8 +12,8 @@ conditions, and error bars are those of the program's own Hessian on the plane o
     cov(x) = Z (½ Zᵀ ∇²L Z)⁻¹ Zᵀ
 
 with the Lagrangian L of φ, and a basis Z of the directions along the active constraints, over the
-unknowns that no bound holds. The definiteness of Zᵀ ∇²L Z tells a minimum from a saddle. Source:
-Nocedal & Wright, Numerical Optimization, 2006, sections 12.5 and 16.2.
+unknowns that no bound holds. The definiteness of Zᵀ ∇²L Z distinguishes a minimum from a saddle.
+Source: Nocedal & Wright, Numerical Optimization, 2006, sections 12.5 and 16.2.
 """
 
 from collections.abc import Callable, Sequence

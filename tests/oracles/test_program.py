@@ -394,7 +394,7 @@ def test_wrong_arguments_of_a_program_are_refused(options: dict[str, Any], messa
         own_program(**options)
 
 
-@promise("howto/adding/constraint: A check outside of IPOPT tells a minimum from a saddle")
+@promise("howto/adding/constraint: A check outside of IPOPT distinguishes a minimum from a saddle")
 def test_an_end_at_a_saddle_is_no_optimum() -> None:
     """The own cost (x² − 1)² has a maximum at 0, where IPOPT begins and stays."""
     program, _ = own_program()

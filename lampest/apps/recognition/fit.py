@@ -205,10 +205,12 @@ class Fitting:
         squares : SumOfSquares
             −ln P there.
         """
-        low, high = self.bounds
+        mean, sd, longest = self._prior
+        low = mean - SIGNIFICANT * sd
+        high = mean + SIGNIFICANT * sd
         if held is not None:
             low[held] = high[held] = start[held]
-        loop = replace(SEARCH, evaluations=steps, longest=self._prior[2])
+        loop = replace(SEARCH, evaluations=steps, longest=longest)
         model = partial(self.at, likelihood=likelihood)
         return loop.minimum(
             model, start, (low, high), lambda point, count: count > 4 and point.cost > most
@@ -269,12 +271,6 @@ class Fitting:
     def centred(self) -> NDArray[np.bool_]:
         """Whether each of φ is a coordinate of a centre, boolean (parameters,)."""
         return np.array([name.split(".")[-1] in ("x", "y") for name in self._priors], dtype=bool)
-
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Smallest and largest φ, (parameters,) each."""
-        mean, sd, _ = self._prior
-        return mean - SIGNIFICANT * sd, mean + SIGNIFICANT * sd
 
     @cached_property
     def _prior(self) -> Array:

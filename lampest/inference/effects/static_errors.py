@@ -313,15 +313,15 @@ def _determined_sizes(
         if error is CHANNELS:
             spread = posterior.channel_factor
             size = unit * spread.mean, unit * spread.deviation
-            told = spread.log_deviation < MAX_UNTOLD * LOG_SD_OF_FACTORS
+            determined = spread.log_deviation < MAX_UNTOLD * LOG_SD_OF_FACTORS
         else:
             second, covariance = (
                 float(np.trace(matrix[first:last, first:last])) / (last - first)
                 for matrix in (posterior.second, posterior.covariance)
             )
             size = unit * float(np.sqrt(second)), unit * float(np.sqrt(covariance))
-            told = covariance < MAX_UNTOLD**2
-        if told:
+            determined = covariance < MAX_UNTOLD**2
+        if determined:
             sizes[error.setting] = size
         first = last
     return sizes
