@@ -8,7 +8,7 @@ import numpy as np
 from lampest.audit.effects import unnamed_effects
 from lampest.audit.health import Health
 from lampest.files.errors import InputError
-from lampest.inference.explanation import MIN_RISEN, rises_only
+from lampest.inference.better_rival import MIN_RISEN, rises_only
 from lampest.inference.model_check import ModelCheck
 from lampest.inference.prepared import Prepared
 from lampest.inference.rivals import changes_beyond_noise
