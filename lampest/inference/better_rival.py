@@ -116,7 +116,13 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
     # A search for a resistance in series costs several fits: last, so that it ends where it cannot
     # reach the best ones.
     for rival, fits in failed:
-        to_beat = min(limit, _score_to_beat(explanations))
+        # The last of MAX_CANDIDATES explanations is to be beaten.
+        scores = sorted(
+            explanation.score for explanation in explanations if explanation is not None
+        )
+        to_beat = min(
+            limit, scores[MAX_CANDIDATES - 1] if len(scores) >= MAX_CANDIDATES else np.inf
+        )
         explanations.append(some_in_series(rival, frames, to_beat, fits=fits, specified=specified))
     if specified is None:
         explanations.append(some_in_series(frames.specified, frames))
@@ -129,12 +135,6 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
     ]
     best = sorted(better, key=attrgetter("score"))[:MAX_CANDIDATES]
     return [explanation.final for explanation in best]
-
-
-def _score_to_beat(explanations: Sequence[Explanation | None]) -> float:
-    """Return the score of the last of MAX_CANDIDATES explanations; infinite with fewer."""
-    scores = sorted(explanation.score for explanation in explanations if explanation is not None)
-    return scores[MAX_CANDIDATES - 1] if len(scores) >= MAX_CANDIDATES else np.inf
 
 
 def _without_twins(candidates: Sequence[Explanation]) -> list[Explanation]:

@@ -157,7 +157,12 @@ class Scene(Configuration):
         for key, application in OF_APPLICATIONS.items():
             if getattr(self, key) is not None:
                 applications().require(application, key)
-        self._check_own_keys()
+        for own_key, setting in self.own_keys:
+            target = applications().scene_keys.get(own_key)
+            if target is None:
+                raise ValueError(f"{own_key}: no installed application has this key")
+            if not isinstance(setting, loaded(target)):
+                raise ValueError(f"{own_key}: an object of {target} is needed")
         if self.faults is not None:
             self.faults.check(self.panel)
         if self.response is not None:
@@ -177,15 +182,6 @@ class Scene(Configuration):
             self.contact_prior.mean(self.panel.shape)
             self.contact_prior.deviation(self.panel.shape)
         (self.readout or self.circuit).check(self)
-
-    def _check_own_keys(self) -> None:
-        """Raise ValueError unless an application has registered each key and its object."""
-        for key, value in self.own_keys:
-            target = applications().scene_keys.get(key)
-            if target is None:
-                raise ValueError(f"{key}: no installed application has this key")
-            if not isinstance(value, loaded(target)):
-                raise ValueError(f"{key}: an object of {target} is needed")
 
     def own(self, key: str) -> Any:
         """Return the object that a scene has under the key of an application; None without it."""

@@ -81,7 +81,15 @@ class FrameNoise:
             resting = baseline and number == 0
             columns = self._of_frame(frame) / (np.sqrt(max(self.unloaded, 1)) if resting else 1.0)
             if self.memory:
-                columns = np.column_stack([columns, self._of_memory(frame)])
+                # A channel differs by the share of what it differs from the channel before.
+                volt = self._volt(frame)
+                channels = in_scan_order(self.scene.circuit, volt)
+                before = in_panel_order(
+                    self.scene.circuit, np.roll(channels, 1, axis=-1), volt.shape
+                )
+                columns = np.column_stack(
+                    [columns, self._by_volt(volt, self.memory * (volt - before)[None])]
+                )
             if self.effect_errors is not None:
                 fractions = self.effect_errors[0 if resting else 1] * frame
                 columns = np.column_stack([columns, fractions.reshape(len(fractions), -1).T])
@@ -103,16 +111,6 @@ class FrameNoise:
                 [columns, (self.trembling * (measured - self.resting)).ravel()]
             )
         return columns
-
-    def _of_memory(self, measured: Array) -> Array:
-        """Return the column of a converter's memory for one frame's readings, (cells, 1).
-
-        A channel differs by the share of what it differs from the channel before.
-        """
-        volt = self._volt(measured)
-        channels = in_scan_order(self.scene.circuit, volt)
-        before = in_panel_order(self.scene.circuit, np.roll(channels, 1, axis=-1), volt.shape)
-        return self._by_volt(volt, self.memory * (volt - before)[None])
 
     def _volt(self, measured: Array) -> Array:
         """Return the voltages of readings."""

@@ -85,7 +85,10 @@ def calibrate_loads(
     change, sd, within = _all_responses(recordings, loads, place)
     pressure, pressure_sd = known.pressures(scene.panel)
     felt = pressure != 0
-    simultaneous = _simultaneous(loads, place)
+    # Whether two loads lie on the panel at the same time, (loads, loads)
+    begin, end = np.array([load.frames for load in loads]).T
+    overlap = np.maximum(begin[:, None], begin) <= np.minimum(end[:, None], end)
+    simultaneous = (place[:, None] == place) & overlap
     _check_feet(felt, simultaneous)
     base = scene.response or PUBLISHED
     water = water_pressure(scene.panel, scene.water)
@@ -176,16 +179,6 @@ def _doubt(sentence: str, odd: NDArray[np.bool_]) -> str:
         return ""
     numbers = (np.flatnonzero(odd) + 1).tolist()
     return sentence.format(f"load{'s' if len(numbers) > 1 else ''} {first_and_more(numbers)}")
-
-
-def _simultaneous(loads: Sequence[KnownLoad], place: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return whether two loads lie on the panel at the same time, (loads, loads).
-
-    `place` are their recordings.
-    """
-    begin, end = np.array([load.frames for load in loads]).T
-    overlap = np.maximum(begin[:, None], begin) <= np.minimum(end[:, None], end)
-    return np.asarray((place[:, None] == place) & overlap)
 
 
 def _result_in_words(fitted: FittedResponse, loads: int) -> Iterator[str]:
