@@ -272,9 +272,9 @@ class Estimates:
         Rails of the converter that leave cells open are named.
         """
         readout = self.recording.scene.readout
-        messages = []
         if readout is None or self.recording.scene.panel.modules is not None:
             return tuple(step.status for step in self.steps)
+        messages = []
         for step, recorded in zip(self.steps, self.recording.recorded[self.frame], strict=True):
             message = step.status
             at_rails = AT_RAILS.get(step.solution.status)

@@ -134,7 +134,7 @@ class ProjectedNewton(Solver):
                 trial = iterate.sharpened()
                 history = []
             iterate = trial
-            iteration = iteration + 1
+            iteration += 1
         return iterate.outcome(Status.ITERATIONS, iteration)
 
     def _stepped(self, point: Iterate, *, stationary: bool) -> tuple[Iterate, Iterate | None]:
@@ -218,7 +218,7 @@ def trust_region_step(point: Iterate, parts: NewtonParts) -> Iterate | None:
             if damped is not None:
                 return replace(damped, gauss_newton=patience - 1, convex=False)
             model = model.gauss_newton(point)
-            patience = patience - 1
+            patience -= 1
             direction = parts.direction(point, model, radius, parts.active_set)
         trial = point.at_step(direction.step)
         if trial is not None and parts.acceptance(point, trial, direction.decrease):
