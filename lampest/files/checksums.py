@@ -244,14 +244,6 @@ def verified_blocks(dataset: h5py.Dataset) -> Iterator[tuple[Any, Any]]:
         yield (), read_verified(dataset)
 
 
-def _verify_blocks(dataset: h5py.Dataset, entries: dict[int, bytes]) -> None:
-    """Read all values of a dataset by blocks. Raises ValueError as `verified_blocks`."""
-    check_chunks(dataset)
-    edges = [*entries, len(dataset)] if dataset.shape else [0, 1]
-    for first, last in pairwise(edges):
-        _read_blocks(dataset, entries, slice(first, last))
-
-
 def _entries(dataset: h5py.Dataset) -> dict[int, bytes]:
     """Return the entries of `BLOCKS` by the first row of their block.
 
@@ -353,7 +345,11 @@ def read_through(file: h5py.File) -> Integrity:
                         compact or node.fletcher32 or DIGEST in node.attrs or BLOCKS in node.attrs
                     )
                 else:
-                    _verify_blocks(node, _by_first_row(entries))
+                    blocks = _by_first_row(entries)
+                    check_chunks(node)
+                    edges = [*blocks, len(node)] if node.shape else [0, 1]
+                    for first, last in pairwise(edges):
+                        _read_blocks(node, blocks, slice(first, last))
             if entries is not None:
                 _add_dataset(total, path, entries)
             if not protected:
