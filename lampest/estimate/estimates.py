@@ -512,6 +512,10 @@ class Estimates:
 
     @property
     def _pressed(self) -> dict[str, Any] | None:
+        """Pressures in kPa with their errors and verdicts, (frames, rows, columns), by name.
+
+        None where the scene names no response, and without error bars.
+        """
         load = None if self.recording.scene.response is None else self._load
         if load is None:
             return None

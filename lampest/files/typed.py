@@ -350,6 +350,7 @@ class ByKind:
         return validator.validate_python(value, strict=True)
 
     def _tag(self, value: Any) -> Any:
+        """Return the kind that an input names; that of a mapping without one is the default."""
         if isinstance(value, dict):
             return value.get("kind", self.default)
         return getattr(value, "kind", None)

@@ -87,6 +87,7 @@ def refuse_inputs(outputs: Sequence[Path]) -> None:
 
 
 def _refuse_touched(path: Path) -> None:
+    """Raise InputError if an output is an input of the command, or another output of it."""
     touched = _TOUCHED.get() or Touched()
     if any(_same(path, read) for read in touched.read):
         raise InputError(f"{path}: is an input; give the output another name")

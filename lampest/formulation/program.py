@@ -419,6 +419,10 @@ class Program(CasadiOwner):
 
     @cached_property
     def _split_residuals(self) -> casadi.Function:
+        """Function (unknowns, parameters) → residuals, a column for each group of split terms.
+
+        Losses of split terms enter by auxiliary unknowns.
+        """
         split = [group for group in self.groups if group[0].loss.enters != "whole"]
         residuals = [
             casadi.densify(casadi.vertcat(*(part.residual for part in group))) for group in split

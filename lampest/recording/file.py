@@ -65,6 +65,10 @@ def recording_file(path: Path) -> Iterator[tuple[h5py.File, Scene, str, str]]:
 
 @lru_cache(maxsize=8)  # a recording that is too long for memory is opened again for every part
 def _scene_of(text: str, where: str) -> Scene:
+    """Return the scene of a file's text; the key FORMER_SERIES of earlier versions is renamed.
+
+    Raises InputError, with the place `where`, for an invalid scene.
+    """
     document = parse_document(text, where)
     errors = document.content.get("systematic") if isinstance(document.content, dict) else None
     if isinstance(errors, dict) and FORMER_SERIES in errors:

@@ -284,6 +284,7 @@ def _in_words(part: Any) -> str:
 
 
 def _numbers(values: list[Any]) -> Iterator[float]:
+    """Yield the numbers of nested lists, in their order."""
     for value in values:
         if isinstance(value, list):
             yield from _numbers(value)

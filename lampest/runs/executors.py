@@ -80,6 +80,10 @@ class Worker:
             self.pipe.send((function, argument))
 
     def _started(self) -> SpawnProcess:
+        """Start a process that answers tasks, with signals of the terminal blocked, and return it.
+
+        Raises InputError if no further process can be started.
+        """
         # Blocked, so that even the imports of a process are undisturbed, and the tracker does not
         # die before them.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL)
@@ -176,6 +180,7 @@ def _serve(pipe: Connection, begun: Callable[..., None] | None, arguments: tuple
 
 
 def _end_with_parent() -> None:
+    """End this process when its parent ends."""
     parent = parent_process()
     assert parent is not None
     parent.join()

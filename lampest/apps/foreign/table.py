@@ -238,6 +238,7 @@ class ReadingsTable:
         *,
         comma: bool = False,
     ) -> Timing:
+        """Return the function (unit) → the clock that the texts in lines of a field show."""
         return lambda unit: clock_of(
             texts,
             name,

@@ -33,6 +33,10 @@ def unseen_scales(circuit: Readout, rows: int, columns: int) -> tuple[Scale, ...
 
 @lru_cache(maxsize=64)
 def _unseen(circuit: Readout, rows: int, columns: int) -> tuple[Scale, ...]:
+    """Return the scales of a circuit that lie in the null space of its Jacobian at random cells.
+
+    A scale is unseen if more than WITHIN of the square of each of its directions lies there.
+    """
     scatter = np.random.default_rng(1).standard_normal((rows, columns))
     cells = TYPICAL_OHM * np.exp(SCATTER * scatter)
     # An orthonormal basis of the directions of ln r that no reading shows
