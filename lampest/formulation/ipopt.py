@@ -173,7 +173,7 @@ class Interface(CasadiOwner):
 
     @cached_property
     def _warm(self) -> casadi.Function:
-        """IPOPT for starts with multipliers; that of the `fine` interface has options of its own."""
+        """IPOPT for starts with multipliers; `fine` interfaces have options of their own."""
         chosen = WARM | self.limits.options()
         if self.is_fine:
             chosen = FINE | self.limits.fine_options()
