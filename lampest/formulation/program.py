@@ -331,7 +331,7 @@ class Program(CasadiOwner):
     def with_reading(self, changed: Callable[[casadi.SX], Any]) -> "Program":
         """Return the program whose terms read changed(y) in place of y.
 
-        Both readings have the shape (cells, frames) and the readout's unit.
+        y and changed(y) have the shape (cells, frames) and the readout's unit.
 
         Raises
         ------

@@ -103,7 +103,7 @@ class Explanation:
     def like(self, near: "Explanation") -> "Explanation":
         """Return the explanation with the channels and about the moved cells of a similar one.
 
-        Its score costs less; see `final`.
+        Such a score costs less; see `final`.
         """
         if self.pair is None or near.pair is None:
             return self

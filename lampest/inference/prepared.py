@@ -212,10 +212,7 @@ class Prepared:
 
     @cached_property
     def check(self) -> "ModelCheck":
-        """Check of the circuit.
-
-        Its sentence names the numbers of the circuit that no frame can determine.
-        """
+        """Check of the circuit, whose sentence names the numbers that no frame can determine."""
         check = self._check
         if not check.explains:
             return check
@@ -294,9 +291,9 @@ class Prepared:
 
     @cached_property
     def _named_errors(self) -> Array | None:
-        """Standard deviations of readings by errors that the scene names beside noise.
+        """σ of readings by errors that the scene names beside noise, (frames, rows, columns).
 
-        Their shape is (frames, rows, columns); None where it names none.
+        None where the scene names none.
         """
         widened = self.noise.readings.sigma
         of_noise = self.frame_noise.readings.sigma
@@ -309,10 +306,7 @@ class Prepared:
     @cached_property
     @ONE_BLAS_THREAD
     def noise(self) -> NoiseEstimate:
-        """Noise of the frames and errors that all frames share.
-
-        Its readings have a σ that includes both.
-        """
+        """Noise of the frames and errors that all frames share; σ of its readings includes both."""
         if self.layout is not None:
             return self._joined(
                 [None if module is None else module.noise for module in self.modules]

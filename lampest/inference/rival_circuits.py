@@ -1,8 +1,8 @@
 """Circuits of other kinds and settings with the converter and the resistor of a scene.
 
-They are every preset with either side driven, sensed lines read in parallel, idle lines held by
-switches, and circuits with potentials that people build. A circuit has a name by the entries of a
-scene that state it.
+Every preset is one, with either side driven; so are circuits with sensed lines read in parallel,
+with idle lines held by switches, and with potentials that people build. A circuit has a name by the
+entries of a scene that state it.
 """
 
 from collections.abc import Iterator, Mapping
@@ -143,7 +143,7 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
 def _held_at_ground(specified: Any) -> Iterator[DrivenReadout]:
     """Generate circuits whose idle driven lines switches hold at ground.
 
-    Their idle sensed lines keep their load, are held at ground, or float.
+    Idle sensed lines keep their load, are held at ground, or float.
     """
     resistor = _resistor_of(specified)
     if resistor is None:

@@ -359,9 +359,7 @@ def changes_beyond_noise(scene: Scene, readings: Readings, role: NDArray[np.uint
 def standing_frames(
     readings: Readings, frame: int, candidates: NDArray[np.intp], noise: float
 ) -> NDArray[np.intp]:
-    """Return the frames that are equal to one frame within their noise.
-
-    Their mean thus has less noise.
+    """Return the frames that are equal to one frame within their noise, to be averaged.
 
     Parameters
     ----------

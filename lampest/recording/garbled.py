@@ -144,10 +144,7 @@ def _signal(recording: Recording) -> Array:
 
 
 def _expected(values: Array) -> tuple[Array, Array]:
-    """Return the median of the neighbours of each frame and their scatter.
-
-    Both arrays have the shape (frames, rows, columns).
-    """
+    """Return median and scatter of each frame's neighbours, (frames, rows, columns) each."""
     frames = np.arange(len(values))
     width = 2 * WINDOW + 1
     first = np.clip(frames - WINDOW, 0, len(values) - width)

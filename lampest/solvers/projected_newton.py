@@ -243,7 +243,7 @@ def _next_point(
 ) -> Iterate:
     """Return an accepted trial with the preconditioner and the certificate of its predecessor.
 
-    Both are left out if conjugate gradients took too many products.
+    If conjugate gradients took too many products, neither is reused.
     """
     hessian = point.hessian
     worn = direction.products > STEPS.max_reuse_products[hessian.dense]

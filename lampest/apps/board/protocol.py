@@ -33,7 +33,7 @@ WIRINGS: tuple[Literal["two_point"], Literal["loaded_columns"]] = ("two_point", 
 def crc16(data: bytes) -> int:
     """Return the CRC-16/CCITT-FALSE of data.
 
-    Its polynomial is 0x1021, its start 0xFFFF, neither reflected nor inverted.
+    The polynomial is 0x1021, the start 0xFFFF; nothing is reflected or inverted.
     """
     return crc_hqx(data, 0xFFFF)
 

@@ -289,10 +289,7 @@ class Parsed(NamedTuple):
         return cls(fields, values, words, damaged)
 
     def with_separator(self, lines: NDArray[np.bool_]) -> "Parsed":
-        """Return the fields with the damaged one of some lines, (lines,), as two.
-
-        Its damaged byte was a separator.
-        """
+        """Return the fields with the damaged one of some lines parted at its damaged byte."""
         if not np.any(lines):
             return self
         changed = Parsed(
