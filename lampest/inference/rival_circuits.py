@@ -235,7 +235,7 @@ def _own_resistor(circuit: Readout) -> dict[str, float]:
     return {}
 
 
-def in_words(entries: Mapping[str, Any]) -> str:
+def entries_in_words(entries: Mapping[str, Any]) -> str:
     """Return the name of the circuit that entries of a readout state."""
     names = []
     for name, value in entries.items():

@@ -19,8 +19,8 @@ from lampest.files.errors import InputError
 from lampest.files.levels import FALSE_ALARM_RATE, OUTLIER_THRESHOLD
 from lampest.inference.rival_circuits import (
     circuits_beside,
+    entries_in_words,
     entries_of,
-    in_words,
     with_potentials,
 )
 from lampest.panel.panel import Array
@@ -193,7 +193,7 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
             series = scene.series_resistance_ohm if alike else 0.0
             rival = replace(scene, readout=circuit, series_resistance_ohm=series, systematic=None)
             entries = entries_of(circuit, readout)
-            yield Rival(rival, values, sigma, in_words(entries), {"readout": entries})
+            yield Rival(rival, values, sigma, entries_in_words(entries), {"readout": entries})
     yield from _listed_by_columns(specified, readout)
 
 

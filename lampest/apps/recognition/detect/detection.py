@@ -425,7 +425,7 @@ def known_of(
     if seen is None or readings.sigma is None:
         if len(head.time) < 3:
             return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
-        sigma, notes = scattered(readings.plain_values)
+        sigma, notes = noise_by_scatter(readings.plain_values)
     else:
         lasted_s = float(np.ptp(head.time[unloaded])) if len(unloaded) else 0.0
         noise = with_slow_waves(seen.frame, lasted_s)
@@ -484,7 +484,7 @@ def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -
         yield *watched.values(readings[number]), float(part.time[number])
 
 
-def scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
+def noise_by_scatter(value: Array) -> tuple[Array, tuple[str, ...]]:
     """Return σ (rows, columns) from differences of successive frames, and a note on its origin."""
     # Of cells that have no value.
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):

@@ -10,7 +10,7 @@ from lampest.apps.recognition.detect.detection import (
     HEAD_FRAMES,
     Frames,
     Known,
-    scattered,
+    noise_by_scatter,
     with_bounds_counted,
     with_slow_waves,
 )
@@ -66,7 +66,7 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
     # share.
     count = case.unloaded_frames or (1 if noise is None else noise.unloaded)
     if spread is None or case.sigma_baseline is None:
-        deviation, notes = scattered(side)
+        deviation, notes = noise_by_scatter(side)
         spread = np.broadcast_to(deviation, side.shape)
     else:
         spread = _frame_sigma(case, side, spread, 1)
