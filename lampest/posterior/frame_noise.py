@@ -8,20 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import linalg
 
+from lampest.panel.conditions import motion_patterns
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_panel_order, in_scan_order
 from lampest.panel.scene import Scene
-
-
-def motion_patterns(shape: tuple[int, ...]) -> Array:
-    """Return the patterns in which moving water changes ln r of all cells, (3, rows, columns).
-
-    The patterns are 1, the place across the columns, and the place across the rows, from −1 to 1. A
-    change of ln r that all cells share changes ln of each two-point resistance by the same amount;
-    a gradient changes the readings by less.
-    """
-    rows, columns = (np.linspace(-1, 1, size) if size > 1 else np.zeros(1) for size in shape)
-    return np.stack([np.ones(shape), *np.broadcast_arrays(columns, rows[:, None])])
 
 
 def motion_columns(measured: Array, motion: Array) -> Array:
