@@ -103,12 +103,13 @@ def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
     # violated.
     data = at.data
     limit = data.deviation if data.noise_known else MILLIONTH * np.abs(data.measured)
-    missed = at.reading - data.measured
+    residual = at.reading - data.measured
     if data.partial:
         side = data.given.side
         seen = data.given.seen
-        missed = np.where(side == 0, missed, np.minimum(side * missed, 0.0)) * (seen > 0)
-    missed = np.abs(missed) > limit
+        violated = np.minimum(side * residual, 0.0)
+        residual = np.where(side == 0, residual, violated) * (seen > 0)
+    missed = np.abs(residual) > limit
     if not missed.any():
         return False
     if all(term.reads_measurement and term.loss.squared for term in at.cost.terms):

@@ -83,9 +83,9 @@ class Equation:
     drive: Array
     load: Array
     gain: Array
-    drive_terms: tuple[Array, ...]
-    load_terms: tuple[Array, ...]
-    current_terms: tuple[Array, ...]
+    drive_terms: tuple[Array, Array]
+    load_terms: tuple[Array, Array]
+    current_terms: tuple[Array, Array]
     floating: bool
     grounded: bool
     ties: Array
@@ -196,9 +196,12 @@ def equation_of(circuit: DrivenLines, rows: int, columns: int) -> Equation:
         drive=crossings.of_driven(states.drive),
         load=crossings.of_sensed(states.load),
         gain=crossings.of_sensed(states.gain),
-        drive_terms=tuple(map(crossings.of_driven, drive_terms)),
-        load_terms=tuple(map(crossings.of_sensed, load_terms)),
-        current_terms=tuple(map(crossings.of_driven, current_terms)),
+        drive_terms=(crossings.of_driven(drive_terms[0]), crossings.of_driven(drive_terms[1])),
+        load_terms=(crossings.of_sensed(load_terms[0]), crossings.of_sensed(load_terms[1])),
+        current_terms=(
+            crossings.of_driven(current_terms[0]),
+            crossings.of_driven(current_terms[1]),
+        ),
         floating=not np.any(ties),
         grounded=bool(np.all(states.idle <= states.drive)) and len(drive_addresses) == 1,
         ties=np.stack(ties),
