@@ -357,6 +357,8 @@ def misfit_and_volume(covariance: Array, deviation: Array) -> tuple[float, float
 
     Raises as `positive_inverse`.
     """
+    if not deviation.size:
+        return 0.0, 0.0
     factor, failed = lapack.dpotrf(covariance, lower=True)
     white, broken = lapack.dtrtrs(factor, deviation, lower=True)
     if failed or broken or not np.all(np.isfinite(white)):

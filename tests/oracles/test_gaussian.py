@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from lampest.posterior.gaussian import Conditioned, Information, forms_over_scales
+from lampest.posterior.linear import misfit_and_volume
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -54,3 +55,14 @@ def test_forms_over_scales_are_those_of_the_inverse(count: int) -> None:
         matrix = np.eye(count) + scale**2 * root @ root.T
         np.testing.assert_allclose(form, vectors.T @ np.linalg.solve(matrix, vectors), rtol=1e-10)
         assert volume == pytest.approx(np.linalg.slogdet(matrix)[1], abs=1e-12)
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_the_misfit_and_the_volume_are_those_of_the_density(count: int) -> None:
+    """All cells may have moved, so that none is left."""
+    rng = np.random.default_rng(count)
+    root = rng.standard_normal((count, count + 2))
+    deviation = rng.standard_normal(count)
+    misfit, volume = misfit_and_volume(root @ root.T, deviation)
+    assert misfit == pytest.approx(deviation @ np.linalg.solve(root @ root.T, deviation))
+    assert volume == pytest.approx(np.linalg.slogdet(root @ root.T)[1])
