@@ -189,7 +189,13 @@ def _check_of(hint: Any) -> Callable[[Any, str], Any]:
     is_array = any(typing.get_origin(part) is np.ndarray for part in parts)
     dtype = np.float64 if "float64" in str(hint) else None
     finished = _finished(parts)
-    items = _finished(_items(parts))
+    # Types of the items of the one sequence among the alternatives
+    sequences = [
+        typing.get_args(part)[0]
+        for part in parts
+        if typing.get_origin(part) is Sequence or typing.get_args(part)[1:] == (Ellipsis,)
+    ]
+    items = _finished(_alternatives(sequences[0]) if len(sequences) == 1 else ())
 
     def checked(value: Any, label: str) -> Any:
         if isinstance(value, finished):
@@ -230,16 +236,6 @@ def _finished(parts: Iterable[Any]) -> tuple[type[Any], ...]:
         elif typing.get_origin(part) is Annotated and isinstance(part.__metadata__[0], ByKind):
             finished += _finished(_alternatives(part.__origin__))
     return tuple(finished)
-
-
-def _items(parts: Iterable[Any]) -> tuple[Any, ...]:
-    """Return the types of the items of the sequence among types; () unless there is one."""
-    items = [
-        typing.get_args(part)[0]
-        for part in parts
-        if typing.get_origin(part) is Sequence or typing.get_args(part)[1:] == (Ellipsis,)
-    ]
-    return _alternatives(items[0]) if len(items) == 1 else ()
 
 
 def _alternatives(hint: Any) -> tuple[Any, ...]:
@@ -354,6 +350,7 @@ class ByKind:
         return validator.validate_python(value, strict=True)
 
     def _tag(self, value: Any) -> Any:
+        """Return the kind that an input names; that of a mapping without one is the default."""
         if isinstance(value, dict):
             return value.get("kind", self.default)
         return getattr(value, "kind", None)

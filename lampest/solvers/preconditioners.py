@@ -204,6 +204,11 @@ class TwoLevel(Preconditioner):
         return lambda values: np.asarray(part(values / size) / size)
 
     def _solved(self, values: Array) -> Array:
+        """Return the product with the preconditioner.
+
+        S v without lines, else P v + b − P L b with b = S (v − L P v), for the solves P of the
+        lines and S of the factor, and the product L of the lines.
+        """
         if self.lines is None:
             return self.solve(values)
         first = self.lines.solve(values)

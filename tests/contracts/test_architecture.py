@@ -59,7 +59,7 @@ DOORS: dict[str, tuple[str, ...]] = {
         "cost.problem",
         "recording.readings",
         "apps.calibration",
-        "inference.explanation",
+        "inference.rival_parameters",
         "estimate.own_program",
         "formulation",
         "solvers",

@@ -21,9 +21,15 @@ from lampest.apps.recognition import (
 from lampest.estimate import estimator, parts
 from lampest.estimate.methods import method
 from lampest.files import hdf5, levels, process
-from lampest.inference import explanation, model_check, noise, nuisances, variance_components
+from lampest.inference import (
+    model_check,
+    noise,
+    nuisances,
+    rival_parameters,
+    variance_components,
+)
 from lampest.panel import trust_region
-from lampest.posterior import reference, sampled, track
+from lampest.posterior import reference, reference_fit, sampled, track
 from lampest.recording import stored
 from lampest.solvers import certificate, posed, projected_lbfgs, solution
 
@@ -44,11 +50,11 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
     ],
     "docs/theory/posterior.md": [
         ("a factor of at least 1.25", variance_components.MIN_EXCESS, 1.25),
-        ("with three degrees of freedom", reference.MODEL.degrees_of_freedom, 3),
+        ("with three degrees of freedom", reference_fit.MODEL.degrees_of_freedom, 3),
     ],
     "docs/theory/model_check.md": [
         ("A rival is named if its evidence is e¹⁸ times larger", nuisances.MIN_EVIDENCE_GAIN, 36),
-        ("another circuit is better by 15 in", explanation.DOUBTFUL_GAIN, 15),
+        ("another circuit is better by 15 in", rival_parameters.DOUBTFUL_GAIN, 15),
         ("If more than a tenth of the readings is missing", model_check.MAX_MISSING, 0.1),
         ("up to three:", nuisances.MAX_CANDIDATES, 3),
         ("On panels of more than 400 cells", reference.MAX_CELLS, 400),

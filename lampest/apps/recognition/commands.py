@@ -58,10 +58,10 @@ def detect(
     from lampest.apps.recognition.detect.detection import (
         Unchecked,
         answer_recording,
-        detect_results,
         named_apart,
         recordings_in,
     )
+    from lampest.apps.recognition.detect.of_results import detect_results
     from lampest.apps.recognition.detect.pressed import pressed
     from lampest.files.hdf5 import format_of
     from lampest.files.whole import refuse_inputs

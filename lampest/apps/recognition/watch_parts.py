@@ -13,10 +13,10 @@ from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.apps.recognition.observation import Baseline, Observation, patch_of
 from lampest.apps.recognition.recognition_scene import RecognitionScene
 from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH
-from lampest.panel.conditions import water_pressure
+from lampest.panel.conditions import motion_patterns, water_pressure
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.posterior.frame_noise import motion_columns, motion_patterns
+from lampest.posterior.frame_noise import motion_columns
 
 # Time constant, s, with which means follow the frames, and with which a residue fades.
 FOLLOWS_S = 20.0

@@ -77,17 +77,6 @@ def _steps(readings: Readings, measured: NDArray[np.intp]) -> Array:
     return steps
 
 
-def _delays(scene: Scene, readings: Readings) -> Array:
-    """Return the delay τ of each reading from the middle of its frame, shape (1, …).
-
-    The unit is a period, if a scan takes the whole period.
-    """
-    channels = readings.value[0].size
-    # τ of channel k of n: (k + ½)/n − ½
-    late = (np.arange(channels) + 0.5) / channels - 0.5
-    return in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
-
-
 class Displacement(NamedTuple):
     """Displacement of each reading by motion, if a scan takes the whole period.
 
@@ -122,7 +111,11 @@ def displacement(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -
     their doubt is the larger step.
     """
     steps = _steps(readings, measured)
-    delay = _delays(scene, readings)
+    # Delay of each reading from the middle of its frame, in periods
+    channels = readings.value[0].size
+    # τ of channel k of n: (k + ½)/n − ½
+    late = (np.arange(channels) + 0.5) / channels - 0.5
+    delay = in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
     previous, following = steps * delay
     displaced = np.where(delay > 0, previous, following)
     between = np.sqrt(np.abs(delay) * (1 - np.abs(delay)))

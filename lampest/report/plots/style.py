@@ -118,6 +118,7 @@ def write_all(
 
 
 def _image(task: tuple[Callable[[], Figure], Path]) -> bytes:
+    """Draw a figure in this process, and return the bytes of its file."""
     draw, file = task
     with verbatim():
         return _drawn(draw(), file.suffix[1:])
