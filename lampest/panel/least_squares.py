@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Protocol, TypeVar
 
 import numpy as np
+from scipy.linalg import lapack
 
 from lampest.panel.panel import Array
 
@@ -148,7 +149,10 @@ class LevenbergMarquardt:
             scale = damped.diagonal()
             damped[np.diag_indices(len(damped))] += damping * np.where(scale > 0, scale, 1.0)
             step = np.zeros(len(free))
-            step[free] = -np.linalg.solve(damped, point.gradient[free])
+            _, solution, failed = lapack.dposv(damped, point.gradient[free])
+            if failed:  # not positive definite in double precision
+                solution = np.linalg.solve(damped, point.gradient[free])
+            step[free] = -solution
             share = float(np.min(self.longest / np.maximum(np.abs(step), MIN_LENGTH)))
             step = step * min(1.0, share)
             moved = np.clip(position + step, low, high)

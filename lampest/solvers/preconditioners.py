@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import lapack
-from scipy.sparse.linalg import splu
 
 from lampest.panel.kirchhoff import LineBlocks, line_sums
 from lampest.panel.panel import Array
@@ -376,6 +375,8 @@ def sparse_inverse(matrix: sparse.csr_array) -> Linear:
 
     Sparse LU in symmetric order factors the matrix.
     """
+    from scipy.sparse.linalg import splu  # for panels of many cells
+
     diagonal = floored(matrix.diagonal())
     size = np.sqrt(diagonal)
     scale = sparse.diags_array(1 / size)

@@ -53,6 +53,7 @@ DOORS: dict[str, tuple[str, ...]] = {
     "scipy": (
         "files.process",
         "panel.compiled",
+        "panel.least_squares",
         "panel.readouts",
         "panel.response",
         "apps.recognition",
