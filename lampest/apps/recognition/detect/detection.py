@@ -197,6 +197,11 @@ class Known:
             "too shortly to be recognised"
             for begin, end in watch.brief
         )
+        leaks = tuple(
+            f"from {watch.leaks_since_s:.1f} s on the readings show "
+            f"{leak.sentence(self.scene.panel.rows)}, which counts as a part of the circuit"
+            for leak in watch.leaks
+        )
         slow = too_slow(rate) if any(load.sucks > 0.5 for load in attachments) else ""
         doubts = filter(None, (slow, watch.doubt))
         notes = (*self.notes, *faults, *brief, BY, *(() if response else (NO_RESPONSE,)), *doubts)
@@ -206,6 +211,7 @@ class Known:
             "change": watch.change,
             "panel": self.scene.panel,
             "mat": self.scene.purpose == "mat",
+            "warnings": leaks,
         }
         about |= {"threshold": self.threshold, "start_time": self.start_time, "end_s": time}
         detected = Detected.of(self.name, attachments, rate, **about)
@@ -371,14 +377,16 @@ def answer_recording(
     else:
         answer = replace(known, threshold=threshold).answer(looked_at(known))
     answer = replace(answer, start_time=stored.start_time)
-    without = warnings_of(head.recording, recognition_noise(head), None)
+    # leaks that began while the panel was watched
+    seen = answer.warnings
+    without = (*seen, *warnings_of(head.recording, recognition_noise(head), None))
 
     def doubts() -> Sequence[str]:
         if kept is not None:
-            return kept.warnings.split("\n")
+            return (*seen, *kept.warnings.split("\n"))
         if not check:
             return (*without, NOT_CHECKED)
-        return warnings_of(head.recording, recognition_noise(head), head.check)
+        return (*seen, *warnings_of(head.recording, recognition_noise(head), head.check))
 
     return Unchecked(_with_warnings(answer, without), doubts)
 

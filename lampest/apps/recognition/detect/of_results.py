@@ -45,7 +45,8 @@ def _of_case(task: tuple[CaseResult, float | None, float]) -> Detected:
     case, patch_mm, threshold = task
     known, frames = known_of_case(case, patch_mm)
     messages = tuple(filter(None, case.warnings.split("\n")))
-    return replace(replace(known, threshold=threshold).answer(frames), warnings=messages)
+    answer = replace(known, threshold=threshold).answer(frames)
+    return replace(answer, warnings=(*answer.warnings, *messages))
 
 
 def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Known, Frames]:
