@@ -469,8 +469,16 @@ def maps_figure(
 
     Parameters
     ----------
+    tiles : sequence of Tile
+        The maps.
+    panel : Panel
     scale : Scale or sequence of Scale
         One for all maps, one for each, or one for each row of maps.
+    title : str
+    width : float
+        Width of the figure in inches.
+    contoured : bool
+        Whether bands of colour are drawn between contours in place of single cells.
     about : str
         A remark on the maps, behind the label of x.
     """
