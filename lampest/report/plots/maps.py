@@ -191,8 +191,13 @@ class Tile:
 class MapPainter:
     """Painter of maps of a panel on a scale.
 
-    contoured : whether interpolated bands are drawn, with dots at the cells, instead of one patch
-        for each cell.
+    Attributes
+    ----------
+    panel : Panel
+    scale : Scale
+    contoured : bool
+        Whether interpolated bands are drawn, with dots at the cells, instead of one patch for each
+        cell.
     """
 
     panel: Panel
@@ -478,7 +483,7 @@ def maps_figure(
     width : float
         Width of the figure in inches.
     contoured : bool
-        Whether bands of colour are drawn between contours in place of single cells.
+        As in `MapPainter`.
     about : str
         A remark on the maps, behind the label of x.
     """
