@@ -6,11 +6,11 @@ import numpy as np
 
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import fitted
-from lampest.inference.changed_cells import mostly_still
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
-from lampest.inference.fitted_pair import FittedPair
+from lampest.inference.evidence import mostly_still
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides
+from lampest.inference.pair import FittedPair
 from lampest.panel.sizes import ESTIMATED
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
