@@ -21,11 +21,12 @@ from lampest.apps.recognition.hypotheses import NEVER_LOG_ODDS, PAUSE_LOG_ODDS, 
 
 # duration over which a rhythm is steady, and the least that determines one
 WINDOW_S = 8.0
-MIN_WINDOW_S = 4.5
+MIN_WINDOW_S = 3.5
 # correlation ρ of the ln odds of two windows of one load, and number of windows that count: each
 # window takes from the earlier ones the inverse of it
 SHARED = 0.5
 REMEMBERED = 4.0
+ONE_SIDED = 1.645  # standard deviations of an upper limit with 95 %
 MAX_LOG_ODDS = 10.0  # upper limit of accumulated ln odds of breathing
 PRIOR_SUCTION = PRIOR_ODDS / (1 + PRIOR_ODDS)
 # That suction oscillates, before the first window: an incomplete one alone must not decide.
@@ -53,6 +54,8 @@ class Breathing:
     hertz, depth : (float, float) or None
         Rate in Hz and relative amplitude, each with its standard deviation, from the last window
         that determines them.
+    max_depth : float
+        Largest depth that the last full window allows, with 95 %; infinite before one.
     full_s, judged_s : float
         Times of the last frame of the last full window, and of the last window, s.
     """
@@ -66,6 +69,7 @@ class Breathing:
     last: float = UNAGREED
     hertz: Pair | None = None
     depth: Pair | None = None
+    max_depth: float = inf
     full_s: float = -inf
     judged_s: float = -inf
 
@@ -124,7 +128,10 @@ class Breathing:
         if breath is None:
             return judged
         weighed = judged._with_window(breath, full=full)
-        return weighed._closed(time) if full else weighed
+        if not full:
+            return weighed
+        depth, depth_sd = breath.depth
+        return replace(weighed, max_depth=depth + ONE_SIDED * depth_sd)._closed(time)
 
     def _with_window(self, breath: Breath, *, full: bool) -> "Breathing":
         """Return the breath with that of one more window."""

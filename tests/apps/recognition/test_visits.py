@@ -19,9 +19,10 @@ from docs.studies.attachments import ATTACHED_S, TOUCH_S, seen
 from docs.studies.attachments import recording as attached
 from lampest import Array, Panel
 from lampest.apps.recognition.attachment import Attachment, continued_by
-from lampest.apps.recognition.breath import breath
+from lampest.apps.recognition.breath import Breath, breath
 from lampest.apps.recognition.breathing import Breathing
 from lampest.apps.recognition.detect.answer import (
+    CUP,
     LAMPREY,
     MIN_PROBABILITY,
     PRESSES,
@@ -222,10 +223,20 @@ def test_the_threshold_determines_the_answer_lamprey(threshold: float, answer: s
     assert answer_of(sure, 4.0, threshold)[0] == answer
 
 
+@pytest.mark.parametrize(("sd", "answer"), [(0.005, CUP), (0.03, SUCKS)])
+def test_a_full_window_excludes_a_breath_before_a_cup_is_named(sd: float, answer: str) -> None:
+    window = Breath(odds=-9.0, suction=0.8, hertz=(1.0, 0.1), depth=(0.01, sd))
+    early, late = (Breathing().after(window, 8.0, full=full) for full in (False, True))
+    cup = load(0.0, None)
+    named, why = answer_of(replace(cup, breath=late), 4.0)[::2]
+    assert named == answer and ("no full window excludes" in why) == (answer == SUCKS)
+    assert answer_of(replace(cup, breath=early), 4.0)[0] == SUCKS
+
+
 def test_a_reason_applies_to_its_time() -> None:
     """After 55 minutes nothing shows within minutes.
 
-    After nine seconds nothing shows at 4.5 s at the earliest.
+    After nine seconds nothing shows at 3.5 s at the earliest.
     """
     silent = replace(load(0.0, None), breath=Breathing(judged_s=9.0))
     assert "earliest" not in answer_of(silent, 4.0)[2]
