@@ -155,13 +155,13 @@ class Detector:
             fitting = self.fitting(candidate, without)
             for larger in START_SIZES:
                 discs = [place.disc(panel, larger) for place in places]
-                start = np.concatenate([kind.start(disc) for disc in discs])
+                start = fitting.effect(np.concatenate([kind.start(disc) for disc in discs]))
                 covered = np.any([under(panel, disc) for disc in discs], axis=0)
                 spread = np.where(covered, frame.baseline.model_errors.coarse, loose).ravel()
                 whitening = Whitening.about(without, field.change, np.diag(spread**2))
                 likelihood = CellLikelihood.about(without, whitening, field.change)
-                position, _ = fitting.descended(start, likelihood, SEARCH.evaluations // 2)
-                fits.append(fitting.fit_at(position, likelihood))
+                point = fitting.descended(start, likelihood, SEARCH.evaluations // 2)
+                fits.append(fitting.fit_at(point.effect, likelihood))
         best = max(fits, key=attrgetter("evidence"))
         calm, best = self._sharpened(
             frame, best, best, without, self.response_levels[-1] * self._response(frame)
@@ -256,7 +256,8 @@ class Detector:
         dropped: list[int] | None = None
         for _ in range(SHARPENED):
             whitening = self.fitting(explains.candidate, calm).errors(explains, scatter)
-            fit = explains = self.fitting(fit.candidate, calm).best(fit.parameters, whitening)
+            fitting = self.fitting(fit.candidate, calm)
+            fit = explains = fitting.best(fitting.effect(fit.parameters), whitening)
             contradicting = self._contradicting(frame, fit)
             if contradicting.tolist() == dropped:
                 break
@@ -281,13 +282,12 @@ class Detector:
         starts = self.search(calm.panel).starts(likelihood.slope, likelihood.error)
         for load in kinds:
             fitting = self.fitting(load, calm)
-            begins = [load.start(starts[template]) for template in load.templates]
-            descents = [
+            begins = [fitting.effect(load.start(starts[template])) for template in load.templates]
+            points = [
                 fitting.descended(begin, likelihood, SEARCH.evaluations // 2) for begin in begins
             ]
-            fits.append(
-                fitting.fit_at(min(descents, key=lambda descent: descent[1].cost)[0], likelihood)
-            )
+            lowest = min(points, key=attrgetter("cost"))
+            fits.append(fitting.fit_at(lowest.effect, likelihood))
         return fits
 
     def _settled(
@@ -317,10 +317,10 @@ class Detector:
             # equal errors for all candidates: otherwise a poor candidate would excuse its misfit by
             # its own errors
             most = best.cost + MAX_LOG_RATIO
-            besides = [
-                self.fitting(fit.candidate, calm).best(fit.parameters, whitening, most)
-                for fit in rivals
-            ]
+            besides = []
+            for fit in rivals:
+                fitting = self.fitting(fit.candidate, calm)
+                besides.append(fitting.best(fitting.effect(fit.parameters), whitening, most))
             fits = [best, *(self._own(calm, fit)[0] if fit.cost < most else fit for fit in besides)]
             explains = best
             if min(fits, key=attrgetter("score")) is best:
@@ -338,7 +338,8 @@ class Detector:
         response = calm.baseline.model_errors.response
         errors = [fitting.errors(fit, level * response) for level in self.response_levels]
         # type-II maximum likelihood of the film's deviation on a grid
-        fits = [fitting.best(fit.parameters, whitening) for whitening in errors]
+        begin = fitting.effect(fit.parameters)
+        fits = [fitting.best(begin, whitening) for whitening in errors]
         best = int(np.argmax([fit.evidence for fit in fits]))
         return fits[best], errors[best]
 
@@ -363,10 +364,9 @@ class Detector:
         def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
             parts, starts = zip(*loads, strict=True)
             fitting = self.fitting(Several.of(parts), calm)
-            position, _ = fitting.descended(
-                np.concatenate(starts), likelihood, SEARCH.evaluations // 2
-            )
-            return fitting.fit_at(position, likelihood)
+            start = fitting.effect(np.concatenate(starts))
+            point = fitting.descended(start, likelihood, SEARCH.evaluations // 2)
+            return fitting.fit_at(point.effect, likelihood)
 
         best = fitted([(kinds[0], kinds[0].start(disc)) for disc in discs])
         for place, disc in enumerate(discs):
@@ -392,9 +392,10 @@ class Detector:
     ) -> Verdict:
         """Return the verdict on these fits, on no load, and on an equal pressure on all cells."""
         whitening = Whitening.about(frame)
-        uniform = [
-            self.fitting(kind, frame).best(kind.mean(frame.panel), whitening) for kind in UNIFORM
-        ]
+        uniform = []
+        for kind in UNIFORM:
+            fitting = self.fitting(kind, frame)
+            uniform.append(fitting.best(fitting.effect(kind.mean(frame.panel)), whitening))
         return Verdict.of((*uniform, *fits), frame, places)
 
     @staticmethod
@@ -419,7 +420,7 @@ class Detector:
             return verdict
         calm, whitening = self.with_errors(frame, best)
         fitting = self.fitting(best.candidate, calm)
-        likelihood = fitting.about(best.parameters, whitening)
+        likelihood = CellLikelihood.about(calm, whitening, best.change)
         wide = along_diameter(fitting, best, likelihood)
         # a load whose shape explains the frame poorly is as much less sure
         wide = replace(wide, covariance=wide.covariance * max(1.0, verdict.goodness))
@@ -436,18 +437,17 @@ class Detector:
         film = calm.baseline.response
         if not fit.candidate.sucks or not isinstance(film, PublishedResponse):
             return fit
-        likelihood = self.fitting(fit.candidate, calm).about(fit.parameters, whitening)
+        likelihood = CellLikelihood.about(calm, whitening, fit.change)
         offsets = []
         evidence = []
         for exponent in (1.0, *self.exponents):
             bent = BentSuction(exponent=exponent, gain=film.gain, gain_sd=film.gain_sd)
             frame = replace(calm, baseline=replace(baseline, response=bent))
             fitting = self.fitting(fit.candidate, frame)
-            position, squares = fitting.descended(fit.parameters, likelihood)
-            offsets.append(position - fit.parameters)
+            point = fitting.descended(fitting.effect(fit.parameters), likelihood)
+            offsets.append(point.effect.parameters - fit.parameters)
             evidence.append(
-                -squares.cost
-                - inverse_beside_prior(squares.normal, fit.candidate.sd(frame.panel))[1]
+                -point.cost - inverse_beside_prior(point.normal, fit.candidate.sd(frame.panel))[1]
             )
         shares = softmax(EVIDENCE_SHARE * np.array(evidence))
         # law of total covariance: the covariance within a curve, and that between the curves

@@ -9,7 +9,7 @@ loads in one place, are improbable. Whether a load sucks is not decided by fits,
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import combinations
 from math import exp, hypot, log
 from typing import NamedTuple
@@ -135,6 +135,37 @@ class CellLikelihood(NamedTuple):
         return cls(whitening, both[:, :-1], both[:, -1] + both[:, :-1] @ change.ravel(), residual)
 
 
+class Effect(NamedTuple):
+    """Effect of a candidate with the parameters φ on the cells.
+
+    Attributes
+    ----------
+    parameters : array, shape (parameters,)
+        φ.
+    change : array, shape (rows, columns)
+        ln r/r0.
+    slopes : array, shape (parameters, cells)
+        Its derivatives by φ.
+    """
+
+    parameters: Array
+    change: Array
+    slopes: Array
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FitPoint(SumOfSquares):
+    """−ln P of a frame about φ.
+
+    Attributes
+    ----------
+    effect : Effect
+        The effect of φ on the cells.
+    """
+
+    effect: Effect
+
+
 @dataclass(frozen=True, eq=False)
 class Fitting:
     """The problem of fitting one candidate to one frame."""
@@ -143,54 +174,48 @@ class Fitting:
     frame: Observation
     patch_mm: float
 
-    def at(self, parameters: Array, likelihood: CellLikelihood) -> SumOfSquares:
+    def at(self, effect: Effect, likelihood: CellLikelihood) -> FitPoint:
         """Return −ln P about φ.
 
         The squares are those of the readings' errors e − A x(φ) and of (φ − mean)/sd.
         """
-        change, slopes = self.effect(parameters)
         mean, sd, _ = self._prior
-        touched = np.flatnonzero(change)  # x is 0 outside the load
+        touched = np.flatnonzero(effect.change)  # x is 0 outside the load
         by_cell = likelihood.slope[:, touched]
-        errors = likelihood.error - by_cell @ change.ravel()[touched]
-        slopes = np.vstack([-by_cell @ slopes[:, touched].T, np.diag(1 / sd)])
-        return SumOfSquares(np.concatenate([errors, (parameters - mean) / sd]), slopes)
+        errors = likelihood.error - by_cell @ effect.change.ravel()[touched]
+        from_mean = (effect.parameters - mean) / sd
+        return FitPoint(
+            residual=np.concatenate([errors, from_mean]),
+            jacobian=np.vstack([-by_cell @ effect.slopes[:, touched].T, np.diag(1 / sd)]),
+            effect=effect,
+        )
 
-    def effect(self, parameters: Array) -> tuple[Array, Array]:
-        """Return the effect of a candidate on the cells.
-
-        Returns
-        -------
-        change : array, shape (rows, columns)
-            ln r/r0.
-        slopes : array, shape (parameters, cells)
-            Derivatives by φ.
-        """
+    def effect(self, parameters: Array) -> Effect:
+        """Return the effect of the candidate with φ on the cells."""
         pressure, by_parameter = self.pressure(parameters)
         change, response = self.frame.change(pressure)
-        return change, by_parameter.reshape(len(parameters), response.size) * response.ravel()
+        slopes = by_parameter.reshape(len(parameters), response.size) * response.ravel()
+        return Effect(parameters, change, slopes)
 
-    def about(self, parameters: Array, whitening: Whitening) -> CellLikelihood:
+    def about(self, effect: Effect, whitening: Whitening) -> CellLikelihood:
         """Return the likelihood with the circuit linearised at φ."""
-        return CellLikelihood.about(
-            self.frame, whitening, self.frame.change(self.pressure(parameters)[0])[0]
-        )
+        return CellLikelihood.about(self.frame, whitening, effect.change)
 
     def descended(
         self,
-        start: Array,
+        start: Effect,
         likelihood: CellLikelihood,
         steps: int = SEARCH.evaluations,
         most: float = np.inf,
         held: int | None = None,
-    ) -> tuple[Array, SumOfSquares]:
-        """Return the most probable φ that the Levenberg-Marquardt method reaches.
+    ) -> FitPoint:
+        """Return −ln P about the most probable φ that the Levenberg-Marquardt method reaches.
 
         The circuit is linearised once.
 
         Parameters
         ----------
-        start : array, shape (parameters,)
+        start : Effect
         likelihood : CellLikelihood
         steps : int
             Most evaluations.
@@ -198,26 +223,27 @@ class Fitting:
             Cost above which the search ends early.
         held : int, optional
             Number of a parameter that is fixed.
-
-        Returns
-        -------
-        parameters : array, shape (parameters,)
-        squares : SumOfSquares
-            −ln P there.
         """
         mean, sd, longest = self._prior
         low = mean - SIGNIFICANT * sd
         high = mean + SIGNIFICANT * sd
         if held is not None:
-            low[held] = high[held] = start[held]
+            low[held] = high[held] = start.parameters[held]
+
+        def model(parameters: Array) -> FitPoint:
+            begins = np.array_equal(parameters, start.parameters)
+            return self.at(start if begins else self.effect(parameters), likelihood)
+
         loop = replace(SEARCH, evaluations=steps, longest=longest)
-        model = partial(self.at, likelihood=likelihood)
         return loop.minimum(
-            model, start, (low, high), lambda point, count: count > 4 and point.cost > most
-        )
+            model,
+            start.parameters,
+            (low, high),
+            lambda point, count: count > 4 and point.cost > most,
+        )[1]
 
     def best(
-        self, start: Array, whitening: Whitening, most: float = np.inf, held: int | None = None
+        self, start: Effect, whitening: Whitening, most: float = np.inf, held: int | None = None
     ) -> Fit:
         """Return the fit at the most probable φ.
 
@@ -228,21 +254,23 @@ class Fitting:
         position = start
         likelihood = self.about(start, whitening)
         for _ in range(MAX_ROUNDS):
-            position, squares = self.descended(position, likelihood, most=most, held=held)
+            point = self.descended(position, likelihood, most=most, held=held)
+            position = point.effect
             likelihood = self.about(position, whitening)
             fits.append(self.fit_at(position, likelihood))
             exact = fits[-1].cost
-            linear = squares.cost
+            linear = point.cost
             if abs(exact - linear) < SEARCH.settled or min(exact, linear) > most:
                 break
         return min(fits, key=lambda fit: fit.cost)
 
-    def fit_at(self, parameters: Array, likelihood: CellLikelihood) -> Fit:
+    def fit_at(self, effect: Effect, likelihood: CellLikelihood) -> Fit:
         """Return the fit at given φ with its evidence.
 
         The likelihood must have been linearised there or nearby.
         """
-        squares = self.at(parameters, likelihood)
+        squares = self.at(effect, likelihood)
+        parameters = effect.parameters
         whitening = likelihood.whitening
         sd = self._prior[1]
         covariance, width = inverse_beside_prior(squares.normal, sd)
@@ -252,7 +280,7 @@ class Fitting:
             candidate=self.candidate,
             parameters=parameters,
             covariance=covariance,
-            change=self.effect(parameters)[0],
+            change=effect.change,
             residual=likelihood.residual,
             chi2=float(errors @ errors),
             cost=squares.cost,
