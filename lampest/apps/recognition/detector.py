@@ -115,20 +115,28 @@ class Detector:
         kinds = tuple(load for load in self.loads if hidden or not load.sucks)
         if not kinds:
             return self._judged(without, (field,))
-        coarse = self._coarse(kinds, field, without)
-        shaped = min(fit.chi2 for fit in coarse) < MAX_COARSE * frame.measured.size
+        # A coarse fit that leaves changed cells to other loads is not worth a refinement.
+        coarse = [
+            fit
+            for fit in self._coarse(kinds, field, without)
+            if not self._incomplete(without, fit, field)
+        ]
+        lowest = min((fit.chi2 for fit in coarse), default=np.inf)
+        shaped = lowest < MAX_COARSE * frame.measured.size
         single = self._settled(frame, coarse if shaped else (), field, without)
         groups = groups_of(frame.panel, states(frame.panel, field.change) > 1)
         verdict = single
         poor = single.best.candidate is FIELD or single.goodness > MAX_MEAN_SQUARE
-        if 2 <= len(groups) <= self.most_loads and (poor or self._incomplete(frame, single, field)):
+        poor = poor or self._incomplete(frame, single.best, field)
+        if poor and 2 <= len(groups) <= self.most_loads:
             several = self._together(
                 kinds, without, field, [self._under(frame.panel, group) for group in groups]
             )
-            if several.chi2 <= MAX_COARSE * frame.measured.size:
+            fits = several.chi2 <= MAX_COARSE * frame.measured.size
+            if fits and not self._incomplete(without, several, field):
                 together = self._settled(frame, (several, *single.loads[:1]), field, without)
                 verdict = max(single, together, key=lambda verdict: verdict.best.evidence)
-        if self._incomplete(frame, verdict, field):
+        if self._incomplete(frame, verdict.best, field):
             verdict = self._judged(without, (field,))
         return self._spread(frame, verdict)
 
@@ -198,7 +206,10 @@ class Detector:
         whitening : Whitening
             Errors about the fit's change of cells.
         """
-        calm = frame.without(self._contradicting(frame, fit))
+        contradicting, whitening = self._contradicting(frame, fit)
+        if not contradicting.size:
+            return frame, whitening
+        calm = frame.without(contradicting)
         return calm, self.fitting(fit.candidate, calm).errors(fit, fit.scatter)
 
     def departure(self, frame: Observation, fit: Fit) -> tuple[Array, Array]:
@@ -253,24 +264,30 @@ class Detector:
         scatter : float
             Relative deviation of the film.
         """
+        whitening = self.fitting(explains.candidate, calm).errors(explains, scatter)
         dropped: list[int] | None = None
         for _ in range(SHARPENED):
-            whitening = self.fitting(explains.candidate, calm).errors(explains, scatter)
             fitting = self.fitting(fit.candidate, calm)
-            fit = explains = fitting.best(fitting.effect(fit.parameters), whitening)
-            contradicting = self._contradicting(frame, fit)
+            fit = fitting.best(fitting.effect(fit.parameters), whitening)
+            contradicting, whitening = self._contradicting(frame, fit)
             if contradicting.tolist() == dropped:
                 break
-            calm = frame.without(contradicting)
+            calm = frame
             dropped = contradicting.tolist()
+            if dropped:
+                calm = frame.without(contradicting)
+                whitening = self.fitting(fit.candidate, calm).errors(fit, scatter)
         return calm, fit
 
-    def _contradicting(self, frame: Observation, fit: Fit) -> NDArray[np.intp]:
-        """Return the numbers of outliers if the fit is poor; none otherwise."""
+    def _contradicting(
+        self, frame: Observation, fit: Fit
+    ) -> tuple[NDArray[np.intp], Whitening]:
+        """Return the numbers of outliers if the fit is poor, and the errors about its change."""
         whitening = self.fitting(fit.candidate, frame).errors(fit, fit.scatter)
         errors = whitening @ fit.residual
         suspicious = errors @ errors > MAX_MEAN_SQUARE * len(errors)
-        return outliers(whitening, fit.residual) if suspicious else np.zeros(0, dtype=np.intp)
+        none = np.zeros(0, dtype=np.intp)
+        return outliers(whitening, fit.residual) if suspicious else none, whitening
 
     def _coarse(self, kinds: Sequence[Candidate], field: Fit, calm: Observation) -> list[Fit]:
         """Return the best fit of every kind from the matches of its templates.
@@ -336,12 +353,24 @@ class Detector:
         """
         fitting = self.fitting(fit.candidate, calm)
         response = calm.baseline.model_errors.response
-        errors = [fitting.errors(fit, level * response) for level in self.response_levels]
-        # type-II maximum likelihood of the film's deviation on a grid
+        scatters = [level * response for level in self.response_levels]
+        errors = fitting.errors_by_scatter(fit, scatters)
+        # type-II maximum likelihood of the film's deviation on a grid, the most promising one first
         begin = fitting.effect(fit.parameters)
-        fits = [fitting.best(begin, whitening) for whitening in errors]
-        best = int(np.argmax([fit.evidence for fit in fits]))
-        return fits[best], errors[best]
+        likelihoods = [fitting.about(begin, whitening) for whitening in errors]
+        within_reach = [fitting.reachable(begin, likelihood) for likelihood in likelihoods]
+        best = fit
+        chosen = errors[0]
+        highest = -np.inf
+        for number in np.argsort(within_reach)[::-1]:
+            if within_reach[number] < highest:
+                break
+            own = fitting.best(begin, errors[number])
+            if own.evidence > highest:
+                highest = own.evidence
+                best = own
+                chosen = errors[number]
+        return best, chosen
 
     def _together(
         self, kinds: Sequence[Candidate], calm: Observation, field: Fit, discs: Sequence[Disc]
@@ -399,13 +428,13 @@ class Detector:
         return Verdict.of((*uniform, *fits), frame, places)
 
     @staticmethod
-    def _incomplete(frame: Observation, verdict: Verdict, field: Fit) -> bool:
-        """Return whether cells outside the loads of the best fit have clearly changed."""
-        if verdict.best.candidate in (*UNIFORM, FIELD):
+    def _incomplete(frame: Observation, fit: Fit, field: Fit) -> bool:
+        """Return whether cells outside the loads of a fit have clearly changed."""
+        if fit.candidate in (*UNIFORM, FIELD):
             return False
         explained = [
-            verdict.best.change != 0,
-            *(under(frame.panel, disc) for disc in verdict.best.discs),
+            fit.change != 0,
+            *(under(frame.panel, disc) for disc in fit.discs),
             # the field spreads errors of the readings and changes of a load over other cells
             np.abs(frame.free_map) <= SIGNIFICANT * frame.free_sd,
         ]

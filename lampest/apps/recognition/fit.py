@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cholesky
 from scipy.special import softmax
 
 from lampest.apps.recognition.candidates import FIELD, UNIFORM, under
@@ -264,6 +265,18 @@ class Fitting:
                 break
         return min(fits, key=lambda fit: fit.cost)
 
+    def reachable(self, effect: Effect, likelihood: CellLikelihood) -> float:
+        """Return an evidence that no fit that begins at φ is expected to exceed.
+
+        It is the evidence at φ and twice the gain ½ gᵀ H⁻¹ g of a Gauss-Newton step, with the
+        gradient g, which would be the whole gain if the cost were quadratic.
+        """
+        point = self.at(effect, likelihood)
+        if not len(effect.parameters):
+            return np.inf
+        gain = float(point.gradient @ np.linalg.solve(point.normal, point.gradient))
+        return self.fit_at(effect, likelihood).evidence + gain + SEARCH.settled
+
     def fit_at(self, effect: Effect, likelihood: CellLikelihood) -> Fit:
         """Return the fit at given φ with its evidence.
 
@@ -320,7 +333,7 @@ class Fitting:
     def explained(self, fit: Fit) -> Array:
         """Return the explained change with its sensitivities, (3, rows, columns).
 
-        The order is that of `Baseline.film`. Sensitivities are secants, because tangents jump at
+        The order is that of `Baseline.film_parts`. Sensitivities are secants, because tangents jump at
         the response's corners.
         """
         if not self.centred.any():
@@ -340,7 +353,23 @@ class Fitting:
 
         `scatter` is the relative deviation of the film.
         """
-        return Whitening.about(self.frame, fit.change, self.film(fit, scatter), scatter)
+        return self.errors_by_scatter(fit, (scatter,))[0]
+
+    def errors_by_scatter(self, fit: Fit, scatters: Sequence[float]) -> list[Whitening]:
+        """Return the errors about the change that a fit explains, for each deviation of the film.
+
+        With the parts s² U + S of the film's covariance, that of the readings is C + s² J U Jᵀ. C
+        and J U Jᵀ are computed once.
+        """
+        network = self.frame.baseline.network(fit.change)
+        uneven, fixed = self._film_parts(fit)
+        steady = self.frame.covariance(network, fixed)
+        slope = self.frame.sensitivity(network)
+        by_film = slope @ uneven @ slope.T
+        return [
+            Whitening(cholesky(steady + scatter**2 * by_film, lower=True), scatter)
+            for scatter in scatters
+        ]
 
     def film(self, fit: Fit, scatter: float) -> Array:
         """Return the covariance of ln r about the change that a fit explains, (cells, cells).
@@ -348,9 +377,15 @@ class Fitting:
         Its causes are the deviations of the film, and the loose cells of the frame that the fit's
         loads do not cover.
         """
+        uneven, fixed = self._film_parts(fit)
+        return scatter**2 * uneven + fixed
+
+    def _film_parts(self, fit: Fit) -> tuple[Array, Array]:
+        """Return the parts U and S of the covariance s² U + S in `film`, (cells, cells) each."""
         covered = np.any([under(self.frame.panel, disc) for disc in fit.discs], axis=0)
         loose = np.where(covered, 0.0, self.frame.loose).ravel()
-        return self.frame.baseline.film(self.explained(fit), scatter) + np.diag(loose**2)
+        uneven, shared = self.frame.baseline.film_parts(self.explained(fit))
+        return uneven, shared + np.diag(loose**2)
 
 
 def inverse_beside_prior(normal: Array, sd: Array) -> tuple[Array, float]:
