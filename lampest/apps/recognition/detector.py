@@ -90,10 +90,11 @@ class Detector:
         )
         return DiscSearch.over(panel, self.patch_mm, templates)
 
-    def verdict(self, frame: Observation) -> Verdict:
+    def verdict(self, frame: Observation, former: Sequence[Fit] = ()) -> Verdict:
         """Return the verdict on a frame.
 
-        Cells that have risen decide whether something sucks, and where. Every place under suction
+        Fits of the same candidates to an earlier frame, `former`, are starts where they still
+        explain the readings coarsely. Cells that have risen decide whether something sucks, and where. Every place under suction
         is then fitted with a load that sucks, and its neighbours are free. Where nothing sucks,
         the loads that press are compared.
         """
@@ -107,7 +108,7 @@ class Detector:
         places = suctions(without)[: self.most_loads]
         if places and kinds:
             # cells rise, too, where other readings saturate under a heavy load
-            verdict = self._sucking(frame, kinds, places, field, without)
+            verdict = self._sucking(frame, kinds, places, field, without, former)
             refuted = verdict.goodness > MAX_MISFIT
             return self._judged(without, (field,)) if refuted else verdict
         # Where fallen cells hide others, the shape decides whether these have risen.
@@ -118,7 +119,7 @@ class Detector:
         # A coarse fit that leaves changed cells to other loads is not worth a refinement.
         coarse = [
             fit
-            for fit in self._coarse(kinds, field, without)
+            for fit in self._coarse(kinds, field, without, former)
             if not self._incomplete(without, fit, field)
         ]
         lowest = min((fit.chi2 for fit in coarse), default=np.inf)
@@ -129,9 +130,8 @@ class Detector:
         poor = single.best.candidate is FIELD or single.goodness > MAX_MEAN_SQUARE
         poor = poor or self._incomplete(frame, single.best, field)
         if poor and 2 <= len(groups) <= self.most_loads:
-            several = self._together(
-                kinds, without, field, [self._under(frame.panel, group) for group in groups]
-            )
+            discs = [self._under(frame.panel, group) for group in groups]
+            several = self._together(kinds, without, field, discs, former)
             fits = several.chi2 <= MAX_COARSE * frame.measured.size
             if fits and not self._incomplete(without, several, field):
                 together = self._settled(frame, (several, *single.loads[:1]), field, without)
@@ -147,6 +147,7 @@ class Detector:
         places: Sequence[Suction],
         field: Fit,
         without: Observation,
+        former: Sequence[Fit],
     ) -> Verdict:
         """Return the verdict with one load at each place under suction, of the most probable kind.
 
@@ -158,25 +159,46 @@ class Detector:
         frame = replace(frame, loose=loose)
         without = replace(without, loose=loose)
         fits = list[Fit]()
+        known = list[Fit]()
         for kind in kinds:
             candidate = kind if len(places) == 1 else Several.of((kind,) * len(places))
             fitting = self.fitting(candidate, without)
             for larger in START_SIZES:
                 discs = [place.disc(panel, larger) for place in places]
-                start = fitting.effect(np.concatenate([kind.start(disc) for disc in discs]))
                 covered = np.any([under(panel, disc) for disc in discs], axis=0)
                 spread = np.where(covered, frame.baseline.model_errors.coarse, loose).ravel()
                 whitening = Whitening.about(without, field.change, np.diag(spread**2))
                 likelihood = CellLikelihood.about(without, whitening, field.change)
+                start = fitting.effect(np.concatenate([kind.start(disc) for disc in discs]))
                 point = fitting.descended(start, likelihood, SEARCH.evaluations // 2)
                 fits.append(fitting.fit_at(point.effect, likelihood))
+            known += [fit for fit in former if fit.candidate is candidate]
+        scatter = self.response_levels[-1] * self._response(frame)
         best = max(fits, key=attrgetter("evidence"))
-        calm, best = self._sharpened(
-            frame, best, best, without, self.response_levels[-1] * self._response(frame)
-        )
+        best = self._less_lost(without, best, known, scatter)
+        calm, best = self._sharpened(frame, best, best, without, scatter)
         best, _ = self._own(calm, best)
         verdict = self._judged(calm, (best,), places)
         return self._spread(frame, verdict)
+
+    def _less_lost(
+        self, frame: Observation, coarse: Fit, former: Sequence[Fit], scatter: float
+    ) -> Fit:
+        """Return the start of a refinement: a coarse fit, or a former one that misfits far less.
+
+        Both are compared with the errors about the coarse fit. A coarse fit may lie where the
+        circuit, linearised about the field, has little in common with the exact one.
+        """
+        if not former:
+            return coarse
+        whitening = self.fitting(coarse.candidate, frame).errors(coarse, scatter)
+        exact = list[Fit]()
+        for fit in (coarse, *former):
+            fitting = self.fitting(fit.candidate, frame)
+            effect = fitting.effect(fit.parameters)
+            exact.append(fitting.fit_at(effect, fitting.about(effect, whitening)))
+        best = min(exact, key=attrgetter("cost"))
+        return best if exact[0].cost > best.cost + MAX_LOG_RATIO else coarse
 
     def calm(self, frame: Observation) -> Observation | None:
         """Return the frame without outliers if it shows no load; else None.
@@ -279,9 +301,7 @@ class Detector:
                 whitening = self.fitting(fit.candidate, calm).errors(fit, scatter)
         return calm, fit
 
-    def _contradicting(
-        self, frame: Observation, fit: Fit
-    ) -> tuple[NDArray[np.intp], Whitening]:
+    def _contradicting(self, frame: Observation, fit: Fit) -> tuple[NDArray[np.intp], Whitening]:
         """Return the numbers of outliers if the fit is poor, and the errors about its change."""
         whitening = self.fitting(fit.candidate, frame).errors(fit, fit.scatter)
         errors = whitening @ fit.residual
@@ -289,8 +309,29 @@ class Detector:
         none = np.zeros(0, dtype=np.intp)
         return outliers(whitening, fit.residual) if suspicious else none, whitening
 
-    def _coarse(self, kinds: Sequence[Candidate], field: Fit, calm: Observation) -> list[Fit]:
-        """Return the best fit of every kind from the matches of its templates.
+    @staticmethod
+    def _still_explains(
+        fitting: Fitting, former: Sequence[Fit], likelihood: CellLikelihood
+    ) -> Fit | None:
+        """Return the former fit of a candidate with the evidence of a frame with coarse errors.
+
+        The result is None where there is none, or where it does not explain the frame.
+        """
+        for fit in former:
+            if fit.candidate is fitting.candidate:
+                known = fitting.fit_at(fitting.effect(fit.parameters), likelihood)
+                explains = 2 * known.cost < MAX_COARSE * fitting.frame.measured.size
+                return known if explains else None
+        return None
+
+    def _coarse(
+        self,
+        kinds: Sequence[Candidate],
+        field: Fit,
+        calm: Observation,
+        former: Sequence[Fit],
+    ) -> list[Fit]:
+        """Return the best fit of every kind, from its former fit or the matches of its templates.
 
         The errors are coarse ones about the field.
         """
@@ -299,6 +340,10 @@ class Detector:
         starts = self.search(calm.panel).starts(likelihood.slope, likelihood.error)
         for load in kinds:
             fitting = self.fitting(load, calm)
+            known = self._still_explains(fitting, former, likelihood)
+            if known is not None:
+                fits.append(known)
+                continue
             begins = [fitting.effect(load.start(starts[template])) for template in load.templates]
             points = [
                 fitting.descended(begin, likelihood, SEARCH.evaluations // 2) for begin in begins
@@ -373,12 +418,17 @@ class Detector:
         return best, chosen
 
     def _together(
-        self, kinds: Sequence[Candidate], calm: Observation, field: Fit, discs: Sequence[Disc]
+        self,
+        kinds: Sequence[Candidate],
+        calm: Observation,
+        field: Fit,
+        discs: Sequence[Disc],
+        former: Sequence[Fit],
     ) -> Fit:
         """Return the coarse fit of several loads at once.
 
-        Every load is of the kind with which the fit is most probable. Kinds are exchanged greedily,
-        load by load.
+        Every load is of the kind with which the fit is most probable, or of its former kind. Kinds
+        are exchanged greedily, load by load.
 
         Parameters
         ----------
@@ -387,8 +437,16 @@ class Detector:
         field : Fit
         discs : sequence of Disc
             Places of the loads.
+        former : sequence of Fit
+            See `verdict`.
         """
         likelihood = coarse_errors(calm, field.change)
+        for fit in former:
+            if len(fit.loads) == len(discs) and {part for part, _ in fit.loads} <= set(kinds):
+                fitting = self.fitting(fit.candidate, calm)
+                known = self._still_explains(fitting, former, likelihood)
+                if known is not None:
+                    return known
 
         def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
             parts, starts = zip(*loads, strict=True)

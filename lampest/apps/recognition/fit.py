@@ -249,11 +249,11 @@ class Fitting:
         """Return the fit at the most probable φ.
 
         The circuit is linearised again at the end of each search, until the exact cost agrees with
-        the linearised one. `most` and `held` are those of `descended`.
+        the linearised one. The result is never worse than the start. `most` and `held` are those of `descended`.
         """
-        fits = list[Fit]()
         position = start
         likelihood = self.about(start, whitening)
+        fits = [self.fit_at(start, likelihood)]
         for _ in range(MAX_ROUNDS):
             point = self.descended(position, likelihood, most=most, held=held)
             position = point.effect
@@ -269,13 +269,15 @@ class Fitting:
         """Return an evidence that no fit that begins at φ is expected to exceed.
 
         It is the evidence at φ and twice the gain ½ gᵀ H⁻¹ g of a Gauss-Newton step, with the
-        gradient g, which would be the whole gain if the cost were quadratic.
+        gradient g, which would be the whole gain if the cost were quadratic. Where φ does not
+        explain the readings, or the gain is large, φ may be in another valley than the best fit.
+        The result is then infinite.
         """
         point = self.at(effect, likelihood)
-        if not len(effect.parameters):
+        gain = float(point.gradient @ np.linalg.solve(point.normal, point.gradient)) / 2
+        if gain > MAX_LOG_RATIO or 2 * point.cost > self.frame.measured.size:
             return np.inf
-        gain = float(point.gradient @ np.linalg.solve(point.normal, point.gradient))
-        return self.fit_at(effect, likelihood).evidence + gain + SEARCH.settled
+        return self.fit_at(effect, likelihood).evidence + 2 * gain + SEARCH.settled
 
     def fit_at(self, effect: Effect, likelihood: CellLikelihood) -> Fit:
         """Return the fit at given φ with its evidence.

@@ -75,8 +75,7 @@ def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fi
     # P(δ) ∝ e^(−cost) |H|^(−½) dδ, with H of all parameters but ln d; then C = Σ P (H⁻¹ + (φ −
     # φ̂)(φ − φ̂)ᵀ)
     share = softmax(
-        np.log(steps)
-        - [point.cost + width for point, width in zip(points, widths, strict=True)]
+        np.log(steps) - [point.cost + width for point, width in zip(points, widths, strict=True)]
     )
     offsets = np.array([point.effect.parameters for point in points]) - fit.parameters
     covariance = (share[:, None] * offsets).T @ offsets + np.diag(
@@ -87,9 +86,7 @@ def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fi
     return replace(fit, covariance=covariance) if wider else fit
 
 
-def _profile(
-    fitting: Fitting, fit: Fit, likelihood: CellLikelihood, place: int
-) -> list[FitPoint]:
+def _profile(fitting: Fitting, fit: Fit, likelihood: CellLikelihood, place: int) -> list[FitPoint]:
     """Return the profile of a fit along the parameter number `place`, in its order.
 
     The parameter ln d is stepped in both directions, ever farther, until P(δ) is negligible; all
@@ -97,7 +94,10 @@ def _profile(
     """
     best = fitting.at(fitting.effect(fit.parameters), likelihood)
     points = [best]
-    direction = np.eye(len(fit.parameters))[place]
+    # the other parameters follow ln d as those of the smallest quadratic cost
+    remaining = np.delete(np.arange(len(fit.parameters)), place)
+    coupling = best.normal[np.ix_(remaining, remaining)], best.normal[remaining, place]
+    direction = np.insert(-np.linalg.solve(*coupling), place, 1.0)
     # at least the distance of the points of a patch
     spacing = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))
     first_step = max(spacing, fit.covariance[place, place] ** 0.5)

@@ -375,9 +375,8 @@ class Watch:
         setup, change = self.setup.without_motion(logarithm - self.rest.mean)
         logarithm = self.rest.mean + change
         unloaded = self.unloaded or self._unloaded_panel()
-        if setup is not self.setup:
-            unloaded = replace(unloaded, setup=setup)
-        baseline = unloaded.baseline
+        # of the errors, the motion changes those of a frame's cells, and not the unloaded panel
+        baseline = replace(unloaded.baseline, model_errors=setup.moved_errors)
         measured = np.exp(logarithm).reshape(self.setup.scene.panel.shape)
         frame = setup.frame(measured, self.sigma, baseline, time - self.rest.until_s)
         covariance = baseline.covariance.copy()
@@ -504,7 +503,8 @@ class Watch:
         median = np.median([logarithm for _, logarithm in self._since_step], axis=0)
         try:
             watch, frame = self._with_leaks(median, time)
-            verdict = watch.setup.detector.verdict(frame)
+            former = self.look.verdict.fits if self._recognised else ()
+            verdict = watch.setup.detector.verdict(frame, former)
         except (ArithmeticError, ValueError) as error:
             logged_reason(error, f"look at {time:.1f} s")
             return replace(self, next_s=again)

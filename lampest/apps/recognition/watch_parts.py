@@ -95,8 +95,12 @@ class WatchSetup:
         """
         scale = frames**-0.5
         common = None if self.common is None else scale * self.common(measured)
-        errors = self.errors.in_motion(self.motion)
-        return Baseline.of(measured, scale * sigma, self.scene, errors, common, leaks)
+        return Baseline.of(measured, scale * sigma, self.scene, self.moved_errors, common, leaks)
+
+    @property
+    def moved_errors(self) -> ModelErrors:
+        """The errors in water that moves by `motion`."""
+        return self.errors.in_motion(self.motion)
 
     def moved_by(self, motion: Array) -> "WatchSetup":
         """Return the constants where water moves cells by `motion`, (3,) or (0,), or more."""
