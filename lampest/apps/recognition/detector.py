@@ -94,9 +94,9 @@ class Detector:
         """Return the verdict on a frame.
 
         Fits of the same candidates to an earlier frame, `former`, are starts where they still
-        explain the readings coarsely. Cells that have risen decide whether something sucks, and where. Every place under suction
-        is then fitted with a load that sucks, and its neighbours are free. Where nothing sucks,
-        the loads that press are compared.
+        explain the readings. Cells that have risen decide whether something sucks, and where. Every
+        place under suction is then fitted with a load that sucks, and its neighbours are free.
+        Where nothing sucks, the loads that press are compared.
         """
         undisturbed = self.calm(frame)
         if undisturbed is not None:

@@ -249,7 +249,8 @@ class Fitting:
         """Return the fit at the most probable φ.
 
         The circuit is linearised again at the end of each search, until the exact cost agrees with
-        the linearised one. The result is never worse than the start. `most` and `held` are those of `descended`.
+        the linearised one. The result is never worse than the start. `most` and `held` are those of
+        `descended`.
         """
         position = start
         likelihood = self.about(start, whitening)
@@ -335,8 +336,8 @@ class Fitting:
     def explained(self, fit: Fit) -> Array:
         """Return the explained change with its sensitivities, (3, rows, columns).
 
-        The order is that of `Baseline.film_parts`. Sensitivities are secants, because tangents jump at
-        the response's corners.
+        The order is that of `Baseline.film_parts`. Sensitivities are secants, because tangents jump
+        at the response's corners.
         """
         if not self.centred.any():
             slope = np.hypot(*np.gradient(fit.change, self.frame.panel.pitch_mm))

@@ -94,10 +94,7 @@ def _profile(fitting: Fitting, fit: Fit, likelihood: CellLikelihood, place: int)
     """
     best = fitting.at(fitting.effect(fit.parameters), likelihood)
     points = [best]
-    # the other parameters follow ln d as those of the smallest quadratic cost
-    remaining = np.delete(np.arange(len(fit.parameters)), place)
-    coupling = best.normal[np.ix_(remaining, remaining)], best.normal[remaining, place]
-    direction = np.insert(-np.linalg.solve(*coupling), place, 1.0)
+    direction = np.eye(len(fit.parameters))[place]
     # at least the distance of the points of a patch
     spacing = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))
     first_step = max(spacing, fit.covariance[place, place] ** 0.5)
