@@ -107,9 +107,12 @@ class Detector:
         kinds = tuple(load for load in self.loads if load.sucks)
         places = suctions(without)[: self.most_loads]
         if places and kinds:
-            # cells rise, too, where other readings saturate under a heavy load
+            # cells rise, too, where other readings saturate under a heavy load: no disc fits then,
+            # or none lies on them
             verdict = self._sucking(frame, kinds, places, field, without, former)
-            refuted = verdict.goodness > MAX_MISFIT
+            discs = verdict.best.discs
+            aside = bool(discs) and not any(verdict.sucks_at(disc) for disc in discs)
+            refuted = aside or verdict.goodness > MAX_MISFIT
             return self._judged(without, (field,)) if refuted else verdict
         # Where fallen cells hide others, the shape decides whether these have risen.
         hidden = may_suck(without)

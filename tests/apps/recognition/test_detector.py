@@ -283,7 +283,7 @@ def test_a_profile_leads_a_fit_out_of_a_shallower_valley(away: float) -> None:
         fitting, held, fitting.about(fitting.effect(held.parameters), whitening)
     )
     assert released.cost < best.cost + 1
-    assert released.parameters[2] == pytest.approx(best.parameters[2], abs=0.02)
+    assert released.parameters[2] == pytest.approx(best.parameters[2], abs=0.03)
 
 
 @pytest.mark.slow
