@@ -34,7 +34,7 @@ def content(value: Any) -> Any:
             field.name: content(getattr(value, field.name))
             for field in dataclasses.fields(value)
             # keys of installed packages, where there are any
-            if not (field.name == "own" and getattr(value, field.name) == ())
+            if not (field.name == "own" and isinstance(getattr(value, field.name), tuple))
         }
     if isinstance(value, Enum):
         return value.value

@@ -306,7 +306,7 @@ def _determined_sizes(
     for error in moves.errors:
         last = first + moves.counts[error.setting]
         unit = error.size(prior)
-        if error is CHANNELS:
+        if error.setting == CHANNELS.setting:
             spread = posterior.channel_factor
             size = unit * spread.mean, unit * spread.deviation
             determined = spread.log_deviation < MAX_UNTOLD * LOG_SD_OF_FACTORS
