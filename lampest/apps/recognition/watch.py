@@ -503,7 +503,7 @@ class Watch:
         median = np.median([logarithm for _, logarithm in self._since_step], axis=0)
         try:
             watch, frame = self._with_leaks(median, time)
-            former = self.look.verdict.fits if self._recognised else ()
+            former = () if self.look is None or self.look.over else self.look.verdict.fits
             verdict = watch.setup.detector.verdict(frame, former)
         except (ArithmeticError, ValueError) as error:
             logged_reason(error, f"look at {time:.1f} s")
