@@ -72,6 +72,8 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
         ("A window is full after 8 s.", breathing.WINDOW_S, 8),
         ("From 3.5 s on, incomplete windows count", breathing.MIN_WINDOW_S, 3.5),
         ("its rate wanders by 6 %", hypotheses.WANDER, 0.06),
+        ("begin to leak, in one window of twenty", hypotheses.LEAK_SHARE, 0.05),
+        ("at N(0, 0.3²) a second", hypotheses.LEAK_SD, 0.3),
         ("(E_rim/E_own)^½/10", hypotheses.CAUSES[1].odds, 10),
         ("(E_moves/E_own)^½/10", hypotheses.CAUSES[2].odds, 10),
         ("(E_beside/E_own)^½/30", hypotheses.CAUSES[3].odds, 30),

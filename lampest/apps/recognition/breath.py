@@ -28,6 +28,8 @@ from lampest.apps.recognition.hypotheses import (
     BREATH,
     BREATHING_SD,
     CAUSES,
+    LEAK_SD,
+    LEAK_SHARE,
     RATES_HZ,
     TREMBLE_SD,
     WANDER,
@@ -144,6 +146,7 @@ def _steady_breath(
     waves = _without(trend, suction[:, None] * even_waves)
     axes, gain = _axes(waves)
     wide_axes, wide_gain = _axes(_without(trend, suction[:, None] * _wandering(hertz, times)))
+    leak_axes, leak_gain = _axes(_without(trend, interval.ramps()[1]).T[:, :, None])
     level = changes @ own_patterns.weights(BREATH.largest, 1.0, EDGE_SD)
     pull = interval.pulled(level, axes)
     leak = interval.leaking(level, axes)
@@ -161,6 +164,8 @@ def _steady_breath(
         gain=gain,
         wide_axes=wide_axes,
         wide_gain=wide_gain,
+        leak_axes=leak_axes,
+        leak_gain=leak_gain,
         tapered=_tapered(even_waves, within),
         changes=changes,
         patterns=own_patterns,
@@ -186,6 +191,8 @@ class _Window(NamedTuple):
         Their orthonormal axes, and the squares of the singular values.
     wide_axes, wide_gain : arrays, shapes (rates, n, frames) and (rates, n)
         The same of waves whose rate wanders.
+    leak_axes, leak_gain : arrays, shapes (times, 1, frames) and (times, 1)
+        The same of a suction that falls steadily from a time on.
     tapered : array, shape (rates, 2, frames)
         Waves that fade towards the ends of the window.
     changes : array, shape (frames, readings)
@@ -200,6 +207,8 @@ class _Window(NamedTuple):
     gain: Array
     wide_axes: Array
     wide_gain: Array
+    leak_axes: Array
+    leak_gain: Array
     tapered: Array
     changes: Array
     patterns: Patterns
@@ -290,7 +299,15 @@ class _Window(NamedTuple):
         """Return the oscillations of the suction that weights (readings,) sum to."""
         series = self.changes @ whitening.T @ weights
         power = near * ((self.axes @ series) ** 2).sum(axis=1)
-        return _Rhythm(float(series @ series), power, self.wide_axes @ series, self.wide_gain, near)
+        return _Rhythm(
+            total=float(series @ series),
+            power=power,
+            amplitude=self.wide_axes @ series,
+            gain=self.wide_gain,
+            leak=self.leak_axes @ series,
+            leak_gain=self.leak_gain,
+            near=near,
+        )
 
 
 class _Rhythm(NamedTuple):
@@ -306,6 +323,8 @@ class _Rhythm(NamedTuple):
         Projections of s on the axes of waves whose rate wanders.
     gain : array, shape (rates, n)
         Squares of the axes' singular values.
+    leak, leak_gain : arrays, shape (times, 1)
+        The same of leaks that begin at some times.
     near : boolean array, shape (rates,)
         Rates of the breath.
     """
@@ -314,6 +333,8 @@ class _Rhythm(NamedTuple):
     power: Array
     amplitude: Array
     gain: Array
+    leak: Array
+    leak_gain: Array
     near: NDArray[np.bool_]
 
     @property
@@ -322,11 +343,15 @@ class _Rhythm(NamedTuple):
         return int(np.argmax(self.power))
 
     def odds(self, freedom: int) -> float:
-        """Return ln of the odds of A = BREATHING_SD against A = TREMBLE_SD."""
-        breathing, steady = (
+        """Return ln of the odds of A = BREATHING_SD against A = TREMBLE_SD, or a leak."""
+        breathing, trembling = (
             logsumexp(_evidence(self.total, self.amplitude, self.gain, sd, freedom)[self.near])
+            - log(self.near.sum())
             for sd in (BREATHING_SD, TREMBLE_SD)
         )
+        leaks = _evidence(self.total, self.leak, self.leak_gain, LEAK_SD, freedom)
+        leaking = logsumexp(leaks) - log(len(leaks))
+        steady = np.logaddexp(log(1 - LEAK_SHARE) + trembling, log(LEAK_SHARE) + leaking)
         return float(breathing - steady + np.log(self.near.mean()))
 
 

@@ -33,6 +33,10 @@ MIN_DEPTH = 0.03
 # rate, and of windows in which a mouth pauses: one in twenty each, assumed.
 NEVER_LOG_ODDS = log(20)
 PAUSE_LOG_ODDS = log(20)
+# Share of windows in which a suction that does not breathe begins to leak, and how fast, 1/s:
+# assumed. The bend of such a suction resembles a slow breath.
+LEAK_SHARE = 0.05
+LEAK_SD = 0.3
 
 
 class Cause(NamedTuple):
