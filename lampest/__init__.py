@@ -140,8 +140,8 @@ def reconstruct(
         "bounds": bounds,
         "auto_weight": auto_weight,
         "tare": tare,
+        "verify": verify,
     }
-    options["verify"] = verify
     estimator = Estimator(
         default_terms(recording) if terms is None else checked_terms(terms),
         formulation,

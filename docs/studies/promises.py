@@ -198,6 +198,9 @@ BREAKS = {
     "an_attachment_lasts_until_the_readings_step": Break(
         "apps/recognition/watch.py", "Watch._least_step", "return 0 * result"
     ),
+    "a_leak_that_begins_under_a_mouth_is_named_and_the_visit_ends": Break(
+        "apps/recognition/leaks.py", "leaks_of", "return None"
+    ),
     "cells_of_lower_conductance_are_not_a_contact": Break(
         "apps/recognition/contacts.py", "contacts_of", "change = -np.abs(change)"
     ),

@@ -217,10 +217,7 @@ def _dead_lines(view: _View) -> Iterator[Finding]:
 
 
 def _touching_lines(view: _View) -> Iterator[Finding]:
-    """Find rows and columns that touch.
-
-    Their readings are equal, and lower than those of single lines.
-    """
+    """Find rows and columns that touch: readings are equal, and lower than those of others."""
     if not view.modelled:
         return
     with suppress(*BROKEN, InputError), np.errstate(all="ignore"):

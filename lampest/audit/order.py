@@ -247,7 +247,17 @@ def smooth_cost(images: Array, steps: tuple[int, int] = (1, 1)) -> float:
             (within, np.outer(values, across).ravel()),
         )
         for of_part, (amplitudes, variances) in zip(costs, parts, strict=True):
-            of_part += list(_costs_of_amplitudes(amplitudes, variances))
+            # n ln(Σ x²/λ / n) + Σ ln λ,   λ = variances over their mean + ρ; 1 without an order
+            roughness = np.array(ROUGHNESS)[:, None]
+            relative = np.where(
+                np.isfinite(roughness), variances / variances.mean() + roughness, 1.0
+            )
+            count = len(variances)
+            squares = (1 / relative) @ (amplitudes**2).T / count
+            of_part += list(
+                count * np.log(np.maximum(squares, np.finfo(float).tiny))
+                + np.log(relative).sum(axis=1, keepdims=True)
+            )
     return float(sum(np.sum(-2 * np.logaddexp.reduce(-np.array(c) / 2, axis=0)) for c in costs))
 
 
@@ -263,19 +273,3 @@ def _smooth_modes(count: int, length: float, step: int) -> tuple[Array, Array]:
     kernel = np.where(distance % 1 == 0, np.exp(-(distance**2) / (2 * length**2)), 0.0)
     values, vectors = np.linalg.eigh(centring @ kernel @ centring)
     return np.maximum(values[1:], 0.0), vectors[:, 1:]
-
-
-def _costs_of_amplitudes(amplitudes: Array, variances: Array) -> Array:
-    """Return −2 ln evidence of amplitudes (n, modes) of these variances, up to a constant.
-
-    The shape is (roughnesses, n).
-    """
-    # n ln(Σ x²/λ / n) + Σ ln λ,   λ = variances over their mean + ρ; 1 without an order
-    roughness = np.array(ROUGHNESS)[:, None]
-    relative = np.where(np.isfinite(roughness), variances / variances.mean() + roughness, 1.0)
-    count = len(variances)
-    squares = (1 / relative) @ (amplitudes**2).T / count
-    return np.asarray(
-        count * np.log(np.maximum(squares, np.finfo(float).tiny))
-        + np.log(relative).sum(axis=1, keepdims=True)
-    )

@@ -8,14 +8,15 @@ import numpy as np
 from lampest.audit.effects import unnamed_effects
 from lampest.audit.health import Health
 from lampest.files.errors import InputError
-from lampest.inference.explanation import MIN_RISEN, rises_only
+from lampest.inference.better_rival import MIN_RISEN, rises_only
 from lampest.inference.model_check import ModelCheck
 from lampest.inference.prepared import Prepared
 from lampest.inference.rivals import changes_beyond_noise
+from lampest.panel.readouts import Readout
 from lampest.panel.readouts.unseen import unseen_sentence
 from lampest.panel.scene import specified
 from lampest.panel.sizes import ESTIMATED
-from lampest.recording.recording import UNLOADED
+from lampest.recording.recording import UNLOADED, Recording
 
 ZERO = "readout.converter.zero_volt"
 OF_CIRCUIT = ("lines", "order")  # rooms of health whose findings contradict the scene
@@ -52,9 +53,11 @@ def _doubts(prepared: Prepared, health: Health | None) -> Iterator[str]:
         yield f"readings are missed by {prepared.noise.model_factor:.2g} times their noise"
     if specified(scene, ZERO) == ESTIMATED and ZERO not in prepared.noise.estimated:
         yield f"{ZERO} is estimated, and these frames do not determine it"
-    yield from _fewer_bits(prepared)
-    yield from _many_zeros(prepared)
-    yield from _falling_codes(prepared)
+    readout = scene.readout
+    if readout is not None and readout.converter is None and scene.panel.modules is None:
+        yield from _fewer_bits(prepared.recording, readout)
+        yield from _many_zeros(prepared, readout)
+        yield from _falling_codes(prepared, readout)
     yield from _another_panel(prepared)
     try:
         shown = health or Health.of(prepared.recording)
@@ -63,15 +66,11 @@ def _doubts(prepared: Prepared, health: Health | None) -> Iterator[str]:
     yield from (finding.what for finding in shown.findings if finding.room in OF_CIRCUIT)
 
 
-def _fewer_bits(prepared: Prepared) -> Iterator[str]:
+def _fewer_bits(recording: Recording, readout: Readout) -> Iterator[str]:
     """Yield the doubt that codes are those of a converter with fewer bits than the scene's.
 
     Readings pile up at its last code then, and none is above.
     """
-    recording = prepared.recording
-    readout = recording.scene.readout
-    if readout is None or readout.converter is not None or recording.scene.panel.modules:
-        return
     volt = readout.volt_from_recorded(recording.recorded)
     codes = readout.steps_from_volt(volt[np.isfinite(volt)])
     if not codes.size or np.abs(codes - np.rint(codes)).max() > WHOLE:
@@ -86,18 +85,14 @@ def _fewer_bits(prepared: Prepared) -> Iterator[str]:
             )
 
 
-def _many_zeros(prepared: Prepared) -> Iterator[str]:
+def _many_zeros(prepared: Prepared, readout: Readout) -> Iterator[str]:
     """Yield the doubt that readings of 0 are those of a dead zone, not of open cells.
 
     The doubt arises where so many readings are 0 that no cells are fitted.
     """
-    recording = prepared.recording
-    readout = recording.scene.readout
-    if readout is None or readout.converter is not None or recording.scene.panel.modules:
-        return
     if prepared.question.explanation is not None:
         return
-    codes = readout.steps_from_volt(readout.volt_from_recorded(recording.recorded))
+    codes = readout.steps_from_volt(readout.volt_from_recorded(prepared.recording.recorded))
     share = float(np.mean(codes[np.isfinite(codes)] < 0.5)) if np.isfinite(codes).any() else 0.0
     if share > MAX_ZEROS:
         yield (
@@ -106,18 +101,14 @@ def _many_zeros(prepared: Prepared) -> Iterator[str]:
         )
 
 
-def _falling_codes(prepared: Prepared) -> Iterator[str]:
+def _falling_codes(prepared: Prepared, readout: Readout) -> Iterator[str]:
     """Yield the doubt that codes fall where a load presses, as behind inverting amplifiers.
 
     Each reading of an amplifier is that of one cell: any codes have cells that explain them.
     """
+    if not hasattr(readout, "feedback_ohm"):
+        return
     recording = prepared.recording
-    readout = recording.scene.readout
-    if not hasattr(readout, "feedback_ohm") or recording.scene.panel.modules is not None:
-        return
-    assert readout is not None
-    if readout.converter is not None:
-        return
     change = changes_beyond_noise(recording.scene, prepared.cleaned.readings, recording.role)
     if (change > 0).any(axis=0).sum() >= MIN_RISEN and rises_only(change):
         yield (

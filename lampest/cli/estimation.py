@@ -30,7 +30,7 @@ def init(
 ) -> None:
     """Write starter files for your circuit.
 
-    They are a scene, a run, a simulated recording and its simulation.
+    The files are a scene, a run, a simulated recording and its simulation.
 
     Parameters
     ----------

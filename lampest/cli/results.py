@@ -21,7 +21,7 @@ def compare(
 ) -> None:
     """Compare methods over recordings.
 
-    They are compared by frames solved, time, data error, and cell error where the truth is known.
+    The table has frames solved, time, data error, and cell error where the truth is known.
 
     Parameters
     ----------

@@ -71,6 +71,7 @@ class SolvedContacts:
 
     @cached_property
     def _model(self) -> LinearModel:
+        """Linear model at the cells of the step, a verified optimum."""
         model = self.step.surroundings()
         assert model is not None
         return model

@@ -272,9 +272,9 @@ class Estimates:
         Rails of the converter that leave cells open are named.
         """
         readout = self.recording.scene.readout
-        messages = []
         if readout is None or self.recording.scene.panel.modules is not None:
             return tuple(step.status for step in self.steps)
+        messages = []
         for step, recorded in zip(self.steps, self.recording.recorded[self.frame], strict=True):
             message = step.status
             at_rails = AT_RAILS.get(step.solution.status)
@@ -512,6 +512,10 @@ class Estimates:
 
     @property
     def _pressed(self) -> dict[str, Any] | None:
+        """Pressures in kPa with their errors and verdicts, (frames, rows, columns), by name.
+
+        None where the scene names no response, and without error bars.
+        """
         load = None if self.recording.scene.response is None else self._load
         if load is None:
             return None

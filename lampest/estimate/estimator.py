@@ -222,7 +222,7 @@ class Estimator(Objective):
         memory : float
             In bytes.
         """
-        module = panel if panel.modules is None else panel.modules.each
+        module = panel.layout.each
         penalised = self.method.optimum and any(not term.reads_measurement for term in self.terms)
         size = penalised * module.rows * module.columns / 10_000
         return 12 * size**1.1, 1e8 * size

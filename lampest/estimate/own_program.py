@@ -244,6 +244,7 @@ class OwnSolution(CasadiOwner):
         return float(max(np.abs(x - projected).max(), (violation / size).max(initial=0.0)))
 
     def _check_name(self, name: str) -> None:
+        """Raise InputError unless the program has an own unknown of this name."""
         own = self.instance.program.own
         if name not in own:
             raise InputError(

@@ -24,8 +24,10 @@ from lampest.recording.recording import UNLOADED, Recording, baseline_readings, 
 from lampest.solvers.solution import Status
 
 Kind = TypeVar("Kind", bound=Estimates)
-# Recording of a network, its readings, and the unloaded ones.
-_Network = tuple[Recording, Readings, Readings]
+# Called after every frame with the number of solved frames, the number of all, and a function that
+# returns the estimates so far, with the other frames unsolved; None for a method that solves all
+# frames together.
+OnFrame = Callable[[int, int, Callable[[], Estimates] | None], None]
 
 
 def default_terms(recording: Recording) -> tuple[Term, ...]:
@@ -41,9 +43,7 @@ def default_terms(recording: Recording) -> tuple[Term, ...]:
 def reconstruct(
     recording: Recording | Prepared,
     estimator: Estimator,
-    on_frame: Callable[
-        [int, int, Callable[[], Estimates] | None], None
-    ] = lambda done, frames, so_far: None,
+    on_frame: OnFrame = lambda done, frames, so_far: None,
 ) -> Estimates:
     """Solve every measured frame of a recording.
 
@@ -55,9 +55,7 @@ def reconstruct(
     recording : Recording or Prepared
     estimator : Estimator
     on_frame : callable
-        Called after every frame with the number of solved frames, the number of all, and a function
-        that returns the estimates so far, with the other frames unsolved; None for a method that
-        solves all frames together.
+        Called after every frame, see `OnFrame`.
 
     Raises
     ------
@@ -72,9 +70,7 @@ def reconstruct_as(
     kind: type[Kind],
     recording: Recording | Prepared,
     estimator: Estimator,
-    on_frame: Callable[
-        [int, int, Callable[[], Estimates] | None], None
-    ] = lambda done, frames, so_far: None,
+    on_frame: OnFrame = lambda done, frames, so_far: None,
 ) -> Kind:
     """Solve every measured frame of a recording, as `reconstruct`, as estimates of a class."""
     prepared = Prepared.of(recording)
@@ -111,11 +107,7 @@ class MeasuredPart(Generic[Kind]):
     kind: type[Kind]
 
     def solve(
-        self,
-        stream: Stream,
-        on_frame: Callable[
-            [int, int, Callable[[], Estimates] | None], None
-        ] = lambda done, frames, so_far: None,
+        self, stream: Stream, on_frame: OnFrame = lambda done, frames, so_far: None
     ) -> tuple[Stream, Kind]:
         """Solve these frames; see `reconstruct`.
 
@@ -155,20 +147,22 @@ class MeasuredPart(Generic[Kind]):
         """Return the estimates of these frames, of which the first ones are solved."""
         remaining = len(self.frames) - len(steps)
         solved = (*steps, *[stream.unsolved(Status.BROKEN_OFF)] * remaining)
+        estimator = stream.estimator
+        present = self.recording.scene.panel.present
         return self.kind(
-            self.recording,
-            stream.estimator,
-            self.frames,
-            self.readings[self.frames],
-            stream.resting,
-            np.where(self.recording.scene.panel.present, stream.baseline_resistance, np.nan),
-            stream.baseline or solved[0],
-            None if stream.track is None else stream.track.baseline,
-            solved,
-            stream.estimator.joint_start,
-            self.prepared,
-            stream.scene.contact_prior,
-            automatic=stream.estimator.automatic or bool(stream.estimator.weight_sigma),
+            recording=self.recording,
+            estimator=estimator,
+            frame=self.frames,
+            readings=self.readings[self.frames],
+            resting=stream.resting,
+            baseline_resistance=np.where(present, stream.baseline_resistance, np.nan),
+            baseline=stream.baseline or solved[0],
+            baseline_bars=None if stream.track is None else stream.track.baseline,
+            steps=solved,
+            joint_start=estimator.joint_start,
+            prepared=self.prepared,
+            contacts=stream.scene.contact_prior,
+            automatic=estimator.automatic or bool(estimator.weight_sigma),
         )
 
 
@@ -183,6 +177,35 @@ def next_steps(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Ste
     from lampest.estimate.batch import push_block  # for independent frames alone
 
     yield from push_block(stream, readings)
+
+
+@dataclass(frozen=True, eq=False)
+class _Network:
+    """A network that is estimated on its own: a panel, or one of its modules.
+
+    Attributes
+    ----------
+    recording : Recording
+        Frames of the network, with its scene.
+    readings : Readings
+        Readings of all its frames, (frames, rows, columns).
+    resting : Readings
+        Its unloaded readings, (rows, columns).
+    """
+
+    recording: Recording
+    readings: Readings
+    resting: Readings
+
+    @classmethod
+    def of(cls, recording: Recording, readings: Readings) -> "_Network":
+        """Return the network of a recording."""
+        return cls(recording, readings, baseline_readings(recording, readings))
+
+    @property
+    def kind(self) -> Hashable:
+        """Networks of one kind share the choice of weights."""
+        return converter_and_faults(self.recording.scene)
 
 
 def first_stream(
@@ -212,32 +235,26 @@ def first_stream(
     period = frame_period(recording) if period is None else period
     layout = scene.panel.modules
     if layout is None:
-        resting = baseline_readings(recording, readings)
-        weighted = _weighted(estimator, [(recording, readings, resting)])
-        return Stream.begin(weighted, scene, period, resting, noise)
-    from lampest.estimate.modules import Network, begin_networks, network_readings, network_scenes
+        whole = _Network.of(recording, readings)
+        return Stream.begin(_weighted(estimator, [whole]), scene, period, whole.resting, noise)
+    from lampest.estimate.modules import begin_networks, network_readings, network_scenes
 
     recordings = [recording] if layout.coupled else recording.modules
     parts = zip(
         network_scenes(scene, estimator), recordings, network_readings(scene, readings), strict=True
     )
-    networks = list[_Network | None]()
+    networks = [
+        None if own is None else _Network.of(replace(part, scene=own), read)
+        for own, part, read in parts
+    ]
     similar = dict[Hashable, list[_Network]]()
-    for own, part, read in parts:
-        network = None
-        if own is not None:
-            part = replace(part, scene=own)
-            network = part, read, baseline_readings(part, read)
-            similar.setdefault(converter_and_faults(own), []).append(network)
-        networks.append(network)
+    for network in filter(None, networks):
+        similar.setdefault(network.kind, []).append(network)
     chosen = {kind: _weighted(estimator, several) for kind, several in similar.items()}
-    begun = list[Network | None]()
-    for network in networks:
-        if network is None:
-            begun.append(None)
-            continue
-        part, _, resting = network
-        begun.append((chosen[converter_and_faults(part.scene)], part.scene, resting))
+    begun = [
+        None if own is None else (chosen[own.kind], own.recording.scene, own.resting)
+        for own in networks
+    ]
     return begin_networks(scene, begun, period, noise)
 
 
@@ -251,24 +268,26 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     Parameters
     ----------
     estimator : Estimator
-    networks : sequence of (Recording, Readings, Readings)
+    networks : sequence of _Network
     """
-    part, _, resting = networks[0]
-    estimator = with_needed_priors(estimator, part.scene, resting)
+    first = networks[0]
+    estimator = with_needed_priors(estimator, first.recording.scene, first.resting)
     if not estimator.automatic or estimator.auto_weight.per == "frame":
         return estimator
     count = 1 if len(networks) > 1 else None
     deciding = list[tuple[Scene, Readings, Readings]]()
-    for part, read, resting in networks:
-        frames = deciding_frames(part, read, resting)[:count]
-        deciding += [(part.scene, resting, read[frame]) for frame in frames]
+    for network in networks:
+        readings = network.readings
+        frames = deciding_frames(network.recording, readings, network.resting)[:count]
+        scene = network.recording.scene
+        deciding += [(scene, network.resting, readings[frame]) for frame in frames]
     if not deciding:
         return estimator
     numbers = strongest(
         [float(mean_change(frame.plain_values, resting.value)) for _, resting, frame in deciding]
     )
-    first, *further = [deciding_data(estimator, *deciding[number]) for number in numbers]
-    return with_chosen_weights(estimator, deciding[numbers[0]][0], first, None, further)
+    strongest_data, *further = [deciding_data(estimator, *deciding[number]) for number in numbers]
+    return with_chosen_weights(estimator, deciding[numbers[0]][0], strongest_data, None, further)
 
 
 def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:

@@ -26,7 +26,8 @@ from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel, rank
-from lampest.posterior.reference import MAX_CELLS, Reference, references
+from lampest.posterior.reference import MAX_CELLS, references
+from lampest.posterior.reference_fit import Reference
 from lampest.posterior.spectrum import (
     Spectrum,
     best_weight,

@@ -142,14 +142,6 @@ def attribute(node: Any, name: str, path: bytes = b".") -> NDArray[Any] | None:
     return _value(h5py.h5a.open(node, name.encode(), obj_name=path))
 
 
-def _attributes(node: Any) -> dict[str, NDArray[Any]]:
-    """Return the attributes with values of an object by name, `node` being its identifier."""
-    names = list[bytes]()
-    h5py.h5a.iterate(node, names.append)
-    opened = {name.decode("utf-8"): h5py.h5a.open(node, name) for name in names}
-    return {name: _value(held) for name, held in opened.items() if held.shape is not None}
-
-
 def _value(held: Any) -> NDArray[Any]:
     """Return the value of an open attribute."""
     data = np.empty(held.shape, held.dtype)
@@ -252,14 +244,6 @@ def verified_blocks(dataset: h5py.Dataset) -> Iterator[tuple[Any, Any]]:
         yield (), read_verified(dataset)
 
 
-def _verify_blocks(dataset: h5py.Dataset, entries: dict[int, bytes]) -> None:
-    """Read all values of a dataset by blocks. Raises ValueError as `verified_blocks`."""
-    check_chunks(dataset)
-    edges = [*entries, len(dataset)] if dataset.shape else [0, 1]
-    for first, last in pairwise(edges):
-        _read_blocks(dataset, entries, slice(first, last))
-
-
 def _entries(dataset: h5py.Dataset) -> dict[int, bytes]:
     """Return the entries of `BLOCKS` by the first row of their block.
 
@@ -337,7 +321,14 @@ def read_through(file: h5py.File) -> Integrity:
     total = hashlib.sha256()
     for path, node in nodes_below(file, "/"):
         with located(file, path):
-            held = _attributes(node.id)
+            names = list[bytes]()
+            h5py.h5a.iterate(node.id, names.append)
+            opened = {name.decode("utf-8"): h5py.h5a.open(node.id, name) for name in names}
+            held = {
+                name: _value(attribute)
+                for name, attribute in opened.items()
+                if attribute.shape is not None
+            }
             for name, value in held.items():
                 check_digest(held, value, name)
             entries = held.get(BLOCKS) if isinstance(node, h5py.Dataset) else None
@@ -348,9 +339,17 @@ def read_through(file: h5py.File) -> Integrity:
                     for _ in verified_blocks(node):
                         pass
                     without_digest.append(path)
-                    protected &= _has_checksum(node)
+                    # A digest or one of HDF5's checksums covers the values.
+                    compact = node.id.get_create_plist().get_layout() == h5py.h5d.COMPACT
+                    protected &= (
+                        compact or node.fletcher32 or DIGEST in node.attrs or BLOCKS in node.attrs
+                    )
                 else:
-                    _verify_blocks(node, _by_first_row(entries))
+                    blocks = _by_first_row(entries)
+                    check_chunks(node)
+                    edges = [*blocks, len(node)] if node.shape else [0, 1]
+                    for first, last in pairwise(edges):
+                        _read_blocks(node, blocks, slice(first, last))
             if entries is not None:
                 _add_dataset(total, path, entries)
             if not protected:
@@ -376,12 +375,6 @@ def nodes_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
             yield from nodes_below(file, inner)
         else:
             yield inner, node
-
-
-def _has_checksum(dataset: h5py.Dataset) -> bool:
-    """Return whether a digest or one of HDF5's checksums covers the values of a dataset."""
-    compact = dataset.id.get_create_plist().get_layout() == h5py.h5d.COMPACT
-    return compact or dataset.fletcher32 or DIGEST in dataset.attrs or BLOCKS in dataset.attrs
 
 
 def _superblock(path: Path) -> tuple[Any, ...]:

@@ -534,6 +534,7 @@ def datasets(file: h5py.File, path: str) -> dict[str, h5py.Dataset]:
 
 
 def _node(file: h5py.File, path: str, kind: type[Any] = object) -> Any:
+    """Return the group or dataset at a path. Raises InputError if there is none of this kind."""
     node = _node_or_none(file, path, kind)
     if node is None:
         raise InputError(f"{file.filename}: {path} is missing")

@@ -8,6 +8,7 @@ from abc import ABCMeta
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass
 from functools import cache, wraps
+from math import inf
 from types import UnionType
 from typing import Annotated, Any, ClassVar, ParamSpec, TypeVar
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.applications import GROUPS, applications, loaded
-from lampest.files.document import adapter, conformed, schema_of
+from lampest.files.document import MAX_NUMBER, MIN_NUMBER, adapter, conformed, schema_of
 from lampest.files.errors import InputError, in_words
 
 P = ParamSpec("P")
@@ -189,15 +190,22 @@ def _check_of(hint: Any) -> Callable[[Any, str], Any]:
     is_array = any(typing.get_origin(part) is np.ndarray for part in parts)
     dtype = np.float64 if "float64" in str(hint) else None
     finished = _finished(parts)
-    items = _finished(_items(parts))
+    # Types of the items of the one sequence among the alternatives
+    sequences = [
+        typing.get_args(part)[0]
+        for part in parts
+        if typing.get_origin(part) is Sequence or typing.get_args(part)[1:] == (Ellipsis,)
+    ]
+    parts_of_item = _alternatives(sequences[0]) if len(sequences) == 1 else ()
+    items = _finished(parts_of_item)
 
     def checked(value: Any, label: str) -> Any:
-        if isinstance(value, finished):
+        if isinstance(value, finished) or _is_plain(value, parts):
             return value
         if (
-            items
+            parts_of_item
             and type(value) in (list, tuple)
-            and all(isinstance(item, items) for item in value)
+            and all(isinstance(item, items) or _is_plain(item, parts_of_item) for item in value)
         ):
             return tuple(value)
         if is_array:
@@ -217,6 +225,28 @@ def _check_of(hint: Any) -> Callable[[Any, str], Any]:
     return checked
 
 
+def _is_plain(value: Any, parts: tuple[Any, ...]) -> bool:
+    """Return whether a number or a text is of one of the types as it is; a schema says the same.
+
+    A number out of any physical range is of none.
+    """
+    kind = type(value)
+    if kind is str:
+        return str in parts or value in _words(parts)
+    if kind is float or kind is int:
+        size = abs(value)
+        return kind in parts and (size in (0, inf) or MIN_NUMBER <= size <= MAX_NUMBER)
+    return kind is bool and bool in parts
+
+
+@cache
+def _words(parts: tuple[Any, ...]) -> frozenset[str]:
+    """Return the texts that types list as a `Literal`."""
+    listed = [part for part in parts if typing.get_origin(part) is typing.Literal]
+    words = itertools.chain.from_iterable(map(typing.get_args, listed))
+    return frozenset(word for word in words if isinstance(word, str))
+
+
 def _finished(parts: Iterable[Any]) -> tuple[type[Any], ...]:
     """Return those of the types whose objects need no validation: None, and dataclasses.
 
@@ -230,16 +260,6 @@ def _finished(parts: Iterable[Any]) -> tuple[type[Any], ...]:
         elif typing.get_origin(part) is Annotated and isinstance(part.__metadata__[0], ByKind):
             finished += _finished(_alternatives(part.__origin__))
     return tuple(finished)
-
-
-def _items(parts: Iterable[Any]) -> tuple[Any, ...]:
-    """Return the types of the items of the sequence among types; () unless there is one."""
-    items = [
-        typing.get_args(part)[0]
-        for part in parts
-        if typing.get_origin(part) is Sequence or typing.get_args(part)[1:] == (Ellipsis,)
-    ]
-    return _alternatives(items[0]) if len(items) == 1 else ()
 
 
 def _alternatives(hint: Any) -> tuple[Any, ...]:
@@ -354,6 +374,7 @@ class ByKind:
         return validator.validate_python(value, strict=True)
 
     def _tag(self, value: Any) -> Any:
+        """Return the kind that an input names; that of a mapping without one is the default."""
         if isinstance(value, dict):
             return value.get("kind", self.default)
         return getattr(value, "kind", None)

@@ -87,6 +87,7 @@ def refuse_inputs(outputs: Sequence[Path]) -> None:
 
 
 def _refuse_touched(path: Path) -> None:
+    """Raise InputError if an output is an input of the command, or another output of it."""
     touched = _TOUCHED.get() or Touched()
     if any(_same(path, read) for read in touched.read):
         raise InputError(f"{path}: is an input; give the output another name")
@@ -125,7 +126,14 @@ def whole_file(path: Path) -> Iterator[Path]:
     file remains then. Temporary files of killed processes of this computer are removed.
     """
     with _to_write(path):
-        _remove_abandoned(path)
+        # Files of processes that have ended are removed.
+        for part in path.parent.glob(f".{escape(path.name)}.*-{_host()}????.part"):
+            try:
+                os.kill(int(part.name.removeprefix(f".{path.name}.").partition("-")[0]), 0)
+            except ProcessLookupError:
+                part.unlink(missing_ok=True)
+            except (OSError, ValueError, OverflowError):  # a file of another user
+                continue
         unfinished = path.with_name(
             f".{path.name}.{os.getpid()}-{_host()}{secrets.token_hex(2)}.part"
         )
@@ -160,16 +168,6 @@ def _host() -> str:
     Other computers may share the folder and have equal process ids.
     """
     return f"{crc32(os.uname().nodename.encode()) % 2**16:04x}"
-
-
-def _remove_abandoned(path: Path) -> None:
-    for part in path.parent.glob(f".{escape(path.name)}.*-{_host()}????.part"):
-        try:
-            os.kill(int(part.name.removeprefix(f".{path.name}.").partition("-")[0]), 0)
-        except ProcessLookupError:
-            part.unlink(missing_ok=True)
-        except (OSError, ValueError, OverflowError):  # a file of another user
-            continue
 
 
 @contextmanager

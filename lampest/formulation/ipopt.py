@@ -173,6 +173,7 @@ class Interface(CasadiOwner):
 
     @cached_property
     def _warm(self) -> casadi.Function:
+        """IPOPT for starts with multipliers; `fine` interfaces have options of their own."""
         chosen = WARM | self.limits.options()
         if self.is_fine:
             chosen = FINE | self.limits.fine_options()

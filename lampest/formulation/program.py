@@ -331,7 +331,7 @@ class Program(CasadiOwner):
     def with_reading(self, changed: Callable[[casadi.SX], Any]) -> "Program":
         """Return the program whose terms read changed(y) in place of y.
 
-        Both readings have the shape (cells, frames) and the readout's unit.
+        y and changed(y) have the shape (cells, frames) and the readout's unit.
 
         Raises
         ------
@@ -419,6 +419,10 @@ class Program(CasadiOwner):
 
     @cached_property
     def _split_residuals(self) -> casadi.Function:
+        """Function (unknowns, parameters) → residuals, a column for each group of split terms.
+
+        Losses of split terms enter by auxiliary unknowns.
+        """
         split = [group for group in self.groups if group[0].loss.enters != "whole"]
         residuals = [
             casadi.densify(casadi.vertcat(*(part.residual for part in group))) for group in split

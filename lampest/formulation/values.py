@@ -106,8 +106,8 @@ class Values:
     def with_split(self, residuals: Sequence[Array], apparent: Sequence[Array]) -> "Values":
         """Return the values with parts p, q of the split residuals ±(p − q) of the start.
 
-        Their unit is the largest residual of the start and of the apparent resistances, because a
-        start at the baseline may leave none.
+        The unit of p and q is the largest residual of the start and of the apparent resistances,
+        because a start at the baseline may leave none.
         """
         largest = [float(np.abs(group).max(initial=0)) for group in (*residuals, *apparent)]
         unit = max([MIN_SPLIT_UNIT, *largest])

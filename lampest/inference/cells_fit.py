@@ -24,7 +24,7 @@ from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
-from lampest.posterior.linear import UNKNOWN_SD
+from lampest.posterior.linear import UNKNOWN_SD, inverse_and_volume
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
@@ -181,17 +181,28 @@ class CellsFit(SumOfSquares):
         return bool(chi_square_tail(self.chi_square / MAX_LOWERED, self.degrees) < SIGNIFICANCE)
 
     @cached_property
+    def _inverse_and_volume(self) -> tuple[Array, float]:
+        """Inverse of the normal matrix, and the logarithm of the inverse's determinant."""
+        try:
+            return inverse_and_volume(self.normal)
+        except np.linalg.LinAlgError:  # positive definite, but not in double precision
+            return np.linalg.inv(self.normal), -float(np.linalg.slogdet(self.normal)[1])
+
+    @property
     def covariance(self) -> Array:
         """Covariance of the log cells, (cells, cells)."""
-        return np.asarray(np.linalg.inv(self.normal))
+        return self._inverse_and_volume[0]
+
+    @property
+    def log_volume(self) -> float:
+        """ln of the determinant of the covariance."""
+        return self._inverse_and_volume[1]
 
     @cached_property
     def gain(self) -> Array:
         """K (cells, readings): derivative of the fitted log cells with respect to the readings."""
         # K = (J̃ᵀ J̃ + ridge)⁻¹ J̃ᵀ/σ, with J̃ = ∂y/∂log r / σ
-        return np.asarray(
-            np.linalg.solve(self.normal, self.jacobian.T / self.readings.known_sigma.ravel())
-        )
+        return np.asarray(self.covariance @ (self.jacobian.T / self.readings.known_sigma.ravel()))
 
     def response(self, errors: Array) -> Array:
         """Return K U, the change of the log cells (cells, n) by errors U of the readings.

@@ -21,13 +21,14 @@ from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
 from lampest.posterior.gaussian import Conditioned
-from lampest.posterior.linear import inverse_and_volume, swept
+from lampest.posterior.linear import inverse_and_volume, misfit_and_volume, swept
 
 MOVED_COST = 2.8  # 2 ln 4: −2 ln of the prior odds of one to four that a cell moved
 # −2 ln prior odds of a bound, an effect or a resistance in series that an explanation needs
 PARAMETER_COST = 12.0
 MAX_EXCHANGES = 4  # for each cell, of one search
 MIN_PIVOT = 1e-300  # rounding may take a pivot to zero, whose logarithm does not exist
+FIRST_ROOM = 16  # added cells for which memory is taken first; it doubles as needed
 MIN_STILL_SHARE = 0.3  # of the cells: with fewer still cells, a load covers the panel
 
 Chosen = NDArray[np.bool_]
@@ -122,12 +123,16 @@ class Changes:
     @property
     def misfit(self) -> float:
         """χ² of the changes, dᵀ C⁻¹ d."""
-        return float(self.change @ np.linalg.solve(self.covariance, self.change))
+        return self._misfit_and_volume[0]
+
+    @cached_property
+    def _misfit_and_volume(self) -> tuple[float, float]:
+        """dᵀ C⁻¹ d and ln |C|."""
+        return misfit_and_volume(self.covariance, self.change)
 
     def cost_of(self, still: Chosen) -> float:
         """Return −2 ln likelihood of the changes of the still cells alone."""
-        chosen = self.part(still)
-        return chosen.misfit + float(np.linalg.slogdet(chosen.covariance)[1])
+        return sum(self.part(still)._misfit_and_volume)
 
     def posterior(self, still: Chosen) -> tuple[Array, Array]:
         """Return the posterior of z given the changes d_s of the still cells.
@@ -203,17 +208,18 @@ def _exchange_cells(
     # Table of the sweep operator [P + 1 | s], swept by the moved cells M: block (M, M) is −(P_MM +
     # 1)⁻¹, the last column holds (P_MM + 1)⁻¹ s_M within M, and s − P_·M (P_MM + 1)⁻¹ s_M outside.
     moved = moved.copy()
-    inverse = np.linalg.inv(slab[np.ix_(inside, inside)])
     table = np.ascontiguousarray(np.column_stack([slab, slope]))
-    pulled = inverse @ table[inside]
-    across = slab[np.ix_(outside, inside)]
-    cost = MOVED_COST * len(inside) - float(
-        np.linalg.slogdet(inverse)[1] + slope[inside] @ pulled[:, -1]
-    )
-    table[outside] -= across @ pulled
-    table[inside] = pulled
-    table[np.ix_(inside, inside)] = -inverse
-    table[np.ix_(outside, inside)] = pulled[:, outside].T
+    cost = 0.0
+    if inside.size:
+        inverse, volume = inverse_and_volume(slab[np.ix_(inside, inside)])
+        across = slab[np.ix_(outside, inside)]
+        pulled = inverse @ np.column_stack([across.T, slope[inside]])
+        cost = MOVED_COST * len(inside) - volume - float(slope[inside] @ pulled[:, -1])
+        to_outside = np.append(outside, len(slope))
+        table[np.ix_(outside, to_outside)] -= across @ pulled
+        table[np.ix_(inside, to_outside)] = pulled
+        table[np.ix_(inside, inside)] = -inverse
+        table[np.ix_(outside, inside)] = pulled[:, :-1].T
     for _ in range(MAX_EXCHANGES * len(slope)):
         # Decrease of −2 ln evidence if a cell is added: s²/p − ln p − MOVED_COST with its pivot p;
         # if it is removed: MOVED_COST − s²/|p| − ln |p|.
@@ -280,9 +286,10 @@ def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Arr
     index = np.arange(len(vector))
     total = np.zeros(len(vector))
     added = np.zeros(vector.shape, dtype=bool)
-    # Rows of the pivoted Cholesky factors, one for each added cell.
-    rows = np.zeros((len(vector), 0, vector.shape[1]))
-    for _ in range(vector.shape[1]):
+    # Rows of the pivoted Cholesky factors, one for each added cell; there is room for some more.
+    room = np.empty((len(vector), FIRST_ROOM, vector.shape[1]))
+    for count in range(vector.shape[1]):
+        rows = room[:, :count]
         pivots = np.maximum(size, MIN_PIVOT)
         gains = np.where(added, -np.inf, vector**2 / pivots - np.log(pivots) - MOVED_COST)
         cells = np.argmax(gains, axis=1)
@@ -298,6 +305,8 @@ def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Arr
         pivot = np.where(active, of_cell[index, cells], 1.0)[:, None]
         of_cell = np.where(active[:, None], of_cell, 0.0)
         vector = vector - of_cell * (vector[index, cells][:, None] / pivot)
-        rows = np.concatenate([rows, (of_cell / np.sqrt(pivot))[:, None]], axis=1)
-        size = size - rows[:, -1] ** 2
+        if count == room.shape[1]:
+            room = np.concatenate([room, np.empty_like(room)], axis=1)
+        room[:, count] = of_cell / np.sqrt(pivot)
+        size = size - room[:, count] ** 2
     return total

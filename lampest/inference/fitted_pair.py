@@ -259,9 +259,7 @@ class FittedPair:
         """
         # p(y) = p(d) |∂d/∂y|: −2 ln p(y) has ln |Jᵀ J| = ln |normal| and ln |Σ| more than the
         # quadratic form of d
-        return (
-            self.evidence.score + float(np.linalg.slogdet(self.frames[1].normal)[1]) + self._volume
-        )
+        return self.evidence.score - self.frames[1].log_volume + self._volume
 
     @cached_property
     def _misfit(self) -> tuple[float, int]:

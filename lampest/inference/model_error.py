@@ -22,7 +22,8 @@ from lampest.inference.variance_components import MIN_EXCESS
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.posterior.interval import LEVEL, student_two_sided
-from lampest.posterior.reference import MAX_CELLS, MODEL, ErrorScale, references
+from lampest.posterior.reference import MAX_CELLS, ErrorScale, references
+from lampest.posterior.reference_fit import MODEL
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording, baseline_readings, deciding_frames
 from lampest.solvers.posed import Bounds, cost_of_solve, data_of_solve

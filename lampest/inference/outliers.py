@@ -286,6 +286,15 @@ def _alone_in_time(
 def _replaced(
     readings: Readings, outlying: NDArray[np.bool_], instead: Array, spread: Array
 ) -> Readings:
+    """Return the readings with outliers replaced by predictions.
+
+    Parameters
+    ----------
+    readings : Readings
+    outlying : boolean array, shape of the readings
+    instead, spread : array, same shape
+        Predictions, and their standard deviations, which widen σ.
+    """
     value = np.where(outlying, instead, readings.value)
     sigma = readings.sigma
     wider = None if sigma is None else np.where(outlying, np.hypot(sigma, spread), sigma)

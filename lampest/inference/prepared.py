@@ -120,6 +120,13 @@ class Prepared:
             None if number in dead else Prepared(part, wholes[number]) for number, part in parts
         )
 
+    def _joined(self, estimates: "Sequence[NoiseEstimate | None]") -> NoiseEstimate:
+        """Return the noise of a panel of modules from that of each; None stands for a dead one."""
+        from lampest.inference.module_noise import noise_of_modules
+
+        assert self.layout is not None
+        return noise_of_modules(self.recording, self.layout, estimates)
+
     @property
     def _estimates_ends(self) -> bool:
         """Whether the scene leaves an end of its converter to the recording."""
@@ -154,10 +161,9 @@ class Prepared:
     def frame_noise(self) -> NoiseEstimate:
         """Noise of the frames, estimated from unloaded frames and from neighbours in time."""
         if self.layout is not None:
-            estimates = [None if module is None else module.frame_noise for module in self.modules]
-            from lampest.inference.module_noise import noise_of_modules
-
-            return noise_of_modules(self.recording, self.layout, estimates)
+            return self._joined(
+                [None if module is None else module.frame_noise for module in self.modules]
+            )
         noise = estimate_noise(self.cleaned.recording, self.cleaned.outliers, self.cleaned.readings)
         if self._estimates_ends:
             from lampest.inference.effects.converter_ends import with_resolved_ends  # as above
@@ -206,10 +212,7 @@ class Prepared:
 
     @cached_property
     def check(self) -> "ModelCheck":
-        """Check of the circuit.
-
-        Its sentence names the numbers of the circuit that no frame can determine.
-        """
+        """Check of the circuit, whose sentence names the numbers that no frame can determine."""
         check = self._check
         if not check.explains:
             return check
@@ -288,9 +291,9 @@ class Prepared:
 
     @cached_property
     def _named_errors(self) -> Array | None:
-        """Standard deviations of readings by errors that the scene names beside noise.
+        """σ of readings by errors that the scene names beside noise, (frames, rows, columns).
 
-        Their shape is (frames, rows, columns); None where it names none.
+        None where the scene names none.
         """
         widened = self.noise.readings.sigma
         of_noise = self.frame_noise.readings.sigma
@@ -303,15 +306,11 @@ class Prepared:
     @cached_property
     @ONE_BLAS_THREAD
     def noise(self) -> NoiseEstimate:
-        """Noise of the frames and errors that all frames share.
-
-        Its readings have a σ that includes both.
-        """
+        """Noise of the frames and errors that all frames share; σ of its readings includes both."""
         if self.layout is not None:
-            estimates = [None if module is None else module.noise for module in self.modules]
-            from lampest.inference.module_noise import noise_of_modules
-
-            return noise_of_modules(self.recording, self.layout, estimates)
+            return self._joined(
+                [None if module is None else module.noise for module in self.modules]
+            )
         noise = resolved(
             self.frame_noise, self.cleaned.recording, self.whole_recording, self.effects_of
         )

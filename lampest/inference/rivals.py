@@ -1,57 +1,40 @@
 """Rival circuits of a recording, and the frames that they have to explain.
 
-Rivals are circuits of the one equation with the scene's converter and resistor: every preset with
-either side driven, sensed lines read in parallel, idle lines held by switches; also the scene's
-circuit with readings in another order. Each has any resistance in series. All rivals share the
-converter's voltages: where the scene's circuit has computed resistances from them, that computation
-is inverted.
+Rivals are circuits of the one equation with the scene's converter and resistor
+(`lampest.inference.rival_circuits`), and the scene's circuit with readings in another order or with
+another converter. Each has any resistance in series. All rivals share the converter's voltages:
+where the scene's circuit has computed resistances from them, that computation is inverted.
 """
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
-from functools import cache, cached_property
-from itertools import product
-from math import inf
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.files.levels import FALSE_ALARM_RATE, OUTLIER_THRESHOLD
-from lampest.files.typed import members_of
+from lampest.inference.rival_circuits import (
+    circuits_beside,
+    entries_in_words,
+    entries_of,
+    with_potentials,
+)
 from lampest.panel.panel import Array
-from lampest.panel.readouts import AnyReadout, Readout
+from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import Characteristic, Known, known
-from lampest.panel.readouts.driven_readout import DrivenReadout
-from lampest.panel.readouts.lines import SeriesPerLine, Side, opposite
+from lampest.panel.readouts.lines import SeriesPerLine, opposite
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, MIN_CHANGE, UNLOADED
 
-# Names of the resistor that a converter reads across.
-RESISTORS = ("reference_ohm", "load_ohm", "feedback_ohm")
-CALLED = {
-    "driven": "rows and columns swapped",
-    "polarity": "polarity reversed",
-    "measured_across": "read across the other resistor",
-}
-# Keys that alone make a rival of the specified kind, and what they mean.
-OF_ONE_KEY = {
-    "groups": "read in parallel",
-    "driven_groups": "multiplexers of driven lines",
-    "load_volt": "loads end at half the supply",
-    "input_ohm": "of the converter",
-}
-OF_STATES = ("idle_ohm", "idle_volt", "idle_load_ohm")  # that name a driven circuit
-SIDES: tuple[Side, ...] = ("rows", "columns")
-INPUT_OHM = 1e5  # of a converter behind a divider of its module; those of chips are larger
 USUAL_BITS = (8, 10)  # of converters that are described with more: of an ATmega, and half of it
 ESP32_BITS = 12  # of the ADC of an ESP32 (its technical reference manual, chapter on the SAR ADC)
 BY_COLUMNS = "readings listed column by column (lampest import --transpose)"
-PARALLEL = (2, 4)  # multiplexers in parallel: 16 lines on two of eight or four of four channels
 # Largest noise of a resistance with which the divider's function of Gaussian voltages is still
 # nearly Gaussian, as a fraction. Largest shift of a mean by the same curvature, in its standard
 # deviations.
@@ -197,11 +180,11 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
     volt = readout.volt_from_recorded(specified.recorded)
     apparent = _logarithm(readout, scene, specified.recorded)
     # With potentials a reading may rise and fall with its cell, so that no sense is known
-    with_potentials = tuple(_with_potentials(readout, scene))
-    for circuit in (*with_potentials, *_circuits_beside(readout, scene)):
+    of_potentials = tuple(with_potentials(readout, scene))
+    for circuit in (*of_potentials, *circuits_beside(readout, scene)):
         values = circuit.recorded_from_volt(volt)
         sense = _sense(apparent, _logarithm(circuit, scene, values))
-        known = circuit in with_potentials or sense > 0 or (reversed_too and sense < 0)
+        known = circuit in of_potentials or sense > 0 or (reversed_too and sense < 0)
         if circuit == readout or not known:
             continue
         sigma = specified.sigma if circuit.unit == readout.unit else None
@@ -209,8 +192,8 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
             alike = type(circuit) is type(readout) and circuit.in_series
             series = scene.series_resistance_ohm if alike else 0.0
             rival = replace(scene, readout=circuit, series_resistance_ohm=series, systematic=None)
-            entries = _entries(circuit, readout)
-            yield Rival(rival, values, sigma, _in_words(entries), {"readout": entries})
+            entries = entries_of(circuit, readout)
+            yield Rival(rival, values, sigma, entries_in_words(entries), {"readout": entries})
     yield from _listed_by_columns(specified, readout)
 
 
@@ -241,7 +224,7 @@ def in_other_scan_order(specified: Rival) -> Iterator[Rival]:
     order = "rows" if readout.by_columns else "columns"
     yield replace(
         specified,
-        scene=replace(specified.scene, readout=_changed(readout, scan_order=order)),
+        scene=replace(specified.scene, readout=replace(readout, scan_order=order)),
         kind=f"readout.scan_order: {order}",
         entries={"readout": {"scan_order": order}},
     )
@@ -276,7 +259,7 @@ def with_converter(specified: Rival, kind: str, entry: Mapping[str, Any], **sett
     `entry` states the settings of its converter in a scene.
     """
     readout: Any = specified.scene.readout
-    circuit = _changed(readout, **settings)
+    circuit = replace(readout, **settings)
     codes = readout.steps_from_volt(readout.volt_from_recorded(specified.recorded))
     return replace(
         specified,
@@ -287,14 +270,7 @@ def with_converter(specified: Rival, kind: str, entry: Mapping[str, Any], **sett
     )
 
 
-def _circuits_beside(readout: Readout, scene: Scene) -> Iterator[Any]:
-    """Generate the readout with lines read in parallel, then all variants of every kind."""
-    yield from _in_parallel(readout, scene)
-    for kind in members_of(AnyReadout):
-        yield from _variants(kind, readout)
-
-
-def _listed_by_columns(specified: Rival, readout: Readout) -> Iterator[Rival]:
+def _listed_by_columns(specified: Rival, readout: Any) -> Iterator[Rival]:
     """Generate the specified circuit with readings that a file lists column by column.
 
     The scene's rows may be those of the file, too: the other side of its lines is driven then. None
@@ -317,7 +293,7 @@ def _listed_by_columns(specified: Rival, readout: Readout) -> Iterator[Rival]:
         return
     kind = f"{BY_COLUMNS}, readout.driven: {opposite(side)}"
     with suppress(ValueError):
-        exchanged = _changed(readout, driven=opposite(side))
+        exchanged = replace(readout, driven=opposite(side))
         yield replace(
             reordered, scene=replace(scene, readout=exchanged, systematic=None), kind=kind
         )
@@ -330,213 +306,6 @@ def _sides_alike(scene: Scene) -> bool:
     return getattr(scene.readout, "driven", None) is None and not (
         lists or grouped or scene.wiring is not None
     )
-
-
-def _changed(circuit: Any, **settings: Any) -> Any:
-    """Return a circuit with other settings of its kind."""
-    return replace(circuit, **settings)
-
-
-def _in_parallel(specified: Readout, scene: Scene) -> Iterator[Any]:
-    """Generate the specified circuit with two and four multiplexers of sensed lines."""
-    if getattr(specified, "measured_across", "reference") == "sensor":
-        return
-    yield from _with_groups(specified, scene, "groups", opposite(_driven_side(specified)))
-
-
-def _driven_side(circuit: Any) -> Side:
-    """Return the side whose lines a circuit drives: rows, where it does not say."""
-    side: Side = getattr(circuit, "driven", "rows")
-    return side
-
-
-def _with_groups(specified: Any, scene: Scene, key: str, side: Side) -> Iterator[Any]:
-    """Generate the specified circuit with two and four multiplexers of a side's lines.
-
-    Each multiplexer has a block of lines, or every second or fourth line.
-    """
-    if not hasattr(specified, key):
-        return
-    lines = range(scene.panel.shape[0 if side == "rows" else 1])
-    for count in PARALLEL:
-        size = -(-len(lines) // count)
-        blocks = tuple(tuple(lines[first : first + size]) for first in lines[::size])
-        taken_in_turn = tuple(tuple(lines[first::count]) for first in range(count))
-        if len(blocks) != count or size == 1:
-            continue
-        for groups in (blocks, taken_in_turn):
-            # Lines in parallel have no one line that the idle ones could follow.
-            with suppress(ValueError):
-                yield _changed(specified, **{key: groups})
-
-
-def _with_potentials(specified: Any, scene: Scene) -> Iterator[Any]:
-    """Generate circuits with potentials that people build.
-
-    Loads end at half the supply, multiplexers hold driven lines, idle lines follow the sensed one,
-    and a converter has an input resistance beside resistors to the supply.
-    """
-    if getattr(specified, "load_volt", 0.0) is None and specified.polarity == "up":
-        with suppress(ValueError):
-            yield _changed(specified, load_volt=specified.driving_volt / 2)
-    if getattr(specified, "driven_groups", 0) is None:
-        yield from _with_groups(specified, scene, "driven_groups", _driven_side(specified))
-    to_supply = getattr(specified, "polarity", "up") == "down"
-    across_sensor = getattr(specified, "measured_across", "reference") == "sensor"
-    if (to_supply or across_sensor) and getattr(specified, "input_ohm", 0.0) is None:
-        with suppress(ValueError):
-            yield _changed(specified, input_ohm=INPUT_OHM)
-    resistor = _resistor_of(specified)
-    if resistor is None:
-        return
-    shared = _shared(specified)
-    idle_ohm = shared.get("drive_ohm", 0.0)
-    for side in SIDES:
-        with suppress(ValueError):
-            yield DrivenReadout(
-                driven=side,
-                idle_ohm=idle_ohm,
-                idle_volt="follows",
-                load_ohm=resistor,
-                idle_load_ohm=inf,
-                **shared,
-            )
-
-
-@cache
-def _types_of(kind: type[Readout]) -> dict[str, Any]:
-    """Return the types of a kind's settings by their names."""
-    return get_type_hints(kind)
-
-
-def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
-    """Return the words that each literal setting of a kind may have.
-
-    The first setting is its name.
-    """
-    types = _types_of(kind)
-    names = [setting.name for setting in fields(kind)]
-    return {name: get_args(types[name]) for name in names if get_origin(types[name]) is Literal}
-
-
-def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
-    """Generate circuits of a kind, one for every choice of words.
-
-    The converter, the resistor and all other common settings are those of the specified circuit.
-    """
-    # Its presets are rivals of their own; what remains has lines that switches hold.
-    if kind is DrivenReadout:
-        yield from _held_at_ground(specified)
-        return
-    words = choices(kind)
-    types = _types_of(kind)
-    names = {setting.name for setting in fields(kind)} - {*words, "groups"}
-    shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
-    if "converter_volt" not in names:
-        shared["supply_volt"] = specified.full_scale_volt
-    resistor = _resistor_of(specified)
-    if resistor is not None:
-        for name in names.intersection(RESISTORS):
-            # the specified resistor takes the role of the kind's own; a list for lines becomes its
-            # mean where one is needed
-            shared[name] = float(np.mean(resistor)) if types[name] is float else resistor
-    for chosen in product(*words.values()):
-        with suppress(ValueError):  # potentials of the specified circuit that the kind cannot have
-            yield kind(**shared, **dict(zip(words, chosen, strict=True)))
-
-
-def _resistor_of(specified: Any) -> Any:
-    """Return the resistor that the converter reads across; None without one."""
-    resistors = (getattr(specified, name) for name in RESISTORS if hasattr(specified, name))
-    return next(resistors, None)
-
-
-def _held_at_ground(specified: Any) -> Iterator[DrivenReadout]:
-    """Generate circuits whose idle driven lines switches hold at ground.
-
-    Their idle sensed lines keep their load, are held at ground, or float.
-    """
-    resistor = _resistor_of(specified)
-    if resistor is None:
-        return
-    for driven, idle_load in product(SIDES, (None, 0.0, inf)):
-        with suppress(ValueError):
-            yield DrivenReadout(
-                driven=driven,
-                idle_ohm=0.0,
-                load_ohm=resistor,
-                idle_load_ohm=idle_load,
-                **_shared(specified),
-            )
-
-
-def _shared(specified: Any) -> dict[str, Any]:
-    """Return the converter's settings and the channels of a circuit, as far as it has them."""
-    names = (
-        "supply_volt",
-        "adc_bits",
-        "readings",
-        "noise_lsb",
-        "floor_code",
-        "passes_volt",
-        "converter",
-        "drive_ohm",
-        "sense_ohm",
-    )
-    return {name: getattr(specified, name) for name in names if hasattr(specified, name)}
-
-
-def _entries(circuit: Readout, specified: Readout) -> dict[str, Any]:
-    """Return the entries of a readout that state a circuit.
-
-    The single setting that differs from the specified one is enough; otherwise all settings in
-    words are stated.
-    """
-    groups = getattr(circuit, "groups", None)
-    specified_groups = getattr(specified, "groups", None)
-    for name in OF_ONE_KEY:
-        value = getattr(circuit, name, None)
-        same_kind = type(circuit) is type(specified)
-        if same_kind and value not in (None, getattr(specified, name, None)):
-            return {name: [list(group) for group in value] if "groups" in name else value}
-    ungrouped = {"groups": None} if specified_groups is not None and groups is None else {}
-    words = {name: getattr(circuit, name) for name in choices(type(circuit))}
-    if isinstance(circuit, DrivenReadout):
-        states = {name: getattr(circuit, name) for name in OF_STATES}
-        words |= {name: value for name, value in states.items() if value is not None}
-    differ = [name for name, word in words.items() if getattr(specified, name, None) != word]
-    if ungrouped and not differ:
-        return ungrouped
-    if len(differ) == 1 and differ[0] in CALLED:
-        return {differ[0]: words[differ[0]], **ungrouped}
-    if type(circuit) is not type(specified):
-        words |= _own_resistor(circuit)
-    return {**words, **ungrouped}
-
-
-def _in_words(entries: Mapping[str, Any]) -> str:
-    """Return the name of the circuit that entries of a readout state."""
-    names = []
-    for name, value in entries.items():
-        if name == "groups" and value is None:
-            names.append("no readout.groups (lines read one after the other)")
-        else:
-            text = f"{value:g}" if isinstance(value, float) else str(value)
-            reason = f" ({OF_ONE_KEY[name]})" if name in OF_ONE_KEY else ""
-            names.append(f"readout.{name}: {text}{reason}")
-        if "kind" not in entries and name in CALLED:
-            names[-1] += f" ({CALLED[name]})"
-    return ", ".join(names)
-
-
-def _own_resistor(circuit: Readout) -> dict[str, float]:
-    """Return the key and the number of a circuit's resistor where it is not the kind's default."""
-    defaults = {setting.name: setting.default for setting in fields(circuit)}
-    for name in RESISTORS:
-        ohm = getattr(circuit, name, None)
-        if isinstance(ohm, float) and ohm != defaults[name]:
-            return {name: ohm}
-    return {}
 
 
 def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:
@@ -590,9 +359,7 @@ def changes_beyond_noise(scene: Scene, readings: Readings, role: NDArray[np.uint
 def standing_frames(
     readings: Readings, frame: int, candidates: NDArray[np.intp], noise: float
 ) -> NDArray[np.intp]:
-    """Return the frames that are equal to one frame within their noise.
-
-    Their mean thus has less noise.
+    """Return the frames that are equal to one frame within their noise, to be averaged.
 
     Parameters
     ----------

@@ -32,6 +32,7 @@ from lampest.panel.systematic import (
     SharedError,
     error_columns,
     estimated_errors,
+    recorded_share,
 )
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
@@ -142,12 +143,16 @@ def shared_changes(
         error for error in further if error.setting in requested and error is not REFERENCE
     )
     fixed = tuple(error for error in further if error not in estimated)
-    groups = ((READING_ERROR,), fixed, *((error,) for error in estimated))
+    groups = (fixed, *((error,) for error in estimated))
     steadied = _steadied(scene, fit, resting.cells)
-    unit = replace(sizes, reading_error=1.0)
-    at_rest = _responses(resting, groups, unit)
-    under_load = _responses(steadied, groups, unit)
-    own, of_fixed, *of_estimated = (
+    # Each reading's own error is a column of the gain.
+    own_at_rest, own_under_load = (
+        each.gain * recorded_share(each.readings.value, scene).ravel()
+        for each in (resting, steadied)
+    )
+    at_rest = _responses(resting, groups, sizes)
+    under_load = _responses(steadied, groups, sizes)
+    of_fixed, *of_estimated = (
         of_frame - of_rest for of_frame, of_rest in zip(under_load, at_rest, strict=True)
     )
     size = resting.cells.size
@@ -159,14 +164,20 @@ def shared_changes(
         + ASSUMED.creep**2 * np.eye(size)
         + ASSUMED.common_change**2
     )
-    reach = float(np.median(np.linalg.norm(at_rest[0], axis=1)))
+    reach = float(np.median(np.linalg.norm(own_at_rest, axis=1)))
     counts = {
         error.setting: part.shape[1] for error, part in zip(estimated, of_estimated, strict=True)
     }
     hidden = np.hstack([np.zeros((size, 0)), *of_estimated])
     change = np.log(fit.cells / resting.cells).ravel()
     return SharedChanges(
-        change, covariance + of_fixed @ of_fixed.T, hidden, own, reach, estimated, counts
+        change,
+        covariance + of_fixed @ of_fixed.T,
+        hidden,
+        own_under_load - own_at_rest,
+        reach,
+        estimated,
+        counts,
     )
 
 
@@ -286,6 +297,7 @@ def error_costs(
         Distance over which changes in a skirt are correlated.
     """
     loads = _smooth_loads(scene.panel.shape, cells)
+    by_readings = moves.own @ moves.own.T
     costs = np.zeros((len(SKIRTS), len(factors), len(errors)))
     for skirt, of_skirt in zip(SKIRTS, costs, strict=True):
         smoothed = replace(moves, noise=moves.noise + skirt**2 * loads)
@@ -293,7 +305,9 @@ def error_costs(
             spread = smoothed.with_channels(factor)
             start = None
             for column, size in enumerate(errors):
-                of_factor[column], start = _still(spread.changes(size), start)
+                noise = spread.noise + size**2 * by_readings
+                changes = Changes(spread.change, noise, spread.hidden)
+                of_factor[column], start = _still(changes, start)
     # −2 ln Σ_skirt p(d | e, skirt)
     return summed_out(costs, axis=0)
 

@@ -12,6 +12,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.panel.systematic import CHANNELS, error_columns, recorded_share
+from lampest.posterior.gaussian import forms_over_scales
 from lampest.recording.readings import Readings
 
 READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))  # tried sizes e
@@ -35,12 +36,12 @@ def unloaded_costs(
 
     The unloaded cells are log r ~ N(μ, s²). The readings are linearised at the most probable log
     cells u, with t = y − f(u) + J u. Let τ² = σ² + (e y')², where y' is the derivative of a reading
-    with respect to the logarithm of its recorded value, and A = J/τ, A Aᵀ = QΛQᵀ:
+    with respect to the logarithm of its recorded value, and A = J/τ:
 
-        −2 log p(y | e, s) = Σ a²/v − (Σ a b/v)²/Σ(b²/v) + Σ log v + log Σ(b²/v) + Σ log τ²,
-        v = 1 + s²λ,
+        −2 log p(y | e, s) = aᵀV⁻¹a − (aᵀV⁻¹b)²/(bᵀV⁻¹b) + log |V| + log bᵀV⁻¹b + Σ log τ²,
+        V = 1 + s² A Aᵀ,
 
-    with a = Qᵀ t/τ and b = Qᵀ A 1. The likelihood is averaged over the prior of SCATTERS. u is
+    with a = t/τ and b = A 1. The likelihood is averaged over the prior of SCATTERS. u is
     first the point of the largest error, then that of the most probable one of a few errors. Where
     the cells are not alike, e is overestimated rather than underestimated. Linear theory lets cells
     explain readings that no cells give; but no likelihood exceeds that of the best fit, so that −2
@@ -121,15 +122,12 @@ def _linear_costs(scaled: Array, target: Array) -> Array:
     target : array, shape (readings,)
         L⁻¹ t.
     """
-    values, vectors = np.linalg.eigh(scaled @ scaled.T)
-    # a = Qᵀ t/τ, b = Qᵀ A 1, and v = 1 + s²λ, (scatters, readings)
-    a = vectors.T @ target
-    b = vectors.T @ scaled.sum(axis=1)
-    v = 1 + np.square(SCATTERS)[:, None] * np.maximum(values, 0.0)
-    # Σ b²/v is the precision of μ, which is integrated out.
-    precision = (b**2 / v).sum(axis=1)
-    squares = (a**2 / v).sum(axis=1) - (a * b / v).sum(axis=1) ** 2 / precision
-    return np.asarray(squares + np.log(v).sum(axis=1) + np.log(precision))
+    both = np.column_stack([target, scaled.sum(axis=1)])
+    forms, volumes = forms_over_scales(scaled @ scaled.T, both, SCATTERS)
+    # bᵀ V⁻¹ b is the precision of μ, which is integrated out.
+    precision = forms[:, 1, 1]
+    squares = forms[:, 0, 0] - forms[:, 0, 1] ** 2 / precision
+    return np.asarray(squares + volumes + np.log(precision))
 
 
 def _most_probable(

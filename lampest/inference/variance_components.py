@@ -25,9 +25,9 @@ import numpy as np
 
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
 from lampest.inference.outliers import QUIET_SHARE
+from lampest.panel.conditions import motion_patterns
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_scan_lines
-from lampest.posterior.frame_noise import motion_patterns
 from lampest.posterior.interval import chi_square_tail, variance_ratio_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording

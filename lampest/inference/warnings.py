@@ -8,7 +8,8 @@ from lampest.files.errors import first_and_more
 from lampest.inference.model_check import ModelCheck, module_factors
 from lampest.inference.module_noise import named_modules
 from lampest.inference.noise import NoiseEstimate
-from lampest.inference.rivals import changes_beyond_noise, choices
+from lampest.inference.rival_circuits import choices
+from lampest.inference.rivals import changes_beyond_noise
 from lampest.recording.readings import Readings
 from lampest.recording.recording import TOUCHED, UNEVENLY, UNLOADED, UNREFERENCED, Recording
 

@@ -46,6 +46,17 @@ def water_pressure(panel: Panel, water: Water | None) -> Array:
     return np.asarray(np.nan_to_num(kpa_per_mm * (water.top_row_depth_mm + panel.places_mm[1])))
 
 
+def motion_patterns(shape: tuple[int, ...]) -> Array:
+    """Return the patterns in which moving water changes ln r of all cells, (3, rows, columns).
+
+    The patterns are 1, the place across the columns, and the place across the rows, from −1 to 1. A
+    change of ln r that all cells share changes ln of each two-point resistance by the same amount;
+    a gradient changes the readings by less.
+    """
+    rows, columns = (np.linspace(-1, 1, size) if size > 1 else np.zeros(1) for size in shape)
+    return np.stack([np.ones(shape), *np.broadcast_arrays(columns, rows[:, None])])
+
+
 @dataclass(frozen=True)
 class Temperature(Configuration):
     """Effect of the film's temperature on every cell between baseline and measurement.

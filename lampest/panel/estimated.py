@@ -60,9 +60,9 @@ def _line(key: str, number: float, deviation: float) -> str:
 
 
 def _with_decimals(value: float, decimals: int) -> str:
-    """Return a value rounded to decimals, which are negative for tens, such as '1230' or '2e-07'.
+    """Return a value rounded to decimals, such as '1230', or '2e-07' below 0.0001.
 
-    Its exponent is written out below 0.0001.
+    Negative numbers of decimals are tens, hundreds and so on.
     """
     rounded = round(value, decimals)
     if rounded == 0:

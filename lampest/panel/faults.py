@@ -69,17 +69,14 @@ class Faults(Configuration):
 
     def check(self, panel: Panel) -> None:
         """Raise ValueError unless all faults are on the panel, agree, and leave an intact part."""
-        layout = panel.modules
         lines = self.dead_rows or self.dead_columns or self.joined_rows or self.joined_columns
-        if layout is not None and lines:
+        if panel.modules is not None and lines:
             raise ValueError(
                 "faults: every module has lines of its own; "
                 "name those under modules: [{at: ..., faults: ...}]"
             )
         for place in self.dead_modules:
-            if layout is None or not (
-                0 <= place[0] < layout.rows and 0 <= place[1] < layout.columns
-            ):
+            if not panel.has_module(place):
                 raise ValueError(f"faults: there is no module {list(place)}")
         for row, column in (*self.open, *self.shorted):
             if not (0 <= row < panel.rows and 0 <= column < panel.columns):
@@ -103,7 +100,7 @@ class Faults(Configuration):
             raise ValueError("faults: a cell cannot be open and shorted")
         read = panel.present & ~self.blind(panel)
         conducting = panel.present & ~self.open_cells(panel)
-        all_dead = layout is not None and len(set(self.dead_modules)) == layout.count
+        all_dead = len(set(self.dead_modules)) == panel.layout.count
         if not (read.any() and conducting.any()) or all_dead:
             raise ValueError("faults: nothing is left of the panel")
 

@@ -186,7 +186,7 @@ def equation_derivatives(
 ) -> Compiled:
     """Return the function of the entries with the named derivatives of h, flat.
 
-    Its argument has the entries one after the other, (rows · columns) each.
+    The argument has the entries one after the other, (rows · columns) each.
     """
     import casadi
 

@@ -356,7 +356,7 @@ class SolvedNetwork(Network):
     def entry_responses(self, j: Any = EVERY_ROW, k: Any = EVERY_COLUMN) -> Entries:
         """Return g_c·(D_jc², D_kc², D_jc·D_kc).
 
-        Their shapes are (rows, cells), (columns, cells), (rows, columns, cells). With potentials
+        The shapes are (rows, cells), (columns, cells), (rows, columns, cells). With potentials
         g_c·(D_jc·D_vc, D_kc·D_vc) follow, (rows, cells), (columns, cells), with D_v the
         differences of v.
 

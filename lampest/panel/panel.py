@@ -211,10 +211,8 @@ class Panel(Configuration):
         """
         x = np.arange(self.columns)
         y = np.arange(self.rows)
-        if self.modules is None:
-            return x * self.pitch_mm, y * self.pitch_mm
-        module = self.modules.each
-        seam = self.modules.seam_mm
+        module = self.layout.each
+        seam = self.layout.seam_mm
         return (
             x * self.pitch_mm + x // module.columns * seam,
             y * self.pitch_mm + y // module.rows * seam,
@@ -236,6 +234,20 @@ class Panel(Configuration):
     def bare(self) -> "Panel":
         """The panel without pitch and modules, on which no cost depends."""
         return Panel(*self.shape) if self.cells is None else self
+
+    @cached_property
+    def layout(self) -> Modules:
+        """The arrangement of the panel's modules; a panel of one network is one module."""
+        if self.modules is None:
+            return Modules(1, 1, EachModule(self.rows, self.columns, self.pitch_mm))
+        return self.modules
+
+    def has_module(self, place: tuple[int, int]) -> bool:
+        """Return whether the panel is an image of modules, with one at (row, column)."""
+        layout = self.modules
+        return layout is not None and (
+            0 <= place[0] < layout.rows and 0 <= place[1] < layout.columns
+        )
 
     @property
     def network(self) -> "Panel":

@@ -157,7 +157,12 @@ class Scene(Configuration):
         for key, application in OF_APPLICATIONS.items():
             if getattr(self, key) is not None:
                 applications().require(application, key)
-        self._check_own_keys()
+        for own_key, setting in self.own_keys:
+            target = applications().scene_keys.get(own_key)
+            if target is None:
+                raise ValueError(f"{own_key}: no installed application has this key")
+            if not isinstance(setting, loaded(target)):
+                raise ValueError(f"{own_key}: an object of {target} is needed")
         if self.faults is not None:
             self.faults.check(self.panel)
         if self.response is not None:
@@ -178,28 +183,16 @@ class Scene(Configuration):
             self.contact_prior.deviation(self.panel.shape)
         (self.readout or self.circuit).check(self)
 
-    def _check_own_keys(self) -> None:
-        """Raise ValueError unless an application has registered each key and its object."""
-        for key, value in self.own_keys:
-            target = applications().scene_keys.get(key)
-            if target is None:
-                raise ValueError(f"{key}: no installed application has this key")
-            if not isinstance(value, loaded(target)):
-                raise ValueError(f"{key}: an object of {target} is needed")
-
     def own(self, key: str) -> Any:
         """Return the object that a scene has under the key of an application; None without it."""
         return dict(self.own_keys).get(key)
 
     def _check_modules(self) -> None:
         """Raise ValueError if an entry of `modules` is not allowed, or does not fit its scene."""
-        layout = self.panel.modules
         places = [module.at for module in self.modules or ()]
         for module in self.modules or ():
             where = list(module.at)
-            if layout is None or not (
-                0 <= module.at[0] < layout.rows and 0 <= module.at[1] < layout.columns
-            ):
+            if not self.panel.has_module(module.at):
                 raise ValueError(f"modules: there is no module {where}")
             if places.count(module.at) > 1:
                 raise ValueError(f"modules: module {where} is named twice")
@@ -207,8 +200,7 @@ class Scene(Configuration):
                 raise ValueError(
                     f"modules: module {where} has a readout of another kind than the scene"
                 )
-        if layout is not None:
-            assert self.of_modules  # every scene checks itself
+        assert self.of_modules  # every scene checks itself
 
     @cached_property
     def of_modules(self) -> tuple["Scene", ...]:
@@ -258,11 +250,8 @@ class Scene(Configuration):
     @property
     def dead_modules(self) -> tuple[int, ...]:
         """Numbers of the modules that are not read."""
-        layout = self.panel.modules
-        if layout is None or self.faults is None:
-            return ()
-        places = self.faults.dead_modules
-        return tuple(sorted({row * layout.columns + column for row, column in places}))
+        places = () if self.faults is None else self.faults.dead_modules
+        return tuple(sorted({row * self.panel.layout.columns + column for row, column in places}))
 
     @cached_property
     def blind(self) -> NDArray[np.bool_]:
@@ -302,14 +291,9 @@ class Scene(Configuration):
 
     def _of_faults(self, mask: Callable[[Faults, Panel], NDArray[np.bool_]]) -> NDArray[np.bool_]:
         """Return a mask of the faults, (rows, columns); true for all cells of dead modules."""
-        layout = self.panel.modules
-        if layout is None:
-            if self.faults is None:
-                return np.zeros(self.panel.shape, dtype=bool)
-            return mask(self.faults, self.panel)
-        parts = np.stack([scene._of_faults(mask) for scene in self.of_modules])
+        parts = np.stack([mask(scene.faults or Faults(), scene.panel) for scene in self.of_modules])
         parts[list(self.dead_modules)] = True
-        return layout.joined(parts)
+        return self.panel.layout.joined(parts)
 
     @property
     def assumed_text(self) -> str:

@@ -324,8 +324,8 @@ class Shared:
     def columns(self, network: Network, measured: Array) -> Array:
         """Return U, (cells, n), in the readings' unit.
 
-        Its columns are those of contacts, reference and channels, hidden errors. `measured` are the
-        readings of the network, (rows, columns).
+        The columns are those of contacts, then of reference and channels, then of hidden errors.
+        `measured` are the readings of the network, (rows, columns).
         """
         parts = list[Array]()
         if self.contact_root is not None:

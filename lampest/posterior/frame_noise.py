@@ -8,20 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import linalg
 
+from lampest.panel.conditions import motion_patterns
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_panel_order, in_scan_order
 from lampest.panel.scene import Scene
-
-
-def motion_patterns(shape: tuple[int, ...]) -> Array:
-    """Return the patterns in which moving water changes ln r of all cells, (3, rows, columns).
-
-    The patterns are 1, the place across the columns, and the place across the rows, from −1 to 1. A
-    change of ln r that all cells share changes ln of each two-point resistance by the same amount;
-    a gradient changes the readings by less.
-    """
-    rows, columns = (np.linspace(-1, 1, size) if size > 1 else np.zeros(1) for size in shape)
-    return np.stack([np.ones(shape), *np.broadcast_arrays(columns, rows[:, None])])
 
 
 def motion_columns(measured: Array, motion: Array) -> Array:
@@ -81,7 +71,15 @@ class FrameNoise:
             resting = baseline and number == 0
             columns = self._of_frame(frame) / (np.sqrt(max(self.unloaded, 1)) if resting else 1.0)
             if self.memory:
-                columns = np.column_stack([columns, self._of_memory(frame)])
+                # A channel differs by the share of what it differs from the channel before.
+                volt = self._volt(frame)
+                channels = in_scan_order(self.scene.circuit, volt)
+                before = in_panel_order(
+                    self.scene.circuit, np.roll(channels, 1, axis=-1), volt.shape
+                )
+                columns = np.column_stack(
+                    [columns, self._by_volt(volt, self.memory * (volt - before)[None])]
+                )
             if self.effect_errors is not None:
                 fractions = self.effect_errors[0 if resting else 1] * frame
                 columns = np.column_stack([columns, fractions.reshape(len(fractions), -1).T])
@@ -103,16 +101,6 @@ class FrameNoise:
                 [columns, (self.trembling * (measured - self.resting)).ravel()]
             )
         return columns
-
-    def _of_memory(self, measured: Array) -> Array:
-        """Return the column of a converter's memory for one frame's readings, (cells, 1).
-
-        A channel differs by the share of what it differs from the channel before.
-        """
-        volt = self._volt(measured)
-        channels = in_scan_order(self.scene.circuit, volt)
-        before = in_panel_order(self.scene.circuit, np.roll(channels, 1, axis=-1), volt.shape)
-        return self._by_volt(volt, self.memory * (volt - before)[None])
 
     def _volt(self, measured: Array) -> Array:
         """Return the voltages of readings."""

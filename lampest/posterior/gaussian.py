@@ -13,7 +13,7 @@ v = Σ Aᵀ C⁻¹ d:
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky
+from scipy.linalg import cho_solve, cholesky, lapack, solve_triangular
 
 from lampest.panel.panel import Array
 
@@ -83,12 +83,13 @@ class Information:
     @classmethod
     def of(cls, columns: Array, noise: Array, change: Array) -> "Information":
         """Return the information of readings d with the columns A and the noise C."""
-        weighted = np.linalg.solve(noise, np.column_stack([columns, change]))
-        return cls(
-            columns.T @ weighted[:, :-1],
-            columns.T @ weighted[:, -1],
-            float(change @ weighted[:, -1] + np.linalg.slogdet(noise)[1]),
-        )
+        # With C = R Rᵀ: Λ and v are products of R⁻¹ (A, d) with itself.
+        root = cholesky(noise, lower=True, check_finite=False)
+        both = np.column_stack([columns, change])
+        white = solve_triangular(root, both, lower=True, check_finite=False)
+        square = white.T @ white
+        volume = 2 * float(np.sum(np.log(np.diag(root))))
+        return cls(square[:-1, :-1], square[:-1, -1], float(square[-1, -1]) + volume)
 
     def __add__(self, other: "Information") -> "Information":
         """Return the information of both sets."""
@@ -113,5 +114,48 @@ class Information:
     @property
     def evidence_cost(self) -> float:
         """−2 ln p(d) of all sets, up to a constant."""
-        volume = float(np.linalg.slogdet(np.eye(len(self.pull)) + self.precision)[1])
-        return self.cost + volume - float(self.pull @ self.mean)
+        root = cholesky(np.eye(len(self.pull)) + self.precision, lower=True)
+        white = solve_triangular(root, self.pull, lower=True)
+        return self.cost + 2 * float(np.sum(np.log(np.diag(root)))) - float(white @ white)
+
+
+def forms_over_scales(square: Array, vectors: Array, scales: Array) -> tuple[Array, Array]:
+    """Return Bᵀ V⁻¹ B and ln |V| of V = 1 + s² S for several scales s.
+
+    S = Q T Qᵀ is made tridiagonal once, in a fifth of the time of its eigenvalues.
+
+    Parameters
+    ----------
+    square : array, shape (n, n)
+        S, symmetric and not negative.
+    vectors : array, shape (n, k)
+        B.
+    scales : array, shape (scales,)
+        s.
+
+    Returns
+    -------
+    forms : array, shape (scales, k, k)
+    volumes : array, shape (scales,)
+    """
+    count = len(square)
+    work = 64 * count  # of LAPACK's blocks
+    reflectors, diagonal, beside, factors, _ = lapack.dsytrd(square, lower=1, lwork=work)
+    # Rounding may have made eigenvalues negative by as much.
+    diagonal += count * np.finfo(float).eps * np.abs(diagonal).max()
+    turned = np.array(vectors, order="F")
+    if count == 1:
+        beside = np.zeros(1)  # LAPACK asks for one
+    else:
+        # Qᵀ B: the reflectors leave the first row.
+        below = reflectors[1:, :-1]
+        turned[1:], *_ = lapack.dormqr("L", "T", below, factors, turned[1:], work)
+    forms = np.empty((len(scales), vectors.shape[1], vectors.shape[1]))
+    volumes = np.empty(len(scales))
+    for number, scale in enumerate(np.square(scales)):
+        pivots, _, solved, failed = lapack.dptsv(1 + scale * diagonal, scale * beside, turned)
+        if failed:
+            raise np.linalg.LinAlgError("the matrix has negative eigenvalues")
+        forms[number] = turned.T @ solved
+        volumes[number] = np.log(pivots).sum()
+    return forms, volumes

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import blas, lapack
-from scipy.sparse.csgraph import connected_components
 
 from lampest.cost.cost import Cost
 from lampest.cost.losses import Loss
@@ -186,6 +185,8 @@ class LinearModel:
         the degrees of freedom of such an estimate (Zou, Hastie & Tibshirani, Ann. Stat. 35, 2007;
         Tibshirani & Taylor, Ann. Stat. 40, 2012).
         """
+        from scipy.sparse.csgraph import connected_components  # for absolute losses
+
         cells = self.at.cell_resistance.size
         pinned = self.absolute & (np.abs(self.penalty) < PINNED)
         rows = sparse.csr_array(self.penalty_jacobian)[pinned]
@@ -349,6 +350,20 @@ def inverse_and_volume(matrix: Array) -> tuple[Array, float]:
     inverse = inverse + inverse.T  # its lower triangle is zero
     inverse[np.diag_indices(len(inverse))] /= 2
     return np.asarray(inverse), -2 * float(np.sum(np.log(np.diag(factor))))
+
+
+def misfit_and_volume(covariance: Array, deviation: Array) -> tuple[float, float]:
+    """Return the misfit dᵀ C⁻¹ d of deviations d of covariance C, and ln det C.
+
+    Raises as `positive_inverse`.
+    """
+    if not deviation.size:
+        return 0.0, 0.0
+    factor, failed = lapack.dpotrf(covariance, lower=True)
+    white, broken = lapack.dtrtrs(factor, deviation, lower=True)
+    if failed or broken or not np.all(np.isfinite(white)):
+        raise np.linalg.LinAlgError("the cost is flat round the estimate")
+    return float(white @ white), 2 * float(np.sum(np.log(np.diag(factor))))
 
 
 def swept(table: Array, place: int) -> Array:

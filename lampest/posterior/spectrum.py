@@ -304,7 +304,10 @@ def settled_weights(
             # tr(B⁺ B_t) and tr(A⁻¹ B_t)
             count = float(np.sum(curvature[of_term] * free))
             used = float(np.sum(curvature[of_term] * posterior))
-            magnitude = float(_folded_mean(mean, size).sum())
+            # E|x| of x ~ N(mean, size²)
+            # size·√(2/π)·exp(−mean²/(2 size²)) + mean·erf(mean/(√2 size))
+            spread = size * np.sqrt(2 / np.pi) * np.exp(-0.5 * (mean / size) ** 2)
+            magnitude = float((spread + mean * erf(mean / size / np.sqrt(2))).sum())
             evidence = PenaltyEvidence(mean, magnitude, count, partial(float, used))
             weights[number] = _weight(model, number, evidence)
         changes = [
@@ -318,13 +321,6 @@ def settled_weights(
 def _quadratic_forms(rows: Array, matrix: Array) -> Array:
     """Return diag(Z M Zᵀ) for rows Z, (rows,)."""
     return np.asarray(np.einsum("ij,jk,ik->i", rows, matrix, rows, optimize=True))
-
-
-def _folded_mean(mean: Array, size: Array) -> Array:
-    """Return E|x| of x ~ N(mean, size²), of any shape."""
-    # size·√(2/π)·exp(−mean²/(2 size²)) + mean·erf(mean/(√2 size))
-    spread = size * np.sqrt(2 / np.pi) * np.exp(-0.5 * (mean / size) ** 2)
-    return np.asarray(spread + mean * erf(mean / size / np.sqrt(2)))
 
 
 def _weight(model: LinearModel, term: int, evidence: PenaltyEvidence) -> float:

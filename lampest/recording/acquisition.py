@@ -324,14 +324,12 @@ def recorded_of_sums(scene: Scene, sums: NDArray[Any], readings: int) -> Array:
 
     The sums have the shape (…, rows, columns); the value of NO_SUM is NaN.
     """
-    layout = scene.panel.modules
-    if layout is None:
-        assert scene.readout is not None
-        return np.where(sums == NO_SUM, np.nan, scene.readout.recorded_from_sums(sums, readings))
+    layout = scene.panel.layout
     parts = layout.split(sums)
     recorded = np.empty(parts.shape)
-    for module_scene, numbers in scene.alike:
-        recorded[..., numbers, :, :] = recorded_of_sums(
-            module_scene, parts[..., numbers, :, :], readings
-        )
+    for module, numbers in scene.alike:
+        assert module.readout is not None
+        own = parts[..., numbers, :, :]
+        values = module.readout.recorded_from_sums(own, readings)
+        recorded[..., numbers, :, :] = np.where(own == NO_SUM, np.nan, values)
     return layout.joined(recorded)

@@ -4,7 +4,7 @@ A file holds a scene, the values of each field of a `Recording` that is known, a
 rows and columns. `lampest.recording.acquisition` names the datasets.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
@@ -65,6 +65,10 @@ def recording_file(path: Path) -> Iterator[tuple[h5py.File, Scene, str, str]]:
 
 @lru_cache(maxsize=8)  # a recording that is too long for memory is opened again for every part
 def _scene_of(text: str, where: str) -> Scene:
+    """Return the scene of a file's text; the key FORMER_SERIES of earlier versions is renamed.
+
+    Raises InputError, with the place `where`, for an invalid scene.
+    """
     document = parse_document(text, where)
     errors = document.content.get("systematic") if isinstance(document.content, dict) else None
     if isinstance(errors, dict) and FORMER_SERIES in errors:
@@ -110,7 +114,13 @@ def read_frames(file: h5py.File, scene: Scene, part: slice) -> dict[str, Any]:
     chosen = part
     if part == hdf5.ALL:
         chosen = undamaged_frames(file, scene)
-        _check_held(file, places)
+        # Memory has to suffice for the recording and for copies of its readings.
+        shape = hdf5.shape_of(file, places["recorded"])
+        besides = set(places) - {"recorded", "time", "role", "raw_sums"}
+        others = sum(prod(hdf5.shape_of(file, places[field])) for field in besides)
+        label = f"{file.filename}: {shape[0]} frames of {prod(shape[1:])} cells at once"
+        # 49 bytes a reading were counted at 100,000,000 readings
+        check_memory(8.0 * (6 * prod(shape) + others), label)
     held = dict[str, Any]()
     dimensions: dict[str, int | tuple[int, int]] = {"time": 1, "role": 1, "sigma": (2, 3)}
     for field, place in places.items():
@@ -148,16 +158,6 @@ def read_raw_readings(file: h5py.File) -> int:
             f"not {number:g}"
         )
     return int(number)
-
-
-def _check_held(file: h5py.File, places: Mapping[str, str]) -> None:
-    """Raise InputError if memory does not suffice for a recording and copies of its readings."""
-    shape = hdf5.shape_of(file, places["recorded"])
-    besides = set(places) - {"recorded", "time", "role", "raw_sums"}
-    held = sum(prod(hdf5.shape_of(file, places[field])) for field in besides)
-    label = f"{file.filename}: {shape[0]} frames of {prod(shape[1:])} cells at once"
-    # 49 bytes a reading were counted at 100,000,000 readings
-    check_memory(8.0 * (6 * prod(shape) + held), label)
 
 
 def create_frames_group(

@@ -92,7 +92,11 @@ def garbled_lines(recording: Recording) -> tuple[GarbledLines, ...]:
     if len(values) < MIN_FRAMES or min(values.shape[1:]) < MIN_LINE_CELLS:
         return ()
     expected, spread = _expected(values)
-    scale = _noise(recording, values)
+    # The noise by changes from frame to frame; the converter's step is the least one.
+    steps = np.abs(np.diff(values, axis=0))
+    measured = float(MAD_TO_SIGMA / np.sqrt(2) * median(steps.ravel())[0])
+    readout = recording.scene.readout
+    scale = measured if readout is None else max(measured, float(readout.lsb_volt))
     if not scale > 0:
         return ()
     threshold = np.fmax(OUTLIER_THRESHOLD * scale, MIN_RATIO_TO_SCATTER * spread)
@@ -140,10 +144,7 @@ def _signal(recording: Recording) -> Array:
 
 
 def _expected(values: Array) -> tuple[Array, Array]:
-    """Return the median of the neighbours of each frame and their scatter.
-
-    Both arrays have the shape (frames, rows, columns).
-    """
+    """Return median and scatter of each frame's neighbours, (frames, rows, columns) each."""
     frames = np.arange(len(values))
     width = 2 * WINDOW + 1
     first = np.clip(frames - WINDOW, 0, len(values) - width)
@@ -152,17 +153,6 @@ def _expected(values: Array) -> tuple[Array, Array]:
     neighbours = values[nearest]
     middle = median(neighbours)[0]
     return middle, MAD_TO_SIGMA * median(np.abs(neighbours - middle))[0]
-
-
-def _noise(recording: Recording, values: Array) -> float:
-    """Return the standard deviation of the noise, estimated from changes from frame to frame.
-
-    The noise of the converter is the least value.
-    """
-    steps = np.abs(np.diff(values, axis=0))
-    measured = float(MAD_TO_SIGMA / np.sqrt(2) * median(steps.ravel())[0])
-    readout = recording.scene.readout
-    return measured if readout is None else max(measured, float(readout.lsb_volt))
 
 
 @dataclass(frozen=True, eq=False)

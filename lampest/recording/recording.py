@@ -379,6 +379,7 @@ class Recording(Validated):
             self._write(file)
 
     def _write(self, file: h5py.File) -> None:
+        """Write scene, frames, truth and acquisition into a new file, in the layout of NeXus."""
         hdf5.set_attributes(file, **FILE_ATTRIBUTES)
         entry = file.create_group("entry")
         hdf5.set_attributes(entry, NX_class="NXentry", default=group_of(self.scene.circuit))

@@ -196,7 +196,20 @@ def compare(results: Results, source: str = "") -> list[Row]:
                     "estimator": case.estimator,
                     "steps": steps,
                 }
-                figures = figures_of(case, chosen) | _quoted(published, steps)
+                # Figures of all steps and those of the following steps substitute each other.
+                known = published or PublishedFigures()
+                later = (
+                    (known.all, known.following) if steps == "all" else (known.following, known.all)
+                )
+                quoted = next(
+                    filter(None, (known.initial,) if steps == "initial" else later), StepFigures()
+                )
+                figures = figures_of(case, chosen) | {
+                    "published time [s]": quoted.time_s,
+                    "published time sd [s]": quoted.time_sd_s,
+                    "published data error [%]": quoted.error_percent,
+                    "published data error sd [%]": quoted.error_sd_percent,
+                }
                 rows.append(named | {"swept": case.swept} | figures | texts)
     return rows
 
@@ -273,22 +286,6 @@ def _verified_text(case: CaseResult, chosen: NDArray[np.bool_]) -> str:
     if np.any(chosen & (case.verified == Witness.FAILED)):
         texts.append("IPOPT reached no optimum")
     return ", ".join(texts)
-
-
-def _quoted(published: PublishedFigures | None, steps: Steps) -> dict[str, Any]:
-    """Return published figures of these steps.
-
-    Figures of all steps and those of the following steps substitute each other.
-    """
-    known = published or PublishedFigures()
-    later = (known.all, known.following) if steps == "all" else (known.following, known.all)
-    figures = next(filter(None, (known.initial,) if steps == "initial" else later), StepFigures())
-    return {
-        "published time [s]": figures.time_s,
-        "published time sd [s]": figures.time_sd_s,
-        "published data error [%]": figures.error_percent,
-        "published data error sd [%]": figures.error_sd_percent,
-    }
 
 
 def model_notes(rows: Sequence[Row]) -> list[str]:

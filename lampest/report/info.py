@@ -68,7 +68,7 @@ def describe(path: str | Path) -> Iterator[str]:
     too_long_words = "too long for memory; frames {} to {}:"
     form = hdf5.format_of(path)
     with hdf5.existing_file(path) as file:
-        if not form and not any(hdf5.has(file, path) for path in READINGS):
+        if not form and not any(hdf5.has(file, place) for place in READINGS):
             raise InputError(f"{path}: neither a recording nor results (no lampest_format)")
     head = f"{path}: {form or 'a recording without lampest_format'}"
     if form == FORMAT:
@@ -284,6 +284,7 @@ def _in_words(part: Any) -> str:
 
 
 def _numbers(values: list[Any]) -> Iterator[float]:
+    """Yield the numbers of nested lists, in their order."""
     for value in values:
         if isinstance(value, list):
             yield from _numbers(value)

@@ -3,7 +3,7 @@
 Each method imports the libraries that it needs; access to the cells loads none.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.util import find_spec
@@ -69,12 +69,9 @@ class Reconstruction(Estimates):
     @property
     def weights(self) -> dict[str, Array]:
         """Penalty → λ (frames), given or chosen by the data."""
-        from lampest.runs.case import FIGURES
+        from lampest.runs.content import weights_of
 
-        values: Mapping[str, Array] = next(
-            folder for folder in FIGURES if folder.name == "weights"
-        ).value(self)
-        return {term: weight for term, weight in values.items() if term != "misfit"}
+        return {term: weight for term, weight in weights_of(self).items() if term != "misfit"}
 
     @property
     def model_check(self) -> "ModelCheck":

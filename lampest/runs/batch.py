@@ -333,7 +333,7 @@ def _different_lines(
 def _counted(tasks: Sequence[Task], on_frames: Callable[[int, int], None]) -> Iterator[None]:
     """Call `on_frames` with the numbers of solved and of all frames.
 
-    It is called at the beginning, every second, and at the end. Progress is read from files,
+    The calls are at the beginning, every second, and at the end. Progress is read from files,
     whichever process or machine solves the cases.
     """
     frames = sum(task.case.frames for task in tasks)

@@ -407,6 +407,7 @@ class CaseResult(Content):
         return f"/entry/{self.recording}/{group}/{column.of(self.scene.circuit).path}"
 
     def _check_shape(self, path: str, values: Any, axes: tuple[str, ...]) -> None:
+        """Raise InputError unless the values lie along these axes of the case."""
         sizes = dict(zip(MAPS, self.measured.shape, strict=True))
         shape = tuple(sizes[axis] for axis in axes)
         if np.shape(values) != shape:

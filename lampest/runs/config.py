@@ -210,14 +210,15 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     ):
         run: RunFile = point.value
         published |= run.published or {}
+        # the same at every point
         check = run.check
         executor = (
             run.executor.beside(path.parent) if isinstance(run.executor, Dask) else run.executor
         )
         prefix = f"estimators.{point.entry}."  # swept keys without the estimator: gradient.weight
         swept = {
-            path.removeprefix(prefix).removeprefix("terms."): value
-            for path, value in point.assignments.items()
+            key.removeprefix(prefix).removeprefix("terms."): value
+            for key, value in point.assignments.items()
         }
         name = _varied_name(point.entry, swept)
         estimator = resolve(point.document, run, point.entry)

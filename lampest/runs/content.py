@@ -166,7 +166,7 @@ def _costs(done: Estimates) -> dict[str, Array]:
     return _of_terms(done, [step.solution.costs for step in done.steps])
 
 
-def _weights(done: Estimates) -> dict[str, Array]:
+def weights_of(done: Estimates) -> dict[str, Array]:
     """Map terms to their weights in every frame."""
     return _of_terms(done, [step.weights for step in done.steps])
 
@@ -431,7 +431,7 @@ class Content(Validated):
     )
     contacts: dict[str, Array] = _figures("contact", _contacts, _of_contact, "ohm")
     costs: dict[str, Array] = _figures("cost", _costs, "cost of the term {}".format)
-    weights: dict[str, Array] = _figures("weight", _weights, "weight of the term {}".format)
+    weights: dict[str, Array] = _figures("weight", weights_of, "weight of the term {}".format)
     weight_sigma: dict[str, Array] = _figures(
         "weight_sigma",
         _chosen,

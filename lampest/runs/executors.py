@@ -80,6 +80,10 @@ class Worker:
             self.pipe.send((function, argument))
 
     def _started(self) -> SpawnProcess:
+        """Start a process that answers tasks, with signals of the terminal blocked, and return it.
+
+        Raises InputError if no further process can be started.
+        """
         # Blocked, so that even the imports of a process are undisturbed, and the tracker does not
         # die before them.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL)
@@ -176,6 +180,7 @@ def _serve(pipe: Connection, begun: Callable[..., None] | None, arguments: tuple
 
 
 def _end_with_parent() -> None:
+    """End this process when its parent ends."""
     parent = parent_process()
     assert parent is not None
     parent.join()
@@ -431,7 +436,16 @@ class Dask(Executor):
             place = self.address or self.scheduler_file
             if place is None:
                 workers = min(self.workers or cores(), tasks)
-                where = {"address": stack.enter_context(_of_this_machine(distributed, workers))}
+                cluster = distributed.LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    memory_limit=0,
+                    host="127.0.0.1",
+                    dashboard_address="127.0.0.1:0",  # any free port: the default may be in use
+                    silence_logs=logging.CRITICAL,
+                    preload=[__name__],
+                )
+                where = {"address": stack.enter_context(cluster)}
             if self.tls is not None:
                 names = ("tls_ca_file", "tls_client_cert", "tls_client_key")
                 files = dict(zip(names, astuple(self.tls), strict=True))
@@ -470,18 +484,6 @@ def _outcome(distributed: Any, client: Any, future: Any) -> Any:
         return error
     finally:
         future.release()
-
-
-def _of_this_machine(distributed: Any, workers: int) -> Any:
-    return distributed.LocalCluster(
-        n_workers=workers,
-        threads_per_worker=1,
-        memory_limit=0,
-        host="127.0.0.1",
-        dashboard_address="127.0.0.1:0",  # any free port: the default 8787 may be in use
-        silence_logs=logging.CRITICAL,
-        preload=[__name__],
-    )
 
 
 def dask_setup(worker: Any) -> None:

@@ -89,6 +89,18 @@ def named_result(
 def _filled(
     estimates: Estimates, columns: Sequence[Column], names: dict[str, str], *, checked: bool
 ) -> CaseResult:
+    """Return the case with every column, attribute and figure that its estimates provide.
+
+    Parameters
+    ----------
+    estimates : Estimates
+    columns : sequence of Column
+        Columns besides those of lampest and of installed packages.
+    names : mapping
+        Names of recording and estimator, and the resolved case, by field.
+    checked : bool
+        Whether the case has the check of the circuit and advice.
+    """
     unchecked = {} if checked else {"warnings": "\n".join(estimates.checks_without_circuit)}
     left_out = () if checked else ("model_mark", "model_sentence", "advice", "warnings")
     table = all_columns(columns)

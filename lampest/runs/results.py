@@ -307,6 +307,7 @@ def _copy_case(group: h5py.Group, case: StoredCase, measured: Mapping[str, bytes
 
 
 def _group_of_data(parent: h5py.Group, name: str, signal: str) -> h5py.Group:
+    """Create a group with the axes of a case and its signal."""
     group = parent.create_group(name)
     hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=list(MAPS))
     return group
@@ -421,6 +422,7 @@ def read_case_scene(case: StoredCase) -> Scene:
 
 
 def _read_scene(file: h5py.File, recording: str) -> Scene:
+    """Return the scene of a stored recording. Raises InputError for an invalid one."""
     path = f"/entry/{recording}/{SHARED}/scene"
     text = hdf5.read_text(file, path)
     return validated_scene(parse_document(text, f"{file.filename}:{path}"))
@@ -440,6 +442,7 @@ def _results_file(path: Path) -> Iterator[h5py.File]:
 
 
 def _in_order(file: h5py.File, path: str) -> list[str]:
+    """Return the names of the groups below a path in the order in which they were written."""
     names = hdf5.children(file, path, h5py.Group)
     return sorted(
         names, key=lambda name: (hdf5.read_number(file, f"{path}/{name}", "order", 0), name)

@@ -99,7 +99,17 @@ def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
     held &= lower < upper
     if not held.any():
         return False
-    missed = _missed(at)
+    # Readings that deviate by more than their noise; one-sided ones deviate only where they are
+    # violated.
+    data = at.data
+    limit = data.deviation if data.noise_known else MILLIONTH * np.abs(data.measured)
+    residual = at.reading - data.measured
+    if data.partial:
+        side = data.given.side
+        seen = data.given.seen
+        violated = np.minimum(side * residual, 0.0)
+        residual = np.where(side == 0, residual, violated) * (seen > 0)
+    missed = np.abs(residual) > limit
     if not missed.any():
         return False
     if all(term.reads_measurement and term.loss.squared for term in at.cost.terms):
@@ -113,18 +123,3 @@ def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
     )
     borne = (pull * gradient > 0) & (np.abs(gradient) >= np.abs(pull) / 2)
     return bool(np.any(held & missed & borne & (curvature * gradient > 0)))
-
-
-def _missed(at: Evaluation) -> NDArray[np.bool_]:
-    """Return the readings that deviate by more than their noise, boolean (frames, rows, columns).
-
-    One-sided readings deviate only where they are violated.
-    """
-    data = at.data
-    limit = data.deviation if data.noise_known else MILLIONTH * np.abs(data.measured)
-    missed = at.reading - data.measured
-    if data.partial:
-        side = data.given.side
-        seen = data.given.seen
-        missed = np.where(side == 0, missed, np.minimum(side * missed, 0.0)) * (seen > 0)
-    return np.asarray(np.abs(missed) > limit)

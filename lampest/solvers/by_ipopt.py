@@ -169,6 +169,7 @@ class Ipopt(Solver):
 def _circuits(
     readout: Readout, shape: tuple[int, int], wiring: Wiring | None
 ) -> tuple[Circuit, ...]:
+    """Return the circuits of a panel, one for each address; each process builds them once."""
     return Circuit.of_readout(readout, shape, wiring)
 
 
@@ -177,6 +178,7 @@ def _circuits(
 def _interface(
     cost: Cost, readout: Readout, wiring: Wiring | None, patterns: Excitation, settings: Settings
 ) -> Interface:
+    """Return IPOPT for the program of a cost; each process compiles it once."""
     program = Program.build(cost, readout, _circuits(readout, cost.panel.shape, wiring), patterns)
     seconds = np.inf if settings.time_limit_s is None else settings.time_limit_s
     limits = Limits(ACCURACY * settings.tolerance, settings.max_iterations, seconds)

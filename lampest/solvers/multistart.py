@@ -124,8 +124,10 @@ def best_solution(
     ends = list[Solution]()
     with np.errstate(all="ignore"), delayed_interrupt():
         for start in evaluable(solver.cost, data, _places(solver, data, previous, ends)):
-            again = solver.cold() if effort.convex_losses else solver.continued(None)
-            ends.append(solved_from(again if ends else solver, start))
+            attempt = solver
+            if ends:  # only the first start continues the previous frame
+                attempt = solver.cold() if effort.convex_losses else solver.continued(None)
+            ends.append(solved_from(attempt, start))
             branch = start.branch if branch is None else branch
             best = preferred(best, ends[-1], branch)
             if data.overdue or effort.is_spent(best, ends):

@@ -131,7 +131,14 @@ def data_of_solve(
     sigma = readings.sigma
     scene = background.scene
     if sigma is None:
-        _check_without_noise(terms)
+        if any(getattr(term, "weighting", "plain") == "noise" for term in terms):
+            raise InputError(
+                "misfit.weighting: noise needs a readout in the scene or sigma in the recording"
+            )
+        if any(term.weighs_previous for term in terms):
+            raise InputError(
+                "arrival needs the noise: a readout in the scene or sigma in the recording"
+            )
     # Missing readings have substitutes where no penalty determines their cells.
     stood_in = np.full(len(measured), all(term.reads_measurement for term in terms))
     stood_in[:-1] = all(term.reads_measurement for term in terms if not term.needs_previous)
@@ -156,18 +163,6 @@ def data_of_solve(
     given = Given.of(readings, background)
     noisy = sigma is not None
     return Data(given, lower, upper, scene.circuit, scene.wiring, noisy, parts=scene.parts)
-
-
-def _check_without_noise(terms: tuple[Term, ...]) -> None:
-    """Raise InputError where a term needs the noise of the readings."""
-    if any(getattr(term, "weighting", "plain") == "noise" for term in terms):
-        raise InputError(
-            "misfit.weighting: noise needs a readout in the scene or sigma in the recording"
-        )
-    if any(term.weighs_previous for term in terms):
-        raise InputError(
-            "arrival needs the noise: a readout in the scene or sigma in the recording"
-        )
 
 
 def cost_of_solve(

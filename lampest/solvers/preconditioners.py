@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import lapack
-from scipy.sparse.linalg import splu
 
 from lampest.panel.kirchhoff import LineBlocks, line_sums
 from lampest.panel.panel import Array
@@ -204,6 +203,11 @@ class TwoLevel(Preconditioner):
         return lambda values: np.asarray(part(values / size) / size)
 
     def _solved(self, values: Array) -> Array:
+        """Return the product with the preconditioner.
+
+        S v without lines, else P v + b − P L b with b = S (v − L P v), for the solves P of the
+        lines and S of the factor, and the product L of the lines.
+        """
         if self.lines is None:
             return self.solve(values)
         first = self.lines.solve(values)
@@ -371,6 +375,8 @@ def sparse_inverse(matrix: sparse.csr_array) -> Linear:
 
     Sparse LU in symmetric order factors the matrix.
     """
+    from scipy.sparse.linalg import splu  # for panels of many cells
+
     diagonal = floored(matrix.diagonal())
     size = np.sqrt(diagonal)
     scale = sparse.diags_array(1 / size)

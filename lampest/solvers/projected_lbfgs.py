@@ -67,8 +67,8 @@ class InverseHessian:
     def of(cls, points: Hessian, row: int) -> "InverseHessian":
         """Return M⁻¹ over the free cells of a panel.
 
-        It is 1/diagonal elsewhere, and everywhere if M is not positive definite. M is the Hessian
-        in relative changes s of conductances, ∇²φ + diag(∇φ).
+        For the other cells, and for all if M is not positive definite, 1/diagonal stands in. M is
+        the Hessian in relative changes s of conductances, ∇²φ + diag(∇φ).
         """
         matrix = points.matrix[row].copy()
         np.einsum("ii->i", matrix)[...] += points.gradient[row]

@@ -134,7 +134,7 @@ class ProjectedNewton(Solver):
                 trial = iterate.sharpened()
                 history = []
             iterate = trial
-            iteration = iteration + 1
+            iteration += 1
         return iterate.outcome(Status.ITERATIONS, iteration)
 
     def _stepped(self, point: Iterate, *, stationary: bool) -> tuple[Iterate, Iterate | None]:
@@ -218,7 +218,7 @@ def trust_region_step(point: Iterate, parts: NewtonParts) -> Iterate | None:
             if damped is not None:
                 return replace(damped, gauss_newton=patience - 1, convex=False)
             model = model.gauss_newton(point)
-            patience = patience - 1
+            patience -= 1
             direction = parts.direction(point, model, radius, parts.active_set)
         trial = point.at_step(direction.step)
         if trial is not None and parts.acceptance(point, trial, direction.decrease):
@@ -243,7 +243,7 @@ def _next_point(
 ) -> Iterate:
     """Return an accepted trial with the preconditioner and the certificate of its predecessor.
 
-    Both are left out if conjugate gradients took too many products.
+    If conjugate gradients took too many products, neither is reused.
     """
     hessian = point.hessian
     worn = direction.products > STEPS.max_reuse_products[hessian.dense]

@@ -128,8 +128,9 @@ class Settings(Validated):
         holds NaN, and its status states the cause. None for no limit: then no result depends on the
         speed of the computer.
     starts : int or None
-        Number of starts of every frame, of which the lowest minimum is taken. None for three starts
-        of a first frame and one of each frame that follows another.
+        Number of starts of every frame, of which the lowest minimum is taken. None: one where the
+        cost has a single minimum; else up to 3, or up to 40 with losses that are not convex. With
+        convex losses, a frame that follows another keeps the first strict minimum.
 
     >>> lampest.Settings(max_iterations=50).max_iterations
     50

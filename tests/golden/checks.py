@@ -345,7 +345,7 @@ def scatter_row() -> dict[str, Any]:
         )[1:],
         "beside": np.array(neighbours),
         "possible": [str(each) for each in possible_effects((3, 4))],
-        "scattered": detection._scattered(small_group),
+        "scattered": detection.noise_by_scatter(small_group),
     }
 
 

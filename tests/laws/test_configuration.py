@@ -8,7 +8,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.metadata import EntryPoint
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import pytest
@@ -40,7 +40,14 @@ from lampest.apps.film.pressure import pressure_of
 from lampest.cost.terms import Arrival, Gradient, Misfit, term_types
 from lampest.estimate.methods import AnyMethod, MethodName, named_method
 from lampest.files import typed
-from lampest.files.document import Document, parse_document, plain_content, to_yaml, validated
+from lampest.files.document import (
+    Document,
+    adapter,
+    parse_document,
+    plain_content,
+    to_yaml,
+    validated,
+)
 from lampest.panel.faults import Faults
 from lampest.panel.readouts import AnyReadout, TwoPointReadout
 from lampest.panel.readouts.lines import SeriesPerLine
@@ -220,6 +227,33 @@ def test_classes_named_by_a_union_have_the_kinds_of_their_names(union: Any) -> N
     assert named.keys() == typed.members_by_kind(union).keys()
     for kind in named:
         assert kind in typed.kinds_of(typed.member_of_kind(union, kind))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Plain(typed.Validated):
+    count: int
+    size: float | None
+    word: Literal["one", "two"]
+    name: str
+    sure: bool = False
+    lines: float | tuple[float, ...] = 0.0
+
+
+def test_numbers_and_texts_of_the_right_type_need_no_schema() -> None:
+    """A schema takes milliseconds, and commands make hundreds of objects."""
+    made = adapter.cache_info().misses
+    right = {"count": 2, "size": 0.5, "word": "two", "name": "mat", "sure": True}
+    right |= {"lines": (1.0, 2.5)}
+    assert dataclasses.asdict(_Plain(**right)) == right
+    assert _Plain(0, None, "one", "").size is None
+    assert adapter.cache_info().misses == made
+    wrong = {"count": 0.5, "size": 1e300, "word": "three", "name": 5, "sure": 1}
+    wrong |= {"lines": (1.0, 1e300)}
+    for field, value in wrong.items():
+        with pytest.raises(InputError, match=rf"^_Plain: {field}: "):
+            _Plain(**right | {field: value})
+    assert isinstance(_Plain(2, 1, "one", "").size, float)
+    assert _Plain(2, 1.0, "one", "", lines=[1.0, 2.5]).lines == (1.0, 2.5)
 
 
 def test_installed_kinds_stand_in_the_order_of_their_names(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 import lampest
 from lampest import DrivenReadout, GroundedReadout, LoadedColumnsReadout, Panel, Scene
-from lampest.inference import cells_fit, explanation
+from lampest.inference import better_rival, cells_fit, explanation, rival_parameters
 from lampest.inference.cells_fit import LEAST_SQUARES, CellsFit, data_of_cells, fitted
 from lampest.inference.compared_frames import broken_law
 from lampest.inference.prepared import Prepared
@@ -95,7 +95,7 @@ def test_rivals_whose_laws_the_readings_break_are_not_fitted(
 
     monkeypatch.setattr(explanation, "fits_of", counted)
     assert question.explanation is not None
-    explanation.better_rival(question, question.explanation)
+    better_rival.better_rival(question, question.explanation)
     assert len(tried) > 3
     assert not any(broken_law(rival, question) for rival in tried if rival.kind)
 
@@ -116,7 +116,7 @@ def test_fits_of_rivals_begin_at_the_cells_of_a_neighbour(
 
     assert question.explanation is not None
     monkeypatch.setattr(explanation, "fitted", noted)
-    explanation.better_rival(question, question.explanation)
+    better_rival.better_rival(question, question.explanation)
     assert len(fits) > 10
     assert not [scene.readout for scene in cold if not scene.circuit.several_panels]
 
@@ -131,14 +131,14 @@ def test_of_rivals_that_differ_in_names_of_lines_one_is_searched_in_series(
     swapped = replace(recording, scene=replace(scene, readout=replace(circuit, driven="columns")))
     question = Prepared(swapped).question
     searched: list[Rival] = []
-    with_series = explanation.with_series
+    with_series = better_rival.with_series
 
     def noted(candidate: explanation.Explanation, frames: object) -> object:
         searched.append(candidate.rival)
         return with_series(candidate, frames)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(explanation, "with_series", noted)
-    best = explanation.better_rival(question, question.explanation)
+    monkeypatch.setattr(better_rival, "with_series", noted)
+    best = better_rival.better_rival(question, question.explanation)
     assert best.name == "readout.driven: rows (rows and columns swapped)"
     assert best.name in {rival.kind for rival in searched}
     assert not [rival.kind for rival in searched if rival.order is not None]
@@ -182,14 +182,14 @@ def test_a_search_for_a_resistance_in_series_ends_where_none_can_win(
 ) -> None:
     question = Prepared(pressed).question
     rival = next(rival for rival in rivals_of(question.specified) if "virtual" in rival.name)
-    best = explanation.some_in_series(rival, question)
+    best = rival_parameters.some_in_series(rival, question)
     assert best is not None
     every_resistance = len(rival_fits)
     rival_fits.clear()
-    assert explanation.some_in_series(rival, question, to_beat=best.score) is not None
+    assert rival_parameters.some_in_series(rival, question, to_beat=best.score) is not None
     assert len(rival_fits) == every_resistance
     rival_fits.clear()
-    explanation.some_in_series(rival, question, to_beat=best.score - 1000)
+    rival_parameters.some_in_series(rival, question, to_beat=best.score - 1000)
     assert len(rival_fits) == 1 < every_resistance
 
 
@@ -200,9 +200,9 @@ def test_of_the_right_circuit_the_next_resistances_are_fitted_and_no_memory(
     specified = question.explanation
     assert specified is not None
     rival_fits.clear()
-    assert explanation.with_converter_memory(specified, question) is specified
+    assert rival_parameters.with_converter_memory(specified, question) is specified
     assert not rival_fits
-    assert explanation.with_series(specified, question) is specified
+    assert rival_parameters.with_series(specified, question) is specified
     assert len(rival_fits) <= 2
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from lampest.posterior.gaussian import Conditioned, Information
+from lampest.posterior.gaussian import Conditioned, Information, forms_over_scales
+from lampest.posterior.linear import misfit_and_volume
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -41,3 +42,27 @@ def test_both_forms_are_the_conditional_of_the_joint_distribution(seed: int) -> 
     assert together.evidence_cost + constant == pytest.approx(-2 * density)
     half = together.share(0.5)
     np.testing.assert_allclose(half.precision, together.precision / 2)
+
+
+@pytest.mark.parametrize("count", [1, 2, 9])
+def test_forms_over_scales_are_those_of_the_inverse(count: int) -> None:
+    rng = np.random.default_rng(count)
+    root = rng.standard_normal((count, count + 1))
+    vectors = rng.standard_normal((count, 2))
+    scales = np.array([0.0, 0.1, 3.0])
+    forms, volumes = forms_over_scales(root @ root.T, vectors, scales)
+    for scale, form, volume in zip(scales, forms, volumes, strict=True):
+        matrix = np.eye(count) + scale**2 * root @ root.T
+        np.testing.assert_allclose(form, vectors.T @ np.linalg.solve(matrix, vectors), rtol=1e-10)
+        assert volume == pytest.approx(np.linalg.slogdet(matrix)[1], abs=1e-12)
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_the_misfit_and_the_volume_are_those_of_the_density(count: int) -> None:
+    """All cells may have moved, so that none is left."""
+    rng = np.random.default_rng(count)
+    root = rng.standard_normal((count, count + 2))
+    deviation = rng.standard_normal(count)
+    misfit, volume = misfit_and_volume(root @ root.T, deviation)
+    assert misfit == pytest.approx(deviation @ np.linalg.solve(root @ root.T, deviation))
+    assert volume == pytest.approx(np.linalg.slogdet(root @ root.T)[1])

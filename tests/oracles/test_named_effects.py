@@ -40,8 +40,8 @@ from lampest.inference.effects import (
     motion,
     static_errors,
 )
-from lampest.inference.explanation import DOUBTFUL_GAIN
 from lampest.inference.prepared import Prepared
+from lampest.inference.rival_parameters import DOUBTFUL_GAIN
 from tests.estimates import recording_of
 
 ROWS = 12

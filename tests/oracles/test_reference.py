@@ -27,7 +27,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.objective import AutoWeight
 from lampest.files.levels import TWO_SIDED
 from lampest.inference.outliers import impossible_readings
-from lampest.posterior import reference
+from lampest.posterior import reference_fit
 from lampest.posterior.reference import references
 from lampest.solvers.posed import Bounds
 from tests.estimates import in_intervals, log_errors, recording_of, rms
@@ -157,7 +157,8 @@ def test_normal_tails_mistake_edges_for_errors_of_the_readings(
     truth[4:6, 3:5] *= 5
     data, cost = problem_of(truth, seed)
     assert references([data], cost)[0].best == 1
-    monkeypatch.setattr(reference, "MODEL", replace(reference.MODEL, degrees_of_freedom=1e6))
+    nearly_gaussian = replace(reference_fit.MODEL, degrees_of_freedom=1e6)
+    monkeypatch.setattr(reference_fit, "MODEL", nearly_gaussian)
     squared = references([data], cost)[0]
     assert squared.best >= 2 and squared.gain(1.0) > CLEAR_GAIN
 

@@ -45,6 +45,15 @@ def test_an_additional_error_is_scored_by_the_density_of_the_change(seed: int) -
         )
 
 
+def test_cells_are_added_until_none_gains_however_many_these_are() -> None:
+    """Independent changes: each cell that gains is added, of 40 most."""
+    change = np.where(np.arange(40) < 30, 1.0, 0.0)
+    variance = 0.01
+    score = scores_with_errors(change, np.eye(40) / variance, np.zeros((40, 1)))[0]
+    of_moved = change[0] ** 2 / (1 + variance) + np.log((1 + variance) / variance) + MOVED_COST
+    assert score == pytest.approx(30 * of_moved, rel=ROUNDING)
+
+
 def evidence(change: Array, covariance: Array, moved: NDArray[np.bool_]) -> float:
     """Return −2 ln of N(d; 0, C + 1 of moved cells) over that of no moved cells.
 

@@ -160,6 +160,7 @@ def test_a_process_imports_only_needed_libraries() -> None:
             ("scipy.linalg", "casadi", "lampest.estimate"),
         ),
         (DESCRIBE, ("scipy.optimize", "lampest.estimate", "lampest.formulation")),
+        (DESCRIBE, ("scipy.sparse.csgraph", "scipy.sparse.linalg")),
         ("import lampest.apps.calibration.resistors", ("scipy.stats", "scipy.optimize")),
         (ESTIMATE, ("scipy.optimize", "scipy.ndimage", "scipy.stats", "matplotlib", "pandas")),
         ("import lampest; assert len(dir(lampest)) > 50", (*HEAVY, "lampest.panel", "lampest.cli")),

@@ -11,19 +11,25 @@ from lampest.apps.recognition import (
     breathing,
     contacts,
     departure,
+    hypotheses,
     open_lines,
     pumping,
     suction,
-    swings,
     watch,
     watch_parts,
 )
 from lampest.estimate import estimator, parts
 from lampest.estimate.methods import method
 from lampest.files import hdf5, levels, process
-from lampest.inference import explanation, model_check, noise, nuisances, variance_components
+from lampest.inference import (
+    model_check,
+    noise,
+    nuisances,
+    rival_parameters,
+    variance_components,
+)
 from lampest.panel import trust_region
-from lampest.posterior import reference, sampled, track
+from lampest.posterior import reference, reference_fit, sampled, track
 from lampest.recording import stored
 from lampest.solvers import certificate, posed, projected_lbfgs, solution
 
@@ -44,11 +50,11 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
     ],
     "docs/theory/posterior.md": [
         ("a factor of at least 1.25", variance_components.MIN_EXCESS, 1.25),
-        ("with three degrees of freedom", reference.MODEL.degrees_of_freedom, 3),
+        ("with three degrees of freedom", reference_fit.MODEL.degrees_of_freedom, 3),
     ],
     "docs/theory/model_check.md": [
         ("A rival is named if its evidence is e¹⁸ times larger", nuisances.MIN_EVIDENCE_GAIN, 36),
-        ("another circuit is better by 15 in", explanation.DOUBTFUL_GAIN, 15),
+        ("another circuit is better by 15 in", rival_parameters.DOUBTFUL_GAIN, 15),
         ("If more than a tenth of the readings is missing", model_check.MAX_MISSING, 0.1),
         ("up to three:", nuisances.MAX_CANDIDATES, 3),
         ("On panels of more than 400 cells", reference.MAX_CELLS, 400),
@@ -65,12 +71,12 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
         ("an interquartile range of ln r₀ of 0.9", suction.MAX_RANGE, 0.9),
         ("A window is full after 8 s.", breathing.WINDOW_S, 8),
         ("From 4.5 s on, incomplete windows count", breathing.MIN_WINDOW_S, 4.5),
-        ("with A = 4.5 % for breathing", swings.BREATHING_SD, 0.045),
-        ("and 0.2 % without", swings.TREMBLE_SD, 0.002),
-        ("a is at most 15 % of the suction", swings.MAX_SWINGS["own"], 0.15),
+        ("with A = 4.5 % for breathing", hypotheses.BREATHING_SD, 0.045),
+        ("and 0.2 % without", hypotheses.TREMBLE_SD, 0.002),
+        ("a is at most 15 % of the suction", hypotheses.BREATH.largest, 0.15),
         ("Below 3.8 frames a second", breath.MIN_RATE_HZ, 3.8),
         ("Rates above 0.475 of the frame rate", breath.MAX_RATE_SHARE, 0.475),
-        ("between 0.5 and 2.5 Hz", breath.RATES_HZ[1] - breath.RATES_HZ[0], 2),
+        ("between 0.5 and 2.5 Hz", hypotheses.RATES_HZ[1] - hypotheses.RATES_HZ[0], 2),
         ("A sample is the median of the frames of 3 s", pumping.BLOCK_S, 3),
         ("One fifth of all mouths is assumed to show no pumps", pumping.HIDDEN_SHARE, 0.2),
         ("The eight most probable times of the last jump", pumping.HYPOTHESES, 8),

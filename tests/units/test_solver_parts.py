@@ -23,13 +23,14 @@ from lampest.solvers.direction import (
     newton_direction,
 )
 from lampest.solvers.iterate import Iterate
-from lampest.solvers.multistart import evaluated
+from lampest.solvers.multistart import Effort, evaluated
 from lampest.solvers.progress import History, decreases_enough, late_or_stalled, stalled
 from lampest.solvers.projected_newton import NewtonParts, ProjectedNewton
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status
 from lampest.solvers.steps import STEPS
 
+STUDENT = lampest.Student(corner=3.0)
 SAME_MINIMUM = 1e-6  # relative; solves end at gradients below 1e-8 of the cost
 OHM = 1000.0
 LOADED_OHM = 40.0
@@ -218,3 +219,21 @@ def test_solvers_with_different_parts_are_different(start: Evaluation) -> None:
     solver = ProjectedNewton(start.cost, Settings())
     assert replace(solver, parts=NewtonParts(active_set=project_alone)) != solver
     assert replace(solver, parts=NewtonParts()) == solver
+
+
+@pytest.mark.parametrize(
+    ("terms", "most"),
+    [
+        ((lampest.Misfit(),), 1),
+        (TERMS, 3),
+        ((lampest.Misfit(), lampest.Gradient(weight=1e-4, loss=STUDENT)), 40),
+    ],
+)
+def test_settings_state_the_largest_number_of_starts(
+    start: Evaluation, terms: tuple[lampest.Term, ...], most: int
+) -> None:
+    """The numbers in the description of `Settings.starts` are those of a frame's effort."""
+    cost = lampest.Estimator(terms, "reduced").cost(SCENE, 1)
+    assert Effort.of(ProjectedNewton(cost, Settings()), start.data, None).starts == most
+    described = str(Settings.__doc__).split("starts : int or None")[1]
+    assert (f"up to {most}" if most > 1 else "None: one where") in " ".join(described.split())

@@ -33,7 +33,7 @@ WIRINGS: tuple[Literal["two_point"], Literal["loaded_columns"]] = ("two_point", 
 def crc16(data: bytes) -> int:
     """Return the CRC-16/CCITT-FALSE of data.
 
-    Its polynomial is 0x1021, its start 0xFFFF, neither reflected nor inverted.
+    The polynomial is 0x1021, the start 0xFFFF; nothing is reflected or inverted.
     """
     return crc_hqx(data, 0xFFFF)
 
@@ -322,6 +322,7 @@ def _read_piece(piece: bytes) -> Message:
 
 
 def _read_hello(body: bytes) -> Hello:
+    """Return the HELLO of a message's body."""
     fields: Any = list(_HELLO.unpack(body[: _HELLO.size]))[2:]
     wiring, drive = _HELLO_WIRING.unpack(body[_HELLO.size :] or bytes(_HELLO_WIRING.size))
     fields[6] = divmod(fields[6], 256)
@@ -332,6 +333,7 @@ def _read_hello(body: bytes) -> Hello:
 
 
 def _read_frame(body: bytes) -> Frame:
+    """Return the frame of a message's body. Raises ValueError for one that no board sends."""
     header = _FRAME.unpack_from(body)
     rows, columns, readings, sequence, device_ms, missed, identity = header[2:]
     sums = np.frombuffer(body, "<u2", offset=_FRAME.size).astype(np.uint16).reshape(rows, columns)
@@ -343,6 +345,7 @@ def _read_frame(body: bytes) -> Frame:
 
 
 def _read_estimate(body: bytes) -> Estimate:
+    """Return the estimate of a message's body. Raises ValueError for one that no board sends."""
     _, _, rows, columns, outcome, sequence, identity = _ESTIMATE.unpack_from(body)
     log_change = (
         np.frombuffer(body, "<f4", offset=_ESTIMATE.size).astype(np.float32).reshape(rows, columns)

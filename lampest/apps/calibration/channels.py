@@ -26,7 +26,7 @@ from lampest.estimate.methods.smoother import SmootherMethod
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import BROKEN, InputError
 from lampest.inference.prepared import Prepared
-from lampest.inference.rivals import RESISTORS
+from lampest.inference.rival_circuits import RESISTORS
 from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.readouts.lines import SeriesPerLine, of_side

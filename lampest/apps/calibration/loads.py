@@ -85,8 +85,18 @@ def calibrate_loads(
     change, sd, within = _all_responses(recordings, loads, place)
     pressure, pressure_sd = known.pressures(scene.panel)
     felt = pressure != 0
-    simultaneous = _simultaneous(loads, place)
-    _check_feet(felt, simultaneous)
+    # Whether two loads lie on the panel at the same time, (loads, loads)
+    begin, end = np.array([load.frames for load in loads]).T
+    overlap = np.maximum(begin[:, None], begin) <= np.minimum(end[:, None], end)
+    simultaneous = (place[:, None] == place) & overlap
+    # Every load lies on a cell, and no two on the same one at the same time.
+    for number in np.flatnonzero(~felt.any(axis=(1, 2))):
+        raise InputError(f"load {number + 1}: its foot misses the film of every cell")
+    common = np.any(felt[:, None] & felt, axis=(2, 3))
+    for first, second in 1 + np.argwhere(np.triu(simultaneous & common, 1)):
+        raise InputError(
+            f"loads {first} and {second} lie on the same cells in the same frames: give one line"
+        )
     base = scene.response or PUBLISHED
     water = water_pressure(scene.panel, scene.water)
     flat = [values.reshape(len(loads), -1) for values in (change, sd, pressure, pressure_sd)]
@@ -130,26 +140,6 @@ def _all_responses(
     return change, sd, within
 
 
-def _check_feet(felt: NDArray[np.bool_], simultaneous: NDArray[np.bool_]) -> None:
-    """Raise InputError unless every load lies on a cell.
-
-    Raise it also if two lie on the same cell at the same time.
-
-    Parameters
-    ----------
-    felt : boolean array, shape (loads, rows, columns)
-        Whether a load lies on a cell.
-    simultaneous : boolean array, shape (loads, loads)
-    """
-    for number in np.flatnonzero(~felt.any(axis=(1, 2))):
-        raise InputError(f"load {number + 1}: its foot misses the film of every cell")
-    common = np.any(felt[:, None] & felt, axis=(2, 3))
-    for first, second in 1 + np.argwhere(np.triu(simultaneous & common, 1)):
-        raise InputError(
-            f"loads {first} and {second} lie on the same cells in the same frames: give one line"
-        )
-
-
 def _explaining_fit(loaded: Loaded) -> FittedResponse:
     """Return the fit of curve and gains.
 
@@ -176,16 +166,6 @@ def _doubt(sentence: str, odd: NDArray[np.bool_]) -> str:
         return ""
     numbers = (np.flatnonzero(odd) + 1).tolist()
     return sentence.format(f"load{'s' if len(numbers) > 1 else ''} {first_and_more(numbers)}")
-
-
-def _simultaneous(loads: Sequence[KnownLoad], place: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return whether two loads lie on the panel at the same time, (loads, loads).
-
-    `place` are their recordings.
-    """
-    begin, end = np.array([load.frames for load in loads]).T
-    overlap = np.maximum(begin[:, None], begin) <= np.minimum(end[:, None], end)
-    return np.asarray((place[:, None] == place) & overlap)
 
 
 def _result_in_words(fitted: FittedResponse, loads: int) -> Iterator[str]:

@@ -82,7 +82,17 @@ class Trial:
             mean = np.where(valid, volt, 0.0).sum(axis=0) / counts
         inside = within_rails(readout, mean)
         residual = np.where(valid & inside, (volt - mean) / readout.lsb_volt, 0.0)
-        _check_drift(name, readout, residual)
+        # Residuals of successive frames that are correlated show a drift.
+        parts = (residual, np.diff(residual, axis=0) / np.sqrt(2))
+        total, quick = ((part**2).sum() / max(len(residual) - 1, 1) for part in parts)
+        # rms of the drift: the variance less half of the mean square successive difference, as a
+        # fraction of full scale
+        lasting = np.sqrt(max(total - quick, 0.0) / residual[0].size) / 2.0**readout.adc_bits
+        if len(residual) >= MIN_SAMPLE and quick < total / 2 and lasting > 1e-3:
+            raise InputError(
+                f"{name}: no calibration: its readings drift "
+                f"by {100 * lasting:.2g} % of the supply, and {CHANGE}"
+            )
         squares = (residual**2).sum(axis=(0, 1 + across))
         freedom = np.where(inside, counts - 1, 0).sum(axis=across)
         # pooled variance: (BELIEF σ_scene² + Σ residual²)/(BELIEF + freedom), LSB²
@@ -141,26 +151,6 @@ def within_rails(readout: Readout, volt: Array) -> NDArray[np.bool_]:
     """Return whether mean voltages, of any shape, are unbiased by the rails of the converter."""
     low, high = usable_range(readout)
     return np.asarray((volt > low) & (volt < high))
-
-
-def _check_drift(name: str, readout: Readout, residual: Array) -> None:
-    """Raise InputError where the residuals of successive frames are correlated, a drift.
-
-    The residuals are (frames, rows, columns) LSB.
-
-    Source: von Neumann's ratio of the mean square successive difference to the variance, Annals of
-    Mathematical Statistics 12(4), 1941.
-    """
-    parts = (residual, np.diff(residual, axis=0) / np.sqrt(2))
-    total, quick = ((part**2).sum() / max(len(residual) - 1, 1) for part in parts)
-    # rms of the drift: the variance less half of the mean square successive difference, as a
-    # fraction of full scale
-    lasting = np.sqrt(max(total - quick, 0.0) / residual[0].size) / 2.0**readout.adc_bits
-    if len(residual) >= MIN_SAMPLE and quick < total / 2 and lasting > 1e-3:
-        raise InputError(
-            f"{name}: no calibration: its readings drift "
-            f"by {100 * lasting:.2g} % of the supply, and {CHANGE}"
-        )
 
 
 def _valid(name: str, readout: Readout, volt: Array, across: int) -> NDArray[np.bool_]:

@@ -1,6 +1,6 @@
 """Columns of results with the pressures of loads.
 
-They are absent without error bars, which the uncertainty of pressures requires.
+Cases without error bars have none of them: the uncertainty of pressures requires error bars.
 """
 
 import numpy as np

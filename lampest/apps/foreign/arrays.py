@@ -39,6 +39,8 @@ STACKED = "(rows, columns, frames)"
 FRAMES = "(frames, rows, columns)"
 FLAT = "(frames, rows·columns), row by row"
 TIMED = "(frames, 1 + rows·columns), the time first"
+LAYOUTS = (ONE, FRAMES, FLAT, TIMED, STACKED)
+LAYOUTS_OF_MATLAB = (ONE, STACKED, FRAMES)
 # Words in the name of a single number that counts the frames that were written.
 COUNTS = {"count", "counts", "frames", "nframes", "samples", "nsamples", "length", "written"}
 
@@ -409,23 +411,8 @@ def frames_of_arrays(path: Path, arrays: Arrays, shape: Shape, variable: str | N
     Raises InputError if no array or several arrays fit.
     """
     matlab = path.suffix.lower() == ".mat"
-    cells = shape[0] * shape[1]
-    sizes = {
-        ONE: shape,
-        FRAMES: (None, *shape),
-        FLAT: (None, cells),
-        TIMED: (None, cells + 1),
-        STACKED: (*shape, None),
-    }
-    layouts = (ONE, STACKED, FRAMES) if matlab else tuple(sizes)
-    fits = {
-        name: [
-            way
-            for way in layouts
-            if _fits(array.shape, sizes[way]) and (way != TIMED or _leads_with_times(array))
-        ]
-        for name, array in arrays.items()
-    }
+    layouts = LAYOUTS_OF_MATLAB if matlab else LAYOUTS
+    fits = {name: _fitting(array, shape, layouts) for name, array in arrays.items()}
     name = _chosen(path, arrays, fits, shape, variable)
     array = arrays[name]
     where = f"{path}: {name}" if name else str(path)
@@ -476,10 +463,31 @@ def _last(name: str) -> str:
     return re.split(r"[/.]|: ", name)[-1]
 
 
-def _leads_with_times(array: NDArray[Any]) -> bool:
-    """Return whether the first column grows, but for frames at the end that are 0."""
-    first = np.trim_zeros(np.asarray(array[:, 0], dtype=float), "b")
-    return len(first) > 1 and grows(first)
+def _fitting(array: NDArray[Any], shape: Shape, layouts: Sequence[str]) -> list[str]:
+    """Return those of the layouts in which an array holds frames of a panel, in their order."""
+    cells = shape[0] * shape[1]
+    sizes: dict[str, tuple[int | None, ...]] = {
+        ONE: shape,
+        FRAMES: (None, *shape),
+        FLAT: (None, cells),
+        TIMED: (None, cells + 1),
+        STACKED: (*shape, None),
+    }  # None: any positive length
+    fitting = [
+        layout
+        for layout in layouts
+        if len(array.shape) == len(sizes[layout])
+        and all(
+            has and size in (has, None)
+            for has, size in zip(array.shape, sizes[layout], strict=True)
+        )
+    ]
+    if TIMED in fitting:
+        # the first column has to grow, but for frames at the end that are 0
+        times = np.trim_zeros(np.asarray(array[:, 0], dtype=float), "b")
+        if len(times) < 2 or not grows(times):
+            fitting.remove(TIMED)
+    return fitting
 
 
 def _times_beside(path: Path, arrays: Arrays, name: str, frames: int) -> tuple[str, Array] | None:
@@ -533,13 +541,6 @@ def _chosen(
             f"{path}: no array fits {shape[0]} × {shape[1]} cells; the numeric arrays are: {listed}"
         )
     return chosen[0]
-
-
-def _fits(size: Sequence[int], wanted: Sequence[int | None]) -> bool:
-    """Return whether a shape agrees with a wanted one, in which None is any positive length."""
-    return len(size) == len(wanted) and all(
-        has and want in (has, None) for has, want in zip(size, wanted, strict=True)
-    )
 
 
 def _by(size: Sequence[int]) -> str:

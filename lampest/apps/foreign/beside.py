@@ -48,6 +48,7 @@ def with_one_clock(table: ReadingsTable) -> ReadingsTable:
 def _clock_texts(
     table: ReadingsTable, fields: Sequence[int], thousandths: int | None = None
 ) -> list[str]:
+    """Return the times of lines by fields of hour, minute, second and, if any, thousandths."""
     hour, minute, second = table.values[:, fields].T
     second = second if thousandths is None else second + table.values[:, thousandths] / 1000
     return [

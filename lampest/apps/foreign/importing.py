@@ -357,7 +357,13 @@ def _of_folder(
     path: Path, shape: Shape, variable: str | None, layout: str | Layout | None
 ) -> Frames:
     """Return the frames of all files in a folder, in the order of the numbers in their names."""
-    files = [file for file in path.iterdir() if file.is_file() and not _of_desktop(file.name)]
+    # Hidden files, and those of a desktop that shows the folder, are none of the recording's.
+    files = [
+        file
+        for file in path.iterdir()
+        if file.is_file()
+        and not (file.name.startswith(".") or file.name.lower() in ("thumbs.db", "desktop.ini"))
+    ]
     files.sort(key=lambda file: [part.zfill(20) for part in re.split(r"(\d+)", file.name)])
     if not files:
         raise InputError(f"{path}: no file in this folder")
@@ -376,11 +382,6 @@ def _of_folder(
     order = f"in the order of their names, from {files[0].name} to {files[-1].name}"
     note = f"{counted(total, 'frame')} of {counted(len(files), 'file')}, {order}{unused}"
     return joined_frames(parts, [file.name for file in files], str(path), note)
-
-
-def _of_desktop(name: str) -> bool:
-    """Return whether a file is hidden, or belongs to a desktop that shows the folder."""
-    return name.startswith(".") or name.lower() in ("thumbs.db", "desktop.ini")
 
 
 def _of_sheets(path: Path, shape: Shape, sheet: str | None, layout: str | None) -> Frames:

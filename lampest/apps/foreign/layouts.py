@@ -41,7 +41,13 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
     cells = shape[0] * shape[1]
     names = table.names
     if table.width == 1 and shape[1] > 1 and len(table.lines) >= cells:
-        return _frames_of_numbers(table, shape)
+        cells = shape[0] * shape[1]
+        blocks = _blocks(table, cells, [0])
+        row, column = np.divmod(blocks.row, shape[1])
+        timing = table.timing([], blocks.begins) or table.title_timing(blocks.begins, blocks.title)
+        note = f"one number a line, {cells} lines a frame; row by row{blocks.left_out}"
+        at = (blocks.frame[:, None], row[:, None], column[:, None])
+        return table.frames(at, [0], shape, timing, note)
     named = _cells_by_name(table.source.source, names, shape) or _cells_by_number(names, shape)
     extra = sum(role_of(name) in ("time", "date", "frame", "row") for name in names)
     if named is not None or table.width in (cells, cells + 1, cells + extra):
@@ -72,17 +78,6 @@ def _begins_with_a_separator(table: ReadingsTable, shape: Shape) -> bool:
         return False
     empty = np.all(table.fields[:, :2] == "", axis=0)
     return bool(empty[0] and not empty[1])
-
-
-def _frames_of_numbers(table: ReadingsTable, shape: Shape) -> Frames:
-    """Return the frames of a table with one number a line, row by row."""
-    cells = shape[0] * shape[1]
-    blocks = _blocks(table, cells, [0])
-    row, column = np.divmod(blocks.row, shape[1])
-    timing = table.timing([], blocks.begins) or table.title_timing(blocks.begins, blocks.title)
-    note = f"one number a line, {cells} lines a frame; row by row{blocks.left_out}"
-    at = (blocks.frame[:, None], row[:, None], column[:, None])
-    return table.frames(at, [0], shape, timing, note)
 
 
 def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cells, str] | None:

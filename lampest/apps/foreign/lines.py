@@ -165,7 +165,11 @@ def lines_of_text(path: Path) -> FieldLines:
         stamps = ", without the terminal's times" if any(line.stamp for line in read) else ""
         raise InputError(f"{path}:{read[0].number}: lines of JSON; save them as .jsonl{stamps}")
     delimiter = _delimiter(contents)
-    aligned = delimiter == "\t" and _is_aligned(contents)
+    # Lines may agree in their number of fields only if consecutive tabs are one.
+    single = Counter(line.count("\t") for line in contents[:SAMPLED_LINES])
+    joined = Counter(len(re.findall(r"\t+", line.strip("\t"))) for line in contents[:SAMPLED_LINES])
+    by_tabs = max(joined.values(), default=0) > max(single.values(), default=0)
+    aligned = delimiter == "\t" and by_tabs
     if aligned:
         read = [
             line._replace(texts=[re.sub(r"\t+", "\t", line.texts[0]).strip("\t")]) for line in read
@@ -267,13 +271,6 @@ def _delimiter(lines: Sequence[str]) -> str:
         return read, any(sign in line for line in sample)
 
     return max(DELIMITERS, key=numbers)
-
-
-def _is_aligned(lines: Sequence[str]) -> bool:
-    """Return whether lines agree in their number of fields only if consecutive tabs are one."""
-    single = Counter(line.count("\t") for line in lines[:SAMPLED_LINES])
-    joined = Counter(len(re.findall(r"\t+", line.strip("\t"))) for line in lines[:SAMPLED_LINES])
-    return max(joined.values(), default=0) > max(single.values(), default=0)
 
 
 def _split(place: str, line: str, delimiter: str) -> list[str]:

@@ -137,6 +137,7 @@ def text_of_value(value: Any) -> str:
 
 
 def _of_json(path: Path) -> Content:
+    """Return the value of a JSON file, or its lines of one value each, and notes."""
     text = _text_of(path)
     try:
         return json.loads(text), ()
@@ -170,6 +171,7 @@ def _of_json_lines(path: Path) -> Content:
 
 
 def _text_of(path: Path) -> str:
+    """Return the text of a file. Raises InputError for more than MAX_TEXT bytes."""
     size = path.stat().st_size
     if size > MAX_TEXT:
         raise InputError(
@@ -180,6 +182,7 @@ def _text_of(path: Path) -> str:
 
 
 def _of_parquet(path: Path) -> Content:
+    """Return the rows of a Parquet file, and notes."""
     with extra("export"):
         from pyarrow import parquet
     with reading(path):
@@ -189,6 +192,7 @@ def _of_parquet(path: Path) -> Content:
 
 
 def _of_feather(path: Path) -> Content:
+    """Return the rows of a Feather file, and notes."""
     with extra("export"):
         from pyarrow import feather
     with reading(path):

@@ -238,6 +238,7 @@ class ReadingsTable:
         *,
         comma: bool = False,
     ) -> Timing:
+        """Return the function (unit) → the clock that the texts in lines of a field show."""
         return lambda unit: clock_of(
             texts,
             name,
@@ -288,10 +289,7 @@ class Parsed(NamedTuple):
         return cls(fields, values, words, damaged)
 
     def with_separator(self, lines: NDArray[np.bool_]) -> "Parsed":
-        """Return the fields with the damaged one of some lines, (lines,), as two.
-
-        Its damaged byte was a separator.
-        """
+        """Return the fields with the damaged one of some lines parted at its damaged byte."""
         if not np.any(lines):
             return self
         changed = Parsed(
@@ -370,7 +368,12 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
 
 def _laid_out(table: ReadingsTable, layout: str) -> ReadingsTable:
     """Return the table with the columns that a layout lists, without those named '-'."""
-    names = _layout_names(table.source, layout, table.width)
+    names = [name.strip() for name in layout.split(",")]
+    if len(names) != table.width:
+        single = "" if len(names) > 1 else f", {layout!r}, which is no import format either"
+        raise InputError(
+            f"{table.source.source}: {table.width} columns, but `layout` names {len(names)}{single}"
+        )
     table = replace(table, names=tuple(names))
     skipped = [field for field, name in enumerate(names) if name == "-"]
     if not skipped:
@@ -437,20 +440,6 @@ def _excluded_note(source: FieldLines, fields: NDArray[Any], excluded: NDArray[n
     if len(lines) > 1:
         called = f"lines {named} (the first: {shown!r})"
     return f"left out: {called.replace('line', source.word)}, no readings or cut off"
-
-
-def _layout_names(source: FieldLines, layout: str, width: int) -> list[str]:
-    """Return the names of columns that a layout lists.
-
-    Raises InputError unless it names each column.
-    """
-    names = [name.strip() for name in layout.split(",")]
-    if len(names) != width:
-        single = "" if len(names) > 1 else f", {layout!r}, which is no import format either"
-        raise InputError(
-            f"{source.source}: {width} columns, but `layout` names {len(names)}{single}"
-        )
-    return names
 
 
 def _names(fields: NDArray[Any], header: int) -> tuple[list[str], bool]:

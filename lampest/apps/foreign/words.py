@@ -404,7 +404,7 @@ def _iso(text: str, way: str) -> str:
 def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -> Clock:
     """Return the clock of times as numbers.
 
-    Their unit is the given one, or else is inferred from the column's name or from the numbers.
+    The unit of the times is the given one, or follows from the column's name or the numbers.
 
     Raises InputError if the times do not increase.
     """

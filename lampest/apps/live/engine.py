@@ -242,6 +242,7 @@ class Engine:
             self._beside.ask(check)
 
     def _take_answer(self, errand: Errand, answer: Any) -> None:
+        """Show the answer of a check; keep other findings for the next frame."""
         if errand.kind == "check" and not isinstance(answer, Exception):
             self.show(model="\n".join(answer))
             return

@@ -121,6 +121,7 @@ class Beside(Generic[T]):
         self.finish()
 
     def _serve(self) -> None:
+        """Hand tasks to the worker and its answers on, until the end or its death."""
         try:
             with self._worker:
                 while (task := self._next()) is not None:
@@ -131,6 +132,7 @@ class Beside(Generic[T]):
             self._on_gone()
 
     def _next(self) -> T | None:
+        """Wait for a task, and return it; None at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._ending or bool(self._waiting))
             return self._waiting.pop(0) if self._waiting else None

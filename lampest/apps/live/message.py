@@ -370,6 +370,7 @@ def _centre(message: Message) -> list[float] | None:
 
 
 def _panel(panel: Panel) -> dict[str, Any]:
+    """Return size, pitch in mm, modules and listed places of a panel, as messages have them."""
     about: dict[str, Any] = {
         "rows": panel.rows,
         "columns": panel.columns,

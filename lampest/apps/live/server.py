@@ -284,6 +284,7 @@ class PageHandler(BaseHTTPRequestHandler):
     def _start(
         self, kind: str, length: int | None, status: HTTPStatus = HTTPStatus.OK, **further: str
     ) -> None:
+        """Send the status and the headers of an answer; `length` is that of its body in bytes."""
         headers = {"Content-Type": kind} | HEADERS | further
         headers |= {} if length is None else {"Content-Length": str(length)}
         if status is HTTPStatus.OK and self.introduced:

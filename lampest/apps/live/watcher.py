@@ -153,6 +153,10 @@ class Watched:
         return replace(start, known=known, watch=replace(watch, attachments=closed))
 
     def _seen(self, scan: Scan) -> "Watched":
+        """Return the watch after a frame, with at most MAX_REMEMBERED ended attachments.
+
+        Unchanged before the unloaded frames.
+        """
         if self.known is None or self.watch is None:
             return self
         readings = Readings.of(self.known.scene, scan.recorded, scan.sigma)

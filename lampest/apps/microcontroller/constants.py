@@ -415,20 +415,16 @@ class Constants:
 
         Missing readings are MISSING.
         """
-        sums = self._sums(self.scene.circuit.to_recorded(case.measured, self.scene))
+        readout = self.scene.circuit
+        with np.errstate(invalid="ignore"):
+            volt = readout.volt_from_recorded(readout.to_recorded(case.measured, self.scene))
+            sums = readout.steps_from_volt(volt) * readout.readings
+        sums = np.clip(np.nan_to_num(np.round(sums)), 0, self.top_sum)
         if case.reading_side is not None:
             high = case.reading_side == (1 if self.rises else -1)
             sums = np.where(case.reading_side != 0, np.where(high, self.top_sum, 0), sums)
         missing = ~np.isfinite(case.measured)
         return np.where(missing, MISSING, sums).astype(np.uint32)
-
-    def _sums(self, recorded: Array) -> Array:
-        """Return sums of codes of recorded values, not rounded to more than a sum."""
-        readout = self.scene.circuit
-        with np.errstate(invalid="ignore"):
-            steps = readout.steps_from_volt(readout.volt_from_recorded(recorded))
-            sums = steps * readout.readings
-        return np.asarray(np.clip(np.nan_to_num(np.round(sums)), 0, self.top_sum))
 
 
 def check_scene(scene: Scene) -> None:

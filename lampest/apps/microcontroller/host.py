@@ -127,6 +127,14 @@ class Host:
     def _call(
         self, function: Any, sums: NDArray[np.uint32], *, changes: bool
     ) -> tuple[Array, Array]:
+        """Call a function of the C library with sums of codes, (rows, columns).
+
+        Returns
+        -------
+        change : array, shape (rows, columns)
+            ln r/r0; zeros unless `changes`.
+        status : array, shape (8,)
+        """
         held = np.ascontiguousarray(sums, np.uint32)
         change = np.zeros(self.shape, np.float32)
         status = np.zeros(8, np.float32)

@@ -227,6 +227,7 @@ def case_table(groups: Mapping[str, Sequence[CaseResult]]) -> Table:
 
 
 def _figure(values: Sequence[float]) -> str:
+    """Return the sum of whole numbers, or the median of others, in words."""
     if not values:
         return NONE
     if all(isinstance(value, int) for value in values):

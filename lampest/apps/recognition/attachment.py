@@ -17,7 +17,8 @@ from lampest.apps.recognition.breath import breath
 from lampest.apps.recognition.breathing import MAX_LOG_ODDS, MIN_WINDOW_S, WINDOW_S, Breathing
 from lampest.apps.recognition.candidates import UNIFORM, under
 from lampest.apps.recognition.contacts import contacts_of
-from lampest.apps.recognition.fit import RARE_LOG_ODDS, Verdict
+from lampest.apps.recognition.fit import Verdict
+from lampest.apps.recognition.hypotheses import NEVER_LOG_ODDS
 from lampest.apps.recognition.observation import Observation
 from lampest.apps.recognition.pulled import pulled_suction
 from lampest.apps.recognition.pumping import BLOCK_S, Pumping
@@ -157,9 +158,8 @@ class Attachment:
 
         Its odds are the product of those of breath and of pumps.
         """
-        # ln odds of breath, at least −ln 20, because one mouth in twenty never shows its breath; ln
-        # odds of pumps add
-        breathes = max(float(logit(self.breathes)), -RARE_LOG_ODDS)
+        # one mouth in twenty never shows its breath; ln odds of pumps add
+        breathes = max(float(logit(self.breathes)), -NEVER_LOG_ODDS)
         return 1 / (1 + exp(-breathes - self._pumping))
 
     @property
@@ -205,6 +205,13 @@ class Attachment:
         Data that only later frames need are dropped.
         """
         return replace(self, until_s=time, patterns=None)
+
+    def with_new_reference(self) -> "Attachment":
+        """Return the attachment whose next sample of suction begins anew.
+
+        The readings have changed by something else.
+        """
+        return self if self.track is None else replace(self, track=self.track.interrupted())
 
     def continued(self, later: "Attachment") -> "Attachment":
         """Return the later state of the same load, with its history.

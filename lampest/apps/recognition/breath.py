@@ -21,19 +21,20 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.special import expit, logsumexp
 
 from lampest.apps.recognition.fit import EVIDENCE_SHARE, MAX_ROUNDS
+from lampest.apps.recognition.hypotheses import (
+    BREATH,
+    BREATHING_SD,
+    CAUSES,
+    RATES_HZ,
+    TREMBLE_SD,
+    Cause,
+)
 from lampest.apps.recognition.steady_frames import SteadyFrames
-from lampest.apps.recognition.swings import BREATHING_SD, EDGE_SD, MAX_SWINGS, TREMBLE_SD, Patterns
+from lampest.apps.recognition.swings import EDGE_SD, Patterns
 from lampest.files.levels import SIGNIFICANT
 from lampest.panel.panel import Array
 from lampest.panel.response import RESPONSE_SD
 
-RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
-# Assumed, of suction that oscillates to the rim alone, and to the place or the tilt: what sucks and
-# breathes always does, while rims and places swing at one rate only where something pushes them.
-PRIOR_ODDS = 10.0
-# The same of a load that another one, or a body, adjoins and may move: of 25 cups beside a body
-# that beats, five were taken for lampreys with PRIOR_ODDS (docs/studies/mouths.md).
-ADJOINED_ODDS = 0.1
 RATE_STEP = 0.25  # over the duration: distance of the rates that are compared
 LEAKS = 2.0  # over the duration: distance of rates beyond which a tapered wave does not leak
 MAX_RATE_SHARE = 0.475  # of the frame rate: at half of it a wave may show nothing
@@ -134,7 +135,7 @@ def _steady_breath(
     waves = _without(trend, suction[:, None] * even_waves)
     axes, sizes, _ = np.linalg.svd(waves, full_matrices=False)
     axes = np.swapaxes(axes, 1, 2)
-    level = changes @ own_patterns.weights(MAX_SWINGS["own"], 1.0, EDGE_SD)
+    level = changes @ own_patterns.weights(BREATH.largest, 1.0, EDGE_SD)
     pull = interval.pulled(level, axes)
     leak = interval.leaking(level, axes)
     if interval.leak_s == np.inf and leak.gain > max(pull.gain, SIGNIFICANT**2):
@@ -400,11 +401,11 @@ def _depth(
     for _ in range(MAX_ROUNDS):
         weights = patterns.weights(depth, noise)
         series = changes @ weights
-        # amplitudes with the prior N(0, MAX_SWINGS²), which near half the frame rate alone decides
+        # amplitudes with the prior N(0, largest²), which near half the frame rate alone decides
         freedom = max(len(at) - 8, 1)  # four numbers here, four of trend
         residual = series - basis @ np.linalg.lstsq(basis, series, rcond=None)[0]
         variance_left = max(float(residual @ residual) / freedom, 1e-12)
-        covariance = np.linalg.inv(square / variance_left + np.eye(4) / MAX_SWINGS["own"] ** 2)
+        covariance = np.linalg.inv(square / variance_left + np.eye(4) / BREATH.largest**2)
         coefficients = covariance @ (basis.T @ series) / variance_left
         variances = np.diag(covariance)
         # A² from all four coefficients, less the noise of the two of linear change
@@ -443,10 +444,10 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
 
 
 def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> float:
-    """Return the probability that suction oscillates with its rim.
+    """Return the probability that suction oscillates with its rim, against all other causes.
 
-    The alternatives are the rim alone, and the load's place or tilt. Each cause is taken at its own
-    best rate, because the square of a movement oscillates at twice its rate.
+    Each cause is taken at its own best rate, because the square of a movement oscillates at twice
+    its rate.
 
     Parameters
     ----------
@@ -458,12 +459,21 @@ def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> fl
     gain : float
         Square of the swings at unit amplitude.
     """
-    causes = ((gain**0.5 * getattr(patterns, name), most) for name, most in MAX_SWINGS.items())
-    suction, *movements = (_explained(root, most, swings, noise).max() for root, most in causes)
-    # 1/w = 1 + Σ_causes (E_cause/E_own)^½/PRIOR_ODDS
-    odds = EVIDENCE_SHARE * (suction - np.array(movements))
-    odds += np.log(ADJOINED_ODDS if patterns.adjoins else PRIOR_ODDS)
-    return float(expit(-logsumexp(-odds)))
+    evidence = {
+        cause: float(
+            _explained(
+                gain**0.5 * getattr(patterns, cause.pattern), cause.largest, swings, noise
+            ).max()
+        )
+        for cause in CAUSES
+    }
+
+    def odds(cause: Cause) -> float:
+        before = cause.odds_adjoined if patterns.adjoins else cause.odds
+        return EVIDENCE_SHARE * (evidence[BREATH] - evidence[cause]) + log(before)
+
+    # 1/w = 1 + Σ_causes (E_cause/E_breath)^½/odds
+    return float(expit(-logsumexp([-odds(cause) for cause in CAUSES if cause is not BREATH])))
 
 
 def _explained(root: Array, most: float, swings: Array, noise: float) -> Array:

@@ -16,8 +16,8 @@ from math import exp, inf
 import numpy as np
 from scipy.special import expit, logit
 
-from lampest.apps.recognition.breath import PRIOR_ODDS, Breath, Pair
-from lampest.apps.recognition.fit import RARE_LOG_ODDS
+from lampest.apps.recognition.breath import Breath, Pair
+from lampest.apps.recognition.hypotheses import NEVER_LOG_ODDS, PAUSE_LOG_ODDS, PRIOR_ODDS
 
 # duration over which a rhythm is steady, and the least that determines one
 WINDOW_S = 8.0
@@ -27,10 +27,8 @@ MIN_WINDOW_S = 4.5
 SHARED = 0.5
 REMEMBERED = 4.0
 MAX_LOG_ODDS = 10.0  # upper limit of accumulated ln odds of breathing
-# of suction that oscillates against the rim alone, and against the place or the tilt
-CAUSE_ODDS = PRIOR_ODDS / 2
-PRIOR_SUCTION = CAUSE_ODDS / (1 + CAUSE_ODDS)
-# The same before the first window: an incomplete one alone must not decide.
+PRIOR_SUCTION = PRIOR_ODDS / (1 + PRIOR_ODDS)
+# That suction oscillates, before the first window: an incomplete one alone must not decide.
 UNAGREED = 0.75
 
 
@@ -88,9 +86,9 @@ class Breathing:
 
     def _caused(self, suction: float) -> "Breathing":
         """Return the breath if suction oscillates in the last window with this probability."""
-        window = logit(suction) - np.log(CAUSE_ODDS)
+        window = logit(suction) - np.log(PRIOR_ODDS)
         causes = self._together(self.previous_causes, window, -MAX_LOG_ODDS)
-        return replace(self, suction=float(expit(causes + np.log(CAUSE_ODDS))), causes=causes)
+        return replace(self, suction=float(expit(causes + np.log(PRIOR_ODDS))), causes=causes)
 
     def _closed(self, time: float) -> "Breathing":
         """Return the breath whose last window, which ends at a time in s, is complete."""
@@ -131,8 +129,8 @@ class Breathing:
     def _with_window(self, breath: Breath, *, full: bool) -> "Breathing":
         """Return the breath with that of one more window."""
         # w = ln(0.05 + 0.95 B), B the odds of the window
-        window = np.logaddexp(-RARE_LOG_ODDS, np.log1p(-exp(-RARE_LOG_ODDS)) + breath.odds)
-        odds = self._together(self.previous_odds, float(window), -RARE_LOG_ODDS)
+        window = np.logaddexp(-PAUSE_LOG_ODDS, np.log1p(-exp(-PAUSE_LOG_ODDS)) + breath.odds)
+        odds = self._together(self.previous_odds, float(window), -NEVER_LOG_ODDS)
         # Where nothing oscillates, a window shows no cause.
         suction = breath.suction if breath.odds > 0 else PRIOR_SUCTION
         agreed = suction if full else min(suction, self.last)

@@ -32,8 +32,8 @@ def detect(
     """Detect contacts: since when, where, how large, and whether one sucks.
 
     The output is one sentence per recording, then events. Writes detections.h5, visits.csv with one
-    row for each visit, visits.png unless all panels are mats, and a timeline of each recording; of
-    results with pressures also pressed.csv with every frame.
+    row for each visit, and a timeline of each recording. Of several visits, but not of contacts of
+    mats, also visits.png; of results with pressures also pressed.csv with every frame.
 
     Parameters
     ----------
@@ -58,10 +58,10 @@ def detect(
     from lampest.apps.recognition.detect.detection import (
         Unchecked,
         answer_recording,
-        detect_results,
         named_apart,
         recordings_in,
     )
+    from lampest.apps.recognition.detect.of_results import detect_results
     from lampest.apps.recognition.detect.pressed import pressed
     from lampest.files.hdf5 import format_of
     from lampest.files.whole import refuse_inputs
@@ -178,7 +178,8 @@ def _tell(
     for answer in answers:
         screen.print_notes(f"warning: {answer.recording}: {line}" for line in answer.warnings)
     screen.print_table(event_table(answers))
-    if len(counted) > 1:
+    several = len(counted) > 1  # which days and hours a table and a picture show
+    if several:
         screen.print_table(visits.count_table(animals, counted))
     if everything:
         screen.print_table(load_table(answers))
@@ -187,7 +188,7 @@ def _tell(
             screen.print_notes(f"{answer.recording}: {note}" for note in answer.notes)
     drawing = find_spec("matplotlib") is not None
     if drawing:
-        files += _draw(answers, counted, folder)
+        files += _draw(answers, counted if several else [], folder)
     for path in files:
         screen.say(path)
     if not drawing:

@@ -15,6 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from lampest.apps.recognition.attachment import Attachment
+from lampest.apps.recognition.leaks import Leaks
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import Level, WatchSetup
 from lampest.apps.recognition.window import Window, layout_of
@@ -108,6 +109,16 @@ class ImageWatch:
     def faults(self) -> tuple[tuple[str, float], ...]:
         """Open lines of all windows and modules, counted within each, as `Watch.faults`."""
         return tuple(dict.fromkeys(fault for watch in self._watches for fault in watch.faults))
+
+    @property
+    def leaks(self) -> Leaks:
+        """No leaks, which are not sought between lines of modules."""
+        return ()
+
+    @property
+    def leaks_since_s(self) -> float:
+        """As `Watch.leaks_since_s`."""
+        return inf
 
     @property
     def brief(self) -> tuple[tuple[float, float], ...]:

@@ -117,15 +117,12 @@ class ModelErrors:
             Readings without the resistance in series, in the readout's unit, as predicted.
         scene : RecognitionScene
         """
-        layout = scene.panel.modules
         rows, columns = measured.shape
         row, column = np.indices(measured.shape)
-        row_channel = row
-        column_channel = column
-        if layout is not None:
-            # every module has channels of its own: number its lines separately
-            row_channel = row + rows * (column // layout.each.columns)
-            column_channel = column + columns * (row // layout.each.rows)
+        # every module has channels of its own: number its lines separately
+        module = scene.panel.layout.each
+        row_channel = row + rows * (column // module.columns)
+        column_channel = column + columns * (row // module.rows)
         in_ohm = scene.circuit.unit == "ohm"
         total = (measured + scene.series_ohm if in_ohm else measured).reshape(-1, 1)
         effects = list[Array]()

@@ -6,7 +6,7 @@ f is the circuit, F the film's response, κ the cells' gains, p_w the water's pr
 errors common to all frames with the effect E on the readings. All errors are Gaussian.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -18,6 +18,7 @@ from scipy.linalg import cholesky, lapack
 from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.apps.recognition.recognition_scene import RecognitionScene
 from lampest.files.levels import SIGNIFICANT
+from lampest.panel.effects import LineLeak
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, Response
@@ -50,6 +51,17 @@ def counting(sigma: Array, measured: Array) -> Array:
     Where σ is not finite and positive, it is made so large that the reading does not count.
     """
     return np.where(np.isfinite(sigma) & (sigma > 0), sigma, DROPPED_FACTOR * measured)
+
+
+def leaking_network(
+    scene: RecognitionScene, cells: Array, leaks: Sequence[LineLeak] = ()
+) -> Network:
+    """Return the solved network of cells (rows, columns) ohm, with leaks between lines."""
+    circuit = scene.circuit
+    network = circuit.network(cells, circuit.ties(cells), scene.wiring)
+    for leak in leaks:
+        network = leak.changed(network)
+    return network
 
 
 class MostProbable(NamedTuple):
@@ -140,6 +152,8 @@ class Baseline:
         Circuit and panel.
     response : Response
         Response of the film; the published one where the scene names none.
+    leaks : tuple of LineLeak
+        Leaks between lines, which are parts of the circuit.
     """
 
     logarithm: Array
@@ -148,6 +162,7 @@ class Baseline:
     model_errors: ModelErrors
     scene: RecognitionScene
     response: Response
+    leaks: tuple[LineLeak, ...] = ()
 
     @classmethod
     def of(
@@ -157,6 +172,7 @@ class Baseline:
         scene: RecognitionScene,
         model_errors: ModelErrors,
         common: Array | None = None,
+        leaks: tuple[LineLeak, ...] = (),
     ) -> "Baseline":
         """Return argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖².
 
@@ -171,6 +187,7 @@ class Baseline:
         model_errors : ModelErrors
         common : array, shape (cells, n), optional
             Root of the covariance of random errors that the readings share.
+        leaks : tuple of LineLeak
         """
         circuit = scene.circuit
         cells, offsets = model_errors.offsets(measured, scene).shape
@@ -188,7 +205,7 @@ class Baseline:
 
         def model(state: Array) -> tuple[Array, Array, Array]:
             resistance = np.exp(state[:cells].reshape(measured.shape))
-            network = circuit.network(resistance, circuit.ties(resistance), scene.wiring)
+            network = leaking_network(scene, resistance, leaks)
             spread = model_errors.offsets(network.reading(), scene)
             residual = measured.ravel() - network.reading().ravel() - spread @ state[cells:]
             slope = model_errors.gain(state[cells:], scene)[:, None] * network.sensitivity()
@@ -201,13 +218,11 @@ class Baseline:
         logarithm = fine.state[:cells].reshape(measured.shape)
         shifts = fine.state[cells:]
         response = scene.response or PUBLISHED
-        return cls(logarithm, shifts, fine.covariance, model_errors, scene, response)
+        return cls(logarithm, shifts, fine.covariance, model_errors, scene, response, leaks)
 
     def network(self, change: Array | float = 0.0) -> Network:
         """Return the solved network of cells r0·e^change."""
-        cells = np.exp(self.logarithm + change)
-        circuit = self.scene.circuit
-        return circuit.network(cells, circuit.ties(cells), self.scene.wiring)
+        return leaking_network(self.scene, np.exp(self.logarithm + change), self.leaks)
 
     @cached_property
     def near(self) -> Array:

@@ -151,6 +151,10 @@ class Pumping:
             return track
         return replace(track, observed_s=before.observed_s, pumps=before.pumps)
 
+    def interrupted(self) -> "Pumping":
+        """Return the state whose weights and reference hold no more, as after a move."""
+        return replace(self, moves=-1)
+
     def after(self, logarithms: Array, time: float) -> "Pumping":
         """Return the state after one more sample at a time in s.
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from lampest.apps.recognition.fit import Fit
 from lampest.apps.recognition.observation import Observation
 from lampest.files.levels import MAD_TO_SIGMA
+from lampest.panel.conditions import motion_patterns
 from lampest.panel.panel import Array
-from lampest.posterior.frame_noise import motion_patterns
 
 LEVEL_FRAMES = 9  # two seconds at four frames a second: more than one breath
 MIN_PART = 4  # frames between two steps, with which a part says more than its mean

@@ -11,7 +11,6 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.special import ndtr
 
 from lampest.apps.recognition.observation import Observation, patch_of
@@ -151,6 +150,10 @@ def groups_of(panel: Panel, which: NDArray[np.bool_]) -> list[NDArray[np.bool_]]
 
     Each group is a boolean array (rows, columns).
     """
+    if not which.any():
+        return []
+    from scipy.sparse.csgraph import connected_components  # with all of scipy.sparse.linalg
+
     first, second, _ = panel.neighbours
     linked = which.flat[first] & which.flat[second]
     pairs = coo_array((linked[linked], (first[linked], second[linked])), shape=2 * (which.size,))

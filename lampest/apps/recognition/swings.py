@@ -14,20 +14,13 @@ from numpy.typing import NDArray
 
 from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.fit import Fit
+from lampest.apps.recognition.hypotheses import BREATH, BREATHING_SD
 from lampest.apps.recognition.observation import Observation
 from lampest.apps.recognition.suction import MIN_FALL
 from lampest.files.levels import NOISE_REACH
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import CURVE_KPA, CURVE_RATIO, PublishedResponse
 
-# A: the mean amplitude of mouths is 5.4 % of their suction (docs/studies/mouths.md). That of loads
-# that do not breathe is an assumption: cups tremble and leak, but at no single rate.
-BREATHING_SD = 0.045
-TREMBLE_SD = 0.002
-# Largest amplitude of each cause, in units of its pattern. Suction: above 15 % the unevenness of a
-# film would explain the swings of a shaken cup. The rim alone: all of its pressure. Movements: ten
-# times their usual size.
-MAX_SWINGS = {"own": 0.15, "rim": 1.0, "moves": 10.0}
 # Assumed relative standard deviation of the whole rim's swing against that of suction, because the
 # rim may press with more than it bears; and of each cell's change by a movement, because the places
 # of edges on its film are unknown.
@@ -165,7 +158,7 @@ class Patterns(NamedTuple):
         (readings, readings) whitens changes of ln y.
         """
         suction, _ = self.beside_others(np.zeros((1, len(whitening))))
-        return np.asarray(whitening.T @ suction.weights(MAX_SWINGS["own"], 1.0, EDGE_SD))
+        return np.asarray(whitening.T @ suction.weights(BREATH.largest, 1.0, EDGE_SD))
 
 
 def patterns_of(

@@ -15,7 +15,8 @@ import numpy as np
 
 from lampest.apps.recognition.attachment import Attachment, attachments_of, continued_by
 from lampest.apps.recognition.departure import relieved_by_departure
-from lampest.apps.recognition.fit import RARE_LOG_ODDS
+from lampest.apps.recognition.fit import RARE_LOG_ODDS, Verdict
+from lampest.apps.recognition.leaks import Leaks, leaks_of
 from lampest.apps.recognition.observation import Observation, counting
 from lampest.apps.recognition.open_lines import open_lines, without_lines
 from lampest.apps.recognition.step_test import StepTest
@@ -48,6 +49,7 @@ RELIEVED = (
 # time until the first recognition, and the longest one between two
 FIRST_S = 1.0
 LOOKS_S = 60.0
+LEAK_ROUNDS = 8  # linearisations of the circuit until the size of a leak is settled
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +89,10 @@ class Watch:
         What the unloaded frames show of a load, in words; '' for nothing.
     faults : tuple of (str, float)
         Open lines, such as 'row 3', and the times in s of the first frames in which they were.
+    leaks : tuple of LineLeak
+        Leaks between lines that began after the unloaded frames. `rest` has them, too.
+    leaks_since_s : float
+        Time of the step, or of the recognition, with which the first of them was seen, s.
     brief : tuple of (float, float)
         Times, s, of loads that came and left too soon to be recognised.
     attachments : tuple of Attachment
@@ -109,6 +115,8 @@ class Watch:
     film_sd: Array | float = 0.0
     history: str = ""
     faults: tuple[tuple[str, float], ...] = ()
+    leaks: Leaks = ()
+    leaks_since_s: float = np.inf
     brief: tuple[tuple[float, float], ...] = ()
     attachments: tuple[Attachment, ...] = ()
     former: "Watch | None" = None
@@ -358,15 +366,40 @@ class Watch:
         setup, change = self.setup.without_motion(logarithm - self.rest.mean)
         logarithm = self.rest.mean + change
         shape = self.setup.scene.panel.shape
-        baseline = setup.baseline(
-            np.exp(self.rest.mean).reshape(shape), self.sigma, max(self.rest.frames, 1.0)
-        )
+        at_rest = np.exp(self.rest.mean).reshape(shape)
+        frames = max(self.rest.frames, 1.0)
+        baseline = setup.baseline(at_rest, self.sigma, frames, self.leaks)
         frame = setup.frame(
             np.exp(logarithm).reshape(shape), self.sigma, baseline, time - self.rest.until_s
         )
         covariance = baseline.covariance.copy()
         np.einsum("ii->i", covariance)[: logarithm.size] += self._keeps(frame) ** 2
         return replace(frame, baseline=replace(baseline, covariance=covariance))
+
+    def _with_leaks(self, logarithm: Array, time: float) -> tuple["Watch", Observation]:
+        """Return the watch with the leaks that readings ln y show, and the frame of the readings.
+
+        The leaks are parts of the circuit from then on. The panel at rest is that of the same cells
+        with them. Leaks between lines of modules are not sought.
+        """
+        watch = self
+        frame = watch._frame(logarithm, time)
+        for _ in range(LEAK_ROUNDS if self.setup.scene.panel.modules is None else 0):
+            leaks = leaks_of(frame)
+            if leaks is None:
+                break
+            baseline = frame.baseline
+            before = baseline.network().reading()
+            after = replace(baseline, leaks=leaks).network().reading()
+            rest = replace(watch.rest, mean=watch.rest.mean + np.log(after / before).ravel())
+            watch = replace(watch, rest=rest, leaks=leaks)
+            frame = watch._frame(logarithm, time)
+        if watch is self:
+            return self, frame
+        begun_s = time if self.known else self.level.since_s
+        loads = tuple(load.with_new_reference() for load in self.attachments)
+        leaks_since_s = min(self.leaks_since_s, begun_s)
+        return replace(watch, leaks_since_s=leaks_since_s, attachments=loads), frame
 
     def _left(self, frame: Observation) -> bool:
         """Return whether a frame shows no more of the load before any pull than the film's residue.
@@ -453,14 +486,18 @@ class Watch:
         left out.
         """
         again = time + min(max(time - self.level.since_s, FIRST_S), LOOKS_S)
-        scores = self.test.scores(self.level.mean - self.rest.mean)
         median = np.median([logarithm for _, logarithm in self._since_step], axis=0)
         try:
-            frame = self._frame(median, time)
-            verdict = self.setup.detector.verdict(frame)
+            watch, frame = self._with_leaks(median, time)
+            verdict = watch.setup.detector.verdict(frame)
         except (ArithmeticError, ValueError) as error:
             logged_reason(error, f"look at {time:.1f} s")
             return replace(self, next_s=again)
+        return watch._after(verdict, time, again)
+
+    def _after(self, verdict: Verdict, time: float, again: float) -> "Watch":
+        """Return the watch after a verdict at a time in s; the next look is at `again`."""
+        scores = self.test.scores(self.level.mean - self.rest.mean)
         frame = verdict.frame
         change = verdict.changed
         residue = False

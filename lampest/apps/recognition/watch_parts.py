@@ -8,14 +8,15 @@ import numpy as np
 from lampest.apps.recognition.breathing import WINDOW_S
 from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.fit import Verdict
+from lampest.apps.recognition.leaks import Leaks
 from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.apps.recognition.observation import Baseline, Observation, patch_of
 from lampest.apps.recognition.recognition_scene import RecognitionScene
 from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH
-from lampest.panel.conditions import water_pressure
+from lampest.panel.conditions import motion_patterns, water_pressure
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.posterior.frame_noise import motion_columns, motion_patterns
+from lampest.posterior.frame_noise import motion_columns
 
 # Time constant, s, with which means follow the frames, and with which a residue fades.
 FOLLOWS_S = 20.0
@@ -86,12 +87,15 @@ class WatchSetup:
         common = self._common if shared else None
         return Observation(measured, sigma, baseline, self.water, seconds, common=common)
 
-    def baseline(self, measured: Array, sigma: Array, frames: float) -> Baseline:
-        """Return the baseline from the mean of `frames` unloaded frames; σ is that of one frame."""
+    def baseline(self, measured: Array, sigma: Array, frames: float, leaks: Leaks = ()) -> Baseline:
+        """Return the baseline from the mean of `frames` unloaded frames; σ is that of one frame.
+
+        With leaks the readings are those that the panel would have with them.
+        """
         scale = frames**-0.5
         common = None if self.common is None else scale * self.common(measured)
         errors = self.errors.in_motion(self.motion)
-        return Baseline.of(measured, scale * sigma, self.scene, errors, common)
+        return Baseline.of(measured, scale * sigma, self.scene, errors, common, leaks)
 
     def moved_by(self, motion: Array) -> "WatchSetup":
         """Return the constants where water moves cells by `motion`, (3,) or (0,), or more."""

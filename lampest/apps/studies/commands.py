@@ -92,7 +92,7 @@ def paper(
 ) -> None:
     """Reproduce the paper's figures and table from shipped recordings.
 
-    They stand beside the published numbers. Writes paper.html, numbers.csv and every figure as PNG.
+    Writes paper.html with the published numbers beside, numbers.csv, and every figure as PNG.
 
     Parameters
     ----------

@@ -16,10 +16,11 @@ from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
 from lampest.inference.compared_frames import ComparedFrames
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
-from lampest.inference.explanation import MEMORIES as TRIED
-from lampest.inference.explanation import Explanation, may_gain_by_memory
+from lampest.inference.explanation import Explanation
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.number import parabola
+from lampest.inference.rival_parameters import MEMORIES as TRIED
+from lampest.inference.rival_parameters import may_gain_by_memory
 from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.panel import Array
 from lampest.panel.scene import specified

@@ -1,6 +1,6 @@
 """Gain of a frame and ripple along a scan: errors that the readings of a frame share.
 
-Their sizes are determined with the noise of the frames (`lampest.inference.noise`).
+The sizes of both are determined with the noise of the frames (`lampest.inference.noise`).
 """
 
 from collections.abc import Iterator

@@ -20,6 +20,7 @@ errors of its variable (Fuller, Measurement Error Models, 1987, section 1.1).
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from math import comb
 from typing import NamedTuple
@@ -31,7 +32,7 @@ from numpy.typing import NDArray
 from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted, well_determined
-from lampest.inference.changed_cells import MOVED_COST, mostly_still, usual_starts
+from lampest.inference.changed_cells import MOVED_COST, Changes, mostly_still, usual_starts
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.fitted_pair import FittedPair
 from lampest.inference.noise import NoiseEstimate, Share
@@ -56,6 +57,8 @@ READING_ERRORS = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
 # probabilities: no trembling is as probable as all others together.
 TREMBLINGS = np.array([0.0, 0.015, 0.04, 0.1, 0.25])
 TREMBLING_ODDS = np.where(TREMBLINGS > 0, 0.5 / np.count_nonzero(TREMBLINGS), 0.5)
+# Of a gain of interest: what a motion has alone where only both a share and a trembling reach it.
+PROMISING = 0.25
 LOADED_SHARE = 0.15  # of the largest change: a cell that changes by more is under the load
 # Error of a value interpolated between two frames, over their second difference times τ(1 − τ) for
 # a smooth change (by its Taylor series), and times √(τ(1 − τ)) for changes at once (0.5 to 0.7).
@@ -79,17 +82,6 @@ def _steps(readings: Readings, measured: NDArray[np.intp]) -> Array:
         step = np.diff(readings.value[measured], axis=0)
         steps[:, measured] = np.concatenate([step[:1], step]), np.concatenate([step, step[-1:]])
     return steps
-
-
-def _delays(scene: Scene, readings: Readings) -> Array:
-    """Return the delay τ of each reading from the middle of its frame, shape (1, …).
-
-    The unit is a period, if a scan takes the whole period.
-    """
-    channels = readings.value[0].size
-    # τ of channel k of n: (k + ½)/n − ½
-    late = (np.arange(channels) + 0.5) / channels - 0.5
-    return in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
 
 
 class Displacement(NamedTuple):
@@ -137,7 +129,11 @@ def displacement(
         Standard deviation of the readings by a load that trembles: it bends no motion.
     """
     steps = _steps(readings, measured)
-    delay = _delays(scene, readings)
+    # Delay of each reading from the middle of its frame, in periods
+    channels = readings.value[0].size
+    # τ of channel k of n: (k + ½)/n − ½
+    late = (np.arange(channels) + 0.5) / channels - 0.5
+    delay = in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
     previous, following = steps * delay
     displaced = np.where(delay > 0, previous, following)
     noise = np.zeros(1) if readings.sigma is None else readings.sigma
@@ -197,6 +193,8 @@ def share_of_motion(
     measured: NDArray[np.intp],
     errors_tried: Sequence[float],
     shares: Array = SHARES,
+    *,
+    least_gain: float = 0.0,
 ) -> Share | None:
     """Return the share of the time between frames that a scan takes, and the load's trembling.
 
@@ -221,39 +219,23 @@ def share_of_motion(
         unknown, (0.0,) where the readings have none beside their σ.
     shares : array
         Shares that are tried; one alone is known.
+    least_gain : float
+        Gain in −2 ln evidence that is of interest. The result is None where no share without a
+        trembling, and no trembling without a share, gains PROMISING of it.
     """
-    inner = measured[1:-1]
-    if not len(inner) or readings.sigma is None or resting.sigma is None:
+    moving = _moving_frames(scene, resting, readings, measured)
+    first = errors_tried[0]
+    alone = [(first, share, 0.0) for share in shares.tolist()]
+    alone += [(first, 0.0, trembling) for trembling in TREMBLINGS[1:].tolist()]
+    if least_gain and _gain_of(moving, alone) < PROMISING * least_gain:
         return None
-    if scene.panel.crossings > MAX_CELLS:
-        return None
-    moved = displacement(scene, readings, measured)
-    size = np.sqrt(np.mean((moved.value / readings.known_sigma) ** 2, axis=(1, 2)))
-    base = fitted(scene, resting, patient=True)
-    compared = list[_Frame]()
-    near = None
-    # Sums of squares in σ².
-    displacements = errors = 0.0
-    for frame in inner[np.argsort(-size[inner])][: 1 + MAX_NEIGHBOURS]:
-        fit = fitted(scene, readings[frame], near, patient=True)
-        if base is None or fit is None:
-            return None
-        near = fit.cells
-        of_frame = Displacement(*(part[frame] for part in moved))
-        # Those without trembling first: the search for moved cells begins with them.
-        tried = [
-            (size, share, trembling)
-            for trembling, size, share in product(
-                TREMBLINGS.tolist(), errors_tried, shares.tolist()
-            )
-        ]
-        frame_changes = _Frame.of((base, fit), of_frame, tried)
-        if frame_changes.is_mostly_still and well_determined((base, fit)):
-            compared.append(frame_changes)
-            noise = readings.known_sigma[frame]
-            displacements += float(np.sum((of_frame.value / noise) ** 2))
-            errors += float(np.sum((of_frame.smooth / noise) ** 2))
-    if base is None or not compared:
+    # Those without trembling first: the search for moved cells begins with them.
+    tried = [
+        (size, share, trembling)
+        for trembling, size, share in product(TREMBLINGS.tolist(), errors_tried, shares.tolist())
+    ]
+    compared = _mostly_still(moving, tried)
+    if not compared:
         return None
     costs = np.array(
         [_joint_cost([frame.explained[key] for frame in compared]) for key in tried]
@@ -274,15 +256,59 @@ def share_of_motion(
     number = Number.by_costs(shares, costs, axis=1)
     steady = Number.by_costs(shares, costs[:, :, :1], axis=1)
     # Below the smallest share any share may be the whole time.
+    displacements = sum(frame.displacements for frame in compared)
+    errors = sum(frame.errors for frame in compared)
     reliable = max(displacements - errors, shares[1] * displacements)
     unattenuated = np.minimum(shares * displacements, shares[-1] * reliable)
     # A share that trembling hides remains possible.
     reach = number.mean
     if reliable:
-        reach = max(float(tried.odds @ unattenuated) / reliable for tried in (number, steady))
+        reach = max(float(of.odds @ unattenuated) / reliable for of in (number, steady))
     # The share of the scan is anywhere between both.
     deviation = float(np.hypot(number.deviation, (reach - number.mean) / np.sqrt(3)))
     return Share(number.mean, deviation, reach, gain, trembling)
+
+
+def _moving_frames(
+    scene: Scene, resting: Readings, readings: Readings, measured: NDArray[np.intp]
+) -> "list[_Moving]":
+    """Return the frames with the largest motion whose cells are determined well.
+
+    The list is empty where a frame has no fit, and on panels of more than MAX_CELLS. The arguments
+    are those of `share_of_motion`.
+    """
+    inner = measured[1:-1]
+    known = readings.sigma is not None and resting.sigma is not None
+    if not len(inner) or not known or scene.panel.crossings > MAX_CELLS:
+        return []
+    moved = displacement(scene, readings, measured)
+    size = np.sqrt(np.mean((moved.value / readings.known_sigma) ** 2, axis=(1, 2)))
+    base = fitted(scene, resting, patient=True)
+    moving = list[_Moving]()
+    near = None
+    for number in inner[np.argsort(-size[inner])][: 1 + MAX_NEIGHBOURS]:
+        fit = fitted(scene, readings[number], near, patient=True)
+        if base is None or fit is None:
+            return []
+        near = fit.cells
+        if well_determined((base, fit)):
+            moving.append(_Moving((base, fit), Displacement(*(part[number] for part in moved))))
+    return moving
+
+
+def _mostly_still(moving: "Sequence[_Moving]", tried: "Sequence[Motion]") -> "list[_Frame]":
+    """Return the frames with each motion that leave most cells still."""
+    frames = (frame.explained_by(tried) for frame in moving)
+    return [frame for frame in frames if frame.is_mostly_still]
+
+
+def _gain_of(moving: "Sequence[_Moving]", tried: "Sequence[Motion]") -> float:
+    """Return the gain of the best motion over the first one in −2 ln evidence; 0 without frames."""
+    compared = _mostly_still(moving, tried)
+    if not compared:
+        return 0.0
+    costs = [_joint_cost([frame.explained[key] for frame in compared]) for key in tried]
+    return costs[0] - min(costs)
 
 
 class _Explained(NamedTuple):
@@ -325,17 +351,83 @@ class _Frame:
         Whether most cells are still under the likeliest of them without trembling.
     shows_trembling : bool
         Whether most cells are still and without a load. Otherwise trembling explains any motion.
+    displacements, errors : float
+        Σ of squared displacements and of their squared doubts, in σ².
     """
 
     explained: Mapping[Motion, _Explained]
     is_mostly_still: bool
     shows_trembling: bool
+    displacements: float
+    errors: float
 
-    @classmethod
-    def of(
-        cls, fits: tuple[CellsFit, CellsFit], displaced: Displacement, tried: Sequence[Motion]
-    ) -> "_Frame":
-        """Return a frame.
+
+@dataclass(frozen=True, eq=False)
+class _Moving:
+    """A frame of a load that moves.
+
+    Attributes
+    ----------
+    fits : tuple of two CellsFit
+        Those of the unloaded panel and of the frame.
+    displaced : Displacement
+        That of the frame, (rows, columns).
+    """
+
+    fits: tuple[CellsFit, CellsFit]
+    displaced: Displacement
+
+    @cached_property
+    def _changes(self) -> Changes:
+        """The changes since rest without motion."""
+        pair = FittedPair(self.fits)
+        return pair.with_columns(pair.columns(()))
+
+    @cached_property
+    def _of_readings(self) -> Array:
+        """A = K_f U_f − K_b U_b of errors of one, the same in both frames, (cells, readings)."""
+        resting, frame = (
+            fit.gain * own_errors(fit.readings.value, fit.scene, 1.0).ravel() for fit in self.fits
+        )
+        return np.asarray(frame - resting)
+
+    @cached_property
+    def _square_of_readings(self) -> Array:
+        """A Aᵀ of these errors, (cells, cells)."""
+        return np.asarray(self._of_readings @ self._of_readings.T)
+
+    @cached_property
+    def _by_motion(self) -> Array:
+        """Change of the log cells by the displacement, (cells,)."""
+        return self.fits[1].response(self.displaced.value[None])[:, 0]
+
+    def _changes_by(self, motion: Motion, *, doubted: bool) -> Changes:
+        """Return the changes with a motion, whose interpolation is `doubted` or exact."""
+        size, share, trembling = motion
+        resting, frame = self.fits
+        noise = frame.readings.known_sigma.ravel()
+        weight = self.displaced.weight.ravel()
+        by_load = (frame.readings.value - resting.readings.value).ravel()
+        # A reading's variance beyond its noise: of the mean with the neighbouring frame, of the
+        # trembling load, and of the interpolation.
+        remaining = (1 - share * weight) ** 2 + (share * weight) ** 2
+        variance = (trembling * by_load) ** 2 - noise**2 * (1 - remaining)
+        if doubted:
+            # The evidence takes motion as smooth: a wider doubt would favour small shares.
+            variance += (share * self.displaced.smooth.ravel()) ** 2
+        covariance = self._changes.noise
+        if variance.any():
+            covariance = covariance + (frame.gain * variance) @ frame.gain.T
+        if size:
+            covariance = covariance + size**2 * self._square_of_readings
+        return replace(
+            self._changes,
+            change=self._changes.change - share * self._by_motion,
+            noise=covariance,
+        )
+
+    def explained_by(self, tried: Sequence[Motion]) -> _Frame:
+        """Return the frame with each motion, of which some have no trembling.
 
         A reading y less its displacement, z = (1 − w) y + w yₙ, is a mean with the neighbouring
         frame. Its variance is σ²((1 − w)² + w²), and p(y) = (1 − w) p(z): without both, every mean
@@ -344,65 +436,49 @@ class _Frame:
 
         Parameters
         ----------
-        fits : tuple of two CellsFit
-            The unloaded panel and the frame.
-        displaced : Displacement
-            That of the frame, (rows, columns).
         tried : sequence of (float, float, float)
             Relative standard deviation of each reading's own error, share, and trembling.
         """
-        resting, frame = fits
-        pair = FittedPair(fits)
-        changes = pair.with_columns(pair.columns(()))
-        by_motion = frame.response(displaced.value[None])[:, 0]
-        weight = displaced.weight.ravel()
-        noise = frame.readings.known_sigma.ravel()
-        # The evidence takes motion as smooth: a wider doubt would favour small shares.
-        smooth = displaced.smooth.ravel()
-        # A = K_f U_f − K_b U_b of errors of one, the same in both frames.
-        of_readings = frame.gain * own_errors(frame.readings.value, frame.scene, 1.0).ravel()
-        of_readings -= resting.gain * own_errors(resting.readings.value, resting.scene, 1.0).ravel()
-        of_unloaded = np.linalg.cholesky(
-            resting.covariance + ASSUMED.creep**2 * np.eye(len(weight))
-        )
-        by_load = frame.gain * (frame.readings.value - resting.readings.value).ravel()
+        resting, frame = self.fits
+        weight = self.displaced.weight.ravel()
+        unloaded = resting.covariance + ASSUMED.creep**2 * np.eye(len(weight))
+        of_unloaded = np.linalg.cholesky(unloaded)
         explained = {}
-        exact = {}
-        starts = usual_starts(changes.change)
+        starts = usual_starts(self._changes.change)
         for key in tried:
-            size, share, trembling = key
-            # variance of the mean with the neighbouring frame, over that of the reading
-            remaining = (1 - share * weight) ** 2 + (share * weight) ** 2
-            averaged = frame.gain * (noise * np.sqrt(1 - remaining))
-            exact[key] = replace(
-                changes,
-                change=changes.change - share * by_motion,
-                noise=changes.noise
-                - averaged @ averaged.T
-                + size**2 * of_readings @ of_readings.T
-                + trembling**2 * by_load @ by_load.T,
-            )
-            doubt = share * frame.gain * smooth
-            doubted = replace(exact[key], noise=exact[key].noise + doubt @ doubt.T)
-            cost, moved = doubted.selected(starts)
+            size, share, _ = key
+            changes = self._changes_by(key, doubted=True)
+            cost, moved = changes.selected(starts)
             # Further searches begin at the moved cells of the numbers before.
             starts = [moved]
             # Moved cells are free, and take as many readings out of the density.
             jacobian = -2 * (1 - np.mean(moved)) * np.sum(np.log(1 - share * weight))
-            shared = np.column_stack([size * of_readings, of_unloaded])
+            shared = of_unloaded
+            covariance = changes.covariance + np.diag(1.0 * moved) - unloaded
+            if size:
+                shared = np.column_stack([size * self._of_readings, of_unloaded])
+                covariance -= size**2 * self._square_of_readings
             explained[key] = _Explained(
                 cost + jacobian,
-                doubted.change,
-                doubted.covariance + np.diag(1.0 * moved) - shared @ shared.T,
+                changes.change,
+                covariance,
                 shared,
                 MOVED_COST * int(moved.sum()) + jacobian,
             )
         steady = min((key for key in tried if not key[2]), key=lambda key: explained[key].cost)
-        moved = exact[steady].selected(usual_starts(exact[steady].change))[1]
+        exact = self._changes_by(steady, doubted=False)
+        moved = exact.selected(usual_starts(exact.change))[1]
         # A load that trembles may move any cell that changed as loaded ones do.
-        change = np.abs(exact[steady].change - np.median(exact[steady].change))
+        change = np.abs(exact.change - np.median(exact.change))
         loaded = change > LOADED_SHARE * change.max()
-        return cls(explained, mostly_still(moved), mostly_still(moved | loaded))
+        noise = frame.readings.known_sigma
+        return _Frame(
+            explained,
+            mostly_still(moved),
+            mostly_still(moved | loaded),
+            float(np.sum((self.displaced.value / noise) ** 2)),
+            float(np.sum((self.displaced.smooth / noise) ** 2)),
+        )
 
 
 def _joint_cost(frames: Sequence[_Explained]) -> float:
@@ -502,7 +578,7 @@ class ScanMotion(SceneEffect):
             return
         named = isinstance(specified(evidence.scene, "systematic.reading_error"), float)
         compared = (evidence.scene, readings[unloaded].mean(), readings, evidence.measured)
-        share = share_of_motion(*compared, (0.0,))
+        share = share_of_motion(*compared, (0.0,), least_gain=MIN_EVIDENCE_GAIN)
         # Errors of readings explain some of what seems to be motion: they are tried where some is.
         if share is not None and share.gain > MIN_EVIDENCE_GAIN and not named:
             share = share_of_motion(*compared, READING_ERRORS)

@@ -23,10 +23,10 @@ from lampest.files.levels import SIGNIFICANCE
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
-from lampest.inference.explanation import DOUBTFUL_GAIN
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides
 from lampest.inference.number import Number, summed_out
+from lampest.inference.rival_parameters import DOUBTFUL_GAIN
 from lampest.inference.shared_changes import (
     CHANNEL_FACTORS,
     FEW_FACTORS,

@@ -1,8 +1,8 @@
 """Circuits that drive the lines of one side, one after the other, and sense the other side.
 
-Their equation stands in `lampest.panel.readouts.driven_network`, the starts of solves in
-`lampest.panel.readouts.driven_starts`; here are bounds of cells, inequalities of readings, and
-changes of the circuit.
+This module has bounds of cells, inequalities of readings, and changes of the circuit. The equation
+stands in `lampest.panel.readouts.driven_network`, the starts of solves in
+`lampest.panel.readouts.driven_starts`.
 """
 
 from dataclasses import replace
@@ -33,10 +33,7 @@ from lampest.panel.readouts.readout import (
 
 
 class DrivenCircuit(DrivenStarts):
-    """Base of circuits with driven and sensed lines.
-
-    Its attributes are those of `DrivenNetwork`.
-    """
+    """Base of circuits with driven and sensed lines, with the attributes of `DrivenNetwork`."""
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
         """Return the lower bounds r_ij ≥ u_i/I_i − Rs_j of the cells, where idle lines float.

@@ -132,6 +132,22 @@ class DrivenLines(Protocol):
         """
 
 
+@dataclass(frozen=True)
+class _Crossings:
+    """Values of lines at the crossings of a panel, whose `driven` side is driven."""
+
+    driven: Side
+    shape: tuple[int, int]
+
+    def of_driven(self, values: Array) -> Array:
+        """Return values of the driven lines, (driven,), as (rows, columns)."""
+        return np.broadcast_to(along(self.driven, values), self.shape).copy()
+
+    def of_sensed(self, values: Array) -> Array:
+        """Return values of the sensed lines, (sensed,), as (rows, columns)."""
+        return np.broadcast_to(along(opposite(self.driven), values), self.shape).copy()
+
+
 @lru_cache(maxsize=256)
 def equation_of(circuit: DrivenLines, rows: int, columns: int) -> Equation:
     """Return the numbers of a circuit's equation on a panel."""
@@ -149,86 +165,111 @@ def equation_of(circuit: DrivenLines, rows: int, columns: int) -> Equation:
         # While a line is driven, those at its place of the other multiplexers end in Rd
         drive_addresses = _addresses(circuit.driven_groups)
         states = replace(states, idle=states.drive)
+    tied = [np.isin(np.arange(driven), lines) for lines in drive_addresses]
+    read = [np.isin(np.arange(sensed), lines) for lines in addresses]
+    in_ties = loads_stay or parallel
     drive_terms, current_terms = _drive_terms(states)
-    load_terms = _load_terms(states, in_ties=loads_stay or parallel)
+    load_terms = _load_terms(states, in_ties=in_ties)
+    load_volts = _load_volts(ends, states, loads_stay=loads_stay)
     # Ties at every address: of idle lines, and of the loads of the lines that are read together.
-    load_volt, idle_load_volt = _load_volts(ends, states, loads_stay=loads_stay)
-    idle_volt = 1.0 if isinstance(ends.idle, str) else ends.relative(ends.idle)
     ties = []
     tie_volts = []
-    read = []
-    read_sensed = []
-    with np.errstate(divide="ignore"):
-        for driven_lines, lines in product(drive_addresses, addresses):
-            tied = np.isin(np.arange(driven), driven_lines)
-            of_driven_ties = np.where(tied, 1 / states.idle, 0.0)
-            chosen = np.isin(np.arange(sensed), lines)
-            loaded = chosen & parallel
-            of_sensed = np.where(loaded, 1 / states.load, 1 / states.idle_load)
-            ties.append(np.concatenate(of_side(circuit.driven, of_driven_ties, of_sensed)))
-            sensed_volt = np.where(loaded, load_volt, idle_load_volt)
-            volts = of_side(circuit.driven, np.full(driven, idle_volt), sensed_volt)
-            tie_volts.append(np.where(ties[-1] > 0, np.concatenate(volts), 0.0))
-            read.append(tied[:, None] * chosen[None, :] * 1.0)
-            read_sensed.append(chosen.astype(float))
+    read_at = []
+    for of_driven, of_sensed in product(tied, read):
+        loaded = of_sensed & parallel
+        with np.errstate(divide="ignore"):
+            driven_ties = np.where(of_driven, 1 / states.idle, 0.0)
+            sensed_ties = np.where(loaded, 1 / states.load, 1 / states.idle_load)
+        ties.append(np.concatenate(of_side(circuit.driven, driven_ties, sensed_ties)))
+        volts = np.full(driven, _idle_volt(ends)), np.where(loaded, *load_volts)
+        at_ends = np.concatenate(of_side(circuit.driven, *volts))
+        tie_volts.append(np.where(ties[-1] > 0, at_ends, 0.0))
+        read_at.append(np.multiply.outer(of_driven, of_sensed) * 1.0)
     together = None
     if parallel:
-        together = np.transpose(read_sensed[: len(addresses)]) @ np.array(
-            read_sensed[: len(addresses)]
-        )
+        together = np.array(read, dtype=float).T @ np.array(read, dtype=float)
     elif not loads_stay:
         together = np.eye(sensed)
-
-    def of_driven(values: Array) -> Array:
-        return np.broadcast_to(along(circuit.driven, values), (rows, columns)).copy()
-
-    def of_sensed_lines(values: Array) -> Array:
-        return np.broadcast_to(along(opposite(circuit.driven), values), (rows, columns)).copy()
-
-    potentials = None
-    in_ties = loads_stay or parallel
-    reduced = np.where(
-        np.isinf(states.idle),
-        0.0,
-        np.divide(states.drive, states.idle, out=np.ones(driven), where=states.idle > 0),
+    crossings = _Crossings(circuit.driven, (rows, columns))
+    return Equation(
+        states=states,
+        drive=crossings.of_driven(states.drive),
+        load=crossings.of_sensed(states.load),
+        gain=crossings.of_sensed(states.gain),
+        drive_terms=(crossings.of_driven(drive_terms[0]), crossings.of_driven(drive_terms[1])),
+        load_terms=(crossings.of_sensed(load_terms[0]), crossings.of_sensed(load_terms[1])),
+        current_terms=(
+            crossings.of_driven(current_terms[0]),
+            crossings.of_driven(current_terms[1]),
+        ),
+        floating=not np.any(ties),
+        grounded=bool(np.all(states.idle <= states.drive)) and len(drive_addresses) == 1,
+        ties=np.stack(ties),
+        read_at=np.stack([at if circuit.driven == "rows" else at.T for at in read_at]),
+        together=together,
+        potentials=_potential_terms(
+            ends, states, load_volts, np.stack(tie_volts), crossings, in_ties=in_ties
+        ),
+        drive_addresses=len(drive_addresses),
     )
+
+
+def _idle_volt(ends: LineEnds) -> float:
+    """Return Vp from the reference, V; 1 where idle lines follow the sensed one."""
+    return 1.0 if isinstance(ends.idle, str) else ends.relative(ends.idle)
+
+
+def _potential_terms(
+    ends: LineEnds,
+    states: LineStates,
+    load_volts: tuple[Array, Array],
+    tie_volts: Array,
+    crossings: _Crossings,
+    *,
+    in_ties: bool,
+) -> PotentialTerms | None:
+    """Return E, F and the potentials of the lines' ends; None where only the source has one.
+
+    Parameters
+    ----------
+    ends : LineEnds
+    states : LineStates
+    load_volts : tuple of array, shapes (sensed,)
+        Vs and Vq from the reference, V.
+    tie_volts : array, shape (addresses, lines)
+        Potentials in which the tied lines end at every address, V.
+    crossings : _Crossings
+    in_ties : bool
+        Whether the loads are a part of the ties.
+    """
+    load_volt, idle_load_volt = load_volts
     held = (states.idle_load == 0) & (not in_ties)
+    # F, 0 where the loads are a part of Z
     with np.errstate(divide="ignore", invalid="ignore"):
         of_load = np.where(
             held,
             (load_volt - idle_load_volt) / states.load,
             load_volt / states.load - idle_load_volt / states.idle_load,
         )
-    of_load = np.zeros(sensed) if in_ties else of_load
-    if ends.idle == FOLLOWS or np.any(tie_volts) or of_load.any() or load_volt.any():
-        follows = of_driven(-reduced) if ends.idle == FOLLOWS else None
-        drive_volt = ends.relative(ends.source) - (
-            0.0 if follows is not None else idle_volt * reduced
-        )
-        potentials = PotentialTerms(
-            of_drive=of_driven(np.broadcast_to(drive_volt, (driven,))),
-            of_load=of_sensed_lines(of_load),
-            held=of_sensed_lines(held.astype(float)) > 0,
-            held_volt=of_sensed_lines(idle_load_volt),
-            load_volt=of_sensed_lines(load_volt),
-            ends=np.stack(tie_volts),
-            follows=follows,
-        )
-    return Equation(
-        states=states,
-        drive=of_driven(states.drive),
-        load=of_sensed_lines(states.load),
-        gain=of_sensed_lines(states.gain),
-        drive_terms=(of_driven(drive_terms[0]), of_driven(drive_terms[1])),
-        load_terms=(of_sensed_lines(load_terms[0]), of_sensed_lines(load_terms[1])),
-        current_terms=(of_driven(current_terms[0]), of_driven(current_terms[1])),
-        floating=not np.any(ties),
-        grounded=bool(np.all(states.idle <= states.drive)) and len(drive_addresses) == 1,
-        ties=np.stack(ties),
-        read_at=np.stack([chosen if circuit.driven == "rows" else chosen.T for chosen in read]),
-        together=together,
-        potentials=potentials,
-        drive_addresses=len(drive_addresses),
+    of_load = np.zeros(len(load_volt)) if in_ties else of_load
+    follows = ends.idle == FOLLOWS
+    if not (follows or np.any(tie_volts) or of_load.any() or load_volt.any()):
+        return None
+    # E = U − Vp Rd/Rp; Rd/Rp is 0 of floating lines and 1 of held ones
+    ratio = np.where(
+        np.isinf(states.idle),
+        0.0,
+        np.divide(states.drive, states.idle, out=np.ones(len(states.drive)), where=states.idle > 0),
+    )
+    drive_volt = ends.relative(ends.source) - (0.0 if follows else _idle_volt(ends) * ratio)
+    return PotentialTerms(
+        of_drive=crossings.of_driven(np.broadcast_to(drive_volt, ratio.shape)),
+        of_load=crossings.of_sensed(of_load),
+        held=crossings.of_sensed(held.astype(float)) > 0,
+        held_volt=crossings.of_sensed(idle_load_volt),
+        load_volt=crossings.of_sensed(load_volt),
+        ends=tie_volts,
+        follows=crossings.of_driven(-ratio) if follows else None,
     )
 
 

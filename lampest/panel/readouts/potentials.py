@@ -165,6 +165,19 @@ class PotentialTerms:
         of_drive: Array,
         of_load: Array,
     ) -> Any:
+        """Return V_j by the equations of this module, solved for one pair of lines.
+
+        Parameters
+        ----------
+        terms : pair of pairs of array
+            (A, A') and (B, B').
+        entries : tuple
+            Z_ii, Z_jj and Z_ij, numbers or symbols.
+        potentials : tuple
+            v_i and v_j.
+        of_drive, of_load : array
+            E and F.
+        """
         (drive, by_drive), (load, by_load) = terms
         own_driven, own_sensed, mutual = entries
         driven_volt, sensed_volt = potentials

@@ -11,7 +11,6 @@ from typing import Literal
 
 import numpy as np
 
-from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import Readout
 
@@ -34,9 +33,15 @@ def unseen_scales(circuit: Readout, rows: int, columns: int) -> tuple[Scale, ...
 
 @lru_cache(maxsize=64)
 def _unseen(circuit: Readout, rows: int, columns: int) -> tuple[Scale, ...]:
+    """Return the scales of a circuit that lie in the null space of its Jacobian at random cells.
+
+    A scale is unseen if more than WITHIN of the square of each of its directions lies there.
+    """
     scatter = np.random.default_rng(1).standard_normal((rows, columns))
     cells = TYPICAL_OHM * np.exp(SCATTER * scatter)
-    null = _null_space(circuit.network(cells, circuit.ties(cells)))
+    # An orthonormal basis of the directions of ln r that no reading shows
+    _, singular, basis = np.linalg.svd(circuit.network(cells, circuit.ties(cells)).sensitivity())
+    null = basis[singular <= NULL * singular[0]]
     row, column = np.indices((rows, columns))
     scales: dict[Scale, list[Array]] = {
         "all": [np.ones((rows, columns))],
@@ -48,12 +53,6 @@ def _unseen(circuit: Readout, rows: int, columns: int) -> tuple[Scale, ...]:
         for name, directions in scales.items()
         if all(_share_within(null, direction) > WITHIN for direction in directions)
     )
-
-
-def _null_space(network: Network) -> Array:
-    """Return an orthonormal basis of the directions of ln r that no reading shows, (n, cells)."""
-    _, singular, directions = np.linalg.svd(network.sensitivity())
-    return np.asarray(directions[singular <= NULL * singular[0]])
 
 
 def _share_within(null: Array, direction: Array) -> float:

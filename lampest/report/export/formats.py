@@ -262,6 +262,7 @@ class MatlabExport(Export):
 
 
 def _struct(case: CaseResult) -> dict[str, Any]:
+    """Return a case as a struct of MATLAB: texts, values, places, units, meanings and flags."""
     held = case.variables()
     places = case.coordinates
     columns = {name: variable.column for name, variable in (held | places).items()}

@@ -100,6 +100,7 @@ def _session(cases: Sequence[CaseResult]) -> Any:
 
 
 def _described(subject: MeasuredSubject) -> dict[str, str | None]:
+    """Return the entries of an NWB subject; None where the scene states none."""
     length = "" if subject.length_mm is None else f"{subject.length_mm:g} mm long"
     return {
         "subject_id": subject.id or None,

@@ -330,6 +330,7 @@ def recording_picture(
 
 
 def _chosen(show: str | Plot, frame: int | None) -> Plot:
+    """Return the plot of a word, or the plot itself, for a frame. Raises InputError for others."""
     plot = plot_of(show) if isinstance(show, str) else show
     if not isinstance(plot, Plot):
         raise InputError(f"a plot is a word such as 'contours' or a Plot, not {in_words(plot)}")

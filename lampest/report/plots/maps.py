@@ -340,6 +340,7 @@ class MapPainter:
             axes.tricontourf(mesh, self._cut(values), **self._bands())
 
     def _bands(self) -> dict[str, Any]:
+        """Colours, norm and levels of filled contours between the boundaries of the scale."""
         assert isinstance(self.scale.norm, BoundaryNorm)
         look = {"cmap": self.scale.colours, "norm": self.scale.norm, "extend": "both"}
         return look | {"levels": self.scale.norm.boundaries}

@@ -3,7 +3,7 @@
 import re
 from base64 import b64encode
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from io import BytesIO
 from itertools import product
 from math import ceil, floor, log10
@@ -12,6 +12,7 @@ from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from lampest.files.errors import InputError
@@ -23,6 +24,7 @@ TEXT_POINT = 8
 SMALL_POINT = 6.5
 BLUE = "#0072B2"
 ORANGE = "#D55E00"
+DOTS_PER_INCH = 200
 SUFFIXES = (".png", ".svg", ".pdf")
 PICTURES = "pictures are written as .png, .svg or .pdf"
 PLAIN_NUMBER = "{x:g}"  # format of ticks without powers of ten
@@ -118,6 +120,7 @@ def write_all(
 
 
 def _image(task: tuple[Callable[[], Figure], Path]) -> bytes:
+    """Draw a figure in this process, and return the bytes of its file."""
     draw, file = task
     with verbatim():
         return _drawn(draw(), file.suffix[1:])
@@ -132,9 +135,28 @@ def _drawn(figure: Figure, kind: str) -> bytes:
     """Render a figure reproducibly; texts become paths, so that no fonts are needed."""
     stream = BytesIO()
     dated = {"png": ("Software",), "svg": ("Date", "Creator"), "pdf": ("CreationDate",)}[kind]
-    with rc_context({"svg.hashsalt": "lampest", "svg.fonttype": "path"}):
-        figure.savefig(stream, format=kind, dpi=200, metadata=dict.fromkeys(dated))
+    with rc_context({"svg.hashsalt": "lampest", "svg.fonttype": "path"}), ExitStack() as stack:
+        if kind == "png":
+            stack.enter_context(_laid_out(figure))
+        figure.savefig(stream, format=kind, dpi=DOTS_PER_INCH, metadata=dict.fromkeys(dated))
     return stream.getvalue()
+
+
+@contextmanager
+def _laid_out(figure: Figure) -> Iterator[None]:
+    """Lay a figure out for its pixels, so that it is not drawn for that first, and then again."""
+    engine = figure.get_layout_engine()
+    dots = figure.dpi
+    FigureCanvasAgg(figure)
+    figure.dpi = DOTS_PER_INCH
+    if engine is not None:
+        engine.execute(figure)
+    figure.set_layout_engine("none")
+    try:
+        yield
+    finally:
+        figure.set_layout_engine(engine)
+        figure.dpi = dots
 
 
 @contextmanager

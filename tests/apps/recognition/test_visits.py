@@ -239,7 +239,7 @@ def test_a_folder_of_recordings_gives_one_table(
 ) -> None:
     """Two recordings have the same name, clocks and folders of their own.
 
-    `export` writes their visits from detections.h5.
+    `export` writes their visits from detections.h5. A single visit has no picture of days.
     """
     recording, *_ = attached("ring", 1.0, 5, 6, 6.0)
     season = tmp_path / "season"
@@ -258,6 +258,9 @@ def test_a_folder_of_recordings_gives_one_table(
     ]
     assert [row["begin"][:10] for row in rows] == ["2026-05-01", "2026-05-02"]
     assert (out / "visits.png").exists()
+    alone = tmp_path / "alone"
+    assert lampest("detect", season / "1" / "pond.h5", "--no-check", "--out", alone).code == 0
+    assert (alone / "timeline_pond.png").exists() and not (alone / "visits.png").exists()
     assert (
         lampest(
             "export", out / "detections.h5", "--to", "csv", "--out", tmp_path / "visits.csv"

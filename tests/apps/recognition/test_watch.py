@@ -10,6 +10,7 @@ import pickle
 import numpy as np
 import pytest
 from laws.recognised import answered, every_frame, known_before
+from promises import promise
 
 from lampest import (
     OralDisc,
@@ -28,6 +29,8 @@ from lampest.apps.live.run import scan_of
 from lampest.apps.live.watcher import Unloaded, Watched
 from lampest.apps.recognition.detect.answer import CANNOT_SAY, NOTHING, PRESSES, SUCKS
 from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.observation import leaking_network
+from lampest.panel.effects import LineLeak, effect_on_readings, neighbours
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.recording.simulation.measure import measured
@@ -46,8 +49,12 @@ def recording_with(
     readout: Readout = TWO_POINT,
     side: int = 6,
     memory_share: float = MEMORY_SHARE,
+    leak: tuple[LineLeak, int] | None = None,
 ) -> Recording:
-    """A frame a second, the first five unloaded; of a load that leaves a film keeps a part."""
+    """A frame a second, the first five unloaded; of a load that leaves a film keeps a part.
+
+    A leak begins with a frame.
+    """
     scene = Scene(Panel(side, side), readout, 140.0 if readout is TWO_POINT else 0.0)
     resting = simulate(Simulation(1, 5, scene, frames=1)).truth_cell_resistance
     logarithm = np.zeros((frames, side, side))
@@ -56,7 +63,13 @@ def recording_with(
         change = np.log(loaded[-1] / loaded[0])
         logarithm[max(begin, 0) : end] += change
         logarithm[end:] += memory_share * change
-    recorded, _ = measured(scene, resting[0] * np.exp(logarithm), Unmodelled(), 5)
+    cells = resting[0] * np.exp(logarithm)
+    recorded, _ = measured(scene, cells, Unmodelled(), 5)
+    if leak is not None:
+        leaking, begin = leak
+        for frame in range(begin, frames):
+            network = leaking_network(scene, cells[frame])
+            recorded[frame] += effect_on_readings((leaking,), scene, network)
     role = (np.arange(frames) >= UNLOADED).astype(np.uint8)
     return Recording(scene, recorded, np.arange(float(frames)), role, name="watched")
 
@@ -236,6 +249,30 @@ def test_a_pull_ends_no_visit_and_leaves_no_phantom(
     answer = answered(recording_with(*courses, frames=60, memory_share=memory_share))
     visits = [(attachment.since_s, attachment.until_s) for attachment in answer.attachments]
     assert visits == [(8.0, 34.0), (44.0, 50.0)]
+
+
+@promise("apps/recognition/detect: A warning names it, and the visit ends when the animal leaves.")
+@pytest.mark.parametrize("lines", [(3,), (16,), neighbours(10, 10)])
+def test_a_leak_that_begins_under_a_mouth_is_named_and_the_visit_ends(
+    lines: tuple[int, ...],
+) -> None:
+    """Between two rows, two columns, or all neighbouring lines; the mouth comes back."""
+    leak = LineLeak(lines, size=1 / (3e3 if len(lines) == 1 else 5e3))
+    courses = (MOUTH, 8, 22), (MOUTH, 28, 34)
+    answer = answered(recording_with(*courses, frames=38, side=10, leak=(leak, 14)))
+    visits = [(load.since_s, load.until_s, load.sucks > 0.9) for load in answer.attachments]
+    assert visits == [(8.0, 22.0, True), (28.0, 34.0, True)]
+    (warning,) = answer.warnings
+    kilohms, where = warning.split(" kohm ")
+    assert kilohms.startswith("from 14.0 s on the readings show a leak of ")
+    assert float(kilohms.split()[-1]) == pytest.approx(1e-3 / leak.size, rel=0.1)
+    assert where.startswith(leak.sentence(10).split(" kohm ")[1])
+
+
+def test_a_leak_of_a_bare_panel_is_no_load() -> None:
+    leak = LineLeak((3,), size=1 / 3e3)
+    answer = answered(recording_with(frames=16, leak=(leak, 9)))
+    assert answer.answer == NOTHING and "between row 3 and the next one" in answer.warnings[0]
 
 
 @pytest.mark.slow

@@ -27,7 +27,9 @@ def test_the_time_of_a_command_includes_the_processes_that_it_starts(
     (script.parent / "__init__.py").touch()
     script.write_text(f"def main():\n    exec({BUSY!r})\n")
     monkeypatch.delenv("PYTHONPATH", raising=False)
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
     assert processor_seconds((), tmp_path) >= 0.5
+    assert list(script.parent.glob("__pycache__/cli.*.pyc")), "the next process compiles nothing"
 
 
 def test_a_failed_command_is_no_measurement(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Recognition of attachments in recordings and results, frame by frame of the readings."""
+"""Recognition of attachments in recordings, frame by frame of the readings."""
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -30,9 +30,8 @@ from lampest.inference.prepared import Prepared
 from lampest.inference.warnings import warnings_of
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.panel.systematic import own_errors
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.recording.readings import Readings, Sidedness, stand_in
+from lampest.recording.readings import Readings, Sidedness
 from lampest.recording.recording import (
     MEASURED,
     TOUCHED,
@@ -42,10 +41,7 @@ from lampest.recording.recording import (
     baseline_readings,
 )
 from lampest.recording.stored import StoredRecording
-from lampest.runs.case import CaseResult
 from lampest.runs.checks import kept_check
-from lampest.runs.executors import each_of
-from lampest.runs.results import Results
 
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
 NO_RESPONSE = (
@@ -56,7 +52,6 @@ NOT_CHECKED = "the circuit was not checked: --no-check leaves it out"
 HEAD_FRAMES = 100  # measured frames from which, with the unloaded ones, the noise is estimated
 # Of the change to a bound: the cell is pressed at least so much, how much more is unknown.
 BOUND_SHARE = 0.1
-MIN_FRAME_SHARE = 1e-6  # of σ: the noise of a frame is no less, whatever rounding leaves
 # Assumed period of waves, s. Within T < P/2, a wave of the period P changes frames about their mean
 # by √12 P/(2π T) times less than in all.
 WAVE_S = 5.0
@@ -202,6 +197,11 @@ class Known:
             "too shortly to be recognised"
             for begin, end in watch.brief
         )
+        leaks = tuple(
+            f"from {watch.leaks_since_s:.1f} s on the readings show "
+            f"{leak.sentence(self.scene.panel.rows)}, which counts as a part of the circuit"
+            for leak in watch.leaks
+        )
         slow = too_slow(rate) if any(load.sucks > 0.5 for load in attachments) else ""
         doubts = filter(None, (slow, watch.doubt))
         notes = (*self.notes, *faults, *brief, BY, *(() if response else (NO_RESPONSE,)), *doubts)
@@ -211,6 +211,7 @@ class Known:
             "change": watch.change,
             "panel": self.scene.panel,
             "mat": self.scene.purpose == "mat",
+            "warnings": leaks,
         }
         about |= {"threshold": self.threshold, "start_time": self.start_time, "end_s": time}
         detected = Detected.of(self.name, attachments, rate, **about)
@@ -268,94 +269,7 @@ def frame_rate(times: Sequence[float]) -> float:
     return float(1 / np.median(np.diff(times))) if len(times) > 1 else 0.0
 
 
-def detect_results(
-    results: Results,
-    patch_mm: float | None = None,
-    threshold: float = MIN_PROBABILITY,
-    on_case: Callable[[int, int], None] = lambda done, total: None,
-) -> list[Detected]:
-    """Return the answer to every recording of a results file."""
-    return list(
-        each_of(
-            _of_case,
-            [(results.of(name)[0], patch_mm, threshold) for name in results.recordings()],
-            on_case,
-        )
-    )
-
-
-def _of_case(task: tuple[CaseResult, float | None, float]) -> Detected:
-    case, patch_mm, threshold = task
-    known, frames = known_of_case(case, patch_mm)
-    messages = tuple(filter(None, case.warnings.split("\n")))
-    return replace(replace(known, threshold=threshold).answer(frames), warnings=messages)
-
-
-def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Known, Frames]:
-    """Return the knowledge of a recording from its results, as from the recording itself.
-
-    Returns
-    -------
-    known : Known
-    frames : iterable of (array, array, float)
-        Values and σ, (rows, columns), and the time in s of each measured frame.
-    """
-    from lampest.runs.filling import frame_noise_of  # of results alone
-
-    side = np.where(case.valued, case.measured, np.nan)
-    spread = case.sigma
-    notes = tuple[str, ...]()
-    period = float(np.median(np.diff(case.time))) if len(case.time) > 1 else 0.0
-    noise = frame_noise_of(case.frame_noise, case.scene)
-    # Results of earlier versions have the number of unloaded frames beside the noise that frames
-    # share.
-    count = case.unloaded_frames or (1 if noise is None else noise.unloaded)
-    if spread is None or case.sigma_baseline is None:
-        deviation, notes = _scattered(side)
-        spread = np.broadcast_to(deviation, side.shape)
-    else:
-        spread = _frame_sigma(case, side, spread, 1)
-        deviation = _frame_sigma(case, case.measured_baseline, case.sigma_baseline, count)
-        deviation = np.minimum(deviation, spread[:HEAD_FRAMES].min(axis=0))
-    baseline = case.measured_baseline
-    baseline = np.where(np.isfinite(baseline), baseline, stand_in(baseline, np.isfinite(baseline)))
-    begin = float(case.time[0]) - period
-    known = Known(
-        case.recording,
-        case.scene,
-        baseline,
-        deviation,
-        # Results hold the mean of the unloaded frames alone.
-        np.repeat(baseline[None], count, axis=0),
-        begin,
-        case.reading_error,
-        _with_slow_waves(noise, (count - 1) * period),
-        notes,
-        patch_mm,
-        explained=lambda: case.model_mark != "no",
-        start_time=case.start_time,
-    )
-    sides = np.where(case.valued, 0.0, np.nan)
-    if case.reading_side is not None:
-        bounded = np.isfinite(case.measured) & (case.reading_side != 0)
-        sides = np.where(bounded, case.reading_side, sides)
-    bounds, spread = with_bounds_counted(case.measured, spread, sides, baseline, None)
-    values = np.where(np.isfinite(spread), bounds, side)
-    return known, zip(values, spread, map(float, case.time), strict=True)
-
-
-def _frame_sigma(case: CaseResult, value: Array, sigma: Array, count: int) -> Array:
-    """Return σ of one frame's readings by the σ of the mean of `count` frames.
-
-    Errors that all frames share are left out. Averaging reduces neither the error of the model nor
-    the one of each reading, see `scaled` and `_with_reading_error` of `lampest.estimate`.
-    """
-    shared = own_errors(value, case.scene, case.error_in_sigma)
-    square = count * sigma**2 / (1 + count * (case.model_factor**2 - 1)) - count * shared**2
-    return np.asarray(np.sqrt(np.fmax(square, (MIN_FRAME_SHARE * sigma) ** 2)))
-
-
-def _with_slow_waves(noise: FrameNoise | None, lasted_s: float) -> FrameNoise | None:
+def with_slow_waves(noise: FrameNoise | None, lasted_s: float) -> FrameNoise | None:
     """Return the noise with the motion of waves that are slower than the unloaded frames.
 
     `lasted_s` is the duration of the unloaded frames.
@@ -463,14 +377,16 @@ def answer_recording(
     else:
         answer = replace(known, threshold=threshold).answer(looked_at(known))
     answer = replace(answer, start_time=stored.start_time)
-    without = warnings_of(head.recording, recognition_noise(head), None)
+    # leaks that began while the panel was watched
+    seen = answer.warnings
+    without = (*seen, *warnings_of(head.recording, recognition_noise(head), None))
 
     def doubts() -> Sequence[str]:
         if kept is not None:
-            return kept.warnings.split("\n")
+            return (*seen, *kept.warnings.split("\n"))
         if not check:
             return (*without, NOT_CHECKED)
-        return warnings_of(head.recording, recognition_noise(head), head.check)
+        return (*seen, *warnings_of(head.recording, recognition_noise(head), head.check))
 
     return Unchecked(_with_warnings(answer, without), doubts)
 
@@ -517,10 +433,10 @@ def known_of(
     if seen is None or readings.sigma is None:
         if len(head.time) < 3:
             return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
-        sigma, notes = _scattered(readings.plain_values)
+        sigma, notes = noise_by_scatter(readings.plain_values)
     else:
         lasted_s = float(np.ptp(head.time[unloaded])) if len(unloaded) else 0.0
-        noise = _with_slow_waves(seen.frame, lasted_s)
+        noise = with_slow_waves(seen.frame, lasted_s)
         error = seen.reading_error
         besides = seen.corrected_effects
         scene = with_saturated_stage(head).scene
@@ -576,7 +492,7 @@ def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -
         yield *watched.values(readings[number]), float(part.time[number])
 
 
-def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
+def noise_by_scatter(value: Array) -> tuple[Array, tuple[str, ...]]:
     """Return σ (rows, columns) from differences of successive frames, and a note on its origin."""
     # Of cells that have no value.
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):

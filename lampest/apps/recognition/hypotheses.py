@@ -1,0 +1,59 @@
+"""Hypotheses on a load that sucks: what it is, and what makes it oscillate, with their priors.
+
+What sucks is a mouth or a cup, as likely beforehand. A mouth breathes. What pushes or tugs a load
+makes it oscillate at one rate, too:
+
+- *breath*: the suction swings, and with it the rim that bears it;
+- *a pushed rim*: only the rim's pressure swings, as where a body beside the load beats;
+- *a tugged load*: its place or its tilt swings, as on a hose or in a current.
+
+Water that moves presses on the whole panel. It is no hypothesis: lines without a load show it, and
+it is taken off the readings first (`lampest.apps.recognition.steady_frames`).
+
+Sources: rates of ventilation at rest, and up to 2.9 Hz where oxygen is short (Claridge & Potter, J.
+Exp. Biol. 63, 1975); suction at rest and pumps (Shi et al., PLoS ONE 16, e0247884, 2021). Of cups,
+hoses and bodies there are no recordings: the odds against their movements are assumptions, and
+docs/studies/mouths.md shows how often they are wrong in simulated ones.
+"""
+
+from math import log
+from typing import NamedTuple
+
+RATES_HZ = (0.5, 2.5)  # of breathing at rest
+# A: the mean amplitude of mouths is 5.4 % of their suction (docs/studies/mouths.md). That of loads
+# that do not breathe is an assumption: cups tremble and leak, but at no single rate.
+BREATHING_SD = 0.045
+TREMBLE_SD = 0.002
+# −ln of the shares of mouths that never show their breath, because it is faint or at half the frame
+# rate, and of windows in which a mouth pauses: one in twenty each, assumed.
+NEVER_LOG_ODDS = log(20)
+PAUSE_LOG_ODDS = log(20)
+
+
+class Cause(NamedTuple):
+    """A cause of an oscillation of a load that sucks.
+
+    Attributes
+    ----------
+    pattern : str
+        Its field of `lampest.apps.recognition.swings.Patterns`.
+    largest : float
+        Largest amplitude, in units of the pattern.
+    odds, odds_adjoined : float
+        Prior odds of breath against it, and the same where a body or another load adjoins the load
+        and may move it.
+    """
+
+    pattern: str
+    largest: float
+    odds: float
+    odds_adjoined: float
+
+
+# Above 15 % the unevenness of a film would explain the swings of a shaken cup.
+BREATH = Cause("own", 0.15, 1.0, 1.0)
+# What sucks and breathes always does, while rims and places swing at one rate only where something
+# pushes them. A rim swings by all of its pressure, a place ten times as far as usual.
+CAUSES = (BREATH, Cause("rim", 1.0, 10.0, 0.1), Cause("moves", 10.0, 10.0, 0.1))
+# of breath, against all other causes together
+PRIOR_ODDS = 1 / sum(1 / cause.odds for cause in CAUSES[1:])

@@ -1,0 +1,259 @@
+"""Choice of the rival circuit that explains a recording better than the scene's.
+
+A rival counts if its evidence is larger by MIN_EVIDENCE_GAIN. Its resistance in series and the
+memory of its converter are those of largest evidence.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from operator import attrgetter
+
+import numpy as np
+
+from lampest.files.levels import MIN_EVIDENCE_GAIN
+from lampest.inference.cells_fit import SMALL_CHI_SQUARE, CellsFit, well_determined
+from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
+from lampest.inference.compared_frames import ComparedFrames, broken_law
+from lampest.inference.explanation import Explanation, rival_fits
+from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation
+from lampest.inference.rival_parameters import (
+    DOUBTFUL_GAIN,
+    some_in_series,
+    with_converter_memory,
+    with_series,
+    without_series,
+)
+from lampest.inference.rivals import (
+    Rival,
+    changes_beyond_noise,
+    in_other_scan_order,
+    other_converters,
+    rivals_of,
+    rounded_down,
+)
+from lampest.panel.panel import Array
+from lampest.panel.readouts.presets import VirtualGroundReadout
+
+SAME_SCORE = 1e-3  # scores that differ by less are rounding's
+# Fits end within some hundredths of their smallest χ², rivals within SMALL_CHI_SQUARE.
+SAME_COST = SMALL_CHI_SQUARE
+# Of a circuit under which a load lowers no resistance, in -2 ln evidence, beside one of falling
+# codes: a press lowers some, and so does a cup's rim.
+RISING_COST = 24.0
+MAX_COUPLED = 0.3  # of the largest rise: falls that channels couple to it
+MIN_RISEN = 3  # cells: fewer may be a cup's alone
+# Shares beyond which moved cells show couplings that a circuit lacks: of a line's cells, and of the
+# moved cells in such lines.
+MIN_FILLED = 0.5
+MIN_IN_FILLED = 0.5
+
+
+def better_rival(frames: ComparedFrames, specified: Explanation | None) -> BetterExplanation:
+    """Return the rival that explains the readings better than the scene's circuit.
+
+    A better rival explains them where the scene's circuit does not, or gains more than
+    MIN_EVIDENCE_GAIN. Rivals under which most cells have moved do not count, because the still
+    cells cannot be identified then.
+
+    Parameters
+    ----------
+    frames : ComparedFrames
+    specified : Explanation or None
+        The explanation by the scene's circuit; None where it does not explain the readings.
+    """
+    if specified is not None and not _needs_rivals(specified):
+        return BetterExplanation()
+    candidates = _without_twins(_likely_rivals(frames, specified))
+    assumed = [] if specified is None else [specified]
+    candidates += [with_series(explanation, frames) for explanation in (*candidates, *assumed)]
+    candidates += [with_converter_memory(explanation, frames) for explanation in assumed]
+    for explanation in assumed:
+        for rival in in_other_scan_order(explanation.rival):
+            remembering = with_converter_memory(replace(explanation, rival=rival), frames)
+            candidates += [remembering] if remembering.rival is not rival else []
+    best = _best_candidate(candidates, frames, at_fault=specified is None)
+    return BetterExplanation() if best is None else _compared(specified, best, frames)
+
+
+def _needs_rivals(specified: Explanation) -> bool:
+    """Return whether a rival can gain enough evidence over the scene's circuit.
+
+    Where cells are determined badly, linear theory does not hold, and none is tried.
+    """
+    pair = specified.pair
+    if pair is None or pair.beyond_noise < MIN_EVIDENCE_GAIN:
+        return False
+    return well_determined(specified.fits)
+
+
+def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> list[Explanation]:
+    """Return the MAX_CANDIDATES best explanations by rivals, better ones than the scene's.
+
+    Rivals whose inequalities the readings break are not fitted. A resistance in series only makes
+    these inequalities narrower, so that they are tested without one.
+    """
+    change = changes_beyond_noise(frames.specified.scene, frames.specified.readings, frames.role)
+    mostly_increases = bool(change.max(initial=0.0) > -change.min(initial=0.0))
+    # circuits that only exchange the names of lines have the scene's score within rounding
+    limit = np.inf if specified is None else specified.score - SAME_SCORE
+    rivals = [
+        rival
+        for rival in (
+            *rivals_of(frames.specified, reversed_too=mostly_increases),
+            *other_converters(frames.specified, reversed_too=mostly_increases),
+        )
+        if not broken_law(without_series(rival), frames)
+    ]
+    explanations: list[Explanation | None] = []
+    failed: list[tuple[Rival, tuple[CellsFit, ...]]] = []
+    for rival in rivals:
+        lawful = rival.ohm == 0 or not broken_law(rival, frames)
+        fits = rival_fits(rival, frames, specified=specified) if lawful else ()
+        explanation = Explanation.by(fits, rival, frames, specified=specified)
+        if explanation is None:
+            failed.append((rival, fits))
+        explanations.append(explanation)
+    # A search for a resistance in series costs several fits: last, so that it ends where it cannot
+    # reach the best ones.
+    for rival, fits in failed:
+        # The last of MAX_CANDIDATES explanations is to be beaten.
+        scores = sorted(
+            explanation.score for explanation in explanations if explanation is not None
+        )
+        to_beat = min(
+            limit, scores[MAX_CANDIDATES - 1] if len(scores) >= MAX_CANDIDATES else np.inf
+        )
+        explanations.append(some_in_series(rival, frames, to_beat, fits=fits, specified=specified))
+    if specified is None:
+        explanations.append(some_in_series(frames.specified, frames))
+        down = rounded_down(frames.specified)
+        explanations.append(None if down is None else Explanation.of(down, frames))
+    better = [
+        explanation
+        for explanation in explanations
+        if explanation is not None and explanation.score < limit
+    ]
+    best = sorted(better, key=attrgetter("score"))[:MAX_CANDIDATES]
+    return [explanation.final for explanation in best]
+
+
+def _without_twins(candidates: Sequence[Explanation]) -> list[Explanation]:
+    """Return the explanations without those that are another one with other names of lines.
+
+    Readings in another order are so to circuits in which rows and columns change places. Of the
+    two, `_best_candidate` prefers the one that keeps the file's order.
+    """
+    kept = [candidate.score for candidate in candidates if candidate.rival.order is None]
+    return [
+        candidate
+        for candidate in candidates
+        if candidate.rival.order is None
+        or not np.isclose(candidate.score, kept, rtol=0.0, atol=SAME_COST).any()
+    ]
+
+
+def _best_candidate(
+    candidates: Sequence[Explanation], frames: ComparedFrames, *, at_fault: bool
+) -> Explanation | None:
+    """Return the candidate with the largest evidence, less the costs of its parameters.
+
+    Candidates do not count under which most cells have moved, whose inequalities the readings
+    break, or that do not differ from the scene's circuit. Where the scene's circuit is at fault,
+    the best one has to say more than that each reading has its cell (`_says_no_more`), and loads
+    have to lower some resistance.
+
+    Parameters
+    ----------
+    candidates : sequence of Explanation
+    frames : ComparedFrames
+    at_fault : bool
+        Whether the scene's circuit does not explain the readings.
+    """
+    specified_memory = frames.specified.scene.converter_memory
+    valid = []
+    for candidate in candidates:
+        still = candidate.pair is None or mostly_still(candidate.pair.moved)
+        if still and not broken_law(candidate.rival, frames) and candidate.rival.name:
+            valid.append(candidate)
+
+    reversible = any(
+        getattr(candidate.rival.scene.readout, "code_sign", 1.0) < 0 for candidate in valid
+    )
+
+    def cost(candidate: Explanation) -> float:
+        # Among rivals a resistance in series is one more parameter, and so is a memory.
+        has_series = candidate.rival.in_series is not None
+        has_memory = candidate.rival.scene.converter_memory != specified_memory
+        rises = RISING_COST * (reversible and _only_rises(candidate))
+        return candidate.beyond_noise + PARAMETER_COST * (has_series + has_memory) + rises
+
+    # of circuits that differ in the names of lines alone, the one that keeps the file's order
+    least = min(map(cost, valid), default=0.0)
+    tied = [candidate for candidate in valid if cost(candidate) <= least + SAME_COST]
+    best = min(tied, key=lambda tie: (tie.rival.order is not None, cost(tie)), default=None)
+    if best is None or not at_fault:
+        return best
+    apart = [cost(candidate) for candidate in valid if _reads_cells_apart(candidate)]
+    gain = min(apart, default=np.inf) - cost(best)
+    if _only_rises(best) or (gain < MIN_EVIDENCE_GAIN and _says_no_more(best)):
+        return None
+    return best
+
+
+def _reads_cells_apart(candidate: Explanation) -> bool:
+    """Return whether each line has an amplifier, so that any readings have cells."""
+    return isinstance(candidate.rival.scene.readout, VirtualGroundReadout)
+
+
+def _says_no_more(candidate: Explanation) -> bool:
+    """Return whether moved cells fill whole lines, as those of a wrong circuit do.
+
+    A press moves all readings of its lines, and a circuit without these couplings takes each for a
+    cell that moved. Without a loaded frame nothing is known of the couplings.
+    """
+    if candidate.pair is None:
+        return _reads_cells_apart(candidate)
+    moved = candidate.pair.moved
+    columns = moved.mean(axis=0) > MIN_FILLED
+    rows = moved.mean(axis=1) > MIN_FILLED
+    in_filled = moved & (columns | rows[:, None])
+    return bool(in_filled.sum() > MIN_IN_FILLED * moved.sum())
+
+
+def _only_rises(candidate: Explanation) -> bool:
+    """Return whether moved cells have larger resistances under load, but for small couplings."""
+    if candidate.pair is None or candidate.pair.moved.sum() < MIN_RISEN:
+        return False
+    return rises_only(candidate.pair.change[candidate.pair.moved.ravel()])
+
+
+def rises_only(change: Array) -> bool:
+    """Return whether log resistances only rise: the largest fall is a share of the largest rise."""
+    return bool(-change.min(initial=0.0) < MAX_COUPLED * change.max(initial=0.0))
+
+
+def _compared(
+    specified: Explanation | None, best: Explanation, frames: ComparedFrames
+) -> BetterExplanation:
+    """Return the best candidate as better, as nearly as good, or as neither."""
+    if specified is None or best.pair is None:
+        return BetterExplanation(best.rival.name, addition=best.rival.addition)
+    gain = (specified.beyond_noise - best.beyond_noise) / best.pair.excess
+    if specified.pair is None or gain <= DOUBTFUL_GAIN or not best.pair.moved.any():
+        return BetterExplanation()
+    insignificant = gain <= MIN_EVIDENCE_GAIN
+    if insignificant or specified.pair.gain_apart(best.pair) <= DOUBTFUL_GAIN:
+        # A resistance in series follows hidden errors of the circuit, a memory the edge of a load:
+        # alone, neither is a doubt.
+        as_specified = best.rival.scene.converter_memory == frames.specified.scene.converter_memory
+        doubtful = insignificant and best.rival.kind and as_specified
+        return BetterExplanation(nearly=best.rival.name if doubtful else "")
+    moved = int(best.pair.moved.sum())
+    moved_as_specified = int(specified.pair.moved.sum())
+    return BetterExplanation(
+        best.rival.name,
+        frames.loaded,
+        moved,
+        moved_as_specified,
+        addition=best.rival.addition,
+    )

@@ -1,0 +1,250 @@
+"""Circuits of other kinds and settings with the converter and the resistor of a scene.
+
+Every preset is one, with either side driven; so are circuits with sensed lines read in parallel,
+with idle lines held by switches, and with potentials that people build. A circuit has a name by the
+entries of a scene that state it.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import fields, replace
+from functools import cache
+from itertools import product
+from math import inf
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from lampest.files.typed import members_of
+from lampest.panel.readouts import AnyReadout, Readout
+from lampest.panel.readouts.driven_readout import DrivenReadout
+from lampest.panel.readouts.lines import Side, opposite
+from lampest.panel.scene import Scene
+
+# Names of the resistor that a converter reads across.
+RESISTORS = ("reference_ohm", "load_ohm", "feedback_ohm")
+CALLED = {
+    "driven": "rows and columns swapped",
+    "polarity": "polarity reversed",
+    "measured_across": "read across the other resistor",
+}
+# Keys that alone make a rival of the specified kind, and what they mean.
+OF_ONE_KEY = {
+    "groups": "read in parallel",
+    "driven_groups": "multiplexers of driven lines",
+    "load_volt": "loads end at half the supply",
+    "input_ohm": "of the converter",
+}
+OF_STATES = ("idle_ohm", "idle_volt", "idle_load_ohm")  # that name a driven circuit
+SIDES: tuple[Side, ...] = ("rows", "columns")
+INPUT_OHM = 1e5  # of a converter behind a divider of its module; those of chips are larger
+PARALLEL = (2, 4)  # multiplexers in parallel: 16 lines on two of eight or four of four channels
+
+
+def circuits_beside(readout: Readout, scene: Scene) -> Iterator[Any]:
+    """Generate the readout with lines read in parallel, then all variants of every kind."""
+    yield from _in_parallel(readout, scene)
+    for kind in members_of(AnyReadout):
+        yield from _variants(kind, readout)
+
+
+def with_potentials(specified: Any, scene: Scene) -> Iterator[Any]:
+    """Generate circuits with potentials that people build.
+
+    Loads end at half the supply, multiplexers hold driven lines, idle lines follow the sensed one,
+    and a converter has an input resistance beside resistors to the supply.
+    """
+    if getattr(specified, "load_volt", 0.0) is None and specified.polarity == "up":
+        with suppress(ValueError):
+            yield replace(specified, load_volt=specified.driving_volt / 2)
+    if getattr(specified, "driven_groups", 0) is None:
+        yield from _with_groups(specified, scene, "driven_groups", _driven_side(specified))
+    to_supply = getattr(specified, "polarity", "up") == "down"
+    across_sensor = getattr(specified, "measured_across", "reference") == "sensor"
+    if (to_supply or across_sensor) and getattr(specified, "input_ohm", 0.0) is None:
+        with suppress(ValueError):
+            yield replace(specified, input_ohm=INPUT_OHM)
+    resistor = _resistor_of(specified)
+    if resistor is None:
+        return
+    shared = _shared(specified)
+    idle_ohm = shared.get("drive_ohm", 0.0)
+    for side in SIDES:
+        with suppress(ValueError):
+            yield DrivenReadout(
+                driven=side,
+                idle_ohm=idle_ohm,
+                idle_volt="follows",
+                load_ohm=resistor,
+                idle_load_ohm=inf,
+                **shared,
+            )
+
+
+def _in_parallel(specified: Readout, scene: Scene) -> Iterator[Any]:
+    """Generate the specified circuit with two and four multiplexers of sensed lines."""
+    if getattr(specified, "measured_across", "reference") == "sensor":
+        return
+    yield from _with_groups(specified, scene, "groups", opposite(_driven_side(specified)))
+
+
+def _with_groups(specified: Any, scene: Scene, key: str, side: Side) -> Iterator[Any]:
+    """Generate the specified circuit with two and four multiplexers of a side's lines.
+
+    Each multiplexer has a block of lines, or every second or fourth line.
+    """
+    if not hasattr(specified, key):
+        return
+    lines = range(scene.panel.shape[0 if side == "rows" else 1])
+    for count in PARALLEL:
+        size = -(-len(lines) // count)
+        blocks = tuple(tuple(lines[first : first + size]) for first in lines[::size])
+        taken_in_turn = tuple(tuple(lines[first::count]) for first in range(count))
+        if len(blocks) != count or size == 1:
+            continue
+        for groups in (blocks, taken_in_turn):
+            # Lines in parallel have no one line that the idle ones could follow.
+            with suppress(ValueError):
+                yield replace(specified, **{key: groups})
+
+
+def _driven_side(circuit: Any) -> Side:
+    """Return the side whose lines a circuit drives: rows, where it does not say."""
+    side: Side = getattr(circuit, "driven", "rows")
+    return side
+
+
+def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
+    """Generate circuits of a kind, one for every choice of words.
+
+    The converter, the resistor and all other common settings are those of the specified circuit.
+    """
+    # Its presets are rivals of their own; what remains has lines that switches hold.
+    if kind is DrivenReadout:
+        yield from _held_at_ground(specified)
+        return
+    words = choices(kind)
+    types = _types_of(kind)
+    names = {setting.name for setting in fields(kind)} - {*words, "groups"}
+    shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
+    if "converter_volt" not in names:
+        shared["supply_volt"] = specified.full_scale_volt
+    resistor = _resistor_of(specified)
+    if resistor is not None:
+        for name in names.intersection(RESISTORS):
+            # the specified resistor takes the role of the kind's own; a list for lines becomes its
+            # mean where one is needed
+            shared[name] = float(np.mean(resistor)) if types[name] is float else resistor
+    for chosen in product(*words.values()):
+        with suppress(ValueError):  # potentials of the specified circuit that the kind cannot have
+            yield kind(**shared, **dict(zip(words, chosen, strict=True)))
+
+
+def _held_at_ground(specified: Any) -> Iterator[DrivenReadout]:
+    """Generate circuits whose idle driven lines switches hold at ground.
+
+    Idle sensed lines keep their load, are held at ground, or float.
+    """
+    resistor = _resistor_of(specified)
+    if resistor is None:
+        return
+    for driven, idle_load in product(SIDES, (None, 0.0, inf)):
+        with suppress(ValueError):
+            yield DrivenReadout(
+                driven=driven,
+                idle_ohm=0.0,
+                load_ohm=resistor,
+                idle_load_ohm=idle_load,
+                **_shared(specified),
+            )
+
+
+def _resistor_of(specified: Any) -> Any:
+    """Return the resistor that the converter reads across; None without one."""
+    resistors = (getattr(specified, name) for name in RESISTORS if hasattr(specified, name))
+    return next(resistors, None)
+
+
+def _shared(specified: Any) -> dict[str, Any]:
+    """Return the converter's settings and the channels of a circuit, as far as it has them."""
+    names = (
+        "supply_volt",
+        "adc_bits",
+        "readings",
+        "noise_lsb",
+        "floor_code",
+        "passes_volt",
+        "converter",
+        "drive_ohm",
+        "sense_ohm",
+    )
+    return {name: getattr(specified, name) for name in names if hasattr(specified, name)}
+
+
+@cache
+def _types_of(kind: type[Readout]) -> dict[str, Any]:
+    """Return the types of a kind's settings by their names."""
+    return get_type_hints(kind)
+
+
+def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
+    """Return the words that each literal setting of a kind may have.
+
+    The first setting is its name.
+    """
+    types = _types_of(kind)
+    names = [setting.name for setting in fields(kind)]
+    return {name: get_args(types[name]) for name in names if get_origin(types[name]) is Literal}
+
+
+def entries_of(circuit: Readout, specified: Readout) -> dict[str, Any]:
+    """Return the entries of a readout that state a circuit.
+
+    The single setting that differs from the specified one is enough; otherwise all settings in
+    words are stated.
+    """
+    groups = getattr(circuit, "groups", None)
+    specified_groups = getattr(specified, "groups", None)
+    for name in OF_ONE_KEY:
+        value = getattr(circuit, name, None)
+        same_kind = type(circuit) is type(specified)
+        if same_kind and value not in (None, getattr(specified, name, None)):
+            return {name: [list(group) for group in value] if "groups" in name else value}
+    ungrouped = {"groups": None} if specified_groups is not None and groups is None else {}
+    words = {name: getattr(circuit, name) for name in choices(type(circuit))}
+    if isinstance(circuit, DrivenReadout):
+        states = {name: getattr(circuit, name) for name in OF_STATES}
+        words |= {name: value for name, value in states.items() if value is not None}
+    differ = [name for name, word in words.items() if getattr(specified, name, None) != word]
+    if ungrouped and not differ:
+        return ungrouped
+    if len(differ) == 1 and differ[0] in CALLED:
+        return {differ[0]: words[differ[0]], **ungrouped}
+    if type(circuit) is not type(specified):
+        words |= _own_resistor(circuit)
+    return {**words, **ungrouped}
+
+
+def _own_resistor(circuit: Readout) -> dict[str, float]:
+    """Return the key and the number of a circuit's resistor where it is not the kind's default."""
+    defaults = {setting.name: setting.default for setting in fields(circuit)}
+    for name in RESISTORS:
+        ohm = getattr(circuit, name, None)
+        if isinstance(ohm, float) and ohm != defaults[name]:
+            return {name: ohm}
+    return {}
+
+
+def entries_in_words(entries: Mapping[str, Any]) -> str:
+    """Return the name of the circuit that entries of a readout state."""
+    names = []
+    for name, value in entries.items():
+        if name == "groups" and value is None:
+            names.append("no readout.groups (lines read one after the other)")
+        else:
+            text = f"{value:g}" if isinstance(value, float) else str(value)
+            reason = f" ({OF_ONE_KEY[name]})" if name in OF_ONE_KEY else ""
+            names.append(f"readout.{name}: {text}{reason}")
+        if "kind" not in entries and name in CALLED:
+            names[-1] += f" ({CALLED[name]})"
+    return ", ".join(names)

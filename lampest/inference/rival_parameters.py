@@ -1,0 +1,271 @@
+"""Most probable values of a rival's parameters: a resistance in series, and the converter's memory.
+
+A coarse grid is tried first. A search about its best value follows. Where linear theory allows no
+gain, neither is made: each value that is tried costs fits of both frames.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from operator import attrgetter
+
+import numpy as np
+import scipy
+
+from lampest.files.errors import BROKEN, InputError
+from lampest.files.levels import MIN_EVIDENCE_GAIN
+from lampest.inference.cells_fit import CellsFit
+from lampest.inference.changed_cells import PARAMETER_COST
+from lampest.inference.compared_frames import ComparedFrames, broken_law
+from lampest.inference.explanation import FAR, Explanation, rival_fits
+from lampest.inference.rivals import Rival
+from lampest.panel.panel import Array
+
+# −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
+# with the right circuit nearly all gain less (docs/theory/model_check.md).
+DOUBTFUL_GAIN = 15.0
+# Of the largest resistance in series that readings allow: all of it would short the panel.
+MAX_SERIES_SHARE = 0.98
+SERIES_POINTS = 5  # resistances in series that are tried, before a search about the best one
+# Fractions of the channel before that a converter may keep.
+MEMORIES = (0.01, 0.02, 0.04, 0.08, 0.16)
+USUAL_MEMORY = MEMORIES[2]
+# Fractions nearer to the ends of the searched range, half the smallest and twice the largest of
+# MEMORIES, are no finding.
+MIN_MEMORY = MEMORIES[0] / 2 * 1.1
+MAX_MEMORY = MEMORIES[-1] * 1.9
+MIN_LINEAR_SHARE = 0.5  # of the gain by a memory that linear theory gives at least
+MEMORY_ACCURACY = 0.03  # of the search about the best one, as a share of it
+SERIES_ACCURACY = 0.05  # of that search, as a share of their distance
+
+
+def some_in_series(
+    rival: Rival,
+    frames: ComparedFrames,
+    to_beat: float = np.inf,
+    *,
+    fits: tuple[CellsFit, ...] = (),
+    specified: Explanation | None = None,
+) -> Explanation | None:
+    """Return a circuit's explanation with the best of SERIES_POINTS other resistances in series.
+
+    Each fit begins at the cells of the one before, also where only the unloaded panel was
+    explained. The result is None without any explanation.
+
+    Parameters
+    ----------
+    rival : Rival
+        A circuit that does not explain the frames with its given resistance.
+    frames : ComparedFrames
+    to_beat : float
+        Score above which an explanation does not count. The search ends where linear theory gives
+        no resistance a score that exceeds it by less than FAR.
+    fits : tuple of CellsFit
+        Fits with the given resistance where they explain only the unloaded panel.
+    specified : Explanation or None
+        See `Explanation.by`.
+    """
+    most = most_in_series(rival, frames)
+    best = near = None
+    begin = fits
+    for ohm in np.linspace(0.0, most, SERIES_POINTS) if most else ():
+        if ohm == rival.ohm:
+            continue
+        tried = replace(rival.with_series(ohm), at_limit=ohm in (0.0, most))
+        if broken_law(tried, frames):  # and with every larger one
+            break
+        fits = rival_fits(tried, frames, begin, specified)
+        begin = fits or begin
+        explanation = Explanation.by(fits, tried, frames, near, specified)
+        if explanation is None:
+            continue
+        near = explanation
+        if best is None or explanation.score < best.score:
+            best = explanation
+        if explanation.score > to_beat + FAR:
+            gain = _linear_gain(explanation, _response_to_series(explanation, most))
+            if explanation.score - gain > to_beat + FAR:
+                break
+    return best
+
+
+def with_series(explanation: Explanation, frames: ComparedFrames) -> Explanation:
+    """Return a circuit's explanation with the most probable or the given resistance in series.
+
+    The search is made about the best of SERIES_POINTS, and about the given resistance only where a
+    change of it may gain by linear theory.
+    """
+    rival = explanation.rival
+    most = most_in_series(rival, frames)
+    if not most:
+        return explanation
+    spacing = most / (SERIES_POINTS - 1)
+    best = explanation
+    if rival.in_series is None:
+        best = _best_beside(explanation, frames, most)
+        if best is explanation:
+            gain = _linear_gain(best, _response_to_series(best, spacing))
+            if gain <= PARAMETER_COST:
+                return explanation
+    search = _ParameterSearch(
+        lambda ohm: replace(rival.with_series(ohm), at_limit=False), frames, best
+    )
+    accuracy = SERIES_ACCURACY * spacing
+    search.between(max(best.rival.ohm - spacing, 0.0), best.rival.ohm + spacing, accuracy)
+    best = search.best.final
+    if best.rival.in_series is None:
+        return best
+    at_limit = not 2 * accuracy < best.rival.ohm < most - 2 * accuracy
+    return replace(best, rival=replace(best.rival, at_limit=at_limit))
+
+
+def _best_beside(explanation: Explanation, frames: ComparedFrames, most: float) -> Explanation:
+    """Return the best explanation with one of SERIES_POINTS resistances, or with the given one.
+
+    The resistances next to the given one come first. Smaller and larger ones follow while they are
+    no worse than the best by more than DOUBTFUL_GAIN: the score has one minimum.
+
+    Parameters
+    ----------
+    explanation : Explanation
+    frames : ComparedFrames
+    most : float
+        The largest resistance, ohm.
+    """
+    rival = explanation.rival
+    ohms = np.linspace(0.0, most, SERIES_POINTS)
+    best = explanation
+    for outwards in (ohms[ohms < rival.ohm][::-1], ohms[ohms > rival.ohm]):
+        near = explanation
+        for ohm in outwards:
+            tried = replace(rival.with_series(ohm), at_limit=ohm in (0.0, most))
+            further = None if broken_law(tried, frames) else Explanation.of(tried, frames, near)
+            if further is None or further.score > best.score + DOUBTFUL_GAIN:
+                break
+            near = further
+            best = min(best, further, key=attrgetter("score"))
+    return best
+
+
+def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> Explanation:
+    """Return a circuit's explanation with the most probable or the given converter memory.
+
+    A scene that states a memory keeps it. Other memories are searched for where they may gain by
+    linear theory.
+    """
+    rival = explanation.rival
+    if rival.scene.converter_memory is not None or rival.scene.readout is None:
+        return explanation
+    if not may_gain_by_memory(explanation, frames):
+        return explanation
+    search = _ParameterSearch(rival.with_memory, frames, explanation)
+    coarse = min(MEMORIES, key=search.score)
+    if search.best is explanation:
+        return explanation
+    search.between(coarse / 2, 2 * coarse, MEMORY_ACCURACY * coarse)
+    fraction = search.best.rival.scene.known_memory or 0.0
+    return search.best.final if MIN_MEMORY < fraction < MAX_MEMORY else explanation
+
+
+@dataclass(eq=False)
+class _ParameterSearch:
+    """Search for the most probable value of a parameter of a circuit.
+
+    Attributes
+    ----------
+    rival_of : callable
+        Function (value) → the circuit with that value.
+    frames : ComparedFrames
+    best : Explanation
+        The best explanation so far; the next fits begin at its cells.
+    """
+
+    rival_of: Callable[[float], Rival]
+    frames: ComparedFrames
+    best: Explanation
+
+    def score(self, value: float) -> float:
+        """Return the score of a value; infinite where no fit is found."""
+        explanation = Explanation.of(self.rival_of(float(value)), self.frames, self.best)
+        if explanation is None:
+            return np.inf
+        self.best = min(self.best, explanation, key=attrgetter("score"))
+        return explanation.score
+
+    def between(self, lower: float, upper: float, accuracy: float) -> None:
+        """Search between two values."""
+        scipy.optimize.minimize_scalar(
+            self.score, bounds=(lower, upper), method="bounded", options={"xatol": accuracy}
+        )
+
+
+def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool:
+    """Return whether linear theory allows a memory of the converter a gain that is significant.
+
+    A smaller gain is no doubt.
+    """
+    gain = _linear_gain(explanation, _response_to_memory(explanation, frames))
+    return gain > MIN_LINEAR_SHARE * MIN_EVIDENCE_GAIN
+
+
+def _linear_gain(explanation: Explanation, response: Array | None) -> float:
+    """Return the gain of a parameter in score by linear theory; infinite where it is unknown.
+
+    Parameters
+    ----------
+    explanation : Explanation
+    response : array, shape (cells,), or None
+        Change of d by one standard deviation of the parameter.
+    """
+    if explanation.pair is None or response is None:
+        return np.inf
+    pair = explanation.pair
+    return pair.evidence.score - pair.explained(response[:, None]).score
+
+
+def _response_to_series(explanation: Explanation, ohm: float) -> Array | None:
+    """Return the change of d by a resistance in series, (cells,); None without a pair."""
+    if explanation.pair is None:
+        return None
+    # in series with every driven line, or with either side of lines that are alike
+    rows = explanation.pair.shape[0]
+    driven = getattr(explanation.rival.scene.circuit, "driven", "rows")
+    lines = slice(0, rows) if driven == "rows" else slice(rows, None)
+    return np.asarray(ohm * explanation.pair.channels[:, lines].sum(axis=1))
+
+
+def _response_to_memory(explanation: Explanation, frames: ComparedFrames) -> Array | None:
+    """Return the change of d by a usual memory of the converter, (cells,); None without a pair."""
+    if explanation.pair is None:
+        return None
+    remembering = frames.readings(explanation.rival.with_memory(USUAL_MEMORY))
+    resting, loaded = (
+        fit.response((readings.value - fit.measured.value)[None])[:, 0]
+        for fit, readings in zip(explanation.fits, remembering, strict=True)
+    )
+    return np.asarray(loaded - resting)
+
+
+def most_in_series(rival: Rival, frames: ComparedFrames) -> float:
+    """Return the largest resistance in series that the readings allow, ohm.
+
+    The result is 0 where no such resistance is possible or known.
+    """
+    if not rival.scene.circuit.series_name or len(frames.standing) == 0:
+        return 0.0
+    without = without_series(rival)
+    try:
+        read = frames.readings(without)
+    except (InputError, *BROKEN):
+        return 0.0
+    limits = []
+    for frame in read:
+        sigma = frame.sigma_of_values
+        if sigma is not None:
+            limits.append(without.scene.circuit.most_in_series(frame.value[None], sigma[None]))
+    most = min(limits)
+    return MAX_SERIES_SHARE * most if np.isfinite(most) and most > 0 else 0.0
+
+
+def without_series(rival: Rival) -> Rival:
+    """Return the rival without resistance in series; the same where it has none."""
+    return rival.with_series(0.0) if rival.scene.circuit.series_name and rival.ohm else rival
