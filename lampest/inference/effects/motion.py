@@ -22,11 +22,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
-from math import comb
 from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lampest.files.levels import MIN_EVIDENCE_GAIN
@@ -60,11 +58,9 @@ TREMBLING_ODDS = np.where(TREMBLINGS > 0, 0.5 / np.count_nonzero(TREMBLINGS), 0.
 # Of a gain of interest: what a motion has alone where only both a share and a trembling reach it.
 PROMISING = 0.25
 LOADED_SHARE = 0.15  # of the largest change: a cell that changes by more is under the load
-# Error of a value interpolated between two frames, over their second difference times τ(1 − τ) for
-# a smooth change (by its Taylor series), and times √(τ(1 − τ)) for changes at once (0.5 to 0.7).
+# Error of a value interpolated between two frames, over √(τ(1 − τ)) times the second difference of
+# the frames: 0.7 for a change at once, 0.2 to 0.4 for one that takes a frame or longer.
 INTERPOLATION_ERROR = 0.5
-# Root mean square of third over second differences of changes at once, with independent steps.
-AT_ONCE = float(np.sqrt(3))
 
 
 # Of a scan of which nothing is known: it may take the whole time, and readings stay as they are.
@@ -93,40 +89,29 @@ class Displacement(NamedTuple):
         Displacement, in the shape and unit of the readings.
     doubt : array
         Its standard deviation beside noise.
-    smooth : array
-        Doubt of a motion without jumps.
     weight : array
         Share of the neighbouring frame in a reading less its displacement.
     """
 
     value: Array
     doubt: Array
-    smooth: Array
     weight: Array
 
+    @property
+    def smooth(self) -> Array:
+        """Doubt of a motion without jumps: √(|τ|/(1 − |τ|)) times the doubt."""
+        return np.asarray(self.doubt * np.sqrt(self.weight / (1 - self.weight)))
 
-def displacement(
-    scene: Scene, readings: Readings, measured: NDArray[np.intp], trembling: Array | float = 0.0
-) -> Displacement:
+
+def displacement(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Displacement:
     """Return the displacement of each reading by motion, if a scan takes the whole period.
 
     A reading that was taken late is displaced by τ times the step from the previous frame, an early
     one by τ times the step to the next frame: a reading less its displacement is between two
-    measured ones. The doubt is INTERPOLATION_ERROR times the difference D of both steps beyond its
-    noise, times (|τ|(1 − |τ|))^p. The power p is 1 for smooth motion and ½ for changes at once, see
-    `_roughness`. Where a frame has one neighbour, D is √2 times that of the nearest frame. Readings
-    that are no values, or whose neighbours in time are none, are not displaced; their doubt is the
-    larger step.
-
-    Parameters
-    ----------
-    scene : Scene
-    readings : Readings
-        All frames.
-    measured : array of int
-        Numbers of the measured frames.
-    trembling : array or float
-        Standard deviation of the readings by a load that trembles: it bends no motion.
+    measured ones. The doubt is √(|τ|(1 − |τ|)) times the difference of both steps beyond its noise,
+    times INTERPOLATION_ERROR, and √2 times that of the nearest frame where a frame has one
+    neighbour. Readings that are no values, or whose neighbours in time are none, are not displaced;
+    their doubt is the larger step.
     """
     steps = _steps(readings, measured)
     # Delay of each reading from the middle of its frame, in periods
@@ -136,54 +121,24 @@ def displacement(
     delay = in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
     previous, following = steps * delay
     displaced = np.where(delay > 0, previous, following)
+    between = np.sqrt(np.abs(delay) * (1 - np.abs(delay)))
     noise = np.zeros(1) if readings.sigma is None else readings.sigma
-    variance = np.broadcast_to(noise**2 + np.square(trembling), readings.value.shape)
     # The difference of both steps is that of three frames, with the weights 1, −2 and 1.
-    bend = np.sqrt(np.maximum((steps[1] - steps[0]) ** 2 - 6 * variance, 0.0))
+    beyond_noise = np.maximum((steps[1] - steps[0]) ** 2 - 6 * noise**2, 0.0)
+    doubt = INTERPOLATION_ERROR * between * np.sqrt(beyond_noise)
     if len(measured) > 2:
-        bend[measured[[0, -1]]] = np.sqrt(2) * bend[measured[[1, -2]]]
+        doubt[measured[[0, -1]]] = np.sqrt(2) * doubt[measured[[1, -2]]]
     plain = readings.plain[measured]
     around = np.concatenate([plain[:1], plain, plain[-1:]])
     interpolated = np.zeros(displaced.shape, dtype=bool)
     if len(measured) > 2:
         interpolated[measured] = around[:-2] & plain & around[2:]
-    power = 1 - _roughness(readings.value[measured], variance[measured], plain) / 2
-    between = np.abs(delay) * (1 - np.abs(delay))
     larger_step = np.maximum(np.abs(previous), np.abs(following))
     return Displacement(
         np.where(interpolated, displaced, 0.0),
-        np.where(interpolated, INTERPOLATION_ERROR * between**power * bend, larger_step),
-        np.where(interpolated, INTERPOLATION_ERROR * np.abs(delay) * bend, 0.0),
+        np.where(interpolated, doubt, larger_step),
         np.where(interpolated, np.abs(delay), 0.0),
     )
-
-
-def _roughness(values: Array, variance: Array, plain: NDArray[np.bool_]) -> float:
-    """Return how rough readings are in time: 0 for smooth motion, 1 for changes at once.
-
-    It is the root mean square of their third differences over that of the second ones, beyond
-    noise, over AT_ONCE.
-
-    Parameters
-    ----------
-    values, variance : array, shape (measured frames, …)
-        Readings, and their variance from frame to frame.
-    plain : boolean array, same shape
-        Whether a reading is a value. Others do not count.
-    """
-    squares = list[float]()
-    for order in (2, 3):
-        if len(values) <= order:
-            return 1.0
-        counted = sliding_window_view(plain, order + 1, axis=0).all(axis=-1)
-        # Σ of the squared binomial coefficients times σ² is the noise: 6 and 20.
-        noise = comb(2 * order, order) * sliding_window_view(variance, order + 1, axis=0).mean(-1)
-        beyond = np.where(counted, np.diff(values, order, axis=0) ** 2 - noise, 0.0)
-        squares.append(float(beyond.sum() / max(counted.sum(), 1)))
-    second, third = squares
-    if not second > 0:
-        return 1.0
-    return float(np.clip(np.sqrt(max(third, 0.0) / second) / AT_ONCE, 0.0, 1.0))
 
 
 def share_of_motion(
@@ -503,23 +458,20 @@ def interpolated(noise: NoiseEstimate, recording: Recording, share: Share) -> No
     readings = noise.readings
     measured = np.flatnonzero(recording.role == MEASURED)
     unloaded = recording.role == UNLOADED
+    displaced, doubt, weight = displacement(recording.scene, readings, measured)
     noise_variance = readings.known_sigma**2
-    trembling = np.zeros(readings.value.shape)
+    # A reading less its displacement is a mean of two frames, whose noise is independent.
+    own = noise_variance * ((1 - share.mean * weight) ** 2 + (share.mean * weight) ** 2)
+    moved = np.maximum(displaced**2 - 2 * noise_variance * weight**2, 0.0)
+    variance = own + (share.reach * doubt) ** 2 + share.deviation**2 * moved
     frame = noise.frame
     if share.trembling and unloaded.any():
         resting = readings[unloaded].mean().value
         by_load = np.zeros(readings.value.shape)
         by_load[measured] = readings.value[measured] - resting
-        trembling = share.trembling**2 * np.maximum(by_load**2 - noise_variance, 0.0)
+        variance += share.trembling**2 * np.maximum(by_load**2 - noise_variance, 0.0)
         frame = frame or FrameNoise(recording.scene, int(unloaded.sum()), 0.0, NO_RIPPLE, NO_RIPPLE)
         frame = replace(frame, trembling=share.trembling, resting=resting)
-    displaced, doubt, _, weight = displacement(
-        recording.scene, readings, measured, np.sqrt(trembling)
-    )
-    # A reading less its displacement is a mean of two frames, whose noise is independent.
-    own = noise_variance * ((1 - share.mean * weight) ** 2 + (share.mean * weight) ** 2)
-    moved = np.maximum(displaced**2 - 2 * (noise_variance + trembling) * weight**2, 0.0)
-    variance = own + trembling + (share.reach * doubt) ** 2 + share.deviation**2 * moved
     readings = replace(
         readings, value=readings.value - share.mean * displaced, sigma=np.sqrt(variance)
     )

@@ -293,9 +293,7 @@ def _with_common_errors(
         second = unit[:, None] * second * unit
     possible = replace(errors.possible, settings=tuple(settings), root=_lower_root(second))
     determined = all(error.setting in sizes for error in moves.errors)
-    return replace(
-        errors, possible=possible, sizes=sizes, undetermined="" if determined else ALIKE
-    )
+    return replace(errors, possible=possible, sizes=sizes, undetermined="" if determined else ALIKE)
 
 
 def _with_spread(errors: SharedErrors, prior: Systematic, spread: Number) -> SharedErrors:
