@@ -51,6 +51,8 @@ from .panel.conditions import Experiment as Experiment
 from .panel.conditions import MeasuredSubject as MeasuredSubject
 from .panel.conditions import Temperature as Temperature
 from .panel.conditions import Water as Water
+from .panel.effects import SharedEffect as SharedEffect
+from .panel.effects.line_effect import LineEffect as LineEffect
 from .panel.faults import Faults as Faults
 from .panel.panel import Array as Array
 from .panel.panel import Panel as Panel

@@ -11,6 +11,7 @@ package and shows that its test fails.
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,19 +58,20 @@ def path_of(page: str) -> str:
     return "README.md" if page == "README" else f"docs/{page}.md"
 
 
-def promises() -> Iterator[Promise]:
-    """Yield the promises of all tests, sorted by page and sentence."""
+@cache
+def promises() -> tuple[Promise, ...]:
+    """Return the promises of all tests, sorted by page and sentence."""
     marked = []
     for file in (ROOT / "tests").rglob("test_*.py"):
         source = file.read_text(encoding="utf-8")
         if "@promise(" in source:
             marked += list(_promises_of(source, str(file.relative_to(ROOT))))
-    yield from sorted(marked)
+    return tuple(sorted(marked))
 
 
 def _promises_of(source: str, file: str) -> Iterator[Promise]:
     """Yield the promises that decorate the functions of a file."""
-    for function in ast.walk(ast.parse(source)):
+    for function in ast.parse(source).body:
         if not isinstance(function, ast.FunctionDef):
             continue
         for decorator in function.decorator_list:

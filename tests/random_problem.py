@@ -279,6 +279,11 @@ class RandomProblem:
                 yield np.clip(np.log(outcome.cell_resistance).ravel(), low, high)
 
 
+def shape_of(seed: int, number: int) -> tuple[int, int]:
+    """The shape of the panel of a problem, without the rest of it."""
+    return _shape(np.random.default_rng([seed, number]))
+
+
 def _shape(random: np.random.Generator) -> tuple[int, int]:
     size = chosen(random, SIZES)
     if size == "line":

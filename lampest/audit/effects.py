@@ -7,6 +7,7 @@ finished readings; no estimate depends on it.
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
+from operator import attrgetter
 
 import numpy as np
 
@@ -18,27 +19,10 @@ from lampest.inference.prepared import Prepared
 from lampest.inference.resolve import ENTRIES
 from lampest.panel.scene import Scene, specified
 
-# A key of each effect, in the order in which they are advised: errors of each reading explain most,
-# and come last.
-SEARCHED = (
-    "readout.passes_volt",
-    "gain",
-    "leaks",
-    "creep",
-    "converter_memory",
-    "motion",
-    "systematic.reading_error",
-)
-
 
 def searched_effects() -> tuple[SceneEffect, ...]:
     """Return all effects in the order in which they are advised."""
-    return tuple(
-        entry.load()
-        for entry in sorted(
-            ENTRIES, key=lambda entry: min(map(SEARCHED.index, {*SEARCHED} & {*entry.keys}))
-        )
-    )
+    return tuple(entry.load() for entry in sorted(ENTRIES, key=attrgetter("advised")))
 
 
 @lru_cache(maxsize=1)

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from lampest.files.errors import BROKEN
 from lampest.inference.cells_fit import CellsFit, data_of_cells
 from lampest.inference.prepared import Prepared
+from lampest.panel.effects import sized_effects, systematic_of
 from lampest.panel.panel import Array
 from lampest.panel.sizes import Systematic
-from lampest.panel.systematic import SHARED_ERRORS, error_columns, systematic_of
 from lampest.recording.recording import Recording
 
 NOISE = "noise"
@@ -118,13 +118,10 @@ def widths_at(
         return ()
     of_cells = {NOISE: np.diag(loaded.covariance)}
     of_changes = {NOISE: np.diag(resting.covariance) + np.diag(loaded.covariance)}
-    for error in SHARED_ERRORS:
+    for error in sized_effects(sizes):
         if not error.size(sizes):
             continue
-        before, after = (
-            fit.response(error_columns((error,), fit.network, fit.readings.value, fit.scene, sizes))
-            for fit in (resting, loaded)
-        )
+        before, after = (fit.response_to((error,), sizes) for fit in (resting, loaded))
         of_cells[error.setting] = np.sum(after**2, axis=1)
         of_changes[error.setting] = np.sum((after - before) ** 2, axis=1)
     counted = moved.ravel() if moved.any() else np.ones(moved.size, dtype=bool)

@@ -27,6 +27,8 @@ class Lowered:
 
     Attributes
     ----------
+    objective : casadi.SX
+        Cost, a scalar.
     split : tuple of casadi.SX
         p and q, (rows, 1) each, in a unit in which they are of order one, or ().
     equation : casadi.SX, shape (rows, 1), or None

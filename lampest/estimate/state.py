@@ -41,6 +41,8 @@ class Step:
         Status of an image of modules; else ''.
     weight_sigma : tuple of float
         Standard deviations of ln λ, see `Objective`.
+    prior_variance : tuple of float
+        Mean squares of residuals, see `LinearModel`.
     verification : Verification or None
         Comparison with a second solve by IPOPT; None where none was requested.
 

@@ -12,9 +12,9 @@ from lampest.estimate.state import SequenceState, Step
 from lampest.files.errors import InputError, brief, in_words
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.noise import NoiseEstimate
+from lampest.panel.effects import Shared
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.panel.systematic import Shared
 from lampest.posterior.covariance import DenseMemory, Memory
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings, mean_change

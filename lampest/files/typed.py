@@ -6,11 +6,11 @@ import json
 import typing
 from abc import ABCMeta
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, is_dataclass
+from dataclasses import dataclass, field, is_dataclass, replace
 from functools import cache, wraps
 from math import inf
 from types import UnionType
-from typing import Annotated, Any, ClassVar, ParamSpec, TypeVar
+from typing import Annotated, Any, ClassVar, ParamSpec, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,8 @@ class Checked(ABCMeta):
         Raises InputError if an argument has another type, is missing, unknown, or out of range.
         """
         try:
+            if issubclass(cls, Extensible):
+                kwargs = cls.gathered(kwargs)
             return super().__call__(**_arguments(cls, cls.__name__, args, kwargs))
         except InputError:
             raise
@@ -56,6 +58,60 @@ class Configuration(Validated):
     """Base of dataclasses made from YAML; unknown keys and numbers out of range are errors."""
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+
+
+class Extensible(Configuration):
+    """Base of configurations to which installed packages add keys.
+
+    A subclass has a field `own` of pairs (key, value), with the metadata INLINE.
+    """
+
+    own: tuple[tuple[str, Any], ...]
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        """Return the schema of the fields, with further keys in `own`. Called by pydantic."""
+        gathered = {"type": "no-info", "function": cls.gathered}
+        return {"type": "function-before", "function": gathered, "schema": handler(source)}
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: Any, handler: Any) -> Any:
+        """Return the JSON schema, with added keys in the place of `own`. Called by pydantic."""
+        made = handler(schema)
+        properties = handler.resolve_ref_schema(made)["properties"]
+        if properties.pop("own", None) is not None:
+            properties |= {key: {} for key in cls.added_keys()}
+        return made
+
+    @classmethod
+    def added_keys(cls) -> Iterable[str]:
+        """Return the keys that installed packages add."""
+        return ()
+
+    @classmethod
+    def gathered(cls, content: Any) -> Any:
+        """Return arguments, or the content of a file, with added keys in `own`."""
+        if not isinstance(content, dict):
+            return content
+        unknown = content.keys() - _signature(cls).parameters.keys()
+        added = unknown.intersection(cls.added_keys()) if unknown else unknown
+        if not added:
+            return content
+        kept = {key: value for key, value in content.items() if key not in added}
+        own = tuple((key, value) for key, value in content.items() if key in added)
+        return kept | {"own": (*content.get("own", ()), *own)}
+
+    def entry(self, key: str) -> Any:
+        """Return the value of a key, also of an added one; None without it."""
+        return dict(self.own).get(key, getattr(self, key, None))
+
+    def with_entries(self, entries: Mapping[str, Any]) -> Self:
+        """Return the configuration with other values of some keys, also of added ones."""
+        fields = _signature(type(self)).parameters
+        plain = {key: value for key, value in entries.items() if key in fields}
+        own = dict(self.own) | {key: value for key, value in entries.items() if key not in plain}
+        made: Any = self
+        return cast(Self, replace(made, **plain, own=tuple(own.items())))
 
 
 def typed(function: Callable[P, R]) -> Callable[P, R]:

@@ -12,8 +12,8 @@ import numpy as np
 
 from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.cells_fit import SMALL_CHI_SQUARE, CellsFit, well_determined
-from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
 from lampest.inference.compared_frames import ComparedFrames, broken_law
+from lampest.inference.evidence import PARAMETER_COST, mostly_still
 from lampest.inference.explanation import Explanation, rival_fits
 from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation
 from lampest.inference.rival_parameters import (

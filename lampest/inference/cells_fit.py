@@ -6,7 +6,7 @@ boundary of the cone, and smaller where the truth lies inside (chi-bar-squared; 
 72, 1985).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -23,6 +23,7 @@ from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
 from lampest.posterior.interval import chi_square_tail
 from lampest.posterior.linear import UNKNOWN_SD, inverse_and_volume
 from lampest.posterior.reference import MAX_CELLS
@@ -32,7 +33,8 @@ from lampest.solvers.posed import Bounds, cost_of_solve, data_of_solve
 from lampest.solvers.solution import Settings
 
 if TYPE_CHECKING:
-    from lampest.panel.effects import Effect
+    from lampest.panel.effects import SharedEffect
+    from lampest.panel.effects.line_effect import LineEffect
 
 EXACT_CHI_SQUARE = 1e-2  # χ² so small that it changes no verdict
 # χ² of a circuit that only competes: the minimum is lower, but a fifth of the evidence that makes a
@@ -94,7 +96,7 @@ class CellsFit(SumOfSquares):
     measured: Readings
     readings: Readings
     network: Network
-    effects: "tuple[Effect, ...]" = ()
+    effects: "tuple[LineEffect, ...]" = ()
     ridge: float = CELL_PRECISION
 
     @classmethod
@@ -104,14 +106,14 @@ class CellsFit(SumOfSquares):
         data: Data,
         measured: Readings,
         cells: Array,
-        effects: "Sequence[Effect]" = (),
+        effects: "Sequence[LineEffect]" = (),
     ) -> "CellsFit":
         """Return the fit of given cells, (rows, columns) ohm, to readings of a frame."""
         unaffected = data.network(0, cells)
         network = unaffected
         readings = measured
         if effects:
-            from lampest.panel.effects import with_effects
+            from lampest.panel.effects.line_effect import with_effects
 
             network, added = with_effects(effects, scene, unaffected)
             readings = replace(measured, value=measured.value - added)
@@ -136,7 +138,7 @@ class CellsFit(SumOfSquares):
             effects=tuple(effects),
         )
 
-    def refitted(self, measured: Readings, effects: "tuple[Effect, ...]") -> "CellsFit | None":
+    def refitted(self, measured: Readings, effects: "tuple[LineEffect, ...]") -> "CellsFit | None":
         """Return the fit to other readings or effects, from these cells on.
 
         The result is None where no fit is found.
@@ -211,16 +213,23 @@ class CellsFit(SumOfSquares):
         """
         return np.asarray(self.gain @ errors.reshape(len(errors), self.cells.size).T)
 
+    def response_to(self, errors: "Iterable[SharedEffect]", sizes: Systematic) -> Array:
+        """Return K U of errors that frames share, of one standard deviation each, (cells, n)."""
+        from lampest.panel.effects import error_columns  # for scenes that name any
+
+        columns = error_columns(errors, self.network, self.readings.value, self.scene, sizes)
+        return self.response(columns)
+
     @cached_property
     def offset(self) -> Array:
         """Change of readings by all effects together, (rows, columns), in the readout's unit."""
-        from lampest.panel.effects import effect_on_readings
+        from lampest.panel.effects.line_effect import effect_on_readings
 
         return effect_on_readings(self.effects, self.scene, self.network)
 
-    def more(self, effect: "Effect") -> Array:
+    def more(self, effect: "LineEffect") -> Array:
         """Return the further change of the readings by an additional effect, (rows, columns)."""
-        from lampest.panel.effects import effect_on_readings
+        from lampest.panel.effects.line_effect import effect_on_readings
 
         return effect_on_readings((*self.effects, effect), self.scene, self.network) - self.offset
 
@@ -250,7 +259,7 @@ def fitted(
     near: Array | None = None,
     *,
     patient: bool = False,
-    effects: "Sequence[Effect]" = (),
+    effects: "Sequence[LineEffect]" = (),
 ) -> CellsFit | None:
     """Return argmin Σ ((f(r) − y)/σ)² of one frame over r > 0.
 
@@ -311,7 +320,7 @@ def _levenberg_marquardt_fit(
     data: Data,
     readings: Readings,
     start: Array,
-    effects: "Sequence[Effect]" = (),
+    effects: "Sequence[LineEffect]" = (),
     loop: LevenbergMarquardt = FIT,
 ) -> CellsFit:
     """Return the fit that the Levenberg-Marquardt method reaches from a start.

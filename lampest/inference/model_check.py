@@ -19,9 +19,9 @@ from lampest.inference.better_rival import better_rival
 from lampest.inference.cells_fit import well_determined
 from lampest.inference.compared_frames import ComparedFrames, below_series, broken_law
 from lampest.inference.explanation import Explanation
-from lampest.inference.fitted_pair import FittedPair
 from lampest.inference.nuisances import BetterExplanation, CircuitEffects, find_effects
-from lampest.panel.effects import EFFECTS, Effect
+from lampest.inference.pair import FittedPair
+from lampest.panel.effects.line_effect import LineEffect
 from lampest.panel.panel import Modules
 from lampest.recording.readings import mean_change
 from lampest.recording.recording import (
@@ -239,8 +239,8 @@ class Question(ComparedFrames):
         badly = gains and not well_determined(self.explanation.fits)
         return "cells are not determined well enough" if badly else ""
 
-    def effects(self, kinds: Sequence[type[Effect]] = EFFECTS) -> CircuitEffects:
-        """Return the effects beside the circuit.
+    def effects(self, kinds: Sequence[type[LineEffect]]) -> CircuitEffects:
+        """Return the effects beside the circuit, of some kinds.
 
         The evidence is taken from the frames that changed most and from the last frame.
         """

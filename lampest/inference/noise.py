@@ -23,12 +23,12 @@ from lampest.inference.variance_components import (
     repeated_scatter,
     unloaded_scatter,
 )
+from lampest.panel.effects import Possible, own_errors, sized_effects
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import ENDLESS
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic, plain_size
-from lampest.panel.systematic import READING_ERROR, SHARED_ERRORS, Possible, own_errors
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
@@ -137,7 +137,7 @@ class NoiseEstimate:
         """
         if self.possible_errors is None:
             return 0.0
-        return READING_ERROR.size(self.possible_errors.sizes)
+        return float(self.possible_errors.sizes.reading_error or 0.0)
 
     @property
     def error_in_sigma(self) -> float:
@@ -475,6 +475,6 @@ def shown_noise(readout: Readout, factor: float) -> tuple[float, float]:
 
 def _sizes_in_words(possible: Possible) -> str:
     """Return the sizes of shared errors, in words."""
-    sized = [(error, error.size(possible.sizes)) for error in SHARED_ERRORS]
+    sized = [(error, error.size(possible.sizes)) for error in sized_effects(possible.sizes)]
     parts = [f"{error.name} {size:.2g} {error.unit}".rstrip() for error, size in sized if size]
     return f"frames share, as standard deviations: {', '.join(parts)}" if parts else ""

@@ -1,6 +1,6 @@
 """Effects beside the circuit: leaks of wet lines, loose contacts, common creep of the film.
 
-All effects are tried by linear theory on a pair of frames (`lampest.inference.fitted_pair`). The
+All effects are tried by linear theory on a pair of frames (`lampest.inference.pair`). The
 best ones then enter the network itself. An effect is named if the evidence gains by
 MIN_EVIDENCE_GAIN. Readings can be corrected for the effects that were found.
 """
@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANT
 from lampest.inference.assumptions import ASSUMED
-from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
-from lampest.inference.fitted_pair import FittedPair, without_late
-from lampest.panel.effects import EFFECTS, Effect, LooseContact
+from lampest.inference.evidence import PARAMETER_COST, mostly_still
+from lampest.inference.pair import FittedPair, without_late
+from lampest.panel.effects.line_effect import LineEffect
+from lampest.panel.effects.loose_contact import LooseContact
 from lampest.panel.panel import Array
 from lampest.panel.sizes import ESTIMATED
 from lampest.recording.readings import Readings
@@ -69,8 +70,8 @@ class BetterExplanation:
         return f"between the unloaded panel and {self.frames} {counts}"
 
 
-def candidates(shape: tuple[int, ...], kinds: Sequence[type[Effect]] = EFFECTS) -> list[Effect]:
-    """Return all effects that are tried on a panel.
+def candidates(shape: tuple[int, ...], kinds: Sequence[type[LineEffect]]) -> list[LineEffect]:
+    """Return the effects of some kinds that are tried on a panel.
 
     Effects since the unloaded frames come first, then the constant ones.
     """
@@ -112,11 +113,11 @@ class CircuitEffects(BetterExplanation):
 
 
 # Returns the effects beside the circuit, of some kinds.
-Besides = Callable[[tuple[type[Effect], ...]], CircuitEffects]
+Besides = Callable[[tuple[type[LineEffect], ...]], CircuitEffects]
 
 
 def find_effects(
-    pairs: Sequence[tuple[str, FittedPair]], kinds: Sequence[type[Effect]] = EFFECTS
+    pairs: Sequence[tuple[str, FittedPair]], kinds: Sequence[type[LineEffect]]
 ) -> CircuitEffects:
     """Return the effects with the largest gain of evidence.
 
@@ -159,7 +160,7 @@ def find_effects(
 
 
 def _with_added_effects(
-    pair: FittedPair, kinds: Sequence[type[Effect]]
+    pair: FittedPair, kinds: Sequence[type[LineEffect]]
 ) -> tuple[FittedPair, FittedPair]:
     """Add effects to a pair one by one, while each gains evidence and spares moved cells.
 
@@ -194,7 +195,9 @@ def _with_added_effects(
     return pair, certain
 
 
-def _with_one_more_effect(pair: FittedPair, kinds: Sequence[type[Effect]]) -> Iterator[FittedPair]:
+def _with_one_more_effect(
+    pair: FittedPair, kinds: Sequence[type[LineEffect]]
+) -> Iterator[FittedPair]:
     """Generate the pairs with one more effect, the best MAX_CANDIDATES effects of linear theory."""
     effects = candidates(pair.shape, kinds)
     scores = pair.scores_with(pair.effects, pair.columns(effects))

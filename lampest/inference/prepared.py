@@ -22,10 +22,10 @@ from lampest.inference.outliers import (
     without_readings,
 )
 from lampest.inference.resolve import PASSES, ZERO, resolved, resolved_scene
+from lampest.panel.effects import unobservable_numbers
 from lampest.panel.panel import Array, Modules
 from lampest.panel.scene import specified
 from lampest.panel.sizes import ESTIMATED
-from lampest.panel.systematic import unobservable_numbers
 from lampest.recording.garbled import GarbledLines, garbled_lines, garbled_sentence, readings_of
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from lampest.inference.alike import PanelChoice
     from lampest.inference.model_check import ModelCheck, Question
     from lampest.inference.nuisances import CircuitEffects
-    from lampest.panel.effects import Effect
+    from lampest.panel.effects.line_effect import LineEffect
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,12 +196,12 @@ class Prepared:
     @cached_property
     def effects(self) -> "CircuitEffects":
         """Effects beside the circuit of a single network, of all kinds."""
-        from lampest.panel.effects import EFFECTS
+        from lampest.panel.effects.line_effect import line_effects
 
-        return self.effects_of(EFFECTS)
+        return self.effects_of(line_effects())
 
     @ONE_BLAS_THREAD
-    def effects_of(self, kinds: "Sequence[type[Effect]]") -> "CircuitEffects":
+    def effects_of(self, kinds: "Sequence[type[LineEffect]]") -> "CircuitEffects":
         """Return the effects beside the circuit of a single network, of some kinds."""
         from lampest.inference.nuisances import CircuitEffects
 

@@ -16,13 +16,14 @@ import numpy as np
 
 from lampest.files.applications import loaded
 from lampest.files.errors import BROKEN
+from lampest.files.typed import Extensible
 from lampest.inference.model_error import scaled, with_model_error
 from lampest.inference.noise import BROKE_DOWN, NoiseEstimate, without_effects
+from lampest.panel.effects import SHARED, estimated_errors, systematic_of
 from lampest.panel.panel import as_panels_have
 from lampest.panel.readouts.converter import MAX_VOLT
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED, LIMITS, Systematic, within_limits
-from lampest.panel.systematic import READING_ERROR, SHARED_ERRORS, estimated_errors, systematic_of
 from lampest.recording.recording import Recording
 
 if TYPE_CHECKING:
@@ -41,15 +42,27 @@ class Entry:
         Its class, as 'module:class'.
     numbers : tuple of str
         Those of the keys whose numbers change readings or σ; numbers of the others act elsewhere.
+    section : str
+        Section of the scene whose further keys are of the effect, too; '' for none.
+    advised : int
+        Place in advice.
     """
 
     keys: tuple[str, ...]
     path: str
     numbers: tuple[str, ...] = ()
+    section: str = ""
+    advised: int = 0
+
+    def keys_of(self, scene: Scene) -> tuple[str, ...]:
+        """Return the keys, with those of the section that are no fields and a scene names."""
+        named = specified(scene, self.section) if self.section else None
+        added = named.own if isinstance(named, Extensible) else ()
+        return (*self.keys, *(f"{self.section}.{key}" for key, _ in added))
 
     def acts(self, scene: Scene) -> bool:
         """Return whether the scene names the effect so that readings or σ depend on it."""
-        estimated = any(specified(scene, key) == ESTIMATED for key in self.keys)
+        estimated = any(specified(scene, key) == ESTIMATED for key in self.keys_of(scene))
         return estimated or any(specified(scene, key) for key in self.numbers)
 
     def load(self) -> Any:
@@ -58,21 +71,42 @@ class Entry:
 
 
 # Effects in the order in which they are resolved: each sees the readings without those before it.
+# In advice errors of each reading explain most, and come last.
 ENTRIES = (
     Entry(
         ("readout.passes_volt", "readout.converter.zero_volt"),
         "lampest.inference.effects.converter_ends:ConverterEnds",
+        advised=0,
     ),
-    Entry(("converter_memory",), "lampest.inference.effects.converter_memory:ConverterMemory"),
-    Entry(("gain", "ripple"), "lampest.inference.effects.gain_and_ripple:GainAndRipple"),
-    Entry(("leaks", "contacts"), "lampest.inference.effects.leaks_and_contacts:LeaksAndContacts"),
-    Entry(("motion",), "lampest.inference.effects.motion:ScanMotion", ("motion",)),
     Entry(
-        tuple(f"systematic.{error.setting}" for error in SHARED_ERRORS),
-        "lampest.inference.effects.static_errors:StaticErrors",
-        (f"systematic.{READING_ERROR.setting}",),
+        ("converter_memory",),
+        "lampest.inference.effects.converter_memory:ConverterMemory",
+        advised=4,
     ),
-    Entry(("creep",), "lampest.inference.effects.creep:CommonCreep"),
+    Entry(
+        ("gain", "ripple"),
+        "lampest.inference.effects.gain_and_ripple:GainAndRipple",
+        advised=1,
+    ),
+    Entry(
+        ("leaks", "contacts"),
+        "lampest.inference.effects.leaks_and_contacts:LeaksAndContacts",
+        advised=2,
+    ),
+    Entry(
+        ("motion",),
+        "lampest.inference.effects.motion:ScanMotion",
+        ("motion",),
+        advised=5,
+    ),
+    Entry(
+        tuple(f"systematic.{setting}" for setting in SHARED),
+        "lampest.inference.effects.static_errors:StaticErrors",
+        ("systematic.reading_error",),
+        "systematic",
+        advised=6,
+    ),
+    Entry(("creep",), "lampest.inference.effects.creep:CommonCreep", advised=3),
 )
 PASSES, ZERO = ENTRIES[0].keys
 MODEL_ERROR = "systematic.model_error"
@@ -102,7 +136,7 @@ def resolved(
     for entry in ENTRIES:
         if entry.acts(recording.scene):
             resolve = partial(entry.load().resolve, besides=effects)
-            noise = _unless_broken(resolve, noise, recording, entry.keys)
+            noise = _unless_broken(resolve, noise, recording, entry.keys_of(recording.scene))
     # Without a key evidence decides whether the model has an error.
     return _unless_broken(with_model_error, noise, recording, (MODEL_ERROR,))
 
@@ -144,7 +178,7 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
     An error that the recording cannot determine has its prior, any other effect is absent. A number
     that the scene's key does not allow is the nearest allowed one.
     """
-    keys = [*chain.from_iterable(entry.keys for entry in ENTRIES), OF_NOISE, MODEL_ERROR]
+    keys = [*chain.from_iterable(entry.keys_of(scene) for entry in ENTRIES), OF_NOISE, MODEL_ERROR]
     requested = [key for key in keys if specified(scene, key) == ESTIMATED]
     if not requested:
         return scene
@@ -156,13 +190,17 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
     systematic: Any = scene.systematic
     if isinstance(systematic, Systematic):
         sizes = noise.possible_errors.sizes if noise.possible_errors else systematic_of(scene)
-        changes = {name: getattr(sizes, name) for name in estimated_errors(scene)}
+        changes: dict[str, Any] = {
+            name: sizes and sizes.entry(name) for name in estimated_errors(scene)
+        }
         changes["model_error"] = numbers.get("systematic.model_error", changes.get("model_error"))
         within: dict[str, Any] = {
-            name: None if changes[name] is None else _allowed(scene, name, changes[name])
+            name: None
+            if changes[name] is None
+            else _allowed(scene, f"systematic.{name}", changes[name])
             for name in estimated_errors(scene)
         }
-        systematic = replace(systematic, **within)
+        systematic = systematic.with_entries(within)
     readout: Any = scene.readout
     if specified(scene, OF_NOISE) == ESTIMATED:
         readout = replace(readout, noise_lsb=numbers.get(OF_NOISE))
@@ -192,7 +230,8 @@ def _allowed(scene: Scene, key: str, number: float) -> float:
         full_scale = scene.readout.full_scale_volt
         most = min(full_scale / 2, MAX_VOLT - full_scale)
         return min(max(_limited(number), -most), most)
-    return within_limits(name, number) if name in LIMITS else _limited(number)
+    is_size = name in LIMITS or key.startswith("systematic.")
+    return within_limits(name, number) if is_size else _limited(number)
 
 
 def _limited(number: float) -> float:

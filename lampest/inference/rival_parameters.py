@@ -14,8 +14,8 @@ import scipy
 from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.cells_fit import CellsFit
-from lampest.inference.changed_cells import PARAMETER_COST
 from lampest.inference.compared_frames import ComparedFrames, broken_law
+from lampest.inference.evidence import PARAMETER_COST
 from lampest.inference.explanation import FAR, Explanation, rival_fits
 from lampest.inference.rivals import Rival
 from lampest.panel.panel import Array
@@ -28,7 +28,7 @@ MAX_SERIES_SHARE = 0.98
 SERIES_POINTS = 5  # resistances in series that are tried, before a search about the best one
 # Fractions of the channel before that a converter may keep.
 MEMORIES = (0.01, 0.02, 0.04, 0.08, 0.16)
-USUAL_MEMORY = MEMORIES[2]
+LINEAR_MEMORY = MEMORIES[2]
 # Fractions nearer to the ends of the searched range, half the smallest and twice the largest of
 # MEMORIES, are no finding.
 MIN_MEMORY = MEMORIES[0] / 2 * 1.1
@@ -237,7 +237,7 @@ def _response_to_memory(explanation: Explanation, frames: ComparedFrames) -> Arr
     """Return the change of d by a usual memory of the converter, (cells,); None without a pair."""
     if explanation.pair is None:
         return None
-    remembering = frames.readings(explanation.rival.with_memory(USUAL_MEMORY))
+    remembering = frames.readings(explanation.rival.with_memory(LINEAR_MEMORY))
     resting, loaded = (
         fit.response((readings.value - fit.measured.value)[None])[:, 0]
         for fit, readings in zip(explanation.fits, remembering, strict=True)

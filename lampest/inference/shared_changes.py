@@ -5,13 +5,12 @@ z, with
 
     a = K_f U_f − K_b U_b,
 
-where U is the response of the readings to the errors (`lampest.panel.systematic`), and K the
+where U is the response of the readings to the errors (`lampest.panel.effects`), and K the
 inverse of the readings' Jacobian. Over the still cells d = a z + noise. The slope of a wide load
 moves cells like a shared error: each evidence is summed over the size of such a skirt, and over
 the spread of the channels where it is unknown.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,21 +18,15 @@ import numpy as np
 from lampest.files.levels import NOISE_REACH, UNUSUAL
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, data_of_cells, fitted
-from lampest.inference.changed_cells import MIN_STILL_SHARE, Changes, Chosen, away_from_changed
+from lampest.inference.evidence import MIN_STILL_SHARE, Changes, Chosen, away_from_changed
 from lampest.inference.number import Number, summed_out
+from lampest.panel.effects import SharedEffect, estimated_errors, recorded_share, sized_effects
+from lampest.panel.effects.channels import CHANNELS
+from lampest.panel.effects.reading_error import READING_ERROR
+from lampest.panel.effects.reference import REFERENCE
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
-from lampest.panel.systematic import (
-    CHANNELS,
-    READING_ERROR,
-    REFERENCE,
-    SHARED_ERRORS,
-    SharedError,
-    error_columns,
-    estimated_errors,
-    recorded_share,
-)
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
 
@@ -71,7 +64,7 @@ class SharedChanges:
         Response of d to the estimated errors, and to each reading's own error of size 1.
     reach : float
         Median standard deviation of log r of the unloaded cells if e = 1.
-    errors : tuple of SharedError
+    errors : tuple of SharedEffect
         The estimated errors without each reading's own.
     counts : dict
         Field of `Systematic` → number of columns of an estimated error.
@@ -82,7 +75,7 @@ class SharedChanges:
     hidden: Array
     own: Array
     reach: float
-    errors: tuple[SharedError, ...]
+    errors: tuple[SharedEffect, ...]
     counts: dict[str, int]
 
     @property
@@ -138,9 +131,15 @@ def shared_changes(
     if fit is None:
         return None
     requested = estimated_errors(scene)
-    further = [error for error in SHARED_ERRORS if error is not READING_ERROR and error.size(sizes)]
+    further = [
+        error
+        for error in sized_effects(sizes)
+        if error.setting != READING_ERROR.setting and error.size(sizes)
+    ]
     estimated = tuple(
-        error for error in further if error.setting in requested and error is not REFERENCE
+        error
+        for error in further
+        if error.setting in requested and error.setting != REFERENCE.setting
     )
     fixed = tuple(error for error in further if error not in estimated)
     groups = (fixed, *((error,) for error in estimated))
@@ -150,8 +149,9 @@ def shared_changes(
         each.gain * recorded_share(each.readings.value, scene).ravel()
         for each in (resting, steadied)
     )
-    at_rest = _responses(resting, groups, sizes)
-    under_load = _responses(steadied, groups, sizes)
+    at_rest, under_load = (
+        [each.response_to(errors, sizes) for errors in groups] for each in (resting, steadied)
+    )
     of_fixed, *of_estimated = (
         of_frame - of_rest for of_frame, of_rest in zip(under_load, at_rest, strict=True)
     )
@@ -179,17 +179,6 @@ def shared_changes(
         estimated,
         counts,
     )
-
-
-def _responses(
-    fit: CellsFit, groups: Sequence[tuple[SharedError, ...]], sizes: Systematic
-) -> list[Array]:
-    """Return the responses K U of the log cells to each group of errors, (cells, columns)."""
-    readings = fit.readings.value
-    return [
-        fit.response(error_columns(errors, fit.network, readings, fit.scene, sizes))
-        for errors in groups
-    ]
 
 
 def _with_frame_noise(

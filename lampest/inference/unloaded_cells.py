@@ -7,11 +7,12 @@ import numpy as np
 from lampest.cost.problem import Data
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import FIT, CellsFit, data_of_cells
+from lampest.panel.effects import error_columns, recorded_share
+from lampest.panel.effects.channels import CHANNELS
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
-from lampest.panel.systematic import CHANNELS, error_columns, recorded_share
 from lampest.posterior.gaussian import forms_over_scales
 from lampest.recording.readings import Readings
 

@@ -186,6 +186,8 @@ def scatter(
         Response to a gain of 1, in units of σ.
     repeats : int
         Degrees of freedom of each channel, frames − 1.
+    gain, ripple : bool
+        Whether gains of frames, and ripples, are separated from the noise.
     patterns : array, shape (n, lines, channels), optional
         Responses to a motion of 1, in units of σ.
     """
@@ -393,8 +395,7 @@ def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:
 def _patterns(rows: Array, freedom: float, *, separated: bool) -> tuple[float, Array]:
     """Return the noise variance of samples, and a root of the covariance that exceeds it.
 
-    The root has shape (channels, k). The root has no columns unless it is `separated` from the
-    noise.
+    The root has shape (channels, k).
 
     Eigenvalues are removed in descending order while they exceed the largest one that noise allows,
     given the mean of the remaining eigenvalues: its edge (√n + √p)²/n and EDGE_WIDTHS times its
@@ -406,6 +407,8 @@ def _patterns(rows: Array, freedom: float, *, separated: bool) -> tuple[float, A
     rows : array, shape (samples, channels)
     freedom : float
         Degrees of freedom n of the samples.
+    separated : bool
+        Whether the root is separated from the noise; otherwise it has no columns.
     """
     channels = rows.shape[1]
     size, direction = np.linalg.eigh(rows.T @ rows / freedom)

@@ -46,12 +46,17 @@ def about_recordings(
     return tuple(dict.fromkeys(lines))
 
 
+def unit_of_key(key: str) -> str:
+    """Return the unit of a number by its key; '' for a relative one."""
+    return next((unit for end, unit in UNITS.items() if key.endswith(end)), "")
+
+
 def _line(key: str, number: float, deviation: float) -> str:
     """Return a number with its standard deviation and unit, or a range, in words."""
     if key in RANGES:
         return f"{key}: {number:.3g} to {deviation:.3g} V"
     name = key.partition(" of ")[0]  # without the place: leaks of row 3
-    unit = next((unit for end, unit in UNITS.items() if name.endswith(end)), "(relative)")
+    unit = unit_of_key(name) or "(relative)"
     if not 0 < deviation < inf:
         return f"{key}: {number:.2g} ± {deviation:.2g} {unit}"
     decimals = 1 - floor(log10(deviation))

@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import Protocol, TypeVar
 
 import numpy as np
-from scipy.linalg import lapack
 
 from lampest.panel.panel import Array
 
@@ -134,6 +133,8 @@ class LevenbergMarquardt:
         point : linearised sum of squares
             The model at the position.
         """
+        from scipy.linalg import lapack  # not by readouts, which a recording loads
+
         low, high = (np.broadcast_to(bound, start.shape) for bound in bounds)
         position = np.clip(start, low, high)
         point = model(position)

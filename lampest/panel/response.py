@@ -351,6 +351,8 @@ VACUUM_KPA = -101.325  # vacuum relative to the standard atmosphere
 # film (Interlink FSR 400) gives 6 % from part to part, a hysteresis of 10 % and a drift of 5 % per
 # decade of time.
 RESPONSE_SD = 0.1
+# The same where a scene says `systematic: typical`: bent, glued or old film responds differently.
+TYPICAL_RESPONSE_SD = 0.25
 PUBLISHED = PublishedResponse()
 
 

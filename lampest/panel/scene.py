@@ -75,7 +75,7 @@ class Scene(Configuration):
         Temperature of the film and its effect on resistance; None: constant, or unknown.
     systematic : Systematic or {'typical', 'none'}, or None
         Errors that all readings may share. 'typical': those of common electronics for the readout's
-        kind, see `lampest.panel.systematic`. None, 'none': absent.
+        kind, see `lampest.panel.effects`. None, 'none': absent.
     lines : Lines, or None
         Resistance of rows and columns themselves; None: zero.
     converter_memory : float or 'estimated', or None
@@ -418,7 +418,10 @@ def specified(scene: Scene, key: str) -> Any:
     """Return the entry of a scene at a dotted key; None where it is absent."""
     entry: Any = scene
     for part in key.split("."):
-        entry = None if isinstance(entry, str) else getattr(entry, part, None)
+        if isinstance(entry, Systematic):
+            entry = entry.entry(part)
+        else:
+            entry = None if isinstance(entry, str) else getattr(entry, part, None)
     return entry
 
 

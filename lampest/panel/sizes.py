@@ -1,40 +1,35 @@
 """Sizes of effects in a scene: a number, or `estimated`, for the recording to determine.
 
-`Systematic` holds those of the errors that all readings share; `lampest.panel.systematic` has their
-effects.
+`Systematic` holds those of the errors that all readings share; `lampest.panel.effects` has what
+they do.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from math import nextafter
 from typing import Any, Final, Literal
 
-from lampest.files.document import MIN_NUMBER
-from lampest.files.typed import Configuration, check_ranges
-from lampest.panel.readouts.lines import MAX_OHM
+from lampest.files.applications import loaded
+from lampest.files.document import INLINE, MIN_NUMBER
+from lampest.files.typed import Extensible, check_range, check_ranges
 
 ESTIMATED: Final = "estimated"  # in place of a number: the recording determines it
 Size = float | Literal["estimated"]
 BELOW_ONE = nextafter(1.0, 0.0)
-# Key of a size, without its section -> least and largest number that a scene may state.
+# Key of a size, without its section -> least and largest number that a scene may state. Those of
+# errors that all readings share are in their files, `lampest.panel.effects`.
 LIMITS = {
     "converter_memory": (0.0, BELOW_ONE),
     "gain": (0.0, 1.0),
     "motion": (0.0, 1.0),
     "creep": (-1.0, 1.0),
     "ripple": (0.0, 2.0**32),
-    "reference_tolerance": (0.0, BELOW_ONE),
-    "channel_spread_ohm": (0.0, MAX_OHM),
-    "series_tolerance_ohm": (0.0, MAX_OHM),
-    "wire_ohm_per_cell": (0.0, MAX_OHM),
-    "inl_lsb": (0.0, 2.0**32),
-    "reading_error": (0.0, 10.0),
     "response_sd": (0.0, 10.0),
     "model_error": (0.0, 1e6),
 }
 
 
 @dataclass(frozen=True)
-class Systematic(Configuration):
+class Systematic(Extensible):
     """Systematic errors that all readings may share; they widen error bars and change no estimate.
 
     None: absent. Each is a number, or `estimated`: the recording determines it once, beginning with
@@ -65,6 +60,8 @@ class Systematic(Configuration):
         Standard deviation of the readings' errors of the model, in units of their noise σ, so that
         σ grows by √(1 + model_error²). 0: none. None: from evidence that no penalty can imitate;
         'estimated': from the residuals of loaded frames, too. See `lampest.estimate.model_error`.
+    own : tuple of (str, float or 'estimated')
+        Sizes of further errors, those of installed packages; each is a key in a file.
 
     >>> lampest.Systematic(reference_tolerance=0.01).reference_tolerance
     0.01
@@ -78,6 +75,12 @@ class Systematic(Configuration):
     reading_error: Size | None = None
     response_sd: float | None = None
     model_error: Size | None = None
+    own: tuple[tuple[str, Size], ...] = field(default=(), metadata={INLINE: True})
+
+    @classmethod
+    def added_keys(cls) -> tuple[str, ...]:
+        """Return the settings of effects that are no fields."""
+        return added_effects()
 
     def __post_init__(self) -> None:
         if not 0 <= (plain_size(self.reference_tolerance) or 0.0) < 1:
@@ -92,6 +95,27 @@ class Systematic(Configuration):
             "response_sd",
             "model_error",
         )
+        for name, size in self.own:
+            if size != ESTIMATED:
+                check_range(name, float(size), *limits_of(name))
+
+
+def added_effects() -> tuple[str, ...]:
+    """Return the settings of shared effects that are no fields of `Systematic`."""
+    named = {entry.name for entry in fields(Systematic)}
+    settings = (error.setting for error in loaded("lampest.panel.effects:shared_effects")())
+    return tuple(setting for setting in settings if setting not in named)
+
+
+def limits_of(name: str) -> tuple[float, float]:
+    """Return the least and the largest number that a scene may state under a key of a size.
+
+    Raises ValueError if no effect has the key.
+    """
+    if name in LIMITS:
+        return LIMITS[name]
+    limits: tuple[float, float] = loaded("lampest.panel.effects:shared_effect_of")(name).limits
+    return limits
 
 
 def plain_size(size: Size | None) -> float | None:
@@ -102,18 +126,18 @@ def plain_size(size: Size | None) -> float | None:
 def check_sizes(owner: Any, *names: str) -> None:
     """Raise ValueError unless each named field of an object is valid.
 
-    A field is valid if it is None, 'estimated', or lies within its LIMITS.
+    A field is valid if it is None, 0, 'estimated', or lies within its limits.
     """
     for name in names:
-        if getattr(owner, name) != ESTIMATED:
-            check_ranges(owner, *LIMITS[name], name)
+        if getattr(owner, name) not in (None, 0, ESTIMATED):
+            check_ranges(owner, *limits_of(name), name)
 
 
 def within_limits(name: str, number: float) -> float:
     """Return the number nearest to one that a recording determined which a scene may state.
 
-    Numbers below the range of physical quantities are zero, numbers outside LIMITS are the limit.
+    Numbers below the range of physical quantities are zero, numbers beyond a limit are the limit.
     """
-    low, high = LIMITS[name]
+    low, high = limits_of(name)
     limited = min(max(number, low), high)
     return 0.0 if abs(limited) < MIN_NUMBER else limited

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import TWO_SIDED
+from lampest.panel.effects import Shared, own_errors
 from lampest.panel.panel import Array
-from lampest.panel.systematic import Shared, own_errors
 from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.certainty import Certainty, common_variance
 from lampest.posterior.covariance import DenseErrors, Memory

@@ -21,10 +21,10 @@ from lampest.files.checksums import check_datasets
 from lampest.files.document import parse_document
 from lampest.files.errors import InputError
 from lampest.files.process import check_memory
+from lampest.panel.effects import SERIES
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.converter import Characteristic
 from lampest.panel.scene import Scene, validated_scene
-from lampest.panel.systematic import SERIES
 from lampest.recording.acquisition import (
     CODE_OFFSET,
     FORMER_OFFSET,
@@ -72,9 +72,7 @@ def _scene_of(text: str, where: str) -> Scene:
     document = parse_document(text, where)
     errors = document.content.get("systematic") if isinstance(document.content, dict) else None
     if isinstance(errors, dict) and FORMER_SERIES in errors:
-        renamed = {
-            SERIES.setting if key == FORMER_SERIES else key: value for key, value in errors.items()
-        }
+        renamed = {SERIES if key == FORMER_SERIES else key: value for key, value in errors.items()}
         document = document.with_value(("systematic",), renamed)
     return validated_scene(document)
 

@@ -532,9 +532,10 @@ def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
         calmest = int(np.argmin(np.ma.filled(means.std(axis=-1), np.inf)))
         in_calmest, values_there = _row_differences(value[[calmest]], noise[[calmest]])
         distinct &= _differ_from_most(in_calmest, similar | (values_there < 4))
-    groups, group = scipy.sparse.csgraph.connected_components(
-        similar & distinct & distinct[:, None], directed=False
-    )
+    touching = similar & distinct & distinct[:, None] & ~np.eye(rows, dtype=bool)
+    if not np.any(touching):
+        return ()
+    groups, group = scipy.sparse.csgraph.connected_components(touching, directed=False)
     members = (np.flatnonzero(group == number) for number in range(groups))
     return tuple(tuple(lines.tolist()) for lines in members if len(lines) > 1)
 

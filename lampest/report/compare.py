@@ -371,7 +371,7 @@ def comparison(*paths: str | Path) -> "DataFrame":
 def screen_blocks(rows: Sequence[Row], *, published: bool = False) -> list[Table]:
     """Return a table for each recording, or one with medians over more than six recordings.
 
-    published : whether the figures quoted in the run file are included.
+    `published` states whether the figures quoted in the run file are included.
     """
     groups = list(grouped(rows, itemgetter("results", "recording")).values())
     if len(groups) > MAX_SHOWN:

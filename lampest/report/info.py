@@ -386,12 +386,14 @@ def _holes(recording: Recording) -> Iterator[str]:
 
 
 def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str:
-    """Return a sentence on missing readings and readings at a rail.
+    """Return a sentence on missing readings and readings at a rail; '' if every one is a value.
 
-    An example is `12 readings missing (0.4 %), 30 at a rail, ... (1 %), in 7 of 40 frames`.
+    An example is `12 readings missing (0.4 %), 30 at a rail, ... (1 %), in 7 of 40 frames`. Lines
+    without readings are named.
 
-    missing, bounds : (frames, rows, columns). Lines without readings are named. Empty if every
-        reading is a value.
+    Parameters
+    ----------
+    missing, bounds : boolean array, shape (frames, rows, columns)
     """
     kinds = (missing, "missing"), (bounds, "at a rail, zero or below the series resistance")
     counts = [(int(np.sum(kind)), words) for kind, words in kinds if np.any(kind)]

@@ -58,9 +58,8 @@ class Reconstruction(Estimates):
     ) -> Self:
         """Solve every measured frame of a recording.
 
-        Raises InputError if estimator and recording do not fit.
-
-        on_frame : receives the numbers of solved and of all frames.
+        `on_frame` receives the numbers of solved and of all frames. Raises InputError if estimator
+        and recording do not fit.
         """
         return reconstruct_as(
             cls, recording, estimator, lambda done, frames, so_far: on_frame(done, frames)

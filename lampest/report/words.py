@@ -22,9 +22,8 @@ def no_formula(value: object) -> object:
 def digits(value: float, count: int = 3, like: float | None = None) -> str:
     """Format a number with `count` significant digits, such as '0.0012', '3,050'.
 
-    Numbers from 10⁻⁴ to 10⁶ have no exponent.
-
-    like : a number that gets `count` digits; the value then has the same decimals.
+    Numbers from 10⁻⁴ to 10⁶ have no exponent. `like` is a number that gets `count` digits; the
+    value then has the same decimals.
     """
     if np.isnan(value):
         return "not a number"

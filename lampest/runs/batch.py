@@ -74,7 +74,9 @@ class Report:
     aside : Path or None
         New name of a file with results of other cases.
     not_run : int
-        Number of cases that no executor ran, for the reason `lost`.
+        Number of cases that no executor ran.
+    lost : str
+        Why none ran them; '' if all were run.
     warnings, advice, estimated : tuple of str
         Warnings about the results, advice on the scenes, and the numbers that recordings
         determined, each behind the recording's name.

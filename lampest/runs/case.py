@@ -303,10 +303,8 @@ class CaseResult(Content):
     def to_xarray(self, columns: Sequence[Column] = ()) -> Dataset:
         """Return an xarray.Dataset over time (s), row and column, with x and y in mm.
 
-        Units are in `attrs`.
-
-        columns : descriptions of `extra`, as in `read_results`. Raises InputError for an extra
-        without column and if xarray is not installed.
+        Units are in `attrs`. `columns` are descriptions of `extra`, as in `read_results`. Raises
+        InputError for an extra without column and if xarray is not installed.
         """
         with extra("xarray"):
             from xarray import Dataset

@@ -266,7 +266,9 @@ class _Source:
     ----------
     path, sha256 : Path, str
     scene, readings
-        None if the file is unreadable, for the reason `fault`.
+        None if the file is unreadable.
+    fault : InputError or None
+        Why it is unreadable.
     frames : int
         Number of measured frames.
     stored : StoredRecording or None

@@ -116,11 +116,6 @@ def _frame_numbers(done: Estimates) -> NDArray[np.intp]:
     return done.frame if done.recording.number is None else done.recording.number[done.frame]
 
 
-def _unloaded_frames(done: Estimates) -> int:
-    """Return the number of unloaded frames, whose mean is the baseline."""
-    return int(np.sum(done.recording.role == UNLOADED))
-
-
 def _truth(done: Estimates) -> Array | None:
     """Return true cells, (frames, rows, columns) ohm, or None.
 
@@ -255,7 +250,7 @@ class Content(Validated):
     joint_start: bool = _attribute("joint_start", "joint_start", default=False)
     model_mark: str = _attribute("model_explains", value=lambda done: _verdict(done).mark)
     model_sentence: str = _attribute("model_check", value=lambda done: _verdict(done).sentence)
-    advice: str = _attribute("advice", value=lambda done: _advice(done))
+    advice: str = _attribute("advice", value=_advice)
     noise_sentence: str = _attribute("noise_check", "noise.sentence")
     noise_learned: str = _attribute("noise_learned", "noise.summary")
     film_sentence: str = _attribute(
@@ -265,7 +260,11 @@ class Content(Validated):
     reading_error: float = _attribute("reading_error", "noise.reading_error", 0.0)
     error_in_sigma: float = _attribute("reading_error_in_sigma", "noise.error_in_sigma", 0.0)
     model_factor: float = _attribute("model_factor", "noise.model_factor", 1.0)
-    unloaded_frames: int = _attribute("unloaded_frames", default=0, value=_unloaded_frames)
+    unloaded_frames: int = _attribute(
+        "unloaded_frames",
+        default=0,
+        value=lambda done: int(np.sum(done.recording.role == UNLOADED)),
+    )
     frame_noise: dict[str, Array] = field(default_factory=dict)
     start_time: str = ""
     # The measurement that all estimates of a recording share: frames, readings with their noise,

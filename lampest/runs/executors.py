@@ -563,6 +563,8 @@ def each_of(
     ----------
     function : Function
         Importable by other processes.
+    items : sequence
+        Its arguments, one each.
     on_done : callable
         Receives the numbers of finished and of all items.
     executor : Executor or None

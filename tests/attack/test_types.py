@@ -145,11 +145,12 @@ def test_an_object_of_a_fields_type_needs_no_schema(monkeypatch: pytest.MonkeyPa
     lampest.Estimator((lampest.Misfit(loss=lampest.Huber(3.0)), lampest.Gradient(weight=1.0)))
     kinds = (lampest.Panel, lampest.Scene, lampest.Misfit, lampest.Huber)
     held = [hint for hint in hints if any(kind.__name__ in str(hint) for kind in kinds)]
-    assert hints and not held
+    assert not held
     with pytest.raises(lampest.InputError, match="Panel"):
         dataclasses.replace(scene, panel=scene)
     with pytest.raises(lampest.InputError, match="terms"):
         lampest.Estimator((lampest.Misfit(), scene))  # type: ignore[arg-type]
+    assert hints  # of objects of a wrong type
 
 
 def _refused(make: Any, call: str, given: dict[str, Any], must: bool = False) -> str:

@@ -117,10 +117,13 @@ def dotted(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-MODULES = {
-    dotted(path): ast.parse(path.read_text(encoding="utf-8"))
-    for path in sorted(HOUSE.rglob("*.py"))
-}
+@cache
+def modules() -> dict[str, ast.Module]:
+    """The syntax of every module, by its dotted name."""
+    return {
+        dotted(path): ast.parse(path.read_text(encoding="utf-8"))
+        for path in sorted(HOUSE.rglob("*.py"))
+    }
 
 
 def floor(room: str) -> int:
@@ -160,7 +163,7 @@ def named_modules(tree: ast.Module) -> Iterator[tuple[str, str]]:
     for node in nodes(tree):
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             named, _, member = node.value.partition(":")
-            if named in MODULES.keys() - {"lampest"}:
+            if named in modules().keys() - {"lampest"}:
                 yield named, member
 
 
@@ -242,7 +245,7 @@ def missing(module: str, tree: ast.Module) -> Iterator[str]:
     yield from (
         f"imports {name}, which does not exist"
         for name, _ in imports(tree)
-        if name.startswith("lampest.") and name not in MODULES
+        if name.startswith("lampest.") and name not in modules()
     )
 
 
@@ -252,16 +255,16 @@ def faces(module: str, tree: ast.Module) -> Iterator[str]:
     A test of one imports the package alone, and patches nothing inside.
     """
     for name, imported in imports(tree):
-        if name.startswith("lampest.") or f"{name}.{imported}" in MODULES:
+        if name.startswith("lampest.") or f"{name}.{imported}" in modules():
             yield f"imports {name if name.startswith('lampest.') else imported} from within"
     for node in nodes(tree):
         if (
             isinstance(node, ast.Constant)
             and isinstance(node.value, str)
-            and node.value not in MODULES
+            and node.value not in modules()
         ):
             parts = node.value.split(".")
-            if ".".join(parts[:2]) in MODULES and parts[0] == "lampest" and len(parts) > 2:
+            if ".".join(parts[:2]) in modules() and parts[0] == "lampest" and len(parts) > 2:
                 yield f"names {node.value}"
 
 
@@ -299,14 +302,14 @@ def namesakes(modules: dict[str, ast.Module], names: Names) -> dict[str, list[st
 )
 def test_the_package_follows_the_rule(rule: Rule) -> None:
     broken = [
-        f"{module} {fault}" for module, tree in MODULES.items() for fault in rule(module, tree)
+        f"{module} {fault}" for module, tree in modules().items() for fault in rule(module, tree)
     ]
     assert not broken
 
 
 @pytest.mark.parametrize("names", [classes, public_functions], ids=lambda names: names.__name__)
 def test_public_names_are_unique_in_the_package(names: Names) -> None:
-    shared = namesakes(MODULES, names)
+    shared = namesakes(modules(), names)
     assert not shared
 
 
@@ -370,10 +373,10 @@ def test_every_permitted_import_is_used() -> None:
         for place in places:
             inside = [
                 tree
-                for module, tree in MODULES.items()
+                for module, tree in modules().items()
                 if f"{module}.".startswith(f"lampest.{place}.")
             ]
-            inside += [] if place else [MODULES["lampest"]]
+            inside += [] if place else [modules()["lampest"]]
             used = {name.split(".")[0] for tree in inside for name, _ in imports(tree)}
             assert library in used, f"no module of {place} imports {library}"
 
@@ -390,12 +393,12 @@ def test_every_module_is_reached_from_the_command_or_the_public_face() -> None:
     waiting += [f"lampest.apps.{name}" for name in APPLICATIONS]
     while waiting:
         module = waiting.pop()
-        if module in MODULES and module not in reached:
+        if module in modules() and module not in reached:
             reached.add(module)
-            for name, imported in imports(MODULES[module]):
+            for name, imported in imports(modules()[module]):
                 parts = f"{name}.{imported}".split(".")
                 waiting += [".".join(parts[:count]) for count in range(1, len(parts) + 1)]
-    assert MODULES.keys() == reached
+    assert modules().keys() == reached
 
 
 @pytest.mark.parametrize("room", sorted(ROOMS))
@@ -404,7 +407,7 @@ def test_imports_form_no_cycle(room: str) -> None:
 
     Modules of a room can be put in an order in which each needs those before it.
     """
-    inside = [module for module in MODULES if f"{module}.".startswith(f"lampest.{room}.")]
+    inside = [module for module in modules() if f"{module}.".startswith(f"lampest.{room}.")]
     needs = {module: set(needed(module)) & set(inside) for module in inside}
     ready: set[str] = set()
     while following := {
@@ -419,10 +422,10 @@ def needed(module: str) -> Iterator[str]:
 
     Objects of an application are named by texts, and imported when they are requested.
     """
-    later = set(named_modules(MODULES[module])) if module.count(".") == 2 else set()
-    for name, imported in set(imports(MODULES[module])) - later:
+    later = set(named_modules(modules()[module])) if module.count(".") == 2 else set()
+    for name, imported in set(imports(modules()[module])) - later:
         inner = f"{name}.{imported}"
-        yield inner if inner in MODULES else name
+        yield inner if inner in modules() else name
 
 
 def test_the_package_has_a_core_of_thirteen_rooms_and_nine_applications() -> None:
@@ -457,7 +460,7 @@ def test_the_page_states_the_additions_of_each_application() -> None:
 def test_an_application_imports_its_stated_needs(name: str) -> None:
     imported = {
         room_of(target).removeprefix("apps.")
-        for module, tree in MODULES.items()
+        for module, tree in modules().items()
         if room_of(module) == f"apps.{name}"
         for target, _ in imports(tree)
         if target.startswith("lampest.apps.")
@@ -471,7 +474,7 @@ def test_an_application_imports_its_stated_needs(name: str) -> None:
 def test_solver_and_terminal_are_called_in_one_place(name: str, home: str) -> None:
     callers = {
         module
-        for module, tree in MODULES.items()
+        for module, tree in modules().items()
         for node in nodes(tree)
         if isinstance(node, ast.Call) and ast.unparse(node.func) in (name, f"casadi.{name}")
     }
@@ -481,7 +484,7 @@ def test_solver_and_terminal_are_called_in_one_place(name: str, home: str) -> No
 def test_parts_are_as_small_as_the_contributing_page_says() -> None:
     lengths = sorted(
         node.end_lineno - node.lineno + 1
-        for tree in MODULES.values()
+        for tree in modules().values()
         for node in nodes(tree)
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
     )

@@ -7,7 +7,7 @@ from promises import ROOT, TABLE, Promise, promises, table
 
 from docs.studies.promises import BREAKS, broken, path_of
 
-PROMISES = list(promises())
+PROMISES = promises()
 
 
 def prose(page: str) -> str:

@@ -344,25 +344,12 @@ def test_the_contact_of_a_starter_mat_is_detected_and_its_readings_have_no_error
     With amplifiers nothing but the cells' scatter tells such errors from cells, and changes do not
     depend on them.
     """
-    assert lampest(
-        "init",
-        tmp_path / "mine",
-        "--readout",
-        circuit,
-        "--rows",
-        24,
-        "--columns",
-        8,
-        "--purpose",
-        "mat",
-    )
+    words = ("--readout", circuit, "--rows", 10, "--columns", 6, "--purpose", "mat")
+    assert lampest("init", tmp_path / "mine", *words)
     path = tmp_path / "mine" / "example.h5"
     shown = re.search(r"reading_error: (\S+) ± (\S+) \(relative\)", lampest("info", path).out)
     assert shown is not None
     size, deviation = map(float, shown.groups())
     assert size < (0.002 if circuit != "amplifiers" else deviation)
-    detection = lampest("detect", path, "--out", tmp_path / "detections")
-    if circuit == "pull_ups":  # with ten bits only the cells that are pressed most are clear
-        assert "contact since 5.0 s at (34, 120) mm, 2 cells," in detection.out
-    else:
-        assert "contact since 5.0 s at (35, 115) mm, 4 cells" in detection.out
+    detection = lampest("detect", path, "--no-check", "--out", tmp_path / "detections")
+    assert re.search(r"contact since 5\.0 s at \(2[45], 45\) mm, 4 cells", detection.out)

@@ -32,7 +32,7 @@ from lampest.apps.recognition.swings import Patterns, patterns_of
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import Look, WatchSetup
 from lampest.apps.recognition.window import Window
-from lampest.inference import changed_cells, noise, outliers
+from lampest.inference import evidence, noise, outliers
 from lampest.inference.compared_frames import noise_factor
 from lampest.inference.effects.converter_ends import saturated
 from lampest.inference.effects.motion import displacement
@@ -42,7 +42,9 @@ from lampest.inference.nuisances import CircuitEffects
 from lampest.inference.nuisances import candidates as possible_effects
 from lampest.inference.prepared import Prepared
 from lampest.inference.variance_components import noted_excess, repeated_scatter, scatter
-from lampest.panel.effects import LineLeak, LooseContact
+from lampest.panel.effects.line_effect import line_effects
+from lampest.panel.effects.line_leak import LineLeak
+from lampest.panel.effects.loose_contact import LooseContact
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.scene import OwnOfModule
 from lampest.recording.recording import baseline_readings, deciding_frames
@@ -344,7 +346,7 @@ def scatter_row() -> dict[str, Any]:
             replace(recording, role=lonely.astype(np.uint8)), readings, resting
         )[1:],
         "beside": np.array(neighbours),
-        "possible": [str(each) for each in possible_effects((3, 4))],
+        "possible": [str(each) for each in possible_effects((3, 4), line_effects())],
         "scattered": detection.noise_by_scatter(small_group),
     }
 
@@ -437,17 +439,17 @@ def changed_row() -> dict[str, Any]:
     change[[3, 4, 9]] -= 1.5
     moved = np.abs(change) > 1
     return {
-        "starts": changed_cells.usual_starts(change),
-        "touching": changed_cells.touching(moved.reshape(1, 4, 5)),
-        "away": [changed_cells.away_from_changed(~part, (4, 5)) for part in (moved, change > 0)],
-        "still": [changed_cells.mostly_still(part) for part in (moved, ~moved)],
+        "starts": evidence.usual_starts(change),
+        "touching": evidence.touching(moved.reshape(1, 4, 5)),
+        "away": [evidence.away_from_changed(~part, (4, 5)) for part in (moved, change > 0)],
+        "still": [evidence.mostly_still(part) for part in (moved, ~moved)],
         "selected": [
-            changed_cells.select_changed(
-                precision @ change, precision, changed_cells.usual_starts(change), loaded
+            evidence.select_changed(
+                precision @ change, precision, evidence.usual_starts(change), loaded
             )
             for loaded in (None, change > 0.15)
         ],
-        "scores": changed_cells.scores_with_errors(change, precision, rng.standard_normal((20, 4))),
+        "scores": evidence.scores_with_errors(change, precision, rng.standard_normal((20, 4))),
     }
 
 

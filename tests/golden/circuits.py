@@ -19,8 +19,10 @@ from lampest.apps.film.pressure import (
 from lampest.apps.film.tare import TareWatch
 from lampest.apps.recognition import candidates
 from lampest.files.typed import members_of
-from lampest.panel import effects, systematic
+from lampest.panel import effects
 from lampest.panel.conditions import water_pressure
+from lampest.panel.effects import error_columns, shared_effects
+from lampest.panel.effects.line_effect import effect_on_readings, line_effects
 from lampest.panel.kirchhoff import NormalByLines, Stencil
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts import AnyReadout, readout, wired_network
@@ -241,7 +243,7 @@ def scene_row(scene: lp.Scene) -> dict[str, Any]:
     }
     return row | {
         "alike": [numbers for _, numbers in scene.alike],
-        "unobservable": systematic.unobservable_numbers(scene),
+        "unobservable": effects.unobservable_numbers(scene),
         "dead": scene.dead_modules,
         "with series": scene_text(scene.with_series(33.0)),
         "centres": panel.centres_mm(),
@@ -254,8 +256,8 @@ def errors_row(scene: lp.Scene) -> dict[str, Any]:
     )
     network = network_of(scene)
     reading = network.reading()
-    sizes = systematic.systematic_of(scene)
-    shared = systematic.Shared.of(scene)
+    sizes = effects.systematic_of(scene)
+    shared = effects.Shared.of(scene)
     every = replace(
         sizes,
         series_tolerance_ohm=9.0,
@@ -265,10 +267,7 @@ def errors_row(scene: lp.Scene) -> dict[str, Any]:
     )
     known = [
         None,
-        *(
-            systematic.Shared(replace(sizes, reading_error=size), scene)
-            for size in (None, 0.01, 0.05)
-        ),
+        *(effects.Shared(replace(sizes, reading_error=size), scene) for size in (None, 0.01, 0.05)),
     ]
     return {
         "usual": sizes,
@@ -278,18 +277,16 @@ def errors_row(scene: lp.Scene) -> dict[str, Any]:
             for beyond in [shared.beyond(each)]
         ]
         + [each.beyond(known[2]) is None for each in known[1:]],
-        "columns": systematic.error_columns(
-            systematic.SHARED_ERRORS, network, reading, scene, every
-        ),
+        "columns": error_columns(shared_effects(), network, reading, scene, every),
         "shared": shared.columns(network, reading),
         "own": shared.own_error(reading),
         "effects": [
             (
                 kind.__name__,
                 kind(lines, size=kind.prior).sentence(panel_rows),
-                effects.effect_on_readings([kind(lines, size=kind.prior)], scene, network),
+                effect_on_readings([kind(lines, size=kind.prior)], scene, network),
             )
-            for kind in effects.EFFECTS
+            for kind in line_effects()
             for panel_rows in [len(reading)]
             for lines in list(kind.places(*reading.shape))[:2]
         ],
@@ -502,7 +499,7 @@ def pressure_row(scene: lp.Scene, tare: lp.Tare | None = None, failed: tuple[int
         "pressure": load,
         "forces": forces,
         "sd": response_sd(scene, ratio),
-        "scatter": scatter_sd(scene, systematic.systematic_of(scene)),
+        "scatter": scatter_sd(scene, effects.systematic_of(scene)),
     }
 
 

@@ -31,7 +31,10 @@ def content(value: Any) -> Any:
         return of_array(np.asarray(value))
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {
-            field.name: content(getattr(value, field.name)) for field in dataclasses.fields(value)
+            field.name: content(getattr(value, field.name))
+            for field in dataclasses.fields(value)
+            # keys of installed packages, where there are any
+            if not (field.name == "own" and isinstance(getattr(value, field.name), tuple))
         }
     if isinstance(value, Enum):
         return value.value

@@ -430,6 +430,8 @@ def ranges_row(owner: Any) -> dict[str, Any]:
     """Which powers of ten each number of a configuration may be, and why not others."""
     rows = {}
     for field in fields(owner):
+        if field.name == "own":  # keys of installed packages
+            continue
         if field.init:
             signs = ""
             reasons = list[str]()

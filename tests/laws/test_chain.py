@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lampest import Array
-from lampest.inference.changed_cells import swept
+from lampest.inference.evidence import swept
 from lampest.posterior.chain import Chain
 from lampest.posterior.linear import inverse_and_volume
 

@@ -7,8 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import lampest
-from lampest.panel.effects import EFFECTS, Effect, LooseContact, effect_on_readings
-from lampest.panel.systematic import SHARED_ERRORS, SharedError, error_columns
+from lampest.panel.effects import SharedEffect, error_columns, shared_effects
+from lampest.panel.effects.line_effect import LineEffect, effect_on_readings, line_effects
+from lampest.panel.effects.loose_contact import LooseContact
 
 SHAPE = (3, 4)
 SCENE = lampest.Scene(lampest.Panel(*SHAPE), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
@@ -21,8 +22,8 @@ LINEAR = 1e-7  # relative: columns are central differences; measured 3e-9
 NETWORK = SCENE.circuit.network(CELLS, SCENE.circuit.ties(CELLS), SCENE.wiring)
 
 
-@pytest.mark.parametrize("kind", EFFECTS)
-def test_an_effect_is_smooth_in_its_size_and_vanishes_at_zero(kind: type[Effect]) -> None:
+@pytest.mark.parametrize("kind", line_effects())
+def test_an_effect_is_smooth_in_its_size_and_vanishes_at_zero(kind: type[LineEffect]) -> None:
     places = list(kind.places(*SHAPE))
     assert len(set(places)) == len(places) > 0
     for lines in places:
@@ -35,8 +36,8 @@ def test_an_effect_is_smooth_in_its_size_and_vanishes_at_zero(kind: type[Effect]
         assert_allclose(double, 2 * single, rtol=MAX_BEND, atol=MAX_BEND * np.abs(single).max())
 
 
-@pytest.mark.parametrize("kind", EFFECTS)
-def test_an_effect_has_a_sentence_with_its_line_and_its_time(kind: type[Effect]) -> None:
+@pytest.mark.parametrize("kind", line_effects())
+def test_an_effect_has_a_sentence_with_its_line_and_its_time(kind: type[LineEffect]) -> None:
     for lines in kind.places(*SHAPE):
         sentence = kind(lines, since=True, size=kind.prior).sentence(3)
         assert "since the unloaded frames" in sentence
@@ -52,8 +53,8 @@ def test_an_effect_has_a_sentence_with_its_line_and_its_time(kind: type[Effect])
     )
 
 
-@pytest.mark.parametrize("error", SHARED_ERRORS, ids=lambda error: error.setting)
-def test_columns_of_a_shared_error_are_proportional_to_its_setting(error: SharedError) -> None:
+@pytest.mark.parametrize("error", shared_effects(), ids=lambda error: error.setting)
+def test_columns_of_a_shared_error_are_proportional_to_its_setting(error: SharedEffect) -> None:
     sizes = [lampest.Systematic(**{error.setting: size}) for size in (1e-3, 2e-3)]
     single, double = (
         error_columns([error], NETWORK, NETWORK.reading(), SCENE, size) for size in sizes
@@ -64,15 +65,15 @@ def test_columns_of_a_shared_error_are_proportional_to_its_setting(error: Shared
 
 def test_an_exact_reference_keeps_its_column_and_leaves_error_bars_unchanged() -> None:
     exact = lampest.Systematic(0.0, 0.0, response_sd=0.0)
-    columns = error_columns(SHARED_ERRORS, NETWORK, NETWORK.reading(), SCENE, exact)
+    columns = error_columns(shared_effects(), NETWORK, NETWORK.reading(), SCENE, exact)
     assert columns.shape == (1, 3, 4) and not columns.any()
     channels = replace(exact, channel_spread_ohm=2.0)
-    assert error_columns(SHARED_ERRORS, NETWORK, NETWORK.reading(), SCENE, channels).shape == (
+    assert error_columns(shared_effects(), NETWORK, NETWORK.reading(), SCENE, channels).shape == (
         8,
         3,
         4,
     )
-    assert error_columns(SHARED_ERRORS[1:], NETWORK, NETWORK.reading(), SCENE, exact).shape == (
+    assert error_columns(shared_effects()[1:], NETWORK, NETWORK.reading(), SCENE, exact).shape == (
         0,
         3,
         4,

@@ -12,7 +12,7 @@ from lampest.inference.cells_fit import LEAST_SQUARES, CellsFit, data_of_cells, 
 from lampest.inference.compared_frames import broken_law
 from lampest.inference.prepared import Prepared
 from lampest.inference.rivals import Rival, rivals_of
-from lampest.panel.effects import LooseContact
+from lampest.panel.effects.loose_contact import LooseContact
 from lampest.panel.readouts.driven_starts import UNIFORM_KNOTS, uniform_readings
 from lampest.panel.readouts.readout import Readout
 from lampest.recording.readings import Readings

@@ -43,13 +43,11 @@ from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Status, check
 from tests.least_cost import LeastCost, Penalty
-from tests.random_problem import RandomProblem
+from tests.random_problem import RandomProblem, shape_of
 
 MAX_SMALL_CELLS = 40  # cells: problems that are solved in every way within a second
 SMALL_PROBLEMS = [
-    number
-    for number in range(110)
-    if np.prod(RandomProblem.drawn(11, number).cells.shape[1:]) <= MAX_SMALL_CELLS
+    number for number in range(110) if np.prod(shape_of(11, number)) <= MAX_SMALL_CELLS
 ][:40]
 # Ended without an estimate once, as (seed, number): gradients that a heavy penalty multiplies are
 # rounding; kinks of readings and of penalties at once; cells tied loosely by a heavy penalty that

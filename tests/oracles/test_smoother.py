@@ -27,12 +27,12 @@ from lampest.cost.given import Background
 from lampest.estimate.methods.joint import Joint
 from lampest.estimate.methods.smoother import Walk, smoothed
 from lampest.estimate.sequence import reconstruct
+from lampest.panel.effects import Shared
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
-from lampest.panel.systematic import Shared
 from tests.estimates import in_intervals, log_errors, recording_of
 from tests.netlist import two_point_resistances
 

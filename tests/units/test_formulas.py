@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from lampest.apps.calibration.loads import _responses
 from lampest.files import levels
-from lampest.inference.changed_cells import (
+from lampest.inference.evidence import (
     MOVED_COST,
     scores_with_errors,
     select_changed,

@@ -27,12 +27,13 @@ from lampest.estimate.sequence import first_stream
 from lampest.files.errors import BROKEN, InputError
 from lampest.inference.prepared import Prepared
 from lampest.inference.rival_circuits import RESISTORS
+from lampest.panel.effects import systematic_of, usual_sizes
+from lampest.panel.effects.channels import CHANNELS
 from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.readouts.lines import SeriesPerLine, of_side
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
-from lampest.panel.systematic import TYPICAL_CHANNEL_OHM, USUAL, systematic_of
 from lampest.posterior.gaussian import Information
 from lampest.recording.recording import Recording
 
@@ -80,7 +81,7 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
     common_scene(recordings, _circuit)
     name = recordings[0].name
     _check_determined(name, recordings[0].scene)
-    prior = _prior_sizes(recordings[0].scene)
+    prior = prior_sizes(recordings[0].scene)
     channel_prior = float(prior.channel_spread_ohm)
     scene = replace(recordings[0].scene, systematic=prior)
     rows, columns = scene.panel.shape
@@ -148,14 +149,14 @@ def _check_determined(name: str, scene: Scene) -> None:
         raise InputError(f"{name}: calibrate a panel of modules by recordings of each")
 
 
-def _prior_sizes(scene: Scene) -> Systematic:
+def prior_sizes(scene: Scene) -> Systematic:
     """Return the prior sizes of all errors, channels included."""
     prior = systematic_of(scene) or replace(
-        USUAL, series_tolerance_ohm=None, inl_lsb=None, wire_ohm_per_cell=None
+        usual_sizes(), series_tolerance_ohm=None, inl_lsb=None, wire_ohm_per_cell=None
     )
     return replace(
         prior,
-        channel_spread_ohm=prior.channel_spread_ohm or TYPICAL_CHANNEL_OHM,
+        channel_spread_ohm=prior.channel_spread_ohm or CHANNELS.prior,
         reading_error=None,
     )
 

@@ -20,16 +20,16 @@ from scipy.linalg import solve_triangular
 from lampest.apps.calibration.circuit_numbers import (
     EXPECTED,
     MEMORY,
-    RESISTOR_TOLERANCE,
-    TYPICAL_OHM,
     WIRE,
-    WORST_OHM,
     CircuitNumber,
     LineOffsets,
     scene_key,
     with_numbers,
 )
 from lampest.apps.calibration.trials import Trial, usable_range, within_rails
+from lampest.panel.effects.channels import TYPICAL_OHM, WORST_OHM
+from lampest.panel.effects.converter_curve import ConverterCurve
+from lampest.panel.effects.reference import E24_TOLERANCE
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import MAX_OHM, LineNumber, Side
@@ -38,7 +38,6 @@ from lampest.panel.scene import Scene
 from lampest.recording.simulation.measure import SHORT_OHM
 
 MAX_KEPT_FRACTION = 0.9  # of a converter; with 1, nothing of a new reading would be seen
-CONVERTER_ERROR_LSB = 0.5  # integral nonlinearity of the ATmega2560, by its data sheet
 MAX_EVALUATIONS = 25  # good calibrations take 5, and 10 from numbers ten times too large
 STEP = 1e-5  # of an unknown, or of ln of a resistor, for forward differences
 
@@ -83,7 +82,7 @@ class Unknown:
         """Return the common value and the offsets of the lines of each side.
 
         The spread of channels is a third of the difference between worst and typical ones; that of
-        resistors is the standard deviation of RESISTOR_TOLERANCE.
+        resistors is the standard deviation of E24_TOLERANCE.
 
         Returns
         -------
@@ -93,7 +92,7 @@ class Unknown:
             spread·e in ohm, one array a side.
         """
         common = self.scale * float(unknowns[self.index])
-        spread = RESISTOR_TOLERANCE / 3**0.5 * common
+        spread = E24_TOLERANCE / 3**0.5 * common
         if self.number.channel:
             spread = (WORST_OHM - TYPICAL_OHM) / 3
         return common, [spread * unknowns[part] for part in self.lines.values()]
@@ -304,7 +303,7 @@ def fit_circuit(problem: Problem) -> CircuitFit:
             partial(problem.squares, root), unknowns, (lower, np.inf)
         )
     residual = problem.measured - problem.expected(unknowns)
-    covariance = problem.covariance(unknowns, CONVERTER_ERROR_LSB)
+    covariance = problem.covariance(unknowns, ConverterCurve.prior)
     weighted = solve_triangular(np.linalg.cholesky(covariance), residual, lower=True)
     # A reading counts as a value unless both the measurement and its expectation lie at a rail.
     inside = [

@@ -13,15 +13,11 @@ import numpy as np
 
 from lampest.apps.calibration.calibration import DIGITS, FRACTION_DIGITS
 from lampest.files.levels import SIGNIFICANT
+from lampest.inference.effects.converter_memory import USUAL_MEMORY
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import LineNumber, SeriesPerLine, Side
 from lampest.panel.scene import Scene
 
-# channel of a CD74HC4067 at 5 V, by its data sheet
-BEST_OHM = 40.0
-TYPICAL_OHM = 70.0
-WORST_OHM = 160.0
-RESISTOR_TOLERANCE = 0.05  # of ordinary resistors, uniformly distributed
 # Numbers that are estimated where the scene names them.
 MEMORY = LineNumber("converter_memory", (), in_scene=True, unit="1")
 WIRE = tuple(
@@ -31,7 +27,7 @@ WIRE = tuple(
 # its value is less. A real board had a memory of 2.9 % of the channel before, and conductive thread
 # an ohm from cell to cell.
 EXPECTED = {
-    "converter_memory": ("converter memory", 0.03, 0.01),
+    "converter_memory": ("converter memory", USUAL_MEMORY, 0.01),
     "lines.row_ohm_per_cell": ("wire of rows", 1.0, 0.5),
     "lines.column_ohm_per_cell": ("wire of columns", 1.0, 0.5),
     "diode.drop_volt": ("diode drop", None, 0.2),

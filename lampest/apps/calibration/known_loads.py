@@ -132,6 +132,7 @@ class KnownLoads:
 
     Attributes
     ----------
+    loads : tuple of KnownLoad
     patch_mm : float or None
         Edge of a cell's film; None: 0.6 of the pitch.
     place_mm : float

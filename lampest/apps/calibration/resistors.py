@@ -19,17 +19,15 @@ from lampest.apps.calibration.circuit_fit import (
     fit_circuit,
 )
 from lampest.apps.calibration.circuit_numbers import (
-    BEST_OHM,
     EXPECTED,
-    RESISTOR_TOLERANCE,
-    TYPICAL_OHM,
-    WORST_OHM,
     CircuitNumber,
     with_estimates,
 )
 from lampest.apps.calibration.trials import BELIEF, Trial
 from lampest.files.errors import InputError
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
+from lampest.panel.effects.channels import BEST_OHM, TYPICAL_OHM, WORST_OHM
+from lampest.panel.effects.reference import E24_TOLERANCE
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import MIN_REPEATS
@@ -228,9 +226,7 @@ def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None
             f"than the {most:g} ohm that {channels} channels have at worst; "
             "were the known resistors in place of the panel, and are their values right?"
         )
-    most = max(
-        WORST_OHM - BEST_OHM if number.channel else 0.0, 4 * RESISTOR_TOLERANCE * estimate.value
-    )
+    most = max(WORST_OHM - BEST_OHM if number.channel else 0.0, 4 * E24_TOLERANCE * estimate.value)
     for side, offset, sigma in estimate.lines:
         high = int(np.nanargmax(offset))
         low = int(np.nanargmin(offset))

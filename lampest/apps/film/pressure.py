@@ -16,11 +16,11 @@ from lampest.apps.film.tare import TareWatch
 from lampest.estimate.estimator import Tare
 from lampest.files.levels import NOISE_REACH, TWO_SIDED
 from lampest.panel.conditions import water_pressure
+from lampest.panel.effects import systematic_of
 from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA, Film
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
-from lampest.panel.systematic import systematic_of
 
 MIN_TOUCH = 0.1  # ln r/r0: less may be drift alone, half a kPa of the published film
 

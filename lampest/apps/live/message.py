@@ -176,6 +176,7 @@ class Message:
 
     Attributes
     ----------
+    panel : Panel
     picture : Picture
         The frame.
     view : View

@@ -240,6 +240,10 @@ def solved_scan(
 
     Parameters
     ----------
+    state : PanelState
+        State before the frame.
+    scan : Scan
+        The frame.
     number : int
         Number of the frame.
     skipped : int
@@ -351,6 +355,8 @@ def read_load(
 
     Parameters
     ----------
+    load : PressureTrack
+        Pressures of the frames before.
     ratio : array
         r/r_baseline (rows, columns).
     bars : Bars or None

@@ -2,7 +2,7 @@
 
 Water between two lines makes all cells of both seem to conduct more, from one end of the panel to
 the other, which no load does. The cells' changes d = ln r/r0 under loads of any form have the
-spike-and-slab prior of `lampest.inference.changed_cells`. A leak of the conductance θ adds a θ to d
+spike-and-slab prior of `lampest.inference.evidence`. A leak of the conductance θ adds a θ to d
 of still cells, with
 
     a = K (∂f/∂θ),
@@ -18,14 +18,14 @@ import numpy as np
 from lampest.apps.recognition.observation import Observation
 from lampest.files.levels import MIN_EVIDENCE_GAIN, NOISE_REACH
 from lampest.inference.assumptions import ASSUMED
-from lampest.inference.changed_cells import (
+from lampest.inference.evidence import (
     PARAMETER_COST,
     Changes,
     away_from_changed,
     mostly_still,
     usual_starts,
 )
-from lampest.panel.effects import LineLeak
+from lampest.panel.effects.line_leak import LineLeak
 from lampest.panel.panel import Array
 
 Leaks = tuple[LineLeak, ...]

@@ -6,11 +6,13 @@ from math import hypot, log10
 import numpy as np
 
 from lampest.apps.recognition.recognition_scene import RecognitionScene
+from lampest.panel.effects import systematic_of
+from lampest.panel.effects.channels import CHANNELS
+from lampest.panel.effects.reference import REFERENCE
 from lampest.panel.panel import Array
 from lampest.panel.response import RESPONSE_SD
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
-from lampest.panel.systematic import TYPICAL_CHANNEL_OHM, USUAL, systematic_of
 
 
 @dataclass(frozen=True)
@@ -58,8 +60,8 @@ class ModelErrors:
     drift: float = 0.01
     common_drift: float = 0.02
     settled: float = 0.002
-    channel_ohm: float = TYPICAL_CHANNEL_OHM
-    reference: float = 0.006
+    channel_ohm: float = CHANNELS.prior
+    reference: float = REFERENCE.sd_of_one_percent
     reading_error: float = 0.0
     swaying: float = 0.1
     residue: float = 0.12
@@ -78,7 +80,7 @@ class ModelErrors:
         # Of a uniform distribution of that half width. E δ is of first order: a larger error, such
         # as that of a pin's pull-ups, scales all cells and hardly their changes, but E δ would
         # explain a light contact by it.
-        tolerance = min(float(sizes.reference_tolerance), float(USUAL.reference_tolerance))
+        tolerance = min(float(sizes.reference_tolerance), REFERENCE.prior)
         reference = tolerance / np.sqrt(3)
         return replace(errors, channel_ohm=float(sizes.channel_spread_ohm), reference=reference)
 

@@ -18,7 +18,7 @@ from scipy.linalg import cholesky, lapack
 from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.apps.recognition.recognition_scene import RecognitionScene
 from lampest.files.levels import SIGNIFICANT
-from lampest.panel.effects import LineLeak
+from lampest.panel.effects.line_leak import LineLeak
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, Response

@@ -30,6 +30,8 @@ class WindowScene:
     response : Response or None
     of_modules : tuple of RecognitionScene
         Scene of each module.
+    wiring : None
+        Each module has its own.
     """
 
     panel: Panel

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from lampest.cost.cost import Cost
 from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.inference.assumptions import ASSUMED
+from lampest.panel.effects import Shared
 from lampest.panel.panel import Array
-from lampest.panel.systematic import Shared
 from lampest.panel.trust_region import backtracked
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.chain import Chain

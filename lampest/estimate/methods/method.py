@@ -411,15 +411,17 @@ class OptimalMethod(Method):
         'per_pixel' and 'nodal' are solved by IPOPT with node voltages as unknowns, 'reduced' by
         Newton's method with potentials eliminated. 'auto' is nodal where IPOPT takes a few
         hundredths of the time between frames, else reduced: on panels of up to NODAL_CELLS with
-        squared losses, if frames are at least NODAL_PERIOD apart, and one panel gives their
-        readings.
+        squared losses, if frames are at least NODAL_PERIOD apart, one panel gives their readings,
+        and the readings show the scale of all cells.
         """
         kind = self.kind
         if kind == "auto":
             squared = all(term.loss.squared for term in cost.terms)
             few = cost.panel.crossings <= NODAL_CELLS
-            # From its start IPOPT may end at another panel that reads alike
-            fast = few and squared and not scene.circuit.several_panels
+            # From its start IPOPT may end at another panel that reads alike. Along scales that no
+            # reading shows, its iterates wander until their limit (docs/studies/speed.md).
+            unseen = scene.circuit.unseen_scales(*cost.panel.shape)
+            fast = few and squared and not scene.circuit.several_panels and not unseen
             kind = "nodal" if fast and period >= NODAL_PERIOD else "reduced"
         return solver_of(cost, scene.circuit, scene.wiring, kind, settings)
 

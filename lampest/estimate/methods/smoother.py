@@ -36,9 +36,9 @@ from lampest.files.levels import NOISE_REACH
 from lampest.files.process import delayed_interrupt
 from lampest.files.typed import check_positive_fields
 from lampest.inference.assumptions import ASSUMED
-from lampest.inference.changed_cells import touching
+from lampest.inference.evidence import touching
+from lampest.panel.effects import Shared
 from lampest.panel.panel import Array
-from lampest.panel.systematic import Shared
 from lampest.posterior.linear import IGNORANCE, positive_inverse
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter

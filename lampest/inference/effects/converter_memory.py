@@ -2,7 +2,7 @@
 
 The estimate follows from the unloaded panel and a loaded frame. With a wrong share every change of
 a cell appears in the next channel, too, so that more cells seem to have moved. The evidence of the
-pair of frames (`lampest.inference.fitted_pair`) is compared over MEMORIES, all equally probable
+pair of frames (`lampest.inference.pair`) is compared over MEMORIES, all equally probable
 before, relative to the misfit of still cells. Nothing is determined where most cells moved: any
 share then explains them.
 """
@@ -13,9 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from lampest.files.levels import MIN_EVIDENCE_GAIN
-from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
 from lampest.inference.compared_frames import ComparedFrames
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
+from lampest.inference.evidence import PARAMETER_COST, mostly_still
 from lampest.inference.explanation import Explanation
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.number import parabola

@@ -7,11 +7,11 @@ import numpy as np
 from lampest.files.levels import SIGNIFICANT
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import fitted
-from lampest.inference.changed_cells import MIN_STILL_SHARE, mostly_still, touching
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
-from lampest.inference.fitted_pair import FittedPair
+from lampest.inference.evidence import MIN_STILL_SHARE, mostly_still, touching
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides
+from lampest.inference.pair import FittedPair
 from lampest.panel.sizes import ESTIMATED
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS

@@ -5,12 +5,14 @@ from collections.abc import Iterator
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.noise import NoiseEstimate, without_effects
 from lampest.inference.nuisances import Besides
-from lampest.panel.effects import Effect, LineLeak, LooseContact
+from lampest.panel.effects.line_effect import LineEffect
+from lampest.panel.effects.line_leak import LineLeak
+from lampest.panel.effects.loose_contact import LooseContact
 from lampest.panel.scene import specified
 from lampest.panel.sizes import ESTIMATED
 from lampest.recording.recording import Recording
 
-BESIDES: dict[str, type[Effect]] = {kind.key: kind for kind in (LineLeak, LooseContact)}
+BESIDES: dict[str, type[LineEffect]] = {kind.key: kind for kind in (LineLeak, LooseContact)}
 
 
 class LeaksAndContacts(SceneEffect):

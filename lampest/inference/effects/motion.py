@@ -30,18 +30,19 @@ from numpy.typing import NDArray
 from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted, well_determined
-from lampest.inference.changed_cells import MOVED_COST, Changes, mostly_still, usual_starts
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
-from lampest.inference.fitted_pair import FittedPair
+from lampest.inference.evidence import MOVED_COST, Changes, mostly_still, usual_starts
 from lampest.inference.noise import NoiseEstimate, Share
 from lampest.inference.nuisances import Besides
 from lampest.inference.number import Number, summed_out
+from lampest.inference.pair import FittedPair
 from lampest.inference.variance_components import NO_RIPPLE
+from lampest.panel.effects import estimated_errors, own_errors
+from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_panel_order
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED
-from lampest.panel.systematic import READING_ERROR, estimated_errors, own_errors
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.gaussian import Information
 from lampest.posterior.reference import MAX_CELLS

@@ -5,10 +5,10 @@ z, with
 
     a = K_f U_f − K_b U_b,
 
-where U is the response of the readings to the errors (`lampest.panel.systematic`), and K the
+where U is the response of the readings to the errors (`lampest.panel.effects`), and K the
 inverse of the readings' Jacobian. Over the still cells d = a z + noise. Each reading has an error
 of its own, N(0, e²). The posterior of e combines the evidence of the changes, with moved cells
-selected for each e (`lampest.inference.changed_cells`), and the likelihood of the unloaded panel.
+selected for each e (`lampest.inference.evidence`), and the likelihood of the unloaded panel.
 Given e, the still cells determine the posterior of z. Of errors that are too large for linear
 theory only e is estimated.
 """
@@ -19,10 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.levels import SIGNIFICANCE
+from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANCE
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
+from lampest.inference.evidence import mostly_still
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides
 from lampest.inference.number import Number, summed_out
@@ -40,17 +41,12 @@ from lampest.inference.shared_changes import (
     shared_changes,
 )
 from lampest.inference.unloaded_cells import READING_ERRORS, unloaded_costs
+from lampest.panel.effects import Possible, estimated_errors, shared_effects, systematic_of
+from lampest.panel.effects.channels import CHANNELS
+from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
-from lampest.panel.systematic import (
-    CHANNELS,
-    READING_ERROR,
-    TYPICAL_CHANNEL_OHM,
-    Possible,
-    estimated_errors,
-    systematic_of,
-)
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings, strongest_frame
@@ -154,7 +150,7 @@ def _error_beside_channels(
             COARSE,
             unloaded_costs(scene, resting, fit, READING_ERRORS[COARSE], ohm),
         )
-        for ohm in CHANNEL_FACTORS[FEW_FACTORS] * TYPICAL_CHANNEL_OHM
+        for ohm in CHANNEL_FACTORS[FEW_FACTORS] * CHANNELS.prior
     ]
     costs = np.array(unloaded) - 2 * LOG_PRIOR_OF_FACTORS[FEW_FACTORS, None]
     beside = _costs_of_errors(scene, moves, COARSE, CHANNEL_FACTORS[FEW_FACTORS])
@@ -193,7 +189,7 @@ def _channel_spread(
     factors = np.append(np.zeros(int(with_none)), CHANNEL_FACTORS)
     prior = np.append(np.zeros(int(with_none)), np.exp(LOG_PRIOR_OF_FACTORS))
     unloaded = [
-        unloaded_costs(scene, resting, fit, error, ohm)[0] for ohm in factors * TYPICAL_CHANNEL_OHM
+        unloaded_costs(scene, resting, fit, error, ohm)[0] for ohm in factors * CHANNELS.prior
     ]
     changes = error_costs(scene, moves, error, factors, ASSUMED.slope_cells)[:, 0]
     return Number.by_costs(factors, unloaded + changes, prior)
@@ -334,7 +330,7 @@ def _determined_sizes(
             float(np.trace(matrix[first:last, first:last])) / (last - first)
             for matrix in (posterior.second, posterior.covariance)
         )
-        if error is not CHANNELS and covariance < MAX_UNTOLD**2:
+        if error.setting != CHANNELS.setting and covariance < MAX_UNTOLD**2:
             size = unit * float(np.sqrt(second)), unit * float(np.sqrt(covariance))
             sizes[error.setting] = size
         first = last
@@ -426,7 +422,8 @@ class StaticErrors(SceneEffect):
         return noise
 
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
-        """Yield advice on channels, or on errors of each reading that stay the same."""
+        """Yield advice on columns, on channels, or on errors of each reading that stay the same."""
+        yield from self._by_columns(evidence)
         channels = tuple(self._channels(evidence))
         error = self._reading_error(evidence, beside_channels=bool(channels))
         if error is None:
@@ -476,7 +473,7 @@ class StaticErrors(SceneEffect):
             return
         spread = _channel_spread(estimating, frames[0], fit, moves, 0.0, with_none=True)
         if spread.gain > DOUBTFUL_GAIN and np.argmax(spread.odds) < len(spread.odds) - 1:
-            size = TYPICAL_CHANNEL_OHM * spread.mean
+            size = CHANNELS.prior * spread.mean
             yield Unnamed.of(f"channels of the lines seem to differ by {size:.1g} ohm", key)
 
     def _frames(self, evidence: Gathered) -> tuple[Readings, Readings | None] | None:
@@ -501,3 +498,21 @@ class StaticErrors(SceneEffect):
             strongest = strongest_frame(readings.plain_values, resting.value, evidence.measured)
             loaded = readings[strongest]
         return resting, loaded
+
+    def _by_columns(self, evidence: Gathered) -> Iterator[Unnamed]:
+        """Yield advice on errors by whose columns still cells move between rest and a load."""
+        explanation = evidence.prepared.question.explanation
+        pair = None if explanation is None else explanation.pair
+        for error in shared_effects() if pair is not None else ():
+            key = f"systematic.{error.setting}"
+            if pair is None or not (error.is_advised and error.prior and evidence.names_none(key)):
+                continue
+            with_error = pair.explained(pair.columns_of(error))
+            gain = (pair.evidence.score - with_error.score) / pair.excess
+            if gain > MIN_EVIDENCE_GAIN and mostly_still(with_error.moved):
+                # of columns z ~ N(0, 1) the size is √E[z²], as posteriors of sizes have it
+                size, deviation = (
+                    error.prior * float(np.sqrt(np.mean(part[1:] ** 2)))
+                    for part in (with_error.size, with_error.sd)
+                )
+                yield Unnamed.of(error.sentence(float(np.hypot(size, deviation)), deviation), key)

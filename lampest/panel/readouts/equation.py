@@ -155,11 +155,9 @@ def equation_of(circuit: DrivenLines, rows: int, columns: int) -> Equation:
     states = circuit.states(driven, sensed)
     ends = circuit.line_ends
     loads_stay = np.array_equal(states.load, states.idle_load) and ends.load == ends.idle_load
-    addresses = [np.arange(sensed)]
-    parallel = False
-    if circuit.groups is not None and len(circuit.groups) > 1 and not loads_stay:
-        addresses = _addresses(circuit.groups)
-        parallel = True
+    groups = circuit.groups or ()
+    parallel = len(groups) > 1 and not loads_stay
+    addresses = _addresses(groups) if parallel else [np.arange(sensed)]
     drive_addresses = [np.arange(driven)]
     if circuit.driven_groups is not None:
         # While a line is driven, those at its place of the other multiplexers end in Rd
@@ -191,6 +189,7 @@ def equation_of(circuit: DrivenLines, rows: int, columns: int) -> Equation:
     elif not loads_stay:
         together = np.eye(sensed)
     crossings = _Crossings(circuit.driven, (rows, columns))
+    current, by_potential = map(crossings.of_driven, current_terms)
     return Equation(
         states=states,
         drive=crossings.of_driven(states.drive),
@@ -198,10 +197,7 @@ def equation_of(circuit: DrivenLines, rows: int, columns: int) -> Equation:
         gain=crossings.of_sensed(states.gain),
         drive_terms=(crossings.of_driven(drive_terms[0]), crossings.of_driven(drive_terms[1])),
         load_terms=(crossings.of_sensed(load_terms[0]), crossings.of_sensed(load_terms[1])),
-        current_terms=(
-            crossings.of_driven(current_terms[0]),
-            crossings.of_driven(current_terms[1]),
-        ),
+        current_terms=(current, by_potential),
         floating=not np.any(ties),
         grounded=bool(np.all(states.idle <= states.drive)) and len(drive_addresses) == 1,
         ties=np.stack(ties),

@@ -37,6 +37,7 @@ class LineNumber:
         Whether the number is, or includes, the resistance of a multiplexer's channel.
     in_scene : bool
         Whether the key belongs to the scene, not to the readout.
+    unit : {'ohm', 'volt', '1'}
     """
 
     name: str

@@ -277,16 +277,26 @@ class OralDisc(RoundShape):
 
     A mouth in recognition may be elongated and uneven, and press harder than its suction requires.
 
-    diameter_mm : outer diameter of the rim; for an elongated mouth the geometric mean of both axes.
-    pressure_kpa : suction against the surroundings, negative.
-    rim_kpa : mean contact pressure under the rim; None: the pressure that bears the suction,
+    Attributes
+    ----------
+    diameter_mm : float
+        Outer diameter of the rim; for an elongated mouth the geometric mean of both axes.
+    rim_width_mm : float
+    pressure_kpa : float
+        Suction against the surroundings, negative.
+    rim_kpa : float or None
+        Mean contact pressure under the rim; None: the pressure that bears the suction,
         p_rim·A_rim = −p·A_inside, and `extra_rim_kpa`.
-    extra_rim_kpa : excess of the rim's pressure over that which bears the suction.
-    elongation : long axis over the short one. elongation_deg : direction of the long axis; 0
-        towards higher columns.
-    unevenness : relative amplitude of the rim's pressure along the rim, 0 to 1; the mean is
-        unchanged. lobes : number
-        of maxima along the rim. unevenness_deg : direction of one maximum, before the elongation.
+    extra_rim_kpa : float
+        Excess of the rim's pressure over that which bears the suction.
+    elongation, elongation_deg : float
+        Long axis over the short one, and direction of the long axis; 0 towards higher columns.
+    unevenness : float
+        Relative amplitude of the rim's pressure along the rim, 0 to 1; the mean is unchanged.
+    lobes : int
+        Number of maxima along the rim.
+    unevenness_deg : float
+        Direction of one maximum, before the elongation.
 
     Source: suction is uniform over the mouth, -0.6 to -26 kPa at rest: Shi et al., PLoS ONE 16,
     e0247884, 2021.
@@ -374,8 +384,14 @@ class OralDisc(RoundShape):
 class Block(Shape):
     """p = m·g/(a·b) under a rectangular foot; simulated only.
 
-    angle_deg : direction of the length a; 0 along the rows, towards higher columns, 90 towards
-        higher rows.
+    Attributes
+    ----------
+    length_mm, width_mm : float
+        a and b.
+    mass_g : float
+        m.
+    angle_deg : float
+        Direction of the length a; 0 along the rows, towards higher columns, 90 towards higher rows.
 
     Example: {kind: block, centre_mm: [45, 45], length_mm: 50, width_mm: 20, mass_g: 500, angle_deg:
     30}

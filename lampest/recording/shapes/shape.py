@@ -145,11 +145,16 @@ class Shape(Configuration):
     suffice for simulation. `candidate` is the model that recognition fits, None for shapes that are
     only simulated. `positive` names the numbers that must be positive.
 
-    centre_mm : (x, y) of the centre; cells lie at their places, of a full rectangle at x = k·pitch
-        and y = j·pitch.
-    tilt : relative change of the contact pressure from the centre to its reach, 0 to 1; the mean is
-        unchanged where the contact is symmetric about the centre. tilt_direction_deg : direction of
-        the highest pressure; 0 towards higher columns, 90 towards higher rows.
+    Attributes
+    ----------
+    centre_mm : (float, float)
+        x and y of the centre; cells lie at their places, of a full rectangle at x = k·pitch and
+        y = j·pitch.
+    tilt : float
+        Relative change of the contact pressure from the centre to its reach, 0 to 1; the mean is
+        unchanged where the contact is symmetric about the centre.
+    tilt_direction_deg : float
+        Direction of the highest pressure; 0 towards higher columns, 90 towards higher rows.
 
     >>> issubclass(lampest.Rod, lampest.Shape)
     True

@@ -5,25 +5,30 @@ The simulation includes circuit, multiplexers, converter, and effects outside th
 
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.document import INLINE
 from lampest.files.typed import (
-    Configuration,
+    Extensible,
     check_not_negative,
     check_positive_fields,
+    check_range,
     check_ranges,
 )
-from lampest.panel.effects import LineLeak, effect_on_readings, neighbours
+from lampest.panel.effects import shared_effect_of
+from lampest.panel.effects.channels import CHANNELS
+from lampest.panel.effects.reading_error import READING_ERROR
+from lampest.panel.effects.reference import REFERENCE
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import of_side
 from lampest.panel.readouts.readout import in_panel_order, with_memory
-from lampest.panel.readouts.wiring import Contacts, Lines
+from lampest.panel.readouts.wiring import Contacts
 from lampest.panel.scene import Scene
-from lampest.panel.systematic import SINES
+from lampest.panel.sizes import added_effects
 
 # limits of true cells: a strip of copper tape, and the insulation between two lines
 SHORT_OHM = 1e-3
@@ -31,7 +36,7 @@ OPEN_OHM = 1e12
 
 
 @dataclass(frozen=True)
-class Unmodelled(Configuration):
+class Unmodelled(Extensible):
     """Effects in the data that the recording's scene does not contain. Zero or None: absent.
 
     Attributes
@@ -78,6 +83,8 @@ class Unmodelled(Configuration):
         Fraction by which the film's response is smaller, in the logarithm of its resistance.
     response_spread : float, or None
         Standard deviation of the logarithm of a factor on each cell's response.
+    own : tuple of (str, float)
+        Sizes of further errors, those of installed packages; each is a key in a file.
 
     >>> lampest.Unmodelled(channel_spread_ohm=3.0).channel_spread_ohm
     3.0
@@ -103,9 +110,17 @@ class Unmodelled(Configuration):
     contact_ohm: float | None = None
     begins_s: float | None = None
     saturation: float | None = None
+    own: tuple[tuple[str, float], ...] = field(default=(), metadata={INLINE: True})
+
+    @classmethod
+    def added_keys(cls) -> tuple[str, ...]:
+        """Return the settings of shared effects that are no fields of `Systematic`."""
+        return added_effects()
 
     def __post_init__(self) -> None:
-        check_not_negative(self, *(field.name for field in fields(self)))
+        check_not_negative(self, *(entry.name for entry in fields(self) if entry.name != "own"))
+        for setting, size in self.own:
+            check_range(setting, size, *shared_effect_of(setting).limits)
         check_ranges(self, 0, 1, "outlier_probability")
         check_ranges(self, 0, 0.999, "reference_tolerance", "response_loss")
         check_positive_fields(self, "leak_ohm")
@@ -182,8 +197,9 @@ def measured(
         lines = np.repeat(np.arange(count), -(-crossings // count))[:crossings]
         read_in = in_panel_order(actual, lines.astype(float), total.shape[1:]).astype(int)
         total = np.take_along_axis(np.stack([total, *passes]), read_in[None, None], axis=0)[0]
-    normal = random_stream(seed, "readings").standard_normal(scene.panel.shape)
-    total = total * np.exp((unmodelled.reading_error or 0.0) * normal)
+    total = total * READING_ERROR.drawn(
+        scene.panel.shape, unmodelled.reading_error or 0.0, random_stream(seed, "readings")
+    )
     if actual.unit == "ohm" and not np.all(total > 0):
         raise ValueError(
             "unmodelled.channel_spread_ohm makes a resistance negative; "
@@ -230,18 +246,15 @@ def _measured_modules(
 
 def _true_circuit(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Readout, Scene]:
     """Return the true circuit, and the scene with the true contacts and wire."""
-    error = unmodelled.reference_tolerance * random_stream(seed, "reference").uniform(-1, 1)
-    actual = scene.circuit.off_by(error)
+    actual = REFERENCE.drawn(
+        scene.circuit, unmodelled.reference_tolerance, random_stream(seed, "reference")
+    )
     if scene.contact_prior is not None:
         scene = replace(scene, contacts=true_contacts(scene, seed))
     if unmodelled.wire_ohm_per_cell:
-        lines = scene.lines or Lines()
-        more = unmodelled.wire_ohm_per_cell
-        row = lines.row_ohm_per_cell + more
-        column = lines.column_ohm_per_cell + more
-        scene = replace(
-            scene, lines=replace(lines, row_ohm_per_cell=row, column_ohm_per_cell=column)
-        )
+        from lampest.panel.effects.wire import WIRE  # for this key alone
+
+        scene = WIRE.in_scene(scene, unmodelled.wire_ohm_per_cell)
     return actual, scene
 
 
@@ -250,7 +263,8 @@ def _read(
 ) -> Array:
     """Return recorded readings of cells (frames, rows, columns) ohm, with leak and contact.
 
-    The leak and the contact resistance begin at `unmodelled.begins_s`.
+    The leak and the contact resistance begin at `unmodelled.begins_s`. Errors of installed packages
+    are in all frames.
     """
     begin = int(np.ceil((unmodelled.begins_s or 0.0) / period_s))
     cells = np.where(scene.panel.present, cells, np.inf)
@@ -258,13 +272,22 @@ def _read(
     if unmodelled.contact_ohm:
         late = actual.simulated(cells, scene, *_channel_errors(scene, unmodelled, seed, late=True))
         recorded[begin:] = late[begin:]
-    if unmodelled.leak_ohm is None:
+    if unmodelled.leak_ohm is None and not unmodelled.own:
         return recorded
     reading = actual.from_recorded(recorded, scene)
-    leak = LineLeak(neighbours(*scene.panel.shape), size=1 / unmodelled.leak_ohm)
-    for frame in range(begin, len(cells)):
+    for frame in range(0 if unmodelled.own else begin, len(cells)):
         network = actual.network(cells[frame], actual.ties(reading[frame]), scene.wiring)
-        reading[frame] += effect_on_readings((leak,), scene, network)
+        exact = reading[frame]
+        if unmodelled.leak_ohm is not None and frame >= begin:
+            from lampest.panel.effects.line_effect import effect_on_readings  # for leaks alone
+            from lampest.panel.effects.line_leak import LineLeak, neighbours
+
+            leak = LineLeak(neighbours(*scene.panel.shape), size=1 / unmodelled.leak_ohm)
+            reading[frame] = exact + effect_on_readings((leak,), scene, network)
+        for setting, size in unmodelled.own:
+            random = random_stream(seed, setting)
+            drawn = shared_effect_of(setting).simulated(network, exact, scene, size, random)
+            reading[frame] += drawn - exact
     return actual.to_recorded(reading, scene)
 
 
@@ -286,9 +309,8 @@ def _channel_errors(
     contact.
     """
     rows, columns = scene.panel.shape
-    channel = unmodelled.channel_spread_ohm * random_stream(seed, "channels").standard_normal(
-        rows + columns
-    )
+    spread = unmodelled.channel_spread_ohm
+    channel = CHANNELS.drawn(rows + columns, spread, random_stream(seed, "channels"))
     if late and unmodelled.contact_ohm:
         channel[int(random_stream(seed, "contact").integers(rows))] += unmodelled.contact_ohm
     driven, sensed = of_side(scene.circuit.noisy_side, channel[:rows], channel[rows:])
@@ -355,19 +377,10 @@ def _disturbed(
         wave = in_panel_order(readout, np.sin(2 * np.pi * time + phase[:, None]), volt.shape)
         volt = volt + unmodelled.supply_ripple_lsb * readout.lsb_volt * wave
     if unmodelled.inl_lsb:
-        # Of sines with ½, 1, 1½, … periods over the range.
-        weights = random_stream(seed, "inl").standard_normal(SINES)
+        from lampest.panel.effects.converter_curve import drawn_curve  # for this key alone
 
-        def sines(at: Array) -> Array:
-            waves = (
-                weight * np.sin(np.pi * number * at) for number, weight in enumerate(weights, 1)
-            )
-            return np.asarray(sum(waves, np.zeros_like(at)))
-
-        largest = np.abs(sines(np.linspace(0, 1, 1001))).max()
-        volt = volt + unmodelled.inl_lsb * readout.lsb_volt * (
-            sines(volt / readout.full_scale_volt) / largest
-        )
+        curve = drawn_curve(volt / readout.full_scale_volt, random_stream(seed, "inl"))
+        volt = volt + unmodelled.inl_lsb * readout.lsb_volt * curve
     if unmodelled.saturation:
         volt = np.minimum(volt, unmodelled.saturation * readout.full_scale_volt)
     return volt

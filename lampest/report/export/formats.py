@@ -55,8 +55,8 @@ class Export(ABC):
     ) -> None:
         """Write the cases into the empty file `path`, and metadata into `beside`.
 
-        name : final name of `path`. Raises InputError for a missing library or cases that do not
-            fit the format.
+        `name` is the final name of `path`. Raises InputError for a missing library or cases that do
+        not fit the format.
         """
 
 

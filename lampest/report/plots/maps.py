@@ -191,8 +191,13 @@ class Tile:
 class MapPainter:
     """Painter of maps of a panel on a scale.
 
-    contoured : whether interpolated bands are drawn, with dots at the cells, instead of one patch
-        for each cell.
+    Attributes
+    ----------
+    panel : Panel
+    scale : Scale
+    contoured : bool
+        Whether interpolated bands are drawn, with dots at the cells, instead of one patch for each
+        cell.
     """
 
     panel: Panel
@@ -469,8 +474,16 @@ def maps_figure(
 
     Parameters
     ----------
+    tiles : sequence of Tile
+        The maps.
+    panel : Panel
     scale : Scale or sequence of Scale
         One for all maps, one for each, or one for each row of maps.
+    title : str
+    width : float
+        Width of the figure in inches.
+    contoured : bool
+        As in `MapPainter`.
     about : str
         A remark on the maps, behind the label of x.
     """

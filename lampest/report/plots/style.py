@@ -107,8 +107,8 @@ def write_all(
 ) -> list[Path]:
     """Draw figures into files, in processes unless `in_process`; return the files.
 
-    on_picture : receives the numbers of drawn and of all pictures. Raises InputError if a file
-        cannot be written.
+    `on_picture` receives the numbers of drawn and of all pictures. Raises InputError if a file
+    cannot be written.
     """
     tasks = list(zip(figures, files, strict=True))
     for file, image in zip(

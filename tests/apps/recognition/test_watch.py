@@ -30,7 +30,8 @@ from lampest.apps.live.watcher import Unloaded, Watched
 from lampest.apps.recognition.detect.answer import CANNOT_SAY, NOTHING, PRESSES, SUCKS
 from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.observation import leaking_network
-from lampest.panel.effects import LineLeak, effect_on_readings, neighbours
+from lampest.panel.effects.line_effect import effect_on_readings
+from lampest.panel.effects.line_leak import LineLeak, neighbours
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.recording.simulation.measure import measured

@@ -14,8 +14,8 @@ from lampest.apps.recognition.detect.detection import (
     with_bounds_counted,
     with_slow_waves,
 )
+from lampest.panel.effects import own_errors
 from lampest.panel.panel import Array
-from lampest.panel.systematic import own_errors
 from lampest.recording.readings import stand_in
 from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of

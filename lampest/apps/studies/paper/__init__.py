@@ -297,6 +297,8 @@ def paper_study(
 
     Parameters
     ----------
+    folder : Path
+        Folder of the results.
     jobs : int or None
         Processes, None for all cores.
     further : callable or None

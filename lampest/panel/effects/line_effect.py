@@ -1,27 +1,23 @@
-"""Effects outside the scene, and their influence on readings.
-
-The effects are leaks between lines and contact resistances.
-"""
+"""The base class of effects at lines, and their influence on readings."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import ClassVar
 
 import numpy as np
 
+from lampest.files.applications import loaded
+from lampest.files.typed import installed
+from lampest.panel.effects import GROUP, LINE_EFFECTS
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
 
-def neighbours(rows: int, columns: int) -> tuple[int, ...]:
-    """Return the numbers of all lines that have a next one on their side, rows first."""
-    return tuple(line for line in range(rows + columns - 1) if line != rows - 1)
-
-
 @dataclass(frozen=True)
-class Effect(ABC):
+class LineEffect(ABC):
     """Additional parameter of the readings that the scene does not specify.
 
     Attributes
@@ -38,6 +34,18 @@ class Effect(ABC):
         Standard deviation of the size.
     positive : bool
         Whether the size is never negative.
+
+    >>> class LineGain(lampest.LineEffect):
+    ...     prior = 0.05
+    ...
+    ...     @classmethod
+    ...     def places(cls, rows, columns):
+    ...         yield from ((line,) for line in range(rows + columns))
+    ...
+    ...     def sentence(self, rows):
+    ...         return f"{100 * self.size:+.1f} % in all readings of {self.where(rows)}"
+    >>> LineGain((2,), size=0.03).sentence(rows=5)
+    '+3.0 % in all readings of row 2'
     """
 
     lines: tuple[int, ...]
@@ -77,60 +85,15 @@ class Effect(ABC):
         return ", since the unloaded frames" if self.since else ""
 
 
-class LineLeak(Effect):
-    """Leak from each of the lines to the next one, such as water, in siemens."""
-
-    key = "leaks"
-    prior = 1 / 10e3
-    positive = True
-
-    @classmethod
-    def places(cls, rows: int, columns: int) -> Iterator[tuple[int, ...]]:
-        pairs = neighbours(rows, columns)
-        yield from (pairs, *((line,) for line in pairs))
-
-    def sentence(self, rows: int) -> str:
-        where = (
-            f"{self.where(rows)} and the next one" if len(self.lines) == 1 else "neighbouring lines"
-        )
-        return f"a leak of {1e-3 / self.size:.2g} kohm between {where}{self._since}"
-
-    def changed(self, network: Network) -> Network:
-        """Return the network with the leak; see `Network.leaking`."""
-        unit = np.eye(sum(network.conductance.shape))
-        lines = list(self.lines)
-        return network.leaking(unit[:, lines] - unit[:, [line + 1 for line in lines]], self.size)
-
-
-class LooseContact(Effect):
-    """Additional resistance at the contact of a line, such as that of a loose one, in ohm."""
-
-    key = "contacts"
-    prior = 100.0
-
-    @classmethod
-    def places(cls, rows: int, columns: int) -> Iterator[tuple[int, ...]]:
-        yield from ((line,) for line in range(rows + columns))
-
-    def sentence(self, rows: int) -> str:
-        more = "more" if self.size > 0 else "less"
-        return (
-            f"{float(f'{abs(self.size):.2g}'):g} ohm {more} "
-            f"at the contact of {self.where(rows)}{self._since}"
-        )
-
-    def added(self, scene: Scene, network: Network) -> Array:
-        rows, columns = network.conductance.shape
-        more = self.size * np.isin(np.arange(rows + columns), self.lines)
-        return scene.circuit.beyond(network, scene, more[:rows], more[rows:])
-
-
-# All effects that are searched for.
-EFFECTS: tuple[type[Effect], ...] = (LineLeak, LooseContact)
+@cache
+def line_effects() -> tuple[type[LineEffect], ...]:
+    """Return all effects at lines that are searched for, those of installed packages included."""
+    further = (kind for kind in installed(GROUP, type) if issubclass(kind, LineEffect))
+    return (*map(loaded, LINE_EFFECTS), *further)
 
 
 def with_effects(
-    effects: Sequence[Effect], scene: Scene, network: Network
+    effects: Sequence[LineEffect], scene: Scene, network: Network
 ) -> tuple[Network, Array]:
     """Return the network with all effects.
 
@@ -149,7 +112,7 @@ def with_effects(
     return network, np.asarray(added)
 
 
-def effect_on_readings(effects: Sequence[Effect], scene: Scene, network: Network) -> Array:
+def effect_on_readings(effects: Sequence[LineEffect], scene: Scene, network: Network) -> Array:
     """Return the change of a network's readings by effects, (rows, columns)."""
     leaking, added = with_effects(effects, scene, network)
     return np.asarray(leaking.reading() - network.reading() + added)

@@ -6,7 +6,7 @@ frame f the log cells that no load touches change by
     d = a θ + noise,   a = K_f U_f − K_b U_b,
 
 where U is the response of the readings to a unit of θ, and K the inverse of their Jacobian. The
-evidence is computed with a and without (`lampest.inference.changed_cells`). Effects in the network
+evidence is computed with a and without (`lampest.inference.evidence`). Effects in the network
 itself are estimated together with the cells and d, by Gauss-Newton steps.
 """
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import FIT, CellsFit
-from lampest.inference.changed_cells import (
+from lampest.inference.evidence import (
     PARAMETER_COST,
     Changes,
     away_from_changed,
@@ -27,15 +27,13 @@ from lampest.inference.changed_cells import (
     touching,
     usual_starts,
 )
-from lampest.panel.effects import Effect
+from lampest.panel.effects import SharedEffect, systematic_of
+from lampest.panel.effects.channels import CHANNELS
+from lampest.panel.effects.line_effect import LineEffect
+from lampest.panel.effects.reference import REFERENCE
+from lampest.panel.effects.series import SERIES
 from lampest.panel.panel import Array
-from lampest.panel.systematic import (
-    REFERENCE,
-    SERIES,
-    TYPICAL_CHANNEL_OHM,
-    error_columns,
-    systematic_of,
-)
+from lampest.panel.sizes import Systematic
 from lampest.panel.trust_region import backtracked
 from lampest.recording.readings import Readings
 
@@ -65,7 +63,7 @@ class Evidence:
     sd: Array
 
 
-def responses(fit: CellsFit, effects: Sequence[Effect]) -> Array:
+def responses(fit: CellsFit, effects: Sequence[LineEffect]) -> Array:
     """Return the response K U of the log cells to a unit of each θ, by secants.
 
     Shape (cells, effects).
@@ -122,12 +120,7 @@ class FittedPair:
         sizes = systematic_of(scene)
         if sizes is None or not self.moved.any():
             return None
-        resting, loaded = (
-            fit.response(
-                error_columns((REFERENCE, SERIES), fit.network, fit.readings.value, scene, sizes)
-            )
-            for fit in self.frames
-        )
+        resting, loaded = (fit.response_to((REFERENCE, SERIES), sizes) for fit in self.frames)
         # columns are of one standard deviation: that of the reference's uniform distribution is its
         # half width over √3
         ends = np.ones(loaded.shape[1])
@@ -136,7 +129,7 @@ class FittedPair:
         return float(np.median(error[self.moved.ravel()]))
 
     @property
-    def effects(self) -> tuple[Effect, ...]:
+    def effects(self) -> tuple[LineEffect, ...]:
         """Effects in the network of the frame.
 
         Constant effects are also in the network of the unloaded panel.
@@ -165,7 +158,7 @@ class FittedPair:
         """
         # Σ = P_b + P_f + creep² 1 + spread² channels channelsᵀ
         sizes = systematic_of(self.frames[1].scene)
-        spread = float((sizes and sizes.channel_spread_ohm) or TYPICAL_CHANNEL_OHM)
+        spread = float((sizes and sizes.channel_spread_ohm) or CHANNELS.prior)
         noise = sum(frame.covariance for frame in self.frames) + ASSUMED.creep**2 * np.eye(
             len(self.change)
         )
@@ -176,7 +169,7 @@ class FittedPair:
         """ln |Σ|."""
         return float(np.linalg.slogdet(self.covariance)[1])
 
-    def columns(self, effects: Sequence[Effect]) -> Array:
+    def columns(self, effects: Sequence[LineEffect]) -> Array:
         """Return a = K_f U_f − K_b U_b of each θ in units of its prior, (cells, effects).
 
         An effect since the unloaded frames changes only the frame: K_b U_b is 0.
@@ -185,6 +178,12 @@ class FittedPair:
             return np.zeros((len(self.change), 0))
         resting, loaded = (responses(frame, effects) for frame in self.frames)
         return np.asarray(loaded - np.array([not effect.since for effect in effects]) * resting)
+
+    def columns_of(self, error: SharedEffect) -> Array:
+        """Return a of an error that both frames share, of its prior size, (cells, n)."""
+        sizes = Systematic().with_entries({error.setting: error.prior})
+        resting, loaded = (frame.response_to((error,), sizes) for frame in self.frames)
+        return np.asarray(loaded - resting)
 
     def with_columns(self, columns: Array) -> Changes:
         """Return the changes d with a common change of all cells, then effects, as errors.
@@ -234,7 +233,7 @@ class FittedPair:
         """The moved cells with the largest evidence, boolean (rows, columns)."""
         return self.evidence.moved.reshape(self.shape)
 
-    def scores_with(self, effects: Sequence[Effect], candidates: Array) -> Array:
+    def scores_with(self, effects: Sequence[LineEffect], candidates: Array) -> Array:
         """Return −2 ln evidence with further sizes of effects and one candidate, for each, (n,).
 
         The result approximates the score of `explained`: cells are only added to the moved ones,
@@ -297,7 +296,7 @@ class FittedPair:
         return max(misfit / max(still, 1), 1.0)
 
     def _stepped(
-        self, effects: Sequence[Effect], step: Array, length: float
+        self, effects: Sequence[LineEffect], step: Array, length: float
     ) -> "FittedPair | None":
         """Return the pair after a step of the effects' sizes, times a length.
 
@@ -330,7 +329,7 @@ class FittedPair:
         )
 
     def settled(
-        self, effects: Sequence[Effect], to_beat: float = np.inf, *, constant: bool = True
+        self, effects: Sequence[LineEffect], to_beat: float = np.inf, *, constant: bool = True
     ) -> "FittedPair | None":
         """Return the pair with the most probable sizes of these effects; None where no cells fit.
 
@@ -393,6 +392,6 @@ class FittedPair:
         return settled.frames[1]
 
 
-def without_late(effects: Sequence[Effect]) -> tuple[Effect, ...]:
+def without_late(effects: Sequence[LineEffect]) -> tuple[LineEffect, ...]:
     """Return the effects, with those since the unloaded frames set to 0."""
     return tuple(replace(effect, size=0.0) if effect.since else effect for effect in effects)

@@ -1,0 +1,460 @@
+"""Effects beside the circuit, one file each: those of lampest and those of installed packages.
+
+A `SharedEffect` is an error of all readings that frames share. A `LineEffect` is a leak or a
+contact at lines. Its file states all of an effect: key, unit, prior with its source, what it does
+to readings, how it is simulated, its words. Error bars, weights, simulation, numbers that a scene
+calls `estimated`, and advice follow.
+
+The files stand in this room, because scenes, simulation and error bars need them, whose rooms are
+below inference. A file is loaded where a scene has its key.
+
+To first order the error of the estimate is K·U·z with the gain K and independent standard normal z.
+Every shared effect has columns of U, what it does to the readings, computed as a secant of
+the readout's equations. `Shared` has those of a scene together.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from typing import Any, ClassVar
+
+import numpy as np
+
+from lampest.files.applications import loaded
+from lampest.files.errors import InputError
+from lampest.files.typed import installed
+from lampest.panel.network import Network
+from lampest.panel.panel import Array
+from lampest.panel.response import TYPICAL_RESPONSE_SD
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import ESTIMATED, Systematic
+
+GROUP = "lampest.effects"  # of entry points, for effects of installed packages
+# Field of `Systematic` with its size → class of the error, in the order of columns.
+SHARED = {
+    "reference_tolerance": "lampest.panel.effects.reference:ReferenceTolerance",
+    "channel_spread_ohm": "lampest.panel.effects.channels:ChannelSpread",
+    "series_tolerance_ohm": "lampest.panel.effects.series:SeriesTolerance",
+    "inl_lsb": "lampest.panel.effects.converter_curve:ConverterCurve",
+    "wire_ohm_per_cell": "lampest.panel.effects.wire:WirePerCell",
+    "reading_error": "lampest.panel.effects.reading_error:ReadingError",
+}
+LINE_EFFECTS = (
+    "lampest.panel.effects.line_leak:LineLeak",
+    "lampest.panel.effects.loose_contact:LooseContact",
+)
+REFERENCE = "reference_tolerance"
+SERIES = "series_tolerance_ohm"
+LOG_STEP = 1e-6  # of the logarithm of a recorded value, for central differences
+
+
+class SharedEffect(ABC):
+    """Kind of error that all frames share. Its object has no fields.
+
+    Attributes
+    ----------
+    setting : str
+        Key of `systematic` with its size, one standard deviation; without a value there is no such
+        error. The end of the key is its unit, as `lampest.panel.estimated` lists them.
+    name : str
+        Name in sentences.
+    limits : (float, float)
+        Least and largest size that a scene may state.
+    prior : float, or None
+        Size where a scene says `estimated`, before the recording tells more. None: the posterior
+        begins with all sizes.
+    is_typical : bool
+        Whether `systematic: typical` includes the error.
+    is_advised : bool
+        Whether advice searches for the error by its columns, where the scene does not name it.
+    keeps_column : bool
+        Whether the error has a column of zeros where its size is 0.
+
+    >>> class CommonFactor(lampest.SharedEffect):
+    ...     setting = "common_factor"
+    ...     name = "factor on all readings"
+    ...     limits = (0.0, 1.0)
+    ...
+    ...     def columns(self, network, measured, scene, size):
+    ...         return size * measured[None]
+    >>> CommonFactor().unit
+    ''
+    """
+
+    setting: ClassVar[str]
+    name: ClassVar[str]
+    limits: ClassVar[tuple[float, float]]
+    prior: ClassVar[float | None] = None
+    is_typical: ClassVar[bool] = False
+    is_advised: ClassVar[bool] = True
+    keeps_column: ClassVar[bool] = False
+
+    @abstractmethod
+    def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:
+        """Return what the error of each standard normal z does to the readings.
+
+        Parameters
+        ----------
+        network : Network
+        measured : array, shape (..., rows, columns)
+            Readings of the network, in its unit.
+        scene : Scene
+        size : float
+            The setting; columns are proportional to it.
+
+        Returns
+        -------
+        array, shape (n, ..., rows, columns)
+            U.
+        """
+
+    def size(self, sizes: Systematic) -> float:
+        """Return the size of this error; 0 if it has none."""
+        return float(sizes.entry(self.setting) or 0.0)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the size; '' for a relative one."""
+        from lampest.panel.estimated import unit_of_key  # for sentences alone
+
+        return unit_of_key(self.setting)
+
+    def sentence(self, size: float, deviation: float) -> str:
+        """Return the error that a recording shows in words, with its size and its deviation."""
+        measured = f"{size:.2g} +- {deviation:.1g} {self.unit or '(relative)'}"
+        return f"{self.name} of {measured} would explain what still cells change"
+
+    def simulated(
+        self,
+        network: Network,
+        measured: Array,
+        scene: Scene,
+        size: float,
+        random: np.random.Generator,
+    ) -> Array:
+        """Return readings with a drawn error, z of which is the same in all frames.
+
+        Parameters
+        ----------
+        network, measured, scene, size
+            As those of `columns`, of one frame.
+        random : numpy.random.Generator
+            The same state for every frame.
+        """
+        columns = self.columns(network, measured, scene, size)
+        return np.asarray(measured + np.tensordot(random.standard_normal(len(columns)), columns, 1))
+
+
+class ReadoutNumber(SharedEffect):
+    """Error of the reference or of channels, whose columns a readout has.
+
+    Attributes
+    ----------
+    over_reference, over_channel : float
+        Setting over the standard deviation of the reference's relative error, and of each line's
+        channel in ohm; infinite where the error has no part in them.
+    first : int
+        Number of its first column among those of `Readout.shared_errors`.
+    """
+
+    over_reference: ClassVar[float] = np.inf
+    over_channel: ClassVar[float] = np.inf
+    first: ClassVar[int] = 0
+
+    def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:
+        cells = network.cell_resistance
+        sizes = size / self.over_reference, size / self.over_channel
+        return scene.circuit.shared_errors(cells, measured, scene, *sizes)[self.first :]
+
+
+@cache
+def shared_effects() -> tuple[SharedEffect, ...]:
+    """Return all errors that frames may share, in the order of their columns.
+
+    Raises InputError if an installed package registers something else than an effect, or a key that
+    exists.
+    """
+    further = list[SharedEffect]()
+    for kind in installed(GROUP, type):
+        named = f"{GROUP}: {kind.__name__} of an installed package"
+        if issubclass(kind, SharedEffect):
+            taken = [*SHARED, *(error.setting for error in further)]
+            if kind.setting in taken:
+                raise InputError(f"{named} needs a setting unlike {', '.join(taken)}")
+            further.append(kind())
+        elif not issubclass(kind, loaded("lampest.panel.effects.line_effect:LineEffect")):
+            raise InputError(f"{named} is no effect, SharedEffect or LineEffect")
+    return (*map(_shipped, SHARED), *further)
+
+
+@cache
+def sized_effects(sizes: Systematic) -> tuple[SharedEffect, ...]:
+    """Return the errors with a size, and the reference, in the order of their columns.
+
+    The files of the others are not loaded.
+    """
+    chosen = (key for key in SHARED if sizes.entry(key) or key == REFERENCE)
+    return (*map(_shipped, chosen), *(shared_effect_of(key) for key, size in sizes.own if size))
+
+
+@cache
+def shared_effect_of(setting: str) -> SharedEffect:
+    """Return the error whose size is the entry `setting` of `Systematic`.
+
+    Raises ValueError if there is none.
+    """
+    if setting in SHARED:
+        return _shipped(setting)
+    for error in shared_effects()[len(SHARED) :]:
+        if error.setting == setting:
+            return error
+    raise ValueError(f"{setting}: no installed effect has this key")
+
+
+@cache
+def _shipped(setting: str) -> SharedEffect:
+    error: SharedEffect = loaded(SHARED[setting])()
+    return error
+
+
+def error_columns(
+    errors: Iterable[SharedEffect],
+    network: Network,
+    measured: Array,
+    scene: Scene,
+    sizes: Systematic,
+) -> Array:
+    """Return U, (n, …, rows, columns), of errors of one standard deviation each.
+
+    U is in the readings' unit. `measured` are the readings of the network, (…, rows, columns).
+    """
+    sized = [(error, error.size(sizes)) for error in errors]
+    parts = [
+        error.columns(network, measured, scene, size)
+        for error, size in sized
+        if size or error.keeps_column
+    ]
+    return np.concatenate([np.zeros((0, *measured.shape)), *parts])
+
+
+def recorded_share(measured: Array, scene: Scene) -> Array:
+    """Return ∂(reading)/∂ log(recorded), the effect of a factor on a recorded value.
+
+    Central differences approximate the derivative.
+    """
+    recorded = scene.circuit.to_recorded(measured, scene)
+    above = scene.circuit.from_recorded(recorded * np.exp(LOG_STEP), scene)
+    below = scene.circuit.from_recorded(recorded * np.exp(-LOG_STEP), scene)
+    return np.asarray((above - below) / (2 * LOG_STEP))
+
+
+def own_errors(measured: Array, scene: Scene, size: float) -> Array:
+    """Return the readings' standard deviations for a deviation `size` of log(recorded).
+
+    The result has shape (frames, rows, columns).
+    """
+    return size * np.abs(recorded_share(measured, scene)) if size else np.zeros(measured.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Possible:
+    """Prior or posterior of the errors whose sizes a scene leaves to its recording.
+
+    Attributes
+    ----------
+    sizes : Systematic
+        Standard deviation of each error, those of the others included.
+    settings : tuple of str
+        Fields of `Systematic` of the errors that were estimated, in the order of `shared_effects`.
+    root : array, shape (n, n), or None
+        Lower triangular root of the covariance of z of these errors, each with its columns; None: z
+        are independent.
+    in_sigma : float
+        Size of each reading's own error that σ of the readings includes, and so the choice of
+        weights: the median of the posterior (docs/studies/effects.md).
+    """
+
+    sizes: Systematic
+    settings: tuple[str, ...] = ()
+    root: Array | None = None
+    in_sigma: float = 0.0
+
+
+def systematic_of(scene: Scene) -> Systematic | None:
+    """Return the sizes of a scene's systematic errors; None without any.
+
+    An error that the scene calls `estimated` has the size of common electronics, its prior; without
+    a size there, none.
+    """
+    if scene.systematic is None or scene.systematic == "none":
+        return None
+    if scene.systematic == "typical":
+        return replace(usual_sizes(), series_tolerance_ohm=prior_size(scene, SERIES))
+    return scene.systematic.with_entries(
+        {setting: prior_size(scene, setting) for setting in estimated_errors(scene)}
+    )
+
+
+def usual_sizes() -> Systematic:
+    """Return the sizes of common electronics and films, those of `systematic: typical`."""
+    errors = (error for error in shared_effects() if error.is_typical)
+    priors: dict[str, Any] = {error.setting: error.prior for error in errors}
+    return Systematic(response_sd=TYPICAL_RESPONSE_SD, **priors)
+
+
+def prior_size(scene: Scene, setting: str) -> float | None:
+    """Return the size of an error that a scene calls `estimated`; None without a prior.
+
+    The error of the model has none, and a resistance in series where the circuit has no such part.
+    """
+    if setting == "model_error" or (setting == SERIES and not scene.circuit.series_name):
+        return None
+    return shared_effect_of(setting).prior
+
+
+def estimated_errors(scene: Scene) -> tuple[str, ...]:
+    """Return the fields of `Systematic` that a scene calls `estimated`."""
+    if not isinstance(scene.systematic, Systematic):
+        return ()
+    settings = (part.name for part in fields(Systematic) if part.name != "own")
+    entries = {name: getattr(scene.systematic, name) for name in settings} | dict(
+        scene.systematic.own
+    )
+    return tuple(name for name, size in entries.items() if size == ESTIMATED)
+
+
+def unobservable_numbers(scene: Scene, of_changes: float | None = None) -> str:
+    """Return a sentence on the numbers of a circuit that frames cannot determine.
+
+    The sentence states the numbers with their assumed tolerances, in ASCII. It is '' for a scene
+    without a readout, and for a readout that states no such numbers.
+
+    Parameters
+    ----------
+    scene : Scene
+    of_changes : float or None
+        Median error of the changes ln(r/r0) of loaded cells by numbers at the ends of their
+        tolerances; None where it is unknown.
+    """
+    if scene.readout is None:
+        return ""
+    sizes = systematic_of(scene) or Systematic()
+    reference = float(sizes.reference_tolerance or 0.0)
+    series = float(sizes.series_tolerance_ohm or 0.0)
+    within = (
+        f"within {100 * reference:.3g} %" if reference else "exact",
+        f"within {series:.3g} ohm" if series else "exact",
+    )
+    tolerances = {number.name: within[number.channel] for number in scene.circuit.line_numbers()}
+    further = {"reference_ohm": within[0], "drive_volt": "exact", "converter_volt": "exact"}
+    tolerances |= {name: size for name, size in further.items() if hasattr(scene.readout, name)}
+    if not tolerances:
+        return ""
+    named = ", ".join(f"{name} ({size})" for name, size in tolerances.items())
+    remaining = ""
+    if of_changes is not None:
+        remaining = (
+            "; at these ends changes of loaded cells "
+            f"are off by {100 * of_changes:.2g} % in the median"
+        )
+    return (
+        f"no frame shows the numbers with which all cells scale, assumed {named}{remaining}; "
+        "lampest calibrate measures them"
+    )
+
+
+@dataclass(frozen=True)
+class Shared:
+    """Systematic errors of a scene, with their covariance.
+
+    Attributes
+    ----------
+    systematic : Systematic or None
+        Sizes of the errors.
+    scene : Scene
+    contact_root : array, shape (lines, n), or None
+        Root of the covariance of the contact resistances, ohm.
+    estimated : tuple of str
+        Fields of `Systematic` of the errors with a joint posterior.
+    root : array, shape (n, n), or None
+        Lower triangular root of the covariance of these errors, in units of their sizes; None: they
+        are independent, with their sizes as standard deviations.
+    in_sigma : float
+        Size of each reading's own error that σ of the readings includes.
+    """
+
+    systematic: Systematic | None
+    scene: Scene
+    contact_root: Array | None = None
+    estimated: tuple[str, ...] = ()
+    root: Array | None = None
+    in_sigma: float = 0.0
+
+    @classmethod
+    def of(cls, scene: Scene, possible: Possible | None = None) -> "Shared | None":
+        """Return the shared errors of a scene; None without any.
+
+        Contacts have the prior of the scene. Errors have the sizes of `systematic_of` unless
+        `possible` is given.
+        """
+        contacts = scene.contact_prior
+        possible = Possible(systematic_of(scene) or Systematic()) if possible is None else possible
+        sizes = None if possible.sizes == Systematic() else possible.sizes
+        if sizes is None and contacts is None:
+            return None
+        contact_root = None if contacts is None else np.diag(contacts.deviation(scene.panel.shape))
+        return cls(sizes, scene, contact_root, possible.settings, possible.root, possible.in_sigma)
+
+    def beyond(self, known: "Shared | None") -> "Shared | None":
+        """Return the errors that remain if a method has unknowns for the errors `known`.
+
+        The result is None if none remain.
+        """
+        if self.systematic is None:
+            return None
+        if known is None or known.systematic is None:
+            return replace(self, contact_root=None)
+        total = float(self.systematic.reading_error or 0.0)
+        modelled = float(known.systematic.reading_error or 0.0)
+        if not total > modelled:
+            return None
+        remaining = float(np.sqrt(total**2 - modelled**2))
+        return Shared(Systematic(reading_error=remaining), self.scene)
+
+    def columns(self, network: Network, measured: Array) -> Array:
+        """Return U, (cells, n), in the readings' unit.
+
+        The columns are those of contacts, then of reference and channels, then of hidden errors.
+        `measured` are the readings of the network, (rows, columns).
+        """
+        parts = list[Array]()
+        if self.contact_root is not None:
+            from lampest.panel.readouts.wired_network import contact_responses  # for contacts alone
+
+            parts.append(contact_responses([network]) @ self.contact_root)
+        if self.systematic is not None:
+            errors = sized_effects(self.systematic)
+            joint = () if self.root is None else self.estimated
+            apart = [error for error in errors if error.setting not in joint]
+            together = [error for error in errors if error.setting in joint]
+            parts.append(self._of_errors(apart, network, measured))
+            if self.root is not None:
+                parts.append(self._of_errors(together, network, measured) @ self.root)
+        return np.concatenate(parts, axis=1) if parts else np.zeros((measured.size, 0))
+
+    def _of_errors(
+        self, errors: Iterable[SharedEffect], network: Network, measured: Array
+    ) -> Array:
+        """Return U of some errors, (cells, n), in the readings' unit."""
+        assert self.systematic is not None
+        columns = error_columns(errors, network, measured, self.scene, self.systematic)
+        return columns.reshape(len(columns), measured.size).T
+
+    def own_error(self, measured: Array) -> Array:
+        """Return the standard deviation of each reading's own error, (frames, rows, columns).
+
+        The unit is that of the readings.
+        """
+        size = 0.0 if self.systematic is None else float(self.systematic.reading_error or 0.0)
+        return own_errors(measured, self.scene, size)

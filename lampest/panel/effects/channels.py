@@ -1,0 +1,34 @@
+"""Channels of multiplexers, which differ from line to line."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from lampest.panel.effects import ReadoutNumber
+from lampest.panel.panel import Array
+from lampest.panel.readouts.lines import MAX_OHM
+
+# Resistance of a channel of a CD74HC4067 at 5 V, by its data sheet.
+BEST_OHM = 40.0
+TYPICAL_OHM = 70.0
+WORST_OHM = 160.0
+
+
+class ChannelSpread(ReadoutNumber):
+    """An additional resistance in the channel of each line."""
+
+    setting = "channel_spread_ohm"
+    name = "channels"
+    limits = (0.0, MAX_OHM)
+    prior: ClassVar[float] = 3.0  # CD74HC4067, data sheet: any two channels differ by 10 ohm
+    is_advised = False  # by its columns: the spread of all is, by `spread_of_channels`
+
+    over_channel = 1.0
+    first = 1
+
+    def drawn(self, lines: int, size: float, random: np.random.Generator) -> Array:
+        """Return drawn resistances of the channels beyond the scene's, (lines,) ohm."""
+        return size * random.standard_normal(lines)
+
+
+CHANNELS = ChannelSpread()

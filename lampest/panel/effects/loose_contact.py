@@ -1,0 +1,33 @@
+"""Contacts of lines whose resistance differs from the scene's."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from lampest.panel.effects.line_effect import LineEffect
+from lampest.panel.network import Network
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+
+
+class LooseContact(LineEffect):
+    """Additional resistance at the contact of a line, such as that of a loose one, in ohm."""
+
+    key = "contacts"
+    prior = 100.0
+
+    @classmethod
+    def places(cls, rows: int, columns: int) -> Iterator[tuple[int, ...]]:
+        yield from ((line,) for line in range(rows + columns))
+
+    def sentence(self, rows: int) -> str:
+        more = "more" if self.size > 0 else "less"
+        return (
+            f"{float(f'{abs(self.size):.2g}'):g} ohm {more} "
+            f"at the contact of {self.where(rows)}{self._since}"
+        )
+
+    def added(self, scene: Scene, network: Network) -> Array:
+        rows, columns = network.conductance.shape
+        more = self.size * np.isin(np.arange(rows + columns), self.lines)
+        return scene.circuit.beyond(network, scene, more[:rows], more[rows:])

@@ -1,0 +1,36 @@
+"""The relative error of the reference resistor, or of all loads or feedback resistors together."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from lampest.panel.effects import ReadoutNumber
+from lampest.panel.readouts import Readout
+from lampest.panel.sizes import BELOW_ONE
+
+E24_TOLERANCE = 0.05  # of ordinary resistors, uniformly distributed
+
+
+class ReferenceTolerance(ReadoutNumber):
+    """Relative error of the reference; `size` is the half width of a uniform distribution."""
+
+    setting = "reference_tolerance"
+    name = "reference"
+    limits = (0.0, BELOW_ONE)
+    # Resistors of the series E24 lie within E24_TOLERANCE; intervals of 95 % cover these and
+    # resistances in series at once.
+    prior: ClassVar[float] = 0.06
+    # That of a resistor of 1 %, in whose readings loads are recognised: 0.01/√3, rounded.
+    sd_of_one_percent = 0.006
+    is_typical = True
+    is_advised = False
+    keeps_column = True
+
+    over_reference = float(np.sqrt(3))
+
+    def drawn(self, circuit: Readout, size: float, random: np.random.Generator) -> Readout:
+        """Return a circuit whose reference is off by a drawn error of at most `size`."""
+        return circuit.off_by(size * random.uniform(-1, 1))
+
+
+REFERENCE = ReferenceTolerance()

@@ -1,0 +1,37 @@
+"""Wire of rows and columns from cell to cell, in addition to the scene's."""
+
+from dataclasses import replace
+
+from lampest.panel.effects import SharedEffect
+from lampest.panel.network import Network
+from lampest.panel.panel import Array
+from lampest.panel.readouts.lines import MAX_OHM
+from lampest.panel.readouts.wired_network import wire_responses
+from lampest.panel.readouts.wiring import Lines, Wiring
+from lampest.panel.scene import Scene
+
+
+class WirePerCell(SharedEffect):
+    """An additional wire resistance of all rows, and of all columns."""
+
+    setting = "wire_ohm_per_cell"
+    name = "wire"
+    limits = (0.0, MAX_OHM)
+    prior = 0.2  # copper tape has none, conductive thread and printed silver 0.1 to 1
+    is_typical = True
+    is_advised = False
+
+    def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:
+        """Return the column of the rows' wire, and that of the columns'."""
+        return size * wire_responses(network, (scene.wiring or Wiring()).lines)
+
+    def in_scene(self, scene: Scene, ohm: float) -> Scene:
+        """Return the scene with more wire from cell to cell, in ohm."""
+        lines = scene.lines or Lines()
+        row = lines.row_ohm_per_cell + ohm
+        column = lines.column_ohm_per_cell + ohm
+        more = replace(lines, row_ohm_per_cell=row, column_ohm_per_cell=column)
+        return replace(scene, lines=more)
+
+
+WIRE = WirePerCell()
