@@ -318,10 +318,10 @@ def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
     """
     readout = recording.scene.readout
     squares = parts.own**2 * parts.own_freedom
-    if readout is not None and recording.sigma is None:
-        expected = scattering_share(readout)
+    expected = 0.0 if readout is None or recording.sigma is not None else scattering_share(readout)
+    if readout is not None and parts.own * MIN_EXCESS < expected:
         below = 1 - chi_square_tail(squares / expected**2, parts.own_freedom)
-        if parts.own <= expected / MIN_EXCESS and below < SIGNIFICANCE:
+        if below < SIGNIFICANCE:
             return shown_noise(readout, parts.own)[1]
     return noted_excess(squares, parts.own_freedom)
 
