@@ -65,6 +65,8 @@ WATER = "moving water"
 MOVING = "mouth in moving water"
 CUP_MOVING = "cup in moving water"
 LEAKING = "leaking cup"
+IRREGULAR = "irregular breath"
+STRONGLY_PULLED = "strongly pulled mouth"
 IN_WATER = (WATER, MOVING, CUP_MOVING)
 KINDS = (
     *MAKERS,
@@ -82,8 +84,10 @@ KINDS = (
     MOVING,
     CUP_MOVING,
     LEAKING,
+    IRREGULAR,
+    STRONGLY_PULLED,
 )
-LIVING = (*MOUTHS, PUMPING, SLIDING, PULLED, CURRENT, MOVING)
+LIVING = (*MOUTHS, PUMPING, SLIDING, PULLED, CURRENT, MOVING, IRREGULAR, STRONGLY_PULLED)
 # their shapes
 OF_COURSE = {
     SHAKEN: "cup",
@@ -102,10 +106,18 @@ OF_COURSE |= {
     MOVING: "wavy mouth",
     CUP_MOVING: "cup",
     LEAKING: "cup",
+    IRREGULAR: "wavy mouth",
+    STRONGLY_PULLED: "wavy mouth",
 }
 # kPa: common pressure of the water on all cells; gradients have half of it
 WATER_KPA = (0.05, 0.25)
 WAVE_HZ = (0.1, 0.45)
+# of the durations of single breaths, relative, one from the next
+BREATH_SD = 0.06
+# of the suction of a strongly pulled mouth, for how long, and the strongest that water holds
+PULL = (2.0, 8.0)
+PULL_S = 6.0
+STRONGEST_KPA = -70.0
 # along the rows, and between which times after the touch
 SLIDES_MM = 15.0
 SLIDES_S = (6.0, 8.0)
@@ -125,6 +137,8 @@ DECAY = (0.1, 0.5)
 @dataclass(frozen=True)
 class Seen:
     """One recording and its first attachment; times in s after the touch, NaN where there is none.
+
+    true_strongest, strongest, strongest_sd : strongest suction, kPa.
 
     early : probability that it sucks, 5 s after the touch; sucks, breathes : 10 s after it. pumps :
         at the end.
@@ -156,6 +170,9 @@ class Seen:
     pumps: float = np.nan
     lamprey: float = np.nan
     watched: float = np.nan
+    true_strongest: float = np.nan
+    strongest: float = np.nan
+    strongest_sd: float = np.nan
 
 
 def courses(
@@ -164,10 +181,12 @@ def courses(
     time: Array,
     attached_s: float,
     pumps: list[float] | None = None,
+    most_pull: float = np.inf,
 ) -> tuple[Array, float, float]:
     """((frames, 3) factors of contact, of suction and of a body beside, breathing depth, rate).
 
-    The times of pumps are appended to `pumps`, s after the touch.
+    The times of pumps are appended to `pumps`, s after the touch. A pull multiplies the suction by
+    `most_pull` at most.
     """
     since = time - TOUCH_S
     on = (since >= 0) & (since < attached_s)
@@ -193,6 +212,8 @@ def courses(
         pulls = 1 + depth * np.sin(2 * np.pi * hertz * time)
         return np.stack([press * pulls, suck * pulls, body], axis=1), 0.0, hertz
     if kind in LIVING:
+        if kind in (IRREGULAR, STRONGLY_PULLED):
+            phase = _breath_by_breath(own, time, hertz)
         breath = 1 + depth * np.sin(phase)
         suck = suck * (_pumped(rng, since, pumps) if kind == PUMPING else 1.0)
         if kind == PULLED:
@@ -203,6 +224,11 @@ def courses(
                 + rng.uniform(0.5, 2)
                 * np.clip(np.minimum(since - begin, begin + lasts - since) * 2, 0, 1)
             )
+        if kind == STRONGLY_PULLED:
+            begin = own.uniform(3, attached_s - PULL_S - 3)
+            within = np.minimum(since - begin, begin + PULL_S - since)
+            by = min(own.uniform(*PULL), most_pull)
+            suck = suck * (1 + (by - 1) * np.clip(within / 0.5, 0, 1))
         return (
             np.stack([press * (0.2 + 0.8 * suck) * breath, suck * breath, body], axis=1),
             depth,
@@ -226,6 +252,14 @@ def courses(
         0.0,
         hertz,
     )
+
+
+def _breath_by_breath(rng: np.random.Generator, time: Array, hertz: float) -> Array:
+    """Return the phase of a breath, (frames), each of whose swings has a duration of its own."""
+    count = int(np.ptp(time) * hertz * 2) + 10
+    ends = np.cumsum(np.exp(BREATH_SD * rng.standard_normal(count)) / hertz)
+    begins = time[0] + np.concatenate([[0.0], ends]) - rng.uniform(0, 1 / hertz)
+    return 2 * np.pi * np.interp(time, begins, np.arange(count + 1.0))
 
 
 def _pumped(rng: np.random.Generator, since: Array, pumps: list[float] | None = None) -> Array:
@@ -392,7 +426,9 @@ def recording(
     layer = film(rng, rng.choice(["real", "other"]))
     frames = round((TOUCH_S + attached_s + max(BARE_S, 10 / rate)) * rate)
     time = np.concatenate([(np.arange(UNLOADED) - UNLOADED) / rate, np.arange(frames) / rate])
-    course, depth, hertz = courses(rng, kind, time, attached_s)
+    most_pull = STRONGEST_KPA / (_suction_of(made) or -1.0)
+    course, depth, hertz = courses(rng, kind, time, attached_s, most_pull=most_pull)
+    made = replace(made, pull=float(course[:, 1].max()) / (1 + depth))
     shake = rng.uniform(0.3, 1.5) * np.sin(2 * np.pi * hertz * time) * (kind == SHAKEN)
     inwards = (
         1.0 if made.centres_mm and made.centres_mm[0][0] < panel.centres_mm()[0].mean() else -1.0
@@ -426,6 +462,14 @@ def recording(
         depth,
         hertz,
     )
+
+
+def _suction_of(made: Made) -> float:
+    """Return the suction at the first load's centre, kPa; 0 without one."""
+    if not made.centres_mm:
+        return 0.0
+    x, y = (np.full(1, value) for value in made.centres_mm[0])
+    return float(made.suction(x, y)[0])
 
 
 def _scene(panel: Panel) -> Scene:
@@ -511,6 +555,8 @@ def seen(
         first.pumps if first else np.nan,
         lamprey,
         float(whole.time[-1] - whole.time[UNLOADED]),
+        suction * made.pull or np.nan,
+        *((first and first.strongest_kpa) or (np.nan, np.nan)),
     )
 
 
@@ -726,6 +772,17 @@ def report(everything: Sequence[Seen]) -> None:
             if record.sucks > 0.5
         ]
     )
+    pulled = np.array(
+        [
+            (record.strongest, record.true_strongest, record.strongest_sd)
+            for record in everything
+            if record.kind in (PULLED, STRONGLY_PULLED) and record.sucks > 0.5
+        ]
+    )
+    if len(pulled):
+        covered = _held(pulled[:, 0] - pulled[:, 1], pulled[:, 2])
+        ratio = _middle(pulled[:, 0] / pulled[:, 1])
+        print(f"strongest suction of {len(pulled)} pulled mouths over true {ratio}, {covered}")
     if len(force):
         covered = _held(force[:, 0] - force[:, 1], force[:, 2])
         print(f"suction over true {_middle(force[:, 0] / force[:, 1])}, {covered}")

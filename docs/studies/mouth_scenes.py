@@ -45,7 +45,7 @@ class Scene:
 
     label : its class. diameter_mm : of every round load, in the order of their centres. centres_mm
         : (loads, 2).
-    beside : pressure of a body that moves by itself.
+    beside : pressure of a body that moves by itself. pull : strongest suction over `suction`.
     """
 
     label: str
@@ -54,6 +54,7 @@ class Scene:
     diameters_mm: tuple[float, ...] = ()
     centres_mm: tuple[tuple[float, float], ...] = ()
     beside: Pressure = _none
+    pull: float = 1.0
 
 
 def film(rng: np.random.Generator, kind: str) -> Film:

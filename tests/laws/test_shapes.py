@@ -118,8 +118,8 @@ def test_any_parameters_of_a_fit_give_finite_readings(candidate: Candidate) -> N
     mean = candidate.mean(panel)
     sd = candidate.sd(panel)
     for _ in range(60):
-        parameters = mean + SIGNIFICANT * sd * rng.choice([-1, 0, 1], len(mean))
-        point = fitting.at(parameters, fitting.about(parameters, whitening))
+        effect = fitting.effect(mean + SIGNIFICANT * sd * rng.choice([-1, 0, 1], len(mean)))
+        point = fitting.at(effect, fitting.about(effect, whitening))
         assert np.isfinite(point.cost)
         assert np.isfinite(point.gradient).all() and np.isfinite(point.normal).all()
 

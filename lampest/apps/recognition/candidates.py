@@ -35,8 +35,12 @@ class Several(Candidate):
     parts: tuple[Candidate, ...]
 
     @classmethod
+    @lru_cache(maxsize=128)
     def of(cls, parts: tuple[Candidate, ...]) -> "Several":
-        """Return the candidate of several parts, with their joined labels."""
+        """Return the candidate of several parts, with their joined labels.
+
+        The same parts give the same candidate.
+        """
         return cls(
             label=AND.join(part.label for part in parts),
             sucks=all(part.sucks for part in parts),

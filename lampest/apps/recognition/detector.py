@@ -90,12 +90,13 @@ class Detector:
         )
         return DiscSearch.over(panel, self.patch_mm, templates)
 
-    def verdict(self, frame: Observation) -> Verdict:
+    def verdict(self, frame: Observation, former: Sequence[Fit] = ()) -> Verdict:
         """Return the verdict on a frame.
 
-        Cells that have risen decide whether something sucks, and where. Every place under suction
-        is then fitted with a load that sucks, and its neighbours are free. Where nothing sucks,
-        the loads that press are compared.
+        Fits of the same candidates to an earlier frame, `former`, are starts where they still
+        explain the readings. Cells that have risen decide whether something sucks, and where. Every
+        place under suction is then fitted with a load that sucks, and its neighbours are free.
+        Where nothing sucks, the loads that press are compared.
         """
         undisturbed = self.calm(frame)
         if undisturbed is not None:
@@ -106,29 +107,39 @@ class Detector:
         kinds = tuple(load for load in self.loads if load.sucks)
         places = suctions(without)[: self.most_loads]
         if places and kinds:
-            # cells rise, too, where other readings saturate under a heavy load
-            verdict = self._sucking(frame, kinds, places, field, without)
-            refuted = verdict.goodness > MAX_MISFIT
+            # cells rise, too, where other readings saturate under a heavy load: no disc fits then,
+            # or none lies on them
+            verdict = self._sucking(frame, kinds, places, field, without, former)
+            discs = verdict.best.discs
+            aside = bool(discs) and not any(verdict.sucks_at(disc) for disc in discs)
+            refuted = aside or verdict.goodness > MAX_MISFIT
             return self._judged(without, (field,)) if refuted else verdict
         # Where fallen cells hide others, the shape decides whether these have risen.
         hidden = may_suck(without)
         kinds = tuple(load for load in self.loads if hidden or not load.sucks)
         if not kinds:
             return self._judged(without, (field,))
-        coarse = self._coarse(kinds, field, without)
-        shaped = min(fit.chi2 for fit in coarse) < MAX_COARSE * frame.measured.size
+        # A coarse fit that leaves changed cells to other loads is not worth a refinement.
+        coarse = [
+            fit
+            for fit in self._coarse(kinds, field, without, former)
+            if not self._incomplete(without, fit, field)
+        ]
+        lowest = min((fit.chi2 for fit in coarse), default=np.inf)
+        shaped = lowest < MAX_COARSE * frame.measured.size
         single = self._settled(frame, coarse if shaped else (), field, without)
         groups = groups_of(frame.panel, states(frame.panel, field.change) > 1)
         verdict = single
         poor = single.best.candidate is FIELD or single.goodness > MAX_MEAN_SQUARE
-        if 2 <= len(groups) <= self.most_loads and (poor or self._incomplete(frame, single, field)):
-            several = self._together(
-                kinds, without, field, [self._under(frame.panel, group) for group in groups]
-            )
-            if several.chi2 <= MAX_COARSE * frame.measured.size:
+        poor = poor or self._incomplete(frame, single.best, field)
+        if poor and 2 <= len(groups) <= self.most_loads:
+            discs = [self._under(frame.panel, group) for group in groups]
+            several = self._together(kinds, without, field, discs, former)
+            fits = several.chi2 <= MAX_COARSE * frame.measured.size
+            if fits and not self._incomplete(without, several, field):
                 together = self._settled(frame, (several, *single.loads[:1]), field, without)
                 verdict = max(single, together, key=lambda verdict: verdict.best.evidence)
-        if self._incomplete(frame, verdict, field):
+        if self._incomplete(frame, verdict.best, field):
             verdict = self._judged(without, (field,))
         return self._spread(frame, verdict)
 
@@ -139,6 +150,7 @@ class Detector:
         places: Sequence[Suction],
         field: Fit,
         without: Observation,
+        former: Sequence[Fit],
     ) -> Verdict:
         """Return the verdict with one load at each place under suction, of the most probable kind.
 
@@ -150,25 +162,46 @@ class Detector:
         frame = replace(frame, loose=loose)
         without = replace(without, loose=loose)
         fits = list[Fit]()
+        known = list[Fit]()
         for kind in kinds:
             candidate = kind if len(places) == 1 else Several.of((kind,) * len(places))
             fitting = self.fitting(candidate, without)
             for larger in START_SIZES:
                 discs = [place.disc(panel, larger) for place in places]
-                start = np.concatenate([kind.start(disc) for disc in discs])
                 covered = np.any([under(panel, disc) for disc in discs], axis=0)
                 spread = np.where(covered, frame.baseline.model_errors.coarse, loose).ravel()
                 whitening = Whitening.about(without, field.change, np.diag(spread**2))
                 likelihood = CellLikelihood.about(without, whitening, field.change)
-                position, _ = fitting.descended(start, likelihood, SEARCH.evaluations // 2)
-                fits.append(fitting.fit_at(position, likelihood))
+                start = fitting.effect(np.concatenate([kind.start(disc) for disc in discs]))
+                point = fitting.descended(start, likelihood, SEARCH.evaluations // 2)
+                fits.append(fitting.fit_at(point.effect, likelihood))
+            known += [fit for fit in former if fit.candidate is candidate]
+        scatter = self.response_levels[-1] * self._response(frame)
         best = max(fits, key=attrgetter("evidence"))
-        calm, best = self._sharpened(
-            frame, best, best, without, self.response_levels[-1] * self._response(frame)
-        )
+        best = self._less_lost(without, best, known, scatter)
+        calm, best = self._sharpened(frame, best, best, without, scatter)
         best, _ = self._own(calm, best)
         verdict = self._judged(calm, (best,), places)
         return self._spread(frame, verdict)
+
+    def _less_lost(
+        self, frame: Observation, coarse: Fit, former: Sequence[Fit], scatter: float
+    ) -> Fit:
+        """Return the start of a refinement: a coarse fit, or a former one that misfits far less.
+
+        Both are compared with the errors about the coarse fit. A coarse fit may lie where the
+        circuit, linearised about the field, has little in common with the exact one.
+        """
+        if not former:
+            return coarse
+        whitening = self.fitting(coarse.candidate, frame).errors(coarse, scatter)
+        exact = list[Fit]()
+        for fit in (coarse, *former):
+            fitting = self.fitting(fit.candidate, frame)
+            effect = fitting.effect(fit.parameters)
+            exact.append(fitting.fit_at(effect, fitting.about(effect, whitening)))
+        best = min(exact, key=attrgetter("cost"))
+        return best if exact[0].cost > best.cost + MAX_LOG_RATIO else coarse
 
     def calm(self, frame: Observation) -> Observation | None:
         """Return the frame without outliers if it shows no load; else None.
@@ -198,7 +231,10 @@ class Detector:
         whitening : Whitening
             Errors about the fit's change of cells.
         """
-        calm = frame.without(self._contradicting(frame, fit))
+        contradicting, whitening = self._contradicting(frame, fit)
+        if not contradicting.size:
+            return frame, whitening
+        calm = frame.without(contradicting)
         return calm, self.fitting(fit.candidate, calm).errors(fit, fit.scatter)
 
     def departure(self, frame: Observation, fit: Fit) -> tuple[Array, Array]:
@@ -253,26 +289,52 @@ class Detector:
         scatter : float
             Relative deviation of the film.
         """
+        whitening = self.fitting(explains.candidate, calm).errors(explains, scatter)
         dropped: list[int] | None = None
         for _ in range(SHARPENED):
-            whitening = self.fitting(explains.candidate, calm).errors(explains, scatter)
-            fit = explains = self.fitting(fit.candidate, calm).best(fit.parameters, whitening)
-            contradicting = self._contradicting(frame, fit)
+            fitting = self.fitting(fit.candidate, calm)
+            fit = fitting.best(fitting.effect(fit.parameters), whitening)
+            contradicting, whitening = self._contradicting(frame, fit)
             if contradicting.tolist() == dropped:
                 break
-            calm = frame.without(contradicting)
+            calm = frame
             dropped = contradicting.tolist()
+            if dropped:
+                calm = frame.without(contradicting)
+                whitening = self.fitting(fit.candidate, calm).errors(fit, scatter)
         return calm, fit
 
-    def _contradicting(self, frame: Observation, fit: Fit) -> NDArray[np.intp]:
-        """Return the numbers of outliers if the fit is poor; none otherwise."""
+    def _contradicting(self, frame: Observation, fit: Fit) -> tuple[NDArray[np.intp], Whitening]:
+        """Return the numbers of outliers if the fit is poor, and the errors about its change."""
         whitening = self.fitting(fit.candidate, frame).errors(fit, fit.scatter)
         errors = whitening @ fit.residual
         suspicious = errors @ errors > MAX_MEAN_SQUARE * len(errors)
-        return outliers(whitening, fit.residual) if suspicious else np.zeros(0, dtype=np.intp)
+        none = np.zeros(0, dtype=np.intp)
+        return outliers(whitening, fit.residual) if suspicious else none, whitening
 
-    def _coarse(self, kinds: Sequence[Candidate], field: Fit, calm: Observation) -> list[Fit]:
-        """Return the best fit of every kind from the matches of its templates.
+    @staticmethod
+    def _still_explains(
+        fitting: Fitting, former: Sequence[Fit], likelihood: CellLikelihood
+    ) -> Fit | None:
+        """Return the former fit of a candidate with the evidence of a frame with coarse errors.
+
+        The result is None where there is none, or where it does not explain the frame.
+        """
+        for fit in former:
+            if fit.candidate is fitting.candidate:
+                known = fitting.fit_at(fitting.effect(fit.parameters), likelihood)
+                explains = 2 * known.cost < MAX_COARSE * fitting.frame.measured.size
+                return known if explains else None
+        return None
+
+    def _coarse(
+        self,
+        kinds: Sequence[Candidate],
+        field: Fit,
+        calm: Observation,
+        former: Sequence[Fit],
+    ) -> list[Fit]:
+        """Return the best fit of every kind, from its former fit or the matches of its templates.
 
         The errors are coarse ones about the field.
         """
@@ -281,13 +343,16 @@ class Detector:
         starts = self.search(calm.panel).starts(likelihood.slope, likelihood.error)
         for load in kinds:
             fitting = self.fitting(load, calm)
-            begins = [load.start(starts[template]) for template in load.templates]
-            descents = [
+            known = self._still_explains(fitting, former, likelihood)
+            if known is not None:
+                fits.append(known)
+                continue
+            begins = [fitting.effect(load.start(starts[template])) for template in load.templates]
+            points = [
                 fitting.descended(begin, likelihood, SEARCH.evaluations // 2) for begin in begins
             ]
-            fits.append(
-                fitting.fit_at(min(descents, key=lambda descent: descent[1].cost)[0], likelihood)
-            )
+            lowest = min(points, key=attrgetter("cost"))
+            fits.append(fitting.fit_at(lowest.effect, likelihood))
         return fits
 
     def _settled(
@@ -317,10 +382,10 @@ class Detector:
             # equal errors for all candidates: otherwise a poor candidate would excuse its misfit by
             # its own errors
             most = best.cost + MAX_LOG_RATIO
-            besides = [
-                self.fitting(fit.candidate, calm).best(fit.parameters, whitening, most)
-                for fit in rivals
-            ]
+            besides = []
+            for fit in rivals:
+                fitting = self.fitting(fit.candidate, calm)
+                besides.append(fitting.best(fitting.effect(fit.parameters), whitening, most))
             fits = [best, *(self._own(calm, fit)[0] if fit.cost < most else fit for fit in besides)]
             explains = best
             if min(fits, key=attrgetter("score")) is best:
@@ -336,19 +401,37 @@ class Detector:
         """
         fitting = self.fitting(fit.candidate, calm)
         response = calm.baseline.model_errors.response
-        errors = [fitting.errors(fit, level * response) for level in self.response_levels]
-        # type-II maximum likelihood of the film's deviation on a grid
-        fits = [fitting.best(fit.parameters, whitening) for whitening in errors]
-        best = int(np.argmax([fit.evidence for fit in fits]))
-        return fits[best], errors[best]
+        scatters = [level * response for level in self.response_levels]
+        errors = fitting.errors_by_scatter(fit, scatters)
+        # type-II maximum likelihood of the film's deviation on a grid, the most promising one first
+        begin = fitting.effect(fit.parameters)
+        likelihoods = [fitting.about(begin, whitening) for whitening in errors]
+        within_reach = [fitting.reachable(begin, likelihood) for likelihood in likelihoods]
+        best = fit
+        chosen = errors[0]
+        highest = -np.inf
+        for number in np.argsort(within_reach)[::-1]:
+            if within_reach[number] < highest:
+                break
+            own = fitting.best(begin, errors[number])
+            if own.evidence > highest:
+                highest = own.evidence
+                best = own
+                chosen = errors[number]
+        return best, chosen
 
     def _together(
-        self, kinds: Sequence[Candidate], calm: Observation, field: Fit, discs: Sequence[Disc]
+        self,
+        kinds: Sequence[Candidate],
+        calm: Observation,
+        field: Fit,
+        discs: Sequence[Disc],
+        former: Sequence[Fit],
     ) -> Fit:
         """Return the coarse fit of several loads at once.
 
-        Every load is of the kind with which the fit is most probable. Kinds are exchanged greedily,
-        load by load.
+        Every load is of the kind with which the fit is most probable, or of its former kind. Kinds
+        are exchanged greedily, load by load.
 
         Parameters
         ----------
@@ -357,16 +440,23 @@ class Detector:
         field : Fit
         discs : sequence of Disc
             Places of the loads.
+        former : sequence of Fit
+            See `verdict`.
         """
         likelihood = coarse_errors(calm, field.change)
+        for fit in former:
+            if len(fit.loads) == len(discs) and {part for part, _ in fit.loads} <= set(kinds):
+                fitting = self.fitting(fit.candidate, calm)
+                known = self._still_explains(fitting, former, likelihood)
+                if known is not None:
+                    return known
 
         def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
             parts, starts = zip(*loads, strict=True)
             fitting = self.fitting(Several.of(parts), calm)
-            position, _ = fitting.descended(
-                np.concatenate(starts), likelihood, SEARCH.evaluations // 2
-            )
-            return fitting.fit_at(position, likelihood)
+            start = fitting.effect(np.concatenate(starts))
+            point = fitting.descended(start, likelihood, SEARCH.evaluations // 2)
+            return fitting.fit_at(point.effect, likelihood)
 
         best = fitted([(kinds[0], kinds[0].start(disc)) for disc in discs])
         for place, disc in enumerate(discs):
@@ -392,19 +482,20 @@ class Detector:
     ) -> Verdict:
         """Return the verdict on these fits, on no load, and on an equal pressure on all cells."""
         whitening = Whitening.about(frame)
-        uniform = [
-            self.fitting(kind, frame).best(kind.mean(frame.panel), whitening) for kind in UNIFORM
-        ]
+        uniform = []
+        for kind in UNIFORM:
+            fitting = self.fitting(kind, frame)
+            uniform.append(fitting.best(fitting.effect(kind.mean(frame.panel)), whitening))
         return Verdict.of((*uniform, *fits), frame, places)
 
     @staticmethod
-    def _incomplete(frame: Observation, verdict: Verdict, field: Fit) -> bool:
-        """Return whether cells outside the loads of the best fit have clearly changed."""
-        if verdict.best.candidate in (*UNIFORM, FIELD):
+    def _incomplete(frame: Observation, fit: Fit, field: Fit) -> bool:
+        """Return whether cells outside the loads of a fit have clearly changed."""
+        if fit.candidate in (*UNIFORM, FIELD):
             return False
         explained = [
-            verdict.best.change != 0,
-            *(under(frame.panel, disc) for disc in verdict.best.discs),
+            fit.change != 0,
+            *(under(frame.panel, disc) for disc in fit.discs),
             # the field spreads errors of the readings and changes of a load over other cells
             np.abs(frame.free_map) <= SIGNIFICANT * frame.free_sd,
         ]
@@ -419,7 +510,7 @@ class Detector:
             return verdict
         calm, whitening = self.with_errors(frame, best)
         fitting = self.fitting(best.candidate, calm)
-        likelihood = fitting.about(best.parameters, whitening)
+        likelihood = CellLikelihood.about(calm, whitening, best.change)
         wide = along_diameter(fitting, best, likelihood)
         # a load whose shape explains the frame poorly is as much less sure
         wide = replace(wide, covariance=wide.covariance * max(1.0, verdict.goodness))
@@ -436,18 +527,17 @@ class Detector:
         film = calm.baseline.response
         if not fit.candidate.sucks or not isinstance(film, PublishedResponse):
             return fit
-        likelihood = self.fitting(fit.candidate, calm).about(fit.parameters, whitening)
+        likelihood = CellLikelihood.about(calm, whitening, fit.change)
         offsets = []
         evidence = []
         for exponent in (1.0, *self.exponents):
             bent = BentSuction(exponent=exponent, gain=film.gain, gain_sd=film.gain_sd)
             frame = replace(calm, baseline=replace(baseline, response=bent))
             fitting = self.fitting(fit.candidate, frame)
-            position, squares = fitting.descended(fit.parameters, likelihood)
-            offsets.append(position - fit.parameters)
+            point = fitting.descended(fitting.effect(fit.parameters), likelihood)
+            offsets.append(point.effect.parameters - fit.parameters)
             evidence.append(
-                -squares.cost
-                - inverse_beside_prior(squares.normal, fit.candidate.sd(frame.panel))[1]
+                -point.cost - inverse_beside_prior(point.normal, fit.candidate.sd(frame.panel))[1]
             )
         shares = softmax(EVIDENCE_SHARE * np.array(evidence))
         # law of total covariance: the covariance within a curve, and that between the curves

@@ -9,13 +9,14 @@ loads in one place, are improbable. Whether a load sucks is not decided by fits,
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import combinations
 from math import exp, hypot, log
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cholesky
 from scipy.special import softmax
 
 from lampest.apps.recognition.candidates import FIELD, UNIFORM, under
@@ -135,6 +136,37 @@ class CellLikelihood(NamedTuple):
         return cls(whitening, both[:, :-1], both[:, -1] + both[:, :-1] @ change.ravel(), residual)
 
 
+class Effect(NamedTuple):
+    """Effect of a candidate with the parameters φ on the cells.
+
+    Attributes
+    ----------
+    parameters : array, shape (parameters,)
+        φ.
+    change : array, shape (rows, columns)
+        ln r/r0.
+    slopes : array, shape (parameters, cells)
+        Its derivatives by φ.
+    """
+
+    parameters: Array
+    change: Array
+    slopes: Array
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FitPoint(SumOfSquares):
+    """−ln P of a frame about φ.
+
+    Attributes
+    ----------
+    effect : Effect
+        The effect of φ on the cells.
+    """
+
+    effect: Effect
+
+
 @dataclass(frozen=True, eq=False)
 class Fitting:
     """The problem of fitting one candidate to one frame."""
@@ -143,54 +175,48 @@ class Fitting:
     frame: Observation
     patch_mm: float
 
-    def at(self, parameters: Array, likelihood: CellLikelihood) -> SumOfSquares:
+    def at(self, effect: Effect, likelihood: CellLikelihood) -> FitPoint:
         """Return −ln P about φ.
 
         The squares are those of the readings' errors e − A x(φ) and of (φ − mean)/sd.
         """
-        change, slopes = self.effect(parameters)
         mean, sd, _ = self._prior
-        touched = np.flatnonzero(change)  # x is 0 outside the load
+        touched = np.flatnonzero(effect.change)  # x is 0 outside the load
         by_cell = likelihood.slope[:, touched]
-        errors = likelihood.error - by_cell @ change.ravel()[touched]
-        slopes = np.vstack([-by_cell @ slopes[:, touched].T, np.diag(1 / sd)])
-        return SumOfSquares(np.concatenate([errors, (parameters - mean) / sd]), slopes)
+        errors = likelihood.error - by_cell @ effect.change.ravel()[touched]
+        from_mean = (effect.parameters - mean) / sd
+        return FitPoint(
+            residual=np.concatenate([errors, from_mean]),
+            jacobian=np.vstack([-by_cell @ effect.slopes[:, touched].T, np.diag(1 / sd)]),
+            effect=effect,
+        )
 
-    def effect(self, parameters: Array) -> tuple[Array, Array]:
-        """Return the effect of a candidate on the cells.
-
-        Returns
-        -------
-        change : array, shape (rows, columns)
-            ln r/r0.
-        slopes : array, shape (parameters, cells)
-            Derivatives by φ.
-        """
+    def effect(self, parameters: Array) -> Effect:
+        """Return the effect of the candidate with φ on the cells."""
         pressure, by_parameter = self.pressure(parameters)
         change, response = self.frame.change(pressure)
-        return change, by_parameter.reshape(len(parameters), response.size) * response.ravel()
+        slopes = by_parameter.reshape(len(parameters), response.size) * response.ravel()
+        return Effect(parameters, change, slopes)
 
-    def about(self, parameters: Array, whitening: Whitening) -> CellLikelihood:
+    def about(self, effect: Effect, whitening: Whitening) -> CellLikelihood:
         """Return the likelihood with the circuit linearised at φ."""
-        return CellLikelihood.about(
-            self.frame, whitening, self.frame.change(self.pressure(parameters)[0])[0]
-        )
+        return CellLikelihood.about(self.frame, whitening, effect.change)
 
     def descended(
         self,
-        start: Array,
+        start: Effect,
         likelihood: CellLikelihood,
         steps: int = SEARCH.evaluations,
         most: float = np.inf,
         held: int | None = None,
-    ) -> tuple[Array, SumOfSquares]:
-        """Return the most probable φ that the Levenberg-Marquardt method reaches.
+    ) -> FitPoint:
+        """Return −ln P about the most probable φ that the Levenberg-Marquardt method reaches.
 
         The circuit is linearised once.
 
         Parameters
         ----------
-        start : array, shape (parameters,)
+        start : Effect
         likelihood : CellLikelihood
         steps : int
             Most evaluations.
@@ -198,51 +224,69 @@ class Fitting:
             Cost above which the search ends early.
         held : int, optional
             Number of a parameter that is fixed.
-
-        Returns
-        -------
-        parameters : array, shape (parameters,)
-        squares : SumOfSquares
-            −ln P there.
         """
         mean, sd, longest = self._prior
         low = mean - SIGNIFICANT * sd
         high = mean + SIGNIFICANT * sd
         if held is not None:
-            low[held] = high[held] = start[held]
+            low[held] = high[held] = start.parameters[held]
+
+        def model(parameters: Array) -> FitPoint:
+            begins = np.array_equal(parameters, start.parameters)
+            return self.at(start if begins else self.effect(parameters), likelihood)
+
         loop = replace(SEARCH, evaluations=steps, longest=longest)
-        model = partial(self.at, likelihood=likelihood)
         return loop.minimum(
-            model, start, (low, high), lambda point, count: count > 4 and point.cost > most
-        )
+            model,
+            start.parameters,
+            (low, high),
+            lambda point, count: count > 4 and point.cost > most,
+        )[1]
 
     def best(
-        self, start: Array, whitening: Whitening, most: float = np.inf, held: int | None = None
+        self, start: Effect, whitening: Whitening, most: float = np.inf, held: int | None = None
     ) -> Fit:
         """Return the fit at the most probable φ.
 
         The circuit is linearised again at the end of each search, until the exact cost agrees with
-        the linearised one. `most` and `held` are those of `descended`.
+        the linearised one. The result is never worse than the start. `most` and `held` are those of
+        `descended`.
         """
-        fits = list[Fit]()
         position = start
         likelihood = self.about(start, whitening)
+        fits = [self.fit_at(start, likelihood)]
         for _ in range(MAX_ROUNDS):
-            position, squares = self.descended(position, likelihood, most=most, held=held)
+            point = self.descended(position, likelihood, most=most, held=held)
+            position = point.effect
             likelihood = self.about(position, whitening)
             fits.append(self.fit_at(position, likelihood))
             exact = fits[-1].cost
-            linear = squares.cost
+            linear = point.cost
             if abs(exact - linear) < SEARCH.settled or min(exact, linear) > most:
                 break
         return min(fits, key=lambda fit: fit.cost)
 
-    def fit_at(self, parameters: Array, likelihood: CellLikelihood) -> Fit:
+    def reachable(self, effect: Effect, likelihood: CellLikelihood) -> float:
+        """Return an evidence that no fit that begins at φ is expected to exceed.
+
+        It is the evidence at φ and twice the gain ½ gᵀ H⁻¹ g of a Gauss-Newton step, with the
+        gradient g, which would be the whole gain if the cost were quadratic. Where φ does not
+        explain the readings, or the gain is large, φ may be in another valley than the best fit.
+        The result is then infinite.
+        """
+        point = self.at(effect, likelihood)
+        gain = float(point.gradient @ np.linalg.solve(point.normal, point.gradient)) / 2
+        if gain > MAX_LOG_RATIO or 2 * point.cost > self.frame.measured.size:
+            return np.inf
+        return self.fit_at(effect, likelihood).evidence + 2 * gain + SEARCH.settled
+
+    def fit_at(self, effect: Effect, likelihood: CellLikelihood) -> Fit:
         """Return the fit at given φ with its evidence.
 
         The likelihood must have been linearised there or nearby.
         """
-        squares = self.at(parameters, likelihood)
+        squares = self.at(effect, likelihood)
+        parameters = effect.parameters
         whitening = likelihood.whitening
         sd = self._prior[1]
         covariance, width = inverse_beside_prior(squares.normal, sd)
@@ -252,7 +296,7 @@ class Fitting:
             candidate=self.candidate,
             parameters=parameters,
             covariance=covariance,
-            change=self.effect(parameters)[0],
+            change=effect.change,
             residual=likelihood.residual,
             chi2=float(errors @ errors),
             cost=squares.cost,
@@ -292,8 +336,8 @@ class Fitting:
     def explained(self, fit: Fit) -> Array:
         """Return the explained change with its sensitivities, (3, rows, columns).
 
-        The order is that of `Baseline.film`. Sensitivities are secants, because tangents jump at
-        the response's corners.
+        The order is that of `Baseline.film_parts`. Sensitivities are secants, because tangents jump
+        at the response's corners.
         """
         if not self.centred.any():
             slope = np.hypot(*np.gradient(fit.change, self.frame.panel.pitch_mm))
@@ -312,7 +356,23 @@ class Fitting:
 
         `scatter` is the relative deviation of the film.
         """
-        return Whitening.about(self.frame, fit.change, self.film(fit, scatter), scatter)
+        return self.errors_by_scatter(fit, (scatter,))[0]
+
+    def errors_by_scatter(self, fit: Fit, scatters: Sequence[float]) -> list[Whitening]:
+        """Return the errors about the change that a fit explains, for each deviation of the film.
+
+        With the parts s² U + S of the film's covariance, that of the readings is C + s² J U Jᵀ. C
+        and J U Jᵀ are computed once.
+        """
+        network = self.frame.baseline.network(fit.change)
+        uneven, fixed = self._film_parts(fit)
+        steady = self.frame.covariance(network, fixed)
+        slope = self.frame.sensitivity(network)
+        by_film = slope @ uneven @ slope.T
+        return [
+            Whitening(cholesky(steady + scatter**2 * by_film, lower=True), scatter)
+            for scatter in scatters
+        ]
 
     def film(self, fit: Fit, scatter: float) -> Array:
         """Return the covariance of ln r about the change that a fit explains, (cells, cells).
@@ -320,9 +380,15 @@ class Fitting:
         Its causes are the deviations of the film, and the loose cells of the frame that the fit's
         loads do not cover.
         """
+        uneven, fixed = self._film_parts(fit)
+        return scatter**2 * uneven + fixed
+
+    def _film_parts(self, fit: Fit) -> tuple[Array, Array]:
+        """Return the parts U and S of the covariance s² U + S in `film`, (cells, cells) each."""
         covered = np.any([under(self.frame.panel, disc) for disc in fit.discs], axis=0)
         loose = np.where(covered, 0.0, self.frame.loose).ravel()
-        return self.frame.baseline.film(self.explained(fit), scatter) + np.diag(loose**2)
+        uneven, shared = self.frame.baseline.film_parts(self.explained(fit))
+        return uneven, shared + np.diag(loose**2)
 
 
 def inverse_beside_prior(normal: Array, sd: Array) -> tuple[Array, float]:

@@ -1,6 +1,7 @@
 """Standard deviations of what is not measured on a panel: films, circuits, drift."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import hypot, log10
 
 import numpy as np
@@ -119,20 +120,13 @@ class ModelErrors:
             Readings without the resistance in series, in the readout's unit, as predicted.
         scene : RecognitionScene
         """
-        rows, columns = measured.shape
-        row, column = np.indices(measured.shape)
-        # every module has channels of its own: number its lines separately
-        module = scene.panel.layout.each
-        row_channel = row + rows * (column // module.columns)
-        column_channel = column + columns * (row // module.rows)
         in_ohm = scene.circuit.unit == "ohm"
         total = (measured + scene.series_ohm if in_ohm else measured).reshape(-1, 1)
         effects = list[Array]()
         if in_ohm:
-            for channel in (row_channel, column_channel):
-                on_channel = channel.reshape(-1, 1) == np.unique(channel)
-                effects.append(self.channel_ohm * on_channel)
-            effects.append(self.reference * total)
+            each = scene.panel.layout.each
+            channels = _on_channels(*measured.shape, each.rows, each.columns)
+            effects += [self.channel_ohm * channels, self.reference * total]
         if self.reading_error:
             effects.append(np.diag(self.reading_error * total[:, 0]))
         return np.hstack([np.zeros((total.size, 0)), *effects])
@@ -149,3 +143,20 @@ class ModelErrors:
         shape = scene.panel.shape
         none, one = (self.offsets(end, scene) for end in (np.zeros(shape), np.ones(shape)))
         return np.asarray(1 + (one - none) @ shifts)
+
+
+@lru_cache(maxsize=16)
+def _on_channels(rows: int, columns: int, module_rows: int, module_columns: int) -> Array:
+    """Return whether a reading passes a channel of a row or of a column, (cells, channels).
+
+    Modules have channels of their own.
+    """
+    row, column = np.indices((rows, columns))
+    row_channel = row + rows * (column // module_columns)
+    column_channel = column + columns * (row // module_rows)
+    return np.hstack(
+        [
+            (channel.reshape(-1, 1) == np.unique(channel)).astype(float)
+            for channel in (row_channel, column_channel)
+        ]
+    )

@@ -235,10 +235,11 @@ class Baseline:
         np.fill_diagonal(square, 0.0)
         return np.asarray(np.nan_to_num(np.exp(-square / (2 * self.model_errors.near_pitches**2))))
 
-    def film(self, explained: Array, scatter: float) -> Array:
-        """Return the covariance of ln r by deviations of the film, (cells, cells).
+    def film_parts(self, explained: Array) -> tuple[Array, Array]:
+        """Return the parts of the covariance of ln r by deviations of the film, (cells, cells).
 
-        The sum s² (x K xᵀ + diag w²) + b bᵀ has the explained change x, the correlation K of cells
+        They are U and S of the covariance s² U + S, where s is the film's relative deviation. The
+        sum s² (x K xᵀ + diag w²) + b bᵀ has the explained change x, the correlation K of cells
         (common, near and own parts), the effect w of misplaced edges, and the errors b that all
         cells share, by bending and by the patches' sizes.
 
@@ -247,8 +248,6 @@ class Baseline:
         explained : array, shape (3, rows, columns)
             The change ln r/r0 that a load explains, and its derivatives by a shift of the load,
             1/mm, and by ln of the patches' edge.
-        scatter : float
-            s, the film's relative deviation.
         """
         errors = self.model_errors
         change, edges, patches = (part.ravel() for part in explained)
@@ -259,7 +258,7 @@ class Baseline:
         )
         shared = np.stack([errors.bent * change, errors.patch * patches])
         uneven = similar * np.outer(change, change) + np.diag((errors.edge_mm * edges) ** 2)
-        return np.asarray(scatter**2 * uneven + shared.T @ shared)
+        return uneven, np.asarray(shared.T @ shared)
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,6 +351,15 @@ class Observation:
         baseline = self.baseline
         return baseline.model_errors.gain(baseline.offsets, baseline.scene)
 
+    @cached_property
+    def _resting_covariance(self) -> Array:
+        """C + T, (cells + offsets, cells + offsets): the baseline's covariance and the drift."""
+        covariance = self.baseline.covariance.copy()
+        cells = self.measured.size
+        drift = self.baseline.model_errors.resting_covariance(self.seconds, cells)
+        covariance[:cells, :cells] += drift
+        return covariance
+
     def covariance(self, network: Network, cells: Array | float = 0.0) -> Array:
         """Return the covariance of the readings about those of a network, (cells, cells).
 
@@ -362,18 +370,15 @@ class Observation:
         ----------
         network : Network
             Solved network, with the slope J.
-        cells : array, shape (cells, cells)
+        cells : array, shape (cells, cells), or 0
             Further covariance of ln r, added to T.
         """
         # H = (J, E); H (C + T) Hᵀ with T on the block of the cells
         slope = self.sensitivity(network)
         both = np.hstack([slope, self.offsets(network)])
-        errors = self.baseline.covariance.copy()
-        errors[: len(slope), : len(slope)] += self.baseline.model_errors.resting_covariance(
-            self.seconds, len(slope)
-        )
-        errors[: len(slope), : len(slope)] += cells
-        total = both @ errors @ both.T
+        total = both @ self._resting_covariance @ both.T
+        if np.ndim(cells):
+            total += slope @ cells @ slope.T
         if self.common is not None:
             shared = self.common(network.reading())
             total += shared @ shared.T

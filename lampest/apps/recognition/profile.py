@@ -1,6 +1,7 @@
 """Profile of a fit along its diameter, where the curvature at its maximum is not its width."""
 
 from dataclasses import replace
+from operator import attrgetter
 
 import numpy as np
 from scipy.special import softmax
@@ -10,11 +11,10 @@ from lampest.apps.recognition.fit import (
     SEARCH,
     CellLikelihood,
     Fit,
+    FitPoint,
     Fitting,
     inverse_beside_prior,
 )
-from lampest.panel.least_squares import SumOfSquares
-from lampest.panel.panel import Array
 from lampest.recording.shapes.disc import POINTS
 
 # Difference of ln P at the end of a profile, the evaluations and the largest number of points to
@@ -54,30 +54,30 @@ def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fi
     remaining = np.ix_(*2 * [np.arange(len(names)) != place])
     points = _profile(fitting, fit, likelihood, place)
     for _ in range(MAX_ROUNDS):
-        position, lowest = min(points, key=lambda point: point[1].cost)
-        if lowest.cost > fitting.at(fit.parameters, likelihood).cost - SEARCH.settled:
+        lowest = min(points, key=attrgetter("cost"))
+        begin = fitting.effect(fit.parameters)
+        if lowest.cost > fitting.at(begin, likelihood).cost - SEARCH.settled:
             break
-        fit = fitting.best(position, likelihood.whitening)
-        likelihood = fitting.about(fit.parameters, likelihood.whitening)
+        fit = fitting.best(lowest.effect, likelihood.whitening)
+        likelihood = CellLikelihood.about(fitting.frame, likelihood.whitening, fit.change)
         points = _profile(fitting, fit, likelihood, place)
-    steps = np.gradient([position[place] for position, _ in points])
+    steps = np.gradient([point.effect.parameters[place] for point in points])
     # Prior precision of a centre that is uniform within a pitch: beyond, it would touch other
     # patches.
     centred = np.diag(fitting.centred * 12 / fitting.frame.panel.pitch_mm**2)
     inverses, widths = zip(
         *(
-            inverse_beside_prior((squares.normal + centred)[remaining], np.delete(sd, place))
-            for _, squares in points
+            inverse_beside_prior((point.normal + centred)[remaining], np.delete(sd, place))
+            for point in points
         ),
         strict=True,
     )
     # P(δ) ∝ e^(−cost) |H|^(−½) dδ, with H of all parameters but ln d; then C = Σ P (H⁻¹ + (φ −
     # φ̂)(φ − φ̂)ᵀ)
     share = softmax(
-        np.log(steps)
-        - [squares.cost + width for (_, squares), width in zip(points, widths, strict=True)]
+        np.log(steps) - [point.cost + width for point, width in zip(points, widths, strict=True)]
     )
-    offsets = np.array([position for position, _ in points]) - fit.parameters
+    offsets = np.array([point.effect.parameters for point in points]) - fit.parameters
     covariance = (share[:, None] * offsets).T @ offsets + np.diag(
         fit.candidate.blind(fit.parameters) ** 2
     )
@@ -86,30 +86,27 @@ def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fi
     return replace(fit, covariance=covariance) if wider else fit
 
 
-def _profile(
-    fitting: Fitting, fit: Fit, likelihood: CellLikelihood, place: int
-) -> list[tuple[Array, SumOfSquares]]:
+def _profile(fitting: Fitting, fit: Fit, likelihood: CellLikelihood, place: int) -> list[FitPoint]:
     """Return the profile of a fit along the parameter number `place`, in its order.
 
     The parameter ln d is stepped in both directions, ever farther, until P(δ) is negligible; all
     other parameters are fitted.
     """
-    best = fitting.at(fit.parameters, likelihood)
-    points = [(fit.parameters, best)]
+    best = fitting.at(fitting.effect(fit.parameters), likelihood)
+    points = [best]
     direction = np.eye(len(fit.parameters))[place]
     # at least the distance of the points of a patch
     spacing = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))
     first_step = max(spacing, fit.covariance[place, place] ** 0.5)
     for step in (first_step, -first_step):
-        position = fit.parameters
-        squares = best
+        point = best
         number = 0
-        while squares.cost < best.cost + NEGLIGIBLE and number < MAX_PROFILE:
-            begin = position + FARTHER**number * step * direction
-            position, _ = fitting.descended(begin, likelihood, PROFILE_STEPS, held=place)
+        while point.cost < best.cost + NEGLIGIBLE and number < MAX_PROFILE:
+            begin = fitting.effect(point.effect.parameters + FARTHER**number * step * direction)
+            reached = fitting.descended(begin, likelihood, PROFILE_STEPS, held=place).effect
             # linearised again: open cells change readings by much where they would close
-            here = fitting.about(position, likelihood.whitening)
-            position, squares = fitting.descended(position, here, PROFILE_STEPS, held=place)
-            points.append((position, squares))
+            here = fitting.about(reached, likelihood.whitening)
+            point = fitting.descended(reached, here, PROFILE_STEPS, held=place)
+            points.append(point)
             number += 1
-    return sorted(points, key=lambda point: float(point[0][place]))
+    return sorted(points, key=lambda point: float(point.effect.parameters[place]))

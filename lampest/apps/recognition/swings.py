@@ -196,7 +196,7 @@ def patterns_of(
         | (np.abs(frame.free_map) > np.maximum(MIN_FALL, NOISE_REACH * frame.free_sd)).ravel()
     )
     curve = CURVE_SD if isinstance(frame.baseline.response, PublishedResponse) else 0.0
-    _, by_parameter = detector.fitting(fit.candidate, frame).effect(fit.parameters)
+    by_parameter = detector.fitting(fit.candidate, frame).effect(fit.parameters).slopes
     for number, ((part, own), under) in enumerate(zip(loads, cells, strict=True)):
         if part.sucks:
             sways = np.array([prior.sway for prior in part.priors(panel).values()])[:, None]

@@ -28,6 +28,7 @@ from lampest.apps.recognition.watch_parts import (
     Frames,
     Level,
     Look,
+    UnloadedPanel,
     WatchSetup,
     latest,
 )
@@ -64,6 +65,8 @@ class Watch:
     test : StepTest
     sigma : array, shape (rows, columns)
         Standard deviations of one frame's readings.
+    resting_sigma : array, shape (rows, columns)
+        Standard deviations of one frame's readings of the panel without a load.
     rest : Level
         The panel without a load.
     level : Level
@@ -96,6 +99,8 @@ class Watch:
     brief : tuple of (float, float)
         Times, s, of loads that came and left too soon to be recognised.
     attachments : tuple of Attachment
+    unloaded : UnloadedPanel or None
+        The panel before the load that is present; None without one.
     former : Watch or None
         State before the last step; None once a load was recognised since.
     """
@@ -103,6 +108,7 @@ class Watch:
     setup: WatchSetup
     test: StepTest
     sigma: Array
+    resting_sigma: Array
     rest: Level
     level: Level
     recent: tuple[Array, ...]
@@ -119,6 +125,7 @@ class Watch:
     leaks_since_s: float = np.inf
     brief: tuple[tuple[float, float], ...] = ()
     attachments: tuple[Attachment, ...] = ()
+    unloaded: UnloadedPanel | None = None
     former: "Watch | None" = None
 
     @classmethod
@@ -156,6 +163,7 @@ class Watch:
         return cls(
             setup,
             test,
+            sigma,
             sigma,
             rest,
             rest,
@@ -303,6 +311,7 @@ class Watch:
             present=True,
             known=False,
             next_s=begun_s + FIRST_S,
+            unloaded=self.unloaded or self._unloaded_panel(),
             former=replace(self, former=None) if self.present else None,
         )
 
@@ -365,16 +374,20 @@ class Watch:
         """
         setup, change = self.setup.without_motion(logarithm - self.rest.mean)
         logarithm = self.rest.mean + change
-        shape = self.setup.scene.panel.shape
-        at_rest = np.exp(self.rest.mean).reshape(shape)
-        frames = max(self.rest.frames, 1.0)
-        baseline = setup.baseline(at_rest, self.sigma, frames, self.leaks)
-        frame = setup.frame(
-            np.exp(logarithm).reshape(shape), self.sigma, baseline, time - self.rest.until_s
-        )
+        unloaded = self.unloaded or self._unloaded_panel()
+        # of the errors, the motion changes those of a frame's cells, and not the unloaded panel
+        baseline = replace(unloaded.baseline, model_errors=setup.moved_errors)
+        measured = np.exp(logarithm).reshape(self.setup.scene.panel.shape)
+        frame = setup.frame(measured, self.sigma, baseline, time - self.rest.until_s)
         covariance = baseline.covariance.copy()
         np.einsum("ii->i", covariance)[: logarithm.size] += self._keeps(frame) ** 2
         return replace(frame, baseline=replace(baseline, covariance=covariance))
+
+    def _unloaded_panel(self) -> UnloadedPanel:
+        """Return the panel at rest."""
+        mean = np.exp(self.rest.mean).reshape(self.setup.scene.panel.shape)
+        frames = max(self.rest.frames, 1.0)
+        return UnloadedPanel(self.setup, mean, self.resting_sigma, frames, self.leaks)
 
     def _with_leaks(self, logarithm: Array, time: float) -> tuple["Watch", Observation]:
         """Return the watch with the leaks that readings ln y show, and the frame of the readings.
@@ -393,6 +406,7 @@ class Watch:
             after = replace(baseline, leaks=leaks).network().reading()
             rest = replace(watch.rest, mean=watch.rest.mean + np.log(after / before).ravel())
             watch = replace(watch, rest=rest, leaks=leaks)
+            watch = replace(watch, unloaded=watch._unloaded_panel())
             frame = watch._frame(logarithm, time)
         if watch is self:
             return self, frame
@@ -443,7 +457,7 @@ class Watch:
         watch = replace(
             self, present=False, known=False, former=None, attachments=closed, film_sd=0.0
         )
-        watch = replace(watch, next_s=np.inf, window=(), steps=())
+        watch = replace(watch, next_s=np.inf, window=(), steps=(), unloaded=None)
         if self.look is None or self.look.over:
             return replace(watch, level=replace(self.rest, until_s=self.level.until_s))
         rest = replace(self.level, since_s=time)
@@ -489,7 +503,8 @@ class Watch:
         median = np.median([logarithm for _, logarithm in self._since_step], axis=0)
         try:
             watch, frame = self._with_leaks(median, time)
-            verdict = watch.setup.detector.verdict(frame)
+            former = () if self.look is None or self.look.over else self.look.verdict.fits
+            verdict = watch.setup.detector.verdict(frame, former)
         except (ArithmeticError, ValueError) as error:
             logged_reason(error, f"look at {time:.1f} s")
             return replace(self, next_s=again)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -94,8 +95,12 @@ class WatchSetup:
         """
         scale = frames**-0.5
         common = None if self.common is None else scale * self.common(measured)
-        errors = self.errors.in_motion(self.motion)
-        return Baseline.of(measured, scale * sigma, self.scene, errors, common, leaks)
+        return Baseline.of(measured, scale * sigma, self.scene, self.moved_errors, common, leaks)
+
+    @property
+    def moved_errors(self) -> ModelErrors:
+        """The errors in water that moves by `motion`."""
+        return self.errors.in_motion(self.motion)
 
     def moved_by(self, motion: Array) -> "WatchSetup":
         """Return the constants where water moves cells by `motion`, (3,) or (0,), or more."""
@@ -133,6 +138,32 @@ class WatchSetup:
         parts += [] if self.common is None else [self.common(readings)]
         parts += [motion_columns(readings, self.motion)] if self.motion.size else []
         return np.hstack(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class UnloadedPanel:
+    """The panel without a load, with which frames are compared.
+
+    Attributes
+    ----------
+    setup : WatchSetup
+    mean, sigma : array, shape (rows, columns)
+        Mean of the unloaded readings, and standard deviations of those of one frame.
+    frames : float
+        Number of frames in the mean.
+    leaks : tuple of LineLeak
+    """
+
+    setup: WatchSetup
+    mean: Array
+    sigma: Array
+    frames: float
+    leaks: Leaks = ()
+
+    @cached_property
+    def baseline(self) -> Baseline:
+        """The cells and the offsets, computed once as long as a load is present."""
+        return self.setup.baseline(self.mean, self.sigma, self.frames, self.leaks)
 
 
 @dataclass(frozen=True, eq=False)

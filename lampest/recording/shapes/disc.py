@@ -16,6 +16,8 @@ from lampest.panel.panel import Array
 # Points along either edge of a patch, 1.2 mm apart on a patch of 6 mm. Edges of the disc are soft
 # over twice this distance, as real ones are.
 POINTS = 5
+# Their places along and across, over the patch's edge.
+ACROSS, ALONG = (np.indices((POINTS, POINTS)).reshape(2, -1) + 0.5) / POINTS - 0.5
 MIN_SQUARE = 1e-6  # mm², of the distance from the centre, where the angle is undefined
 
 
@@ -93,9 +95,8 @@ def pressure_at_places(
     means = np.zeros((13, *places.shape[1:]))
     near = (np.abs(places[0] - disc.x_mm) < reach) & (np.abs(places[1] - disc.y_mm) < reach)
     if near.any():
-        offset = ((np.arange(POINTS) + 0.5) / POINTS - 0.5) * patch_mm
-        x = (places[0, near] - disc.x_mm)[:, None] + np.tile(offset, POINTS)
-        y = (places[1, near] - disc.y_mm)[:, None] + np.repeat(offset, POINTS)
+        x = (places[0, near] - disc.x_mm)[:, None] + ALONG * patch_mm
+        y = (places[1, near] - disc.y_mm)[:, None] + ACROSS * patch_mm
         means[:, near] = _at_points(x, y, disc, form, soft)
     return means[0], means[1:]
 

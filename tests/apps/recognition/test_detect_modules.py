@@ -205,7 +205,7 @@ def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) ->
     sd = fitting.candidate.sd(SMALL_PANEL)
 
     def cost_at(parameters: Array) -> float:
-        error = whitening @ fitting.about(parameters, whitening).residual
+        error = whitening @ fitting.about(fitting.effect(parameters), whitening).residual
         return float(error @ error + np.sum(((parameters - mean) / sd) ** 2)) / 2
 
     position = start
@@ -227,8 +227,9 @@ def test_a_poorly_determined_diameter_has_the_width_of_its_posterior() -> None:
     rod = next(fit for fit in detector.verdict(frame).loads if fit.candidate is Rod.candidate)
     fitting = Fitting(rod.candidate, frame, PATCH_MM)
     whitening = fitting.errors(rod, rod.scatter)
-    local = fitting.best(rod.parameters, whitening)
-    wide = along_diameter(fitting, local, fitting.about(local.parameters, whitening))
+    local = fitting.best(fitting.effect(rod.parameters), whitening)
+    likelihood = fitting.about(fitting.effect(local.parameters), whitening)
+    wide = along_diameter(fitting, local, likelihood)
     root = np.linalg.cholesky(wide.covariance) / len(wide.parameters) ** 0.5
     samples = walked(fitting, whitening, rod.parameters, root)
     own = np.sqrt(wide.covariance[2, 2] - rod.candidate.blind(wide.parameters)[2] ** 2)

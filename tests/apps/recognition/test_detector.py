@@ -275,13 +275,15 @@ def test_a_profile_leads_a_fit_out_of_a_shallower_valley(away: float) -> None:
     verdict = detector.verdict(frames_of(recorded(MOUTH))[-1])
     fitting = detector.fitting(verdict.best.candidate, verdict.frame)
     whitening = fitting.errors(verdict.best, verdict.best.scatter)
-    best = fitting.best(verdict.best.parameters, whitening)
+    best = fitting.best(fitting.effect(verdict.best.parameters), whitening)
     start = best.parameters + away * (np.arange(len(best.parameters)) == 2)
-    held = fitting.best(start, whitening, held=2)
+    held = fitting.best(fitting.effect(start), whitening, held=2)
     assert held.cost > best.cost + 10
-    released = along_diameter(fitting, held, fitting.about(held.parameters, whitening))
+    released = along_diameter(
+        fitting, held, fitting.about(fitting.effect(held.parameters), whitening)
+    )
     assert released.cost < best.cost + 1
-    assert released.parameters[2] == pytest.approx(best.parameters[2], abs=0.02)
+    assert released.parameters[2] == pytest.approx(best.parameters[2], abs=0.03)
 
 
 @pytest.mark.slow
