@@ -262,9 +262,9 @@ def test_a_circuit_that_fails_is_advised_the_error_with_which_it_explains() -> N
 
 
 def test_an_error_that_the_scene_states_is_no_doubt_of_its_circuit() -> None:
-    stated = with_errors(0.05, systematic=Systematic(reading_error=0.05))
-    assert "only with errors" not in advice.Audit(Prepared(stated)).verdict.sentence
-    assert Prepared(stated).check.explains
+    stated = Prepared(with_errors(0.05, systematic=Systematic(reading_error=0.05)))
+    assert "only with errors" not in advice.Audit(stated).verdict.sentence
+    assert stated.check.explains
 
 
 def test_channels_that_differ_are_advised_and_not_as_errors_of_each_reading() -> None:
