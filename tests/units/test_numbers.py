@@ -81,7 +81,6 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
         ("The 10 and the 30 are then 0.1", hypotheses.CAUSES[1].odds_adjoined, 0.1),
         ("each by itself, by at most 5 %", hypotheses.CAUSES[3].largest, 0.05),
         ("its prior probability of 0.81", round(breathing.PRIOR_SUCTION, 2), 0.81),
-        ("is judged by 0.75", breathing.UNAGREED, 0.75),
         ("excludes a breath of 3 % or more", hypotheses.MIN_DEPTH, 0.03),
         ("its depth and 1.645 standard deviations", breathing.ONE_SIDED, 1.645),
         ("with A = 4.5 % for breathing", hypotheses.BREATHING_SD, 0.045),

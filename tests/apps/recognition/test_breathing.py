@@ -3,6 +3,8 @@
 Every reading of these windows and courses of suction is known.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -249,6 +251,10 @@ def test_a_single_incomplete_window_decides_no_cause() -> None:
     shown = Breath(8.0, 0.99, (1.1, 0.1), (0.08, 0.01))
     once = Breathing().after(shown, 5.0, full=False)
     assert 0.5 < once.probability < 0.9 < once.after(shown, 6.0, full=False).probability
+    # nor a movement, after a full window with breath
+    moved = replace(shown, suction=1e-6)
+    breathing = Breathing().after(shown, 8.0, full=True).after(moved, 12.0, full=False)
+    assert breathing.probability > 0.9 > 0.1 > breathing.after(moved, 13.0, full=False).probability
 
 
 def pulled_window(swings: Array, level: Array, *steps: float) -> Breath:
