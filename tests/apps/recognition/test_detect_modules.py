@@ -175,7 +175,8 @@ def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
     answer = answered(slid)
     (attachment,) = answer.attachments
     begin = slid.time[UNLOADED] + TOUCH_S
-    assert answer.answer == LAMPREY and "pumping" not in answer.sentence
+    # some seconds after it slid its breath may be uncertain: docs/studies/mouths.md
+    assert answer.answer in (LAMPREY, SUCKS) and "pumping" not in answer.sentence
     assert (
         attachment.moved_s
         and begin + SLIDES_S[0] < attachment.moved_s[-1] < begin + SLIDES_S[1] + 0.5
