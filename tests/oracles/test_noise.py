@@ -466,9 +466,12 @@ def test_an_error_of_readings_is_estimated_only_where_a_coarse_scan_shows_one(
     scans: list[int] = []
     costs_of = unloaded_costs
 
-    def noted(scene: Scene, resting: Readings, fit: CellsFit | None, tried: Array) -> Array:
-        scans.append(len(tried))
-        return costs_of(scene, resting, fit, tried)
+    def noted(
+        scene: Scene, resting: Readings, fit: CellsFit | None, tried: Array, *channels: float
+    ) -> Array:
+        if not channels:
+            scans.append(len(tried))
+        return costs_of(scene, resting, fit, tried, *channels)
 
     monkeypatch.setattr(static_errors, "unloaded_costs", noted)
     assert STATIC_LINE not in lines_of(recorded(9, scene_of(0.7)))
