@@ -163,8 +163,7 @@ def _channel_spread(
     fit: CellsFit | None,
     moves: SharedChanges,
     size: float,
-    *,
-    with_none: bool = False,
+    factors: Array = CHANNEL_FACTORS,
 ) -> Number:
     """Return the posterior of the spread of the channels over the usual one.
 
@@ -181,13 +180,13 @@ def _channel_spread(
     moves : SharedChanges
     size : float
         Standard deviation of each reading's own error.
-    with_none : bool
-        Whether no spread is tried, too, first and with no prior probability: the gain is that over
-        none.
+    factors : array, shape (n,)
+        Tried spreads over the usual one. A first 0, no spread, has no prior probability: the gain
+        is that over none.
     """
     error = np.array([size])
-    factors = np.append(np.zeros(int(with_none)), CHANNEL_FACTORS)
-    prior = np.append(np.zeros(int(with_none)), np.exp(LOG_PRIOR_OF_FACTORS))
+    with np.errstate(divide="ignore"):  # ln 0, with the probability 0
+        prior = np.exp(-np.square(np.log(factors) / LOG_SD_OF_FACTORS) / 2)
     unloaded = [
         unloaded_costs(scene, resting, fit, error, ohm)[0] for ohm in factors * CHANNELS.prior
     ]
@@ -471,7 +470,11 @@ class StaticErrors(SceneEffect):
         fit, moves = _fit_and_changes(estimating, *frames, evidence.noise.frame)
         if moves is None:
             return
-        spread = _channel_spread(estimating, frames[0], fit, moves, 0.0, with_none=True)
+        # neighbours of a spread that counts gain a quarter of it, as those of an error do
+        for tried in (CHANNEL_FACTORS[FEW_FACTORS], CHANNEL_FACTORS):
+            spread = _channel_spread(estimating, frames[0], fit, moves, 0.0, np.append(0.0, tried))
+            if spread.gain < COARSE_GAIN:
+                return
         if spread.gain > DOUBTFUL_GAIN and np.argmax(spread.odds) < len(spread.odds) - 1:
             size = CHANNELS.prior * spread.mean
             yield Unnamed.of(f"channels of the lines seem to differ by {size:.1g} ohm", key)
