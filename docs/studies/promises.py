@@ -131,6 +131,11 @@ BREAKS = {
     "lines_in_another_order_are_found_and_the_right_one_is_not_doubted": Break(
         "audit/order.py", "ODDS", "1e30"
     ),
+    "scatter_is_a_doubt_only_where_the_scene_does_not_name_it": Break(
+        "inference/prepared.py",
+        "Prepared._contradicting_scatter",
+        "return self.question.widening",
+    ),
     "apply_writes_the_lines_into_the_scene": Break(
         "audit/finding.py", "with_lines", "return scene, (), ()"
     ),
