@@ -131,6 +131,9 @@ BREAKS = {
     "lines_in_another_order_are_found_and_the_right_one_is_not_doubted": Break(
         "audit/order.py", "ODDS", "1e30"
     ),
+    "loads_on_every_second_line_leave_the_order_open": Break(
+        "audit/order.py", "COMBS", "{'row': (1, 1), 'column': (1, 1)}"
+    ),
     "scatter_is_a_doubt_only_where_the_scene_does_not_name_it": Break(
         "inference/prepared.py",
         "Prepared._contradicting_scatter",

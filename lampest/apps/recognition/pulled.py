@@ -20,6 +20,11 @@ PULLED = Prior(log(12), 1.0)
 LEAST = log(0.3)
 MOST = log(-VACUUM_KPA)
 POINTS = 400
+INTERVAL = (
+    0.025,
+    0.975,
+)  # central 95 %, which ends at DEVIATIONS standard deviations of a Gaussian
+DEVIATIONS = 1.96
 
 
 def pulled_suction(
@@ -32,8 +37,9 @@ def pulled_suction(
 ) -> tuple[float, float]:
     """Return the suction in kPa and its standard deviation with the prior PULLED.
 
-    The fit's likelihood is its posterior over the prior `resting`. Below its maximum ŝ it is normal
-    in ln s, above in q(s) with the same slope,
+    The posterior is not symmetric. The suction is the middle of its central 95 % interval, and 1.96
+    standard deviations reach to both ends of it. The fit's likelihood is its posterior over the
+    prior `resting`. Below its maximum ŝ it is normal in ln s, above in q(s) with the same slope,
 
         P(s) ∝ e^(−½ ((q(s) − q(ŝ))/σ_q)²) P_PULLED(s),   σ_q = σ |dq/d ln s|.
 
@@ -63,8 +69,8 @@ def pulled_suction(
     above = (conductance(grid) - best) / slope
     squares = precision * np.where(grid < mean, below, above) ** 2
     squares += ((grid - PULLED.mean) / PULLED.sd) ** 2
-    share = softmax(-squares / 2)
-    suction = np.exp(grid)
-    value = float(share @ suction)
-    spread = float(share @ (suction - value) ** 2)
-    return -value, (spread + value**2 * curve_variance) ** 0.5
+    below_or_at = np.cumsum(softmax(-squares / 2))
+    low, high = np.exp(np.interp(INTERVAL, below_or_at, grid))
+    middle = float(low + high) / 2
+    spread = float(high - low) / (2 * DEVIATIONS)
+    return -middle, (spread**2 + middle**2 * curve_variance) ** 0.5
