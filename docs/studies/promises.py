@@ -134,6 +134,11 @@ BREAKS = {
     "loads_on_every_second_line_leave_the_order_open": Break(
         "audit/order.py", "COMBS", "{'row': (1, 1), 'column': (1, 1)}"
     ),
+    "scatter_is_a_doubt_only_where_the_scene_does_not_name_it": Break(
+        "inference/prepared.py",
+        "Prepared._contradicting_scatter",
+        "return self.question.widening",
+    ),
     "apply_writes_the_lines_into_the_scene": Break(
         "audit/finding.py", "with_lines", "return scene, (), ()"
     ),

@@ -153,9 +153,15 @@ class Question(ComparedFrames):
         missing = self._shares[1]
         return missing <= MAX_MISSING and (self._few_bounds or bool(self.below))
 
-    def check(self, besides: CircuitEffects) -> ModelCheck:
-        """Return the check of the circuit against its rivals and against these effects."""
-        noise = self.widening
+    def check(self, besides: CircuitEffects, scatter: float) -> ModelCheck:
+        """Return the check of the circuit against its rivals and against these effects.
+
+        Parameters
+        ----------
+        besides : CircuitEffects
+        scatter : float
+            Factor of the unloaded frames' scatter over what the scene specifies; above 1 a doubt.
+        """
         if self.explanation is None and not self.fault:
             return self._check_without_cells()
         best = self._better(besides) if self._complete else BetterExplanation()
@@ -165,7 +171,7 @@ class Question(ComparedFrames):
             explains,
             self._verdict(best),
             best.name,
-            noise,
+            self.widening,
             besides.common_change,
             bool(best.name) and best is besides,
             besides.loaded_at_rest,
@@ -173,8 +179,8 @@ class Question(ComparedFrames):
             compared=compared,
         )
         doubts = []
-        if noise > 1:
-            doubts.append(f"the unloaded frames scatter by {noise:.2g} times the specified noise")
+        if scatter > 1:
+            doubts.append(f"the unloaded frames scatter by {scatter:.2g} times the specified noise")
         if explains and best.nearly:
             doubts.append(f"{best.nearly} gives them about as well, or better")
         return check.with_doubts(*doubts)

@@ -21,7 +21,7 @@ from lampest.inference.outliers import (
     without_outliers,
     without_readings,
 )
-from lampest.inference.resolve import PASSES, ZERO, resolved, resolved_scene
+from lampest.inference.resolve import OF_NOISE, PASSES, ZERO, resolved, resolved_scene
 from lampest.panel.effects import unobservable_numbers
 from lampest.panel.panel import Array, Modules
 from lampest.panel.scene import specified
@@ -249,7 +249,7 @@ class Prepared:
                 None, "the circuit was not checked: the noise of the readings is unknown"
             )
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            check = self.question.check(self.effects)
+            check = self.question.check(self.effects, self._contradicting_scatter)
             if check.explains is False and not check.better:
                 check = self._with_named_errors(check)
             count = int(self.cleaned.outliers.sum())
@@ -261,6 +261,22 @@ class Prepared:
         return ModelCheck(
             None, "the circuit was not checked: arithmetic broke down over its readings"
         )
+
+    @property
+    def _contradicting_scatter(self) -> float:
+        """Scatter of the unloaded frames over what the scene specifies: noise, gain, ripple.
+
+        The value is 1 where nothing contradicts the scene. What it calls `estimated` cannot be
+        contradicted, and a gain and a ripple leave the scatter of each reading.
+        """
+        scene = self.recording.scene
+        noise = self.frame_noise
+        if OF_NOISE in noise.estimated:
+            return 1.0
+        if scene.gain is None and scene.ripple is None:
+            return self.question.widening
+        is_open = scene.readout is not None and not scene.readout.noise_specified
+        return 1.0 if is_open else noise.sigma_factor
 
     def _with_named_errors(self, check: "ModelCheck") -> "ModelCheck":
         """Return the check of a circuit with the errors that the scene names beside noise.

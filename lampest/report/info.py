@@ -4,7 +4,7 @@ import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -220,13 +220,19 @@ def apply_advice(path: str | Path) -> list[str]:
     scene, written, refused = with_lines(recording.scene, Audit(Prepared(recording)).advice)
     lines = list[str]()
     if written:
-        before = path.with_suffix(f".before{path.suffix}")
+        before = _unused(path.with_suffix(f".before{path.suffix}"))
         shutil.copyfile(path, before)
         replace(recording, scene=scene).save(path)
         lines = [f"written to the scene of {path}: {line}" for line in written]
         lines.append(f"the file before: {before}")
     lines += [f"not written: {sentence}" for sentence in refused]
     return lines or [f"{path}: no advice has a line to write"]
+
+
+def _unused(path: Path) -> Path:
+    """Return a path at which no file is: this one, or one with a number from 2 up."""
+    numbered = (path.with_stem(f"{path.stem}{number}") for number in count(2))
+    return next(free for free in chain([path], numbered) if not free.exists())
 
 
 def _processing(recording: Recording) -> str:

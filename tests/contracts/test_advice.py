@@ -85,6 +85,19 @@ def test_apply_writes_the_lines_into_the_scene(
     assert "model      yes" in output and words not in advised
 
 
+def test_apply_keeps_the_file_before_and_overwrites_no_other(
+    tmp_path: Path, lampest: Command
+) -> None:
+    path = written(tmp_path / "mine.h5", dead_row=5)
+    original = path.read_bytes()
+    earlier = tmp_path / "mine.before.h5"
+    earlier.write_bytes(b"kept by an earlier call")
+    applied = lampest("info", path, "--apply")
+    assert applied.code == 0 and f"the file before: {tmp_path / 'mine.before2.h5'}" in applied.out
+    assert earlier.read_bytes() == b"kept by an earlier call"
+    assert (tmp_path / "mine.before2.h5").read_bytes() == original
+
+
 @pytest.mark.slow
 def test_apply_refuses_results_and_leaves_them(tmp_path: Path, lampest: Command) -> None:
     results = tmp_path / "results.h5"
