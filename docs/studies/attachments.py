@@ -141,7 +141,7 @@ class Seen:
     true_strongest, strongest, strongest_sd : strongest suction, kPa.
 
     early : probability that it sucks, 5 s after the touch; sucks, breathes : 10 s after it. pumps :
-        at the end.
+        at the end. probability : that of the answer.
     lamprey : when something was first called a lamprey. watched : s of measured frames.
     """
 
@@ -173,6 +173,7 @@ class Seen:
     true_strongest: float = np.nan
     strongest: float = np.nan
     strongest_sd: float = np.nan
+    probability: float = np.nan
 
 
 def courses(
@@ -557,6 +558,7 @@ def seen(
         float(whole.time[-1] - whole.time[UNLOADED]),
         suction * made.pull or np.nan,
         *((first and first.strongest_kpa) or (np.nan, np.nan)),
+        later.probability,
     )
 
 

@@ -66,6 +66,8 @@ class Row(NamedTuple):
         Change of the logarithm of all cells since the unloaded frames.
     speed : float
         Pitches a frame.
+    contact_ohm : float
+        Additional resistance of the contact of one column.
     stated, estimated : mapping
         Keys of the scene.
     """
@@ -78,6 +80,7 @@ class Row(NamedTuple):
     memory: float = 0.0
     creep: float = 0.0
     speed: float = 0.0
+    contact_ohm: float = 0.0
     stated: Mapping[str, Any] = NO_KEYS
     estimated: Mapping[str, Any] = NO_KEYS
 
@@ -164,6 +167,7 @@ def recording(seed: int, load: Load, row: Row, keys: Mapping[str, Any]) -> Recor
             exact[UNLOADED + frame].flat = scanned.reshape(size, size).diagonal()
     channels = row.channel_ohm * rng.standard_normal((2, SHAPE[0]))
     exact = exact + channels[0][:, None] + channels[1] + SERIES_OHM + row.series_ohm
+    exact[:, :, seed % SHAPE[1]] += row.contact_ohm
     exact = exact * np.exp(row.static * rng.standard_normal(SHAPE))
     volt = 5000 / (1000 + exact)
     before = np.roll(volt.reshape(len(volt), -1), 1, axis=1).reshape(volt.shape)

@@ -47,8 +47,8 @@ def excess(made: Recording, estimator: Estimator) -> Array:
     resting = baseline_readings(made, readings)
     frame = deciding_frames(made, readings, resting)[0]
     assert truth is not None
-    data = deciding_data(estimator, scene, resting, readings[frame])
-    unloaded = None if estimator.relative else deciding_data(estimator, scene, resting, resting)
+    [data] = deciding_data(estimator, scene, resting, readings[frame])
+    unloaded = None if estimator.relative else deciding_data(estimator, scene, resting, resting)[0]
     chosen = float(with_chosen_weights(estimator, scene, data, None).terms[1].weight)
     errors = []
     for weight in (chosen, *(chosen * FACTORS)):

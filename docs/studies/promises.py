@@ -131,6 +131,9 @@ BREAKS = {
     "lines_in_another_order_are_found_and_the_right_one_is_not_doubted": Break(
         "audit/order.py", "ODDS", "1e30"
     ),
+    "loads_on_every_second_line_leave_the_order_open": Break(
+        "audit/order.py", "COMBS", "{'row': (1, 1), 'column': (1, 1)}"
+    ),
     "apply_writes_the_lines_into_the_scene": Break(
         "audit/finding.py", "with_lines", "return scene, (), ()"
     ),

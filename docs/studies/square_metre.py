@@ -150,7 +150,7 @@ def with_one_weight(penalty: lampest.Term, seed: int) -> str:
         frame = deciding_frames(part, read, resting)[0]
         assert own is not None
         weighted = with_chosen_weights(
-            estimator, own, deciding_data(estimator, own, resting, read[frame]), None
+            estimator, own, deciding_data(estimator, own, resting, read[frame])[0], None
         )
         chosen.append(float(weighted.terms[1].weight))
         networks.append((weighted, own, resting))

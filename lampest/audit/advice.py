@@ -45,7 +45,8 @@ class Audit:
     def advice(self) -> tuple[Finding, ...]:
         """The findings that a user can act on: health, circuit, effects."""
         acted = (finding for finding in self.health.findings if finding.addition or finding.remedy)
-        return (*acted, *self._circuit(), *self._noise(), *self._effects())
+        effects = self._effects()
+        return (*acted, *self._circuit(), *self._noise(effects), *effects)
 
     def _effects(self) -> tuple[Finding, ...]:
         """Return the unnamed effects.
@@ -72,12 +73,16 @@ class Audit:
         if check.better and not check.by_effect:
             yield Finding("circuit", "another circuit", check.sentence, check.addition)
 
-    def _noise(self) -> Iterator[Finding]:
-        """Yield the finding that noise is another one than the scene specifies."""
+    def _noise(self, effects: tuple[Finding, ...]) -> Iterator[Finding]:
+        """Yield the finding that noise is another one than the scene specifies beside effects."""
         scene = self.prepared.recording.scene
-        noise = self.prepared.frame_noise
-        if scene.readout is None:
+        if scene.readout is None or self.prepared.frame_noise.sigma_factor == 1:
             return
+        prepared = self.prepared
+        for finding in effects:
+            with suppress(InputError):
+                prepared = named(prepared, finding)
+        noise = prepared.frame_noise
         if scene.readout.noise_specified and noise.sigma_factor != 1:
             evidence = (
                 "readings at rest scatter "

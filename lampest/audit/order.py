@@ -12,11 +12,15 @@ with K_rows ⊗ K_columns for the interaction. The scale s is integrated out by 
 over a few values, equally probable. An order is found where its odds against all others that are
 tried, and against the scene's, are a thousand to one. Single cells far larger than all others may
 stand side by side by chance: the normal scores of the ranks have to show the order, too.
+
+A load on every second line, such as a comb, has the image of a load on interleaved lines. Where
+such a load has not these odds against it, the recording cannot tell the order.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +32,8 @@ from lampest.recording.readings import median
 from lampest.recording.recording import UNLOADED, Recording
 
 ODDS = 1000.0  # of an order against the scene's
+# Loads on every second line, by the steps between rows and between columns.
+COMBS = {"row": (2, 1), "column": (1, 2)}
 MIN_LINES = 4  # of each side: with fewer, another order is smoother by chance
 LENGTHS = (1.5, 3.0, 8.0)  # ℓ, lines: loads reach over more than one
 ROUGHNESS = (1e-2, 1e-1, 1.0, np.inf)  # ρ; inf: no order
@@ -52,6 +58,24 @@ class Order:
     words: str
     image: NDArray[np.intp]
     remedy: str
+
+
+class SmootherOrder(NamedTuple):
+    """The order in which loads are smoothest.
+
+    Attributes
+    ----------
+    order : Order
+    gain : float
+        Its gain over the scene's order in −2 ln evidence.
+    every_second : str
+        'row' or 'column', where a load on every second one explains the readings in the scene's
+        order; '' where none does.
+    """
+
+    order: Order
+    gain: float
+    every_second: str = ""
 
 
 def orders(rows: int, columns: int) -> Iterator[Order]:
@@ -123,14 +147,23 @@ def order_findings(recording: Recording, volts: Array) -> Iterator[Finding]:
         return
     lsb = 0.0 if scene.readout is None else scene.readout.lsb_volt
     found = smoother_order(load_patterns(volts[~unloaded], volts[unloaded], lsb))
-    if found is not None:
-        order, gain = found
+    if found is None:
+        return
+    order, gain, every_second = found
+    if every_second:
         yield Finding(
             "order",
-            f"readings seem to come in another order: {order.words}",
-            f"loads are smooth then, with odds of 10^{gain / (2 * np.log(10)):.0f} to one",
-            remedy=order.remedy,
+            "the order of lines cannot be told from this recording",
+            f"loads lie on every second {every_second}, or they are smooth with {order.words}",
+            remedy=f"press a spot that covers neighbouring {every_second}s at a known place",
         )
+        return
+    yield Finding(
+        "order",
+        f"readings seem to come in another order: {order.words}",
+        f"loads are smooth then, with odds of 10^{gain / (2 * np.log(10)):.0f} to one",
+        remedy=order.remedy,
+    )
 
 
 def load_patterns(loaded: Array, resting: Array, least_noise: float) -> Array:
@@ -155,10 +188,10 @@ def load_patterns(loaded: Array, resting: Array, least_noise: float) -> Array:
     return np.asarray(patterns[beyond][:MAX_PATTERNS].reshape(-1, *change.shape[1:]))
 
 
-def smoother_order(patterns: Array) -> tuple[Order, float] | None:
-    """Return the order in which patterns are smoothest, and its gain in −2 ln evidence.
+def smoother_order(patterns: Array) -> SmootherOrder | None:
+    """Return the order in which patterns are smoothest; None where no order has the odds.
 
-    None where no order has the odds. Orders that are mirror images of each other have one evidence;
+    Orders that are mirror images of each other have one evidence;
     of these the first counts.
 
     Parameters
@@ -173,23 +206,40 @@ def smoother_order(patterns: Array) -> tuple[Order, float] | None:
     scores = normal_quantile((ranks + 0.5) / flat.shape[1])
     tried = list(orders(*patterns.shape[1:]))
     gains = []
+    combs = []
     for values in (flat, scores):
-        as_specified = smooth_cost(values.reshape(patterns.shape))
+        images = values.reshape(patterns.shape)
+        as_specified = smooth_cost(images)
         gains.append([as_specified - smooth_cost(values[:, order.image]) for order in tried])
+        combs.append([as_specified - smooth_cost(images, steps) for steps in COMBS.values()])
     least = np.min(gains, axis=0).round(6)
     best = int(np.argmax(least))
+    gain = float(least[best])
     enough = 2 * np.log(ODDS * len(tried))
-    return (tried[best], float(least[best])) if least[best] > enough else None
+    if not gain > enough:
+        return None
+    # By the same of both, values or ranks, a load on every second line may explain as much.
+    beyond = np.min(np.array(gains)[:, [best]] - combs, axis=0)
+    comb = int(np.argmin(beyond))
+    every_second = list(COMBS)[comb] if beyond[comb] < 2 * np.log(ODDS) else ""
+    return SmootherOrder(tried[best], gain, every_second)
 
 
-def smooth_cost(images: Array) -> float:
-    """Return −2 ln evidence of images (n, rows, columns) as smooth processes of their lines."""
+def smooth_cost(images: Array, steps: tuple[int, int] = (1, 1)) -> float:
+    """Return −2 ln evidence of images (n, rows, columns) as smooth processes of their lines.
+
+    Parameters
+    ----------
+    images : array, shape (n, rows, columns)
+    steps : tuple of int
+        Distances between rows, and between columns, that a load covers: 2 for every second one.
+    """
     costs: tuple[list[Array], ...] = ([], [], [])
     by_rows = images.mean(axis=2)
     by_columns = images.mean(axis=1)
     for length in LENGTHS:
-        values, rows = _smooth_modes(images.shape[1], length)
-        across, columns = _smooth_modes(images.shape[2], length)
+        values, rows = _smooth_modes(images.shape[1], length, steps[0])
+        across, columns = _smooth_modes(images.shape[2], length, steps[1])
         within = (rows.T @ images @ columns).reshape(len(images), -1)
         parts = (
             (by_rows @ rows, values),
@@ -212,10 +262,14 @@ def smooth_cost(images: Array) -> float:
 
 
 @lru_cache(maxsize=64)
-def _smooth_modes(count: int, length: float) -> tuple[Array, Array]:
-    """Return the eigenvalues and eigenvectors of K on lines, without the mean."""
+def _smooth_modes(count: int, length: float, step: int) -> tuple[Array, Array]:
+    """Return the eigenvalues and eigenvectors of K on lines, without the mean.
+
+    Only lines whose distance is a multiple of the step are alike.
+    """
     lines = np.arange(count)
     centring = np.eye(count) - 1 / count
-    kernel = np.exp(-((lines[:, None] - lines) ** 2) / (2 * length**2))
+    distance = (lines[:, None] - lines) / step
+    kernel = np.where(distance % 1 == 0, np.exp(-(distance**2) / (2 * length**2)), 0.0)
     values, vectors = np.linalg.eigh(centring @ kernel @ centring)
     return np.maximum(values[1:], 0.0), vectors[:, 1:]

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from lampest.inference.model_check import ModelCheck
 
 OVERRULED_MISFIT = 5.0  # times the noise: a penalty that the data choose leaves readings within it
+MIN_SHOWN = 0.5  # of a cell's change: below, penalties decide more of the cell than readings do
 AT_RAILS = {  # in place of the solver's own sentence where readings are at or beyond a rail
     Status.HELD: "an optimum, but readings at or beyond {} keep cells at their bounds and are "
     "missed",
@@ -442,9 +443,9 @@ class Estimates:
 
     @property
     def _own_doubts(self) -> tuple[str, ...]:
-        """Doubts about these estimates alone: failed frames, and penalties that overrule data."""
+        """Doubts about these estimates alone: failed frames, penalties that overrule or hide."""
         failed = _unsolved(self.solved, self.status)
-        return tuple(filter(None, (failed, self._overruled)))
+        return tuple(filter(None, (failed, self._overruled, self._smoothed)))
 
     @property
     def _is_part(self) -> bool:
@@ -472,6 +473,24 @@ class Estimates:
         return (
             f"with the weight that was chosen for {terms} readings are missed by {factor:.2g} "
             "times their noise in the median frame: give a smaller weight, or leave the term out"
+        )
+
+    @property
+    def _smoothed(self) -> str:
+        """Share of single cells' changes that chosen penalties leave, in words where it is small.
+
+        The share is the median of `resolution`. Absolute losses hold most cells, and have none.
+        """
+        holds = any(term.loss.enters == "dual" for term in self.estimator.terms)
+        shares = None if holds or not self.automatic else self.resolution
+        known = np.zeros(0) if shares is None else shares[np.isfinite(shares)]
+        share = float(np.median(known)) if known.size else 1.0
+        if share >= MIN_SHOWN:
+            return ""
+        return (
+            "weak loads are smoothed: a change of log r of a single cell is estimated at "
+            f"{share:.0%} of its size in the median, a wider load at more; "
+            "average more readings of every cell"
         )
 
     @cached_property

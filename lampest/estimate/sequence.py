@@ -275,29 +275,43 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     if not estimator.automatic or estimator.auto_weight.per == "frame":
         return estimator
     count = 1 if len(networks) > 1 else None
-    deciding = list[tuple[Scene, Readings, Readings]]()
+    deciding = list[tuple[_Network, Readings]]()
     for network in networks:
         readings = network.readings
         frames = deciding_frames(network.recording, readings, network.resting)[:count]
-        scene = network.recording.scene
-        deciding += [(scene, network.resting, readings[frame]) for frame in frames]
+        deciding += [(network, readings[frame]) for frame in frames]
     if not deciding:
         return estimator
     numbers = strongest(
-        [float(mean_change(frame.plain_values, resting.value)) for _, resting, frame in deciding]
+        [
+            float(mean_change(frame.plain_values, network.resting.value))
+            for network, frame in deciding
+        ]
     )
-    strongest_data, *further = [deciding_data(estimator, *deciding[number]) for number in numbers]
-    return with_chosen_weights(estimator, deciding[numbers[0]][0], strongest_data, None, further)
+    frames_of = dict[_Network, list[Readings]]()
+    for number in numbers:
+        network, frame = deciding[number]
+        frames_of.setdefault(network, []).append(frame)
+    strongest_data, *further = (
+        data
+        for network, chosen in frames_of.items()
+        for data in deciding_data(estimator, network.recording.scene, network.resting, *chosen)
+    )
+    strongest_scene = deciding[numbers[0]][0].recording.scene
+    return with_chosen_weights(estimator, strongest_scene, strongest_data, None, further)
 
 
-def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:
-    """Return the data from which weights are chosen.
+def deciding_data(
+    estimator: Estimator, scene: Scene, resting: Readings, *frames: Readings
+) -> list[Data]:
+    """Return the data from which weights are chosen, of each frame.
 
-    The data are one frame, with its baseline where terms compare the two.
+    Where terms compare frames with their baseline, it is solved once for all of them.
     """
     if not estimator.relative:
-        return estimator.data(frame.alone(), Background(scene))
-    return Stream.begin(estimator, scene, float("inf"), resting).data_and_start(frame)[0]
+        return [estimator.data(frame.alone(), Background(scene)) for frame in frames]
+    stream = Stream.begin(estimator, scene, float("inf"), resting)
+    return [stream.data_and_start(frame)[0] for frame in frames]
 
 
 def frame_period(recording: Recording) -> float:

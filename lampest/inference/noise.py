@@ -26,7 +26,6 @@ from lampest.inference.variance_components import (
 from lampest.panel.effects import Possible, own_errors, sized_effects
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.converter import ENDLESS
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic, plain_size
 from lampest.posterior.interval import chi_square_tail
@@ -319,13 +318,21 @@ def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
     """
     readout = recording.scene.readout
     squares = parts.own**2 * parts.own_freedom
-    smaller = (
-        parts.own <= 1 / MIN_EXCESS
-        and 1 - chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE
-    )
-    if smaller and readout is not None and recording.sigma is None:
-        return shown_noise(readout, parts.own)[1]
+    expected = 0.0 if readout is None or recording.sigma is not None else scattering_share(readout)
+    if readout is not None and parts.own * MIN_EXCESS < expected:
+        below = 1 - chi_square_tail(squares / expected**2, parts.own_freedom)
+        if below < SIGNIFICANCE:
+            return shown_noise(readout, parts.own)[1]
     return noted_excess(squares, parts.own_freedom)
+
+
+def scattering_share(readout: Readout) -> float:
+    """Return the share of the assumed σ by which readings at rest scatter from frame to frame.
+
+    The quantisation that averaging does not remove is the same in all frames.
+    """
+    scattering = np.mean(readout.averaged_variance(readout.assumed_noise))
+    return float(np.sqrt(scattering / np.mean(readout.sigma_code() ** 2)))
 
 
 def _contradiction_in_words(readout: Readout | None, ratio: float, unloaded: int) -> str:
@@ -467,9 +474,7 @@ def shown_noise(readout: Readout, factor: float) -> tuple[float, float]:
         averaging does not reduce, is constant and does not scatter.
     """
     assumed = float(np.mean(readout.sigma_code()))
-    # scatter² = factor² (σ² − σ_lasting²): σ_lasting remains in the mean of endlessly many samples
-    lasting = float(np.mean(readout.sigma_code(readout.assumed_noise, ENDLESS)))
-    noise = readout.noise_of_variance(factor**2 * (assumed**2 - lasting**2))
+    noise = readout.noise_of_variance((factor * assumed) ** 2)
     return noise, float(np.mean(readout.sigma_code(noise))) / assumed
 
 

@@ -13,7 +13,6 @@ itself are estimated together with the cells and d, by Gauss-Newton steps.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,6 @@ from lampest.inference.evidence import (
     PARAMETER_COST,
     Changes,
     away_from_changed,
-    mostly_still,
     scores_with_errors,
     touching,
     usual_starts,
@@ -41,8 +39,6 @@ from lampest.recording.readings import Readings
 
 SETTLED_STEP = 0.1  # step of θ in standard deviations below which the iteration ends
 SECANT_STEP = 1e-3  # of the prior's standard deviation
-# Standard deviations of channels that are tried, ohm; the largest one is no finding.
-CHANNEL_SPREADS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 MAX_LENGTHS = 5  # tried lengths of a step of θ
 
 
@@ -92,14 +88,11 @@ class FittedPair:
     start : boolean array, shape (cells,), or None
         Moved cells of a similar pair, at which the selection of moved cells begins; None: it begins
         at the usual starts.
-    spread_ohm : float or None
-        Standard deviation of the channels; None: the scene's, or else that of one multiplexer.
     """
 
     frames: tuple[CellsFit, CellsFit]
     known_channels: Array | None = None
     start: NDArray[np.bool_] | None = None
-    spread_ohm: float | None = None
 
     @cached_property
     def channels(self) -> Array:
@@ -164,10 +157,8 @@ class FittedPair:
         Effects and a common change are not included.
         """
         # Σ = P_b + P_f + creep² 1 + spread² channels channelsᵀ
-        spread = self.spread_ohm
-        if spread is None:
-            sizes = systematic_of(self.frames[1].scene)
-            spread = float((sizes and sizes.channel_spread_ohm) or CHANNELS.prior)
+        sizes = systematic_of(self.frames[1].scene)
+        spread = float((sizes and sizes.channel_spread_ohm) or CHANNELS.prior)
         noise = sum(frame.covariance for frame in self.frames) + ASSUMED.creep**2 * np.eye(
             len(self.change)
         )
@@ -268,21 +259,6 @@ class FittedPair:
         # p(y) = p(d) |∂d/∂y|: −2 ln p(y) has ln |Jᵀ J| = ln |normal| and ln |Σ| more than the
         # quadratic form of d
         return self.evidence.score - self.frames[1].log_volume + self._volume
-
-    def spread_of_channels(self) -> tuple[float, float]:
-        """Return the most probable spread of the channels, ohm, and its gain over none.
-
-        The gain is in −2 ln evidence over the misfit that is left. It is 0 where most cells have
-        moved, and where the largest of CHANNEL_SPREADS is the most probable: other errors move
-        still cells then.
-        """
-        alike = replace(self, known_channels=self.channels, start=self.evidence.moved)
-        none = replace(alike, spread_ohm=0.0).density
-        tried = [replace(alike, spread_ohm=spread) for spread in CHANNEL_SPREADS]
-        best = min(tried, key=attrgetter("density"))
-        if best is tried[-1] or not mostly_still(best.moved):
-            return 0.0, 0.0
-        return float(best.spread_ohm or 0.0), max((none - best.density) / best.excess, 0.0)
 
     @cached_property
     def _misfit(self) -> tuple[float, int]:

@@ -309,13 +309,10 @@ class JointPosterior:
     ----------
     second, covariance : array, shape (columns, columns)
         E[z zᵀ], and the covariance of z.
-    channel_factor : Number
-        The spread of the channels over the usual one.
     """
 
     second: Array
     covariance: Array
-    channel_factor: Number
 
 
 def joint_posterior(
@@ -358,4 +355,4 @@ def joint_posterior(
         return None
     mean = np.average(means, axis=0, weights=weights)
     second = np.average(seconds, axis=0, weights=weights)
-    return JointPosterior(second, second - np.outer(mean, mean), spread)
+    return JointPosterior(second, second - np.outer(mean, mean))

@@ -1123,7 +1123,7 @@ def answers_row() -> dict[str, Any]:
     contacts = [replace(rod, diameter_mm=None, x_mm=(float(x), 1.0)) for x in range(8)]
     changes: tuple[dict[str, Any], ...] = (
         {"odds": 9.0},
-        {"odds": -4.0, "previous_odds": -4.0},
+        {"odds": -4.0, "previous_odds": -4.0, "max_depth": 0.02},
         {"odds": -4.0},
         {"odds": 1.0},
         {"odds": 0.0},

@@ -725,7 +725,7 @@ LAMPREY = Attachment(
     ((-11.0, 1.9),),
     breath=breathing.Breathing(6.0),
 )
-CUP = replace(LAMPREY, breath=breathing.Breathing(-6.0, -6.0, hertz=(1.0, 0.1)))
+CUP = replace(LAMPREY, breath=breathing.Breathing(-6.0, -6.0, hertz=(1.0, 0.1), max_depth=0.01))
 
 
 def watched_row() -> list[Any]:

@@ -180,6 +180,37 @@ def test_lines_in_another_order_are_found_and_the_right_one_is_not_doubted() -> 
     assert len(shares) == 5 and min(shares.values()) > MIN_ORDER_FOUND, shares
 
 
+@promise("theory/model_check: the finding says that the recording cannot tell the order")
+def test_loads_on_every_second_line_leave_the_order_open() -> None:
+    """They were taken for interleaved lines."""
+    rng = np.random.default_rng(8)
+    for side in (8, 10, 12, 16):
+        row, column = np.indices((side, side))
+        for name, line in (("row", row), ("column", column)):
+            down, across = rng.uniform(0.35 * side, 0.65 * side, 2)
+            far = np.hypot(row - down, column - across)
+            comb = np.where(line % 2, np.exp(-((far / (0.35 * side)) ** 2)), 0.0)
+            noise = 0.003 * rng.standard_normal(comb.shape)
+            smoother = smoother_order((comb + noise)[None])
+            assert smoother is None or smoother.every_second == name
+
+
+class Comb(Plan):
+    """A plan whose load lies on every second column."""
+
+    def loaded(self) -> np.ndarray:
+        every_second = np.arange(self.cells.shape[1]) % 2 == 1
+        return np.where(every_second, super().loaded(), self.cells)
+
+
+def test_a_comb_is_questioned_with_what_to_record() -> None:
+    plan = next(plan for plan in map(Plan.drawn, PLANS) if plan.load == "moves")
+    comb = Comb(**vars(plan))
+    (sentence,) = [text for text in faulty(health(comb)) if "order" in text]
+    assert "the order of lines cannot be told from this recording" in sentence
+    assert "loads lie on every second column" in sentence and "press a spot" in sentence
+
+
 def test_the_order_of_isolated_cells_is_not_doubted() -> None:
     """Single cells far larger than the others stand side by side in another order by chance."""
     rng = np.random.default_rng(5)

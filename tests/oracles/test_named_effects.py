@@ -14,7 +14,7 @@ import pytest
 from promises import promise
 
 import lampest
-from docs.studies.effects import LOADS, Row, figures
+from docs.studies.effects import LOADS, Load, Row, figures
 from docs.studies.effects import recording as channels_recording
 from docs.studies.motion import Motion
 from docs.studies.motion import recording as moving_load
@@ -41,7 +41,6 @@ from lampest.inference.effects import (
     static_errors,
 )
 from lampest.inference.prepared import Prepared
-from lampest.inference.rival_parameters import DOUBTFUL_GAIN
 from tests.estimates import recording_of
 
 ROWS = 12
@@ -263,18 +262,38 @@ def test_a_circuit_that_fails_is_advised_the_error_with_which_it_explains() -> N
 
 
 def test_an_error_that_the_scene_states_is_no_doubt_of_its_circuit() -> None:
-    stated = with_errors(0.05, systematic=Systematic(reading_error=0.05))
-    assert "only with errors" not in advice.Audit(Prepared(stated)).verdict.sentence
-    assert Prepared(stated).check.explains
+    stated = Prepared(with_errors(0.05, systematic=Systematic(reading_error=0.05)))
+    assert "only with errors" not in advice.Audit(stated).verdict.sentence
+    assert stated.check.explains
 
 
 def test_channels_that_differ_are_advised_and_not_as_errors_of_each_reading() -> None:
     differing = channels_recording(100, LOADS["mouth"], Row(channel_ohm=10.0), {})
     lines = [finding.line for finding in effects.unnamed_effects(Prepared(differing))]
     assert lines == ["systematic: {channel_spread_ohm: estimated}"]
-    explanation = Prepared(channels_recording(100, LOADS["mouth"], Row(), {})).question.explanation
-    assert explanation is not None and explanation.pair is not None
-    assert explanation.pair.spread_of_channels()[1] < DOUBTFUL_GAIN, "equal channels"
+    alike = Prepared(channels_recording(100, LOADS["mouth"], Row(), {}))
+    assert not effects.unnamed_effects(alike)
+
+
+def test_channels_are_advised_under_a_hand_that_covers_most_cells() -> None:
+    """Cells that moved were more than half, and nothing was advised."""
+    hand = Load(("hand",), swaying=0.05)
+    differing = channels_recording(4001, hand, Row(channel_ohm=10.0), {})
+    lines = [finding.line for finding in effects.unnamed_effects(Prepared(differing))]
+    assert lines == ["systematic: {channel_spread_ohm: estimated}"]
+    assert not effects.unnamed_effects(Prepared(channels_recording(4001, hand, Row(), {})))
+
+
+def test_noise_is_not_advised_where_ripple_explains_it() -> None:
+    rippled = channels_recording(4003, LOADS["still"], Row(ripple_lsb=1.0), {})
+    lines = [finding.line for finding in advice.Audit(Prepared(rippled)).advice]
+    assert lines == ["ripple: estimated"]
+
+
+def test_a_gain_of_frames_is_not_also_creep() -> None:
+    gained = channels_recording(4003, LOADS["still"], Row(gain=0.01), {})
+    lines = [finding.line for finding in advice.Audit(Prepared(gained)).advice]
+    assert lines == ["gain: estimated"]
 
 
 def test_an_effect_that_gains_only_alone_is_not_advised(monkeypatch: pytest.MonkeyPatch) -> None:

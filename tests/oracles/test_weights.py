@@ -31,15 +31,17 @@ from lampest import (
 from lampest.apps.studies.weight_curves import WeightSubject, bound_evidence, solve_at
 from lampest.cost.given import Background
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms import CellResistance, Gradient, LogGradient, Term
+from lampest.cost.terms import CellResistance, Gradient, LogGradient, LogRatio, Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.objective import AutoWeight
 from lampest.estimate.sequence import reconstruct
+from lampest.estimate.stream import Stream
 from lampest.estimate.weights import EvidencePoint, WeightSearch, with_chosen_weights
 from lampest.panel.readouts import TwoPointReadout
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Spectrum, best_weight, settled_weights
+from lampest.recording.recording import baseline_readings, deciding_frames
 from lampest.runs.config import Case
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings
@@ -426,3 +428,24 @@ def test_a_held_cell_contributes_the_integral_of_its_density() -> None:
         )
         expected += np.log(2 * np.pi) - 2 * np.log(density)
     assert_allclose(bound_evidence(model), expected, rtol=DIFFERENCE_ERROR)
+
+
+def test_several_deciding_frames_share_one_solved_baseline(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(5)
+    scene = Scene(Panel(3, 4))
+    cells = np.full((7, 3, 4), 1000.0)
+    cells[2:, 1, 1:3] /= 3
+    exact = np.array([two_point_resistance(frame) for frame in cells])
+    measured = exact * (1 + 1e-3 * rng.normal(size=cells.shape))
+    recording = recording_of(scene, measured, 2, sigma=1e-3 * exact)
+    estimator = Estimator([Misfit(weighting="noise"), LogRatio(weight="auto")])
+    begun = list[Stream]()
+    begin = Stream.with_rest
+    monkeypatch.setattr(Stream, "with_rest", lambda stream: begun.append(stream) or begin(stream))
+    reconstruct(recording, estimator)
+    read = recording.readings()
+    assert len(deciding_frames(recording, read, baseline_readings(recording, read))) > 1
+    # One is for the choice of the weight, and one with the chosen weight for the frames.
+    assert len(begun) == 2

@@ -20,6 +20,7 @@ from lampest import (
     VirtualGroundReadout,
 )
 from lampest.audit.advice import Audit
+from lampest.inference.noise import NoiseEstimate
 from lampest.inference.prepared import Prepared
 from lampest.inference.resolve import resolved_scene
 
@@ -227,3 +228,29 @@ def test_a_voltage_of_code_0_that_no_load_shows_is_a_doubt() -> None:
     verdict = audit(stated, sought).verdict
     assert verdict.mark == "doubtful"
     assert "readout.converter.zero_volt is estimated" in verdict.sentence
+
+
+@pytest.mark.parametrize("readings", [1, 20])
+@pytest.mark.parametrize("noise", [0.11, 0.18])
+def test_noise_below_the_step_is_right_where_few_codes_change(noise: float, readings: int) -> None:
+    """What averaging cannot remove is the same in all frames, and scatters in none."""
+    found = measured_noise(noise, readings, true_noise=noise)
+    assert found.sigma_factor == 1 and not found.sentence
+    quieter = measured_noise(0.6, readings, true_noise=noise)
+    assert noise_of(quieter.sentence) == pytest.approx(noise, rel=0.4)
+
+
+def measured_noise(noise: float, readings: int, true_noise: float) -> NoiseEstimate:
+    """Return the noise of 24 unloaded frames, of a scene that specifies `noise` LSB."""
+    circuit = lampest.TwoPointReadout(
+        supply_volt=5.0, adc_bits=8, readings=readings, noise_lsb=true_noise, reference_ohm=1000.0
+    )
+    scene = Scene(Panel(6, 7), circuit)
+    simulated = lampest.simulate(lampest.Simulation(1, 3, scene, baseline_frames=24, frames=1))
+    stated = replace(scene, readout=replace(circuit, noise_lsb=noise))
+    return Prepared(replace(simulated, scene=stated)).noise
+
+
+def noise_of(sentence: str) -> float:
+    """Return the measured noise of a sentence, in LSB."""
+    return float(sentence.split("noise ")[1].split(" LSB")[0])

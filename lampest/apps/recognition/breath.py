@@ -3,9 +3,11 @@
 The relative amplitude s_t in a window is a weighted mean of the readings, less a trend, with the
 model
 
-    s_t = a cos 2πft + b sin 2πft + noise,   a, b ~ N(0, A²),   noise ~ N(0, σ²).
+    s_t = Σ_k √q_k (a_k cos 2πf_k t + b_k sin 2πf_k t) + noise,   a_k, b_k ~ N(0, A²),
+    noise ~ N(0, σ²),
 
-The odds compare the A of breathing with that of tremble, summed over f and σ.
+where the rates f_k with shares q_k are those of a rate f that wanders. The odds compare the A of
+breathing with that of tremble, summed over f and σ.
 Source: Bretthorst, Bayesian Spectrum Analysis and Parameter Estimation, 1988;
 docs/theory/recognition.md.
 """
@@ -16,6 +18,7 @@ from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermegauss
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import expit, logsumexp
@@ -25,8 +28,11 @@ from lampest.apps.recognition.hypotheses import (
     BREATH,
     BREATHING_SD,
     CAUSES,
+    LEAK_SD,
+    LEAK_SHARE,
     RATES_HZ,
     TREMBLE_SD,
+    WANDER,
     Cause,
 )
 from lampest.apps.recognition.steady_frames import SteadyFrames
@@ -74,6 +80,11 @@ class Breath:
     suction: float
     hertz: Pair
     depth: Pair
+
+    @property
+    def probability(self) -> float:
+        """Probability that the suction oscillates, with even prior odds of an oscillation."""
+        return self.suction * float(expit(self.odds))
 
 
 def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath | None:
@@ -133,8 +144,9 @@ def _steady_breath(
     hertz = np.arange(RATES_HZ[0], highest_hz, RATE_STEP / lasted)
     even_waves = _waves(hertz, times)
     waves = _without(trend, suction[:, None] * even_waves)
-    axes, sizes, _ = np.linalg.svd(waves, full_matrices=False)
-    axes = np.swapaxes(axes, 1, 2)
+    axes, gain = _axes(waves)
+    wide_axes, wide_gain = _axes(_without(trend, suction[:, None] * _wandering(hertz, times)))
+    leak_axes, leak_gain = _axes(_without(trend, interval.ramps()[1]).T[:, :, None])
     level = changes @ own_patterns.weights(BREATH.largest, 1.0, EDGE_SD)
     pull = interval.pulled(level, axes)
     leak = interval.leaking(level, axes)
@@ -149,14 +161,18 @@ def _steady_breath(
         hertz=hertz,
         waves=waves,
         axes=axes,
-        gain=sizes**2,
+        gain=gain,
+        wide_axes=wide_axes,
+        wide_gain=wide_gain,
+        leak_axes=leak_axes,
+        leak_gain=leak_gain,
         tapered=_tapered(even_waves, within),
         changes=changes,
         patterns=own_patterns,
     )
     freedom = len(times) - trend.shape[1]
     breaths = [window.breath(*rates, freedom) for rates in window.rates(level, rate)]
-    best = max(breaths, key=attrgetter("odds"))
+    best = max(breaths, key=attrgetter("probability"))
     return replace(best, odds=best.odds - log(len(breaths)))
 
 
@@ -173,6 +189,10 @@ class _Window(NamedTuple):
         Sine and cosine in proportion to the suction.
     axes, gain : arrays, shapes (rates, 2, frames) and (rates, 2)
         Their orthonormal axes, and the squares of the singular values.
+    wide_axes, wide_gain : arrays, shapes (rates, n, frames) and (rates, n)
+        The same of waves whose rate wanders.
+    leak_axes, leak_gain : arrays, shapes (times, 1, frames) and (times, 1)
+        The same of a suction that falls steadily from a time on.
     tapered : array, shape (rates, 2, frames)
         Waves that fade towards the ends of the window.
     changes : array, shape (frames, readings)
@@ -185,6 +205,10 @@ class _Window(NamedTuple):
     waves: Array
     axes: Array
     gain: Array
+    wide_axes: Array
+    wide_gain: Array
+    leak_axes: Array
+    leak_gain: Array
     tapered: Array
     changes: Array
     patterns: Patterns
@@ -251,7 +275,7 @@ class _Window(NamedTuple):
         # A rim that swings less than the suction lets expect cancels it in a mean of both. Weights
         # that leave movements out see such a breath, but less of a faint one; each is as probable.
         rhythms = [
-            self._rhythm(steadied.weights(TREMBLE_SD, 1 / mean_gain, moving), whitening, near)
+            self._rhythm(steadied.weights(BREATHING_SD, 1 / mean_gain, moving), whitening, near)
             for moving in (0.0, EDGE_SD)
         ]
         odds = [rhythm.odds(freedom) for rhythm in rhythms]
@@ -274,7 +298,16 @@ class _Window(NamedTuple):
     def _rhythm(self, weights: Array, whitening: Array, near: NDArray[np.bool_]) -> "_Rhythm":
         """Return the oscillations of the suction that weights (readings,) sum to."""
         series = self.changes @ whitening.T @ weights
-        return _Rhythm(float(series @ series), self.axes @ series, self.gain, near)
+        power = near * ((self.axes @ series) ** 2).sum(axis=1)
+        return _Rhythm(
+            total=float(series @ series),
+            power=power,
+            amplitude=self.wide_axes @ series,
+            gain=self.wide_gain,
+            leak=self.leak_axes @ series,
+            leak_gain=self.leak_gain,
+            near=near,
+        )
 
 
 class _Rhythm(NamedTuple):
@@ -284,23 +317,25 @@ class _Rhythm(NamedTuple):
     ----------
     total : float
         Σ s² of the relative suction s.
-    amplitude : array, shape (rates, 2)
-        Projections of s on the axes.
-    gain : array, shape (rates, 2)
+    power : array, shape (rates,)
+        Squares of the oscillation at the rates of the breath; 0 at others.
+    amplitude : array, shape (rates, n)
+        Projections of s on the axes of waves whose rate wanders.
+    gain : array, shape (rates, n)
         Squares of the axes' singular values.
+    leak, leak_gain : arrays, shape (times, 1)
+        The same of leaks that begin at some times.
     near : boolean array, shape (rates,)
         Rates of the breath.
     """
 
     total: float
+    power: Array
     amplitude: Array
     gain: Array
+    leak: Array
+    leak_gain: Array
     near: NDArray[np.bool_]
-
-    @property
-    def power(self) -> Array:
-        """Squares of the oscillation at the rates of the breath, (rates,); 0 at others."""
-        return np.asarray(self.near * (self.amplitude**2).sum(axis=1))
 
     @property
     def best(self) -> int:
@@ -308,11 +343,15 @@ class _Rhythm(NamedTuple):
         return int(np.argmax(self.power))
 
     def odds(self, freedom: int) -> float:
-        """Return ln of the odds of A = BREATHING_SD against A = TREMBLE_SD."""
-        breathing, steady = (
+        """Return ln of the odds of A = BREATHING_SD against A = TREMBLE_SD, or a leak."""
+        breathing, trembling = (
             logsumexp(_evidence(self.total, self.amplitude, self.gain, sd, freedom)[self.near])
+            - log(self.near.sum())
             for sd in (BREATHING_SD, TREMBLE_SD)
         )
+        leaks = _evidence(self.total, self.leak, self.leak_gain, LEAK_SD, freedom)
+        leaking = logsumexp(leaks) - log(len(leaks))
+        steady = np.logaddexp(log(1 - LEAK_SHARE) + trembling, log(LEAK_SHARE) + leaking)
         return float(breathing - steady + np.log(self.near.mean()))
 
 
@@ -328,6 +367,29 @@ def _waves(hertz: Array, times: Array) -> Array:
     """Return cosine and sine at every rate, (rates, frames, 2)."""
     waves = np.exp(2j * np.pi * hertz[:, None] * times)
     return np.stack([waves.real, waves.imag], axis=2)
+
+
+def _wandering(hertz: Array, times: Array) -> Array:
+    """Return waves whose rates are N(f, (WANDER f)²), by Gauss-Hermite points.
+
+    The result has shape (rates, frames, 10).
+    """
+    points, weights = hermegauss(5)
+    shares = (weights / weights.sum()) ** 0.5
+    waves = [
+        share * _waves(hertz * (1 + WANDER * point), times)
+        for point, share in zip(points, shares, strict=True)
+    ]
+    return np.concatenate(waves, axis=2)
+
+
+def _axes(waves: Array) -> tuple[Array, Array]:
+    """Return orthonormal axes of waves (rates, frames, n), and squares of their singular values.
+
+    The shapes are (rates, n, frames) and (rates, n).
+    """
+    axes, sizes, _ = np.linalg.svd(waves, full_matrices=False)
+    return np.swapaxes(axes, 1, 2), sizes**2
 
 
 def _tapered(waves: Array, within: Array) -> Array:
@@ -425,9 +487,9 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
     ----------
     total : float
         Σ s².
-    amplitude : array, shape (rates, 2)
+    amplitude : array, shape (rates, n)
         Projections of s on the axes.
-    gain : array, shape (rates, 2)
+    gain : array, shape (rates, n)
         Squares of the axes' singular values.
     sd : float
         A.
@@ -437,9 +499,11 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
     noise = np.geomspace(1e-4, 1.0, 25)[:, None, None] ** 2
     wide = noise + sd**2 * gain
     remaining = total - (amplitude**2).sum(axis=1)
-    # amplitude ~ N(0, σ² + A² gain), all other directions ~ N(0, σ²); axes (noises, rates, 2)
+    # amplitude ~ N(0, σ² + A² gain), all other directions ~ N(0, σ²); axes (noises, rates, n)
     fits = -0.5 * ((amplitude**2 / wide).sum(axis=2) + np.maximum(remaining, 0.0) / noise[..., 0])
-    volume = -0.5 * (np.log(wide).sum(axis=2) + (freedom - 2) * np.log(noise[..., 0]))
+    volume = -0.5 * (
+        np.log(wide).sum(axis=2) + (freedom - amplitude.shape[1]) * np.log(noise[..., 0])
+    )
     return np.asarray(logsumexp(fits + volume, axis=0))
 
 

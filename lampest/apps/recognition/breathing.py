@@ -21,15 +21,14 @@ from lampest.apps.recognition.hypotheses import NEVER_LOG_ODDS, PAUSE_LOG_ODDS, 
 
 # duration over which a rhythm is steady, and the least that determines one
 WINDOW_S = 8.0
-MIN_WINDOW_S = 4.5
+MIN_WINDOW_S = 3.5
 # correlation ρ of the ln odds of two windows of one load, and number of windows that count: each
 # window takes from the earlier ones the inverse of it
 SHARED = 0.5
 REMEMBERED = 4.0
+ONE_SIDED = 1.645  # standard deviations of an upper limit with 95 %
 MAX_LOG_ODDS = 10.0  # upper limit of accumulated ln odds of breathing
 PRIOR_SUCTION = PRIOR_ODDS / (1 + PRIOR_ODDS)
-# That suction oscillates, before the first window: an incomplete one alone must not decide.
-UNAGREED = 0.75
 
 
 @dataclass(frozen=True)
@@ -48,11 +47,13 @@ class Breathing:
     suction : float
         Probability that the suction oscillates, by all windows; 1 before the first one.
     last : float
-        The same by the last window alone; its prior probability where nothing oscillated, and
-        UNAGREED before the first one.
+        The same by the last window alone; its prior probability before the first one, and where
+        nothing oscillated.
     hertz, depth : (float, float) or None
         Rate in Hz and relative amplitude, each with its standard deviation, from the last window
         that determines them.
+    max_depth : float
+        Largest depth that the last full window allows, with 95 %; infinite before one.
     full_s, judged_s : float
         Times of the last frame of the last full window, and of the last window, s.
     """
@@ -63,9 +64,10 @@ class Breathing:
     previous_causes: float = 0.0
     windows: float = 0.0
     suction: float = 1.0
-    last: float = UNAGREED
+    last: float = PRIOR_SUCTION
     hertz: Pair | None = None
     depth: Pair | None = None
+    max_depth: float = inf
     full_s: float = -inf
     judged_s: float = -inf
 
@@ -118,13 +120,17 @@ class Breathing:
         because it is faint or at half the frame rate, and a mouth pauses in one window of twenty.
         Of incomplete windows, two successive ones have to agree that the suction oscillates: with
         the last one alone, two of 75 shaken cups were taken for lampreys for a second
-        (docs/studies/mouths.md).
+        (docs/studies/mouths.md). One that speaks against the window before shows nothing: a few
+        seconds before a release would take a mouth's breath for a movement.
         """
         judged = replace(self, judged_s=time, full_s=time if full else self.full_s)
         if breath is None:
             return judged
         weighed = judged._with_window(breath, full=full)
-        return weighed._closed(time) if full else weighed
+        if not full:
+            return weighed
+        depth, depth_sd = breath.depth
+        return replace(weighed, max_depth=depth + ONE_SIDED * depth_sd)._closed(time)
 
     def _with_window(self, breath: Breath, *, full: bool) -> "Breathing":
         """Return the breath with that of one more window."""
@@ -133,7 +139,9 @@ class Breathing:
         odds = self._together(self.previous_odds, float(window), -NEVER_LOG_ODDS)
         # Where nothing oscillates, a window shows no cause.
         suction = breath.suction if breath.odds > 0 else PRIOR_SUCTION
-        agreed = suction if full else min(suction, self.last)
+        against_last = suction < PRIOR_SUCTION < self.last
+        agreed = PRIOR_SUCTION if against_last else min(suction, self.last)
+        agreed = suction if full else agreed
         breathing = replace(self._caused(agreed), odds=odds, last=suction)
         follows_full_window = self.previous_odds != 0 and not full
         if self.hertz is not None and (breath.odds <= 0 or follows_full_window):

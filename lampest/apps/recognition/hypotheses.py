@@ -5,7 +5,8 @@ makes it oscillate at one rate, too:
 
 - *breath*: the suction swings, and with it the rim that bears it;
 - *a pushed rim*: only the rim's pressure swings, as where a body beside the load beats;
-- *a tugged load*: its place or its tilt swings, as on a hose or in a current.
+- *a tugged load*: its place or its tilt swings, as on a hose or in a current;
+- *cells beside it*: something beats on them too faintly to be seen as a load of its own.
 
 Water that moves presses on the whole panel. It is no hypothesis: lines without a load show it, and
 it is taken off the readings first (`lampest.apps.recognition.steady_frames`).
@@ -23,11 +24,19 @@ RATES_HZ = (0.5, 2.5)  # of breathing at rest
 # A: the mean amplitude of mouths is 5.4 % of their suction (docs/studies/mouths.md). That of loads
 # that do not breathe is an assumption: cups tremble and leak, but at no single rate.
 BREATHING_SD = 0.045
+# Relative standard deviation of the rate within seconds, assumed: no breath is a pure sine.
+WANDER = 0.06
 TREMBLE_SD = 0.002
+# Smallest depth of a mouth's breath, assumed: what may breathe as deep is not surely a cup.
+MIN_DEPTH = 0.03
 # −ln of the shares of mouths that never show their breath, because it is faint or at half the frame
 # rate, and of windows in which a mouth pauses: one in twenty each, assumed.
 NEVER_LOG_ODDS = log(20)
 PAUSE_LOG_ODDS = log(20)
+# Share of windows in which a suction that does not breathe begins to leak, and how fast, 1/s:
+# assumed. The bend of such a suction resembles a slow breath.
+LEAK_SHARE = 0.05
+LEAK_SD = 0.3
 
 
 class Cause(NamedTuple):
@@ -53,7 +62,13 @@ class Cause(NamedTuple):
 # Above 15 % the unevenness of a film would explain the swings of a shaken cup.
 BREATH = Cause("own", 0.15, 1.0, 1.0)
 # What sucks and breathes always does, while rims and places swing at one rate only where something
-# pushes them. A rim swings by all of its pressure, a place ten times as far as usual.
-CAUSES = (BREATH, Cause("rim", 1.0, 10.0, 0.1), Cause("moves", 10.0, 10.0, 0.1))
+# pushes them. A rim swings by all of its pressure, a place ten times as far as usual, and the
+# resistance of a cell beside by 5 %.
+CAUSES = (
+    BREATH,
+    Cause("rim", 1.0, 10.0, 0.1),
+    Cause("moves", 10.0, 10.0, 0.1),
+    Cause("beside", 0.05, 30.0, 0.1),
+)
 # of breath, against all other causes together
 PRIOR_ODDS = 1 / sum(1 / cause.odds for cause in CAUSES[1:])

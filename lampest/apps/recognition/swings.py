@@ -52,6 +52,8 @@ class Patterns(NamedTuple):
         Place and tilt of the load.
     others : array
         Further changes of any size, which are projected out.
+    beside : array
+        Cells that neither the load nor `others` contain, each by itself; none in `of`.
     curve : float
         Relative standard deviation of the depth by a curve under suction that was not measured.
     adjoins : bool
@@ -62,6 +64,7 @@ class Patterns(NamedTuple):
     rim: Array
     moves: Array
     others: Array
+    beside: Array
     curve: float = 0.0
     adjoins: bool = False
 
@@ -104,7 +107,8 @@ class Patterns(NamedTuple):
         moving = np.column_stack(
             [moves.T, np.diag(EDGE_SD * np.hypot(changes, np.sqrt(np.mean(changes**2))))]
         )
-        return cls(by_cell @ suction, by_cell @ rigid, by_cell @ moving, others, curve)
+        none = np.zeros((len(by_cell), 0))
+        return cls(by_cell @ suction, by_cell @ rigid, by_cell @ moving, others, none, curve)
 
     def beside_others(self, changes: Array) -> tuple["Patterns", Array]:
         """Project patterns and changes (frames, readings) on the complement of `others`.
@@ -115,11 +119,11 @@ class Patterns(NamedTuple):
         changes : array, shape (frames, readings)
         """
         span = np.linalg.qr(self.others)[0]
-        suction, rim, moves, remaining = (
+        suction, rim, moves, beside, remaining = (
             pattern - span @ (span.T @ pattern)
-            for pattern in (self.own, self.rim, self.moves, changes.T)
+            for pattern in (self.own, self.rim, self.moves, self.beside, changes.T)
         )
-        return self._replace(own=suction, rim=rim, moves=moves), remaining.T
+        return self._replace(own=suction, rim=rim, moves=moves, beside=beside), remaining.T
 
     def whitened(self, whitening: Array) -> "Patterns":
         """Return the patterns of readings that are whitened once more, by (readings, readings)."""
@@ -128,6 +132,7 @@ class Patterns(NamedTuple):
             rim=whitening @ self.rim,
             moves=whitening @ self.moves,
             others=whitening @ self.others,
+            beside=whitening @ self.beside,
         )
 
     def weights(self, depth: float, noise: float, moving: float = 0.0) -> Array:
@@ -211,7 +216,9 @@ def patterns_of(
                 others=np.column_stack([whitening.sum(axis=1), by_cell[:, beside]]),
                 curve=curve,
             )
-            patterns[number] = pattern._replace(adjoins=adjoin(panel, beside, under))
+            patterns[number] = pattern._replace(
+                beside=by_cell[:, ~(under | beside)], adjoins=adjoin(panel, beside, under)
+            )
         first += len(own)
     return patterns
 

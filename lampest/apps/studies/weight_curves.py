@@ -66,7 +66,7 @@ class WeightSubject:
         if not len(frames):
             return None
         solves = tuple(
-            deciding_data(estimator, scene, resting, readings[number]) for number in frames
+            deciding_data(estimator, scene, resting, *(readings[number] for number in frames))
         )
         cost = estimator.cost(scene, len(solves[0].measured), partial=solves[0].partial)
         return cls(case, recording, int(frames[0]), WeightSearch(cost, solves, estimator.solver))

@@ -4,14 +4,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from lampest.files.levels import SIGNIFICANT
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import fitted
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
-from lampest.inference.evidence import mostly_still
+from lampest.inference.evidence import MIN_STILL_SHARE, mostly_still, touching
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides
 from lampest.inference.pair import FittedPair
 from lampest.panel.sizes import ESTIMATED
+from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
@@ -45,21 +47,50 @@ class CommonCreep(SceneEffect):
             return noise.undetermined(
                 "creep", "no cells explain the unloaded panel and the last frame"
             )
-        evidence = FittedPair((base, last)).evidence
-        if not mostly_still(evidence.moved) or not np.isfinite(evidence.size[0]):
+        pair = FittedPair((base, last))
+        change, deviation = common_change(pair, noise.frame)
+        if not mostly_still(pair.evidence.moved) or not np.isfinite(change):
             return noise.undetermined(
                 "creep", "the load touches most cells: record a frame with less load at the end"
             )
-        return noise.determined(
-            "creep",
-            (
-                ASSUMED.common_change * float(evidence.size[0]),
-                ASSUMED.common_change * float(evidence.sd[0]),
-            ),
-        )
+        return noise.determined("creep", (change, deviation))
 
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
-        """Yield a common change of all cells."""
-        common_change = evidence.prepared.effects.common_change
-        if common_change and evidence.names_none("creep", "temperature", "film"):
-            yield Unnamed.of(common_change, "creep")
+        """Yield a common change of all cells that errors of the frames do not explain."""
+        sentence = evidence.prepared.effects.common_change
+        if not sentence or not evidence.names_none("creep", "temperature", "film"):
+            return
+        explanation = evidence.prepared.question.explanation
+        if explanation is not None and explanation.pair is not None:
+            pair = explanation.pair
+            # The skirt of a load changes the cells beside it alike.
+            if touching(pair.moved[None]).mean() > 1 - MIN_STILL_SHARE:
+                return
+            change, deviation = common_change(pair, evidence.noise.frame)
+            if abs(change) < SIGNIFICANT * deviation:
+                return
+        yield Unnamed.of(sentence, "creep")
+
+
+def common_change(pair: FittedPair, noise: FrameNoise | None) -> tuple[float, float]:
+    """Return the change of ln r of all cells that no load touches, and its standard deviation.
+
+    Errors that the readings of a frame share, such as its gain, change all cells, too.
+
+    Parameters
+    ----------
+    pair : FittedPair
+    noise : FrameNoise or None
+        These errors.
+    """
+    change, deviation = (
+        float(ASSUMED.common_change * part[0]) for part in (pair.evidence.size, pair.evidence.sd)
+    )
+    if noise is None:
+        return change, deviation
+    still = ~pair.evidence.moved
+    for frame, baseline in zip(pair.frames, (True, False), strict=True):
+        columns = noise.columns(frame.readings.value[None], baseline=baseline)
+        by_error = (frame.gain @ columns)[still].mean(axis=0)
+        deviation = float(np.hypot(deviation, np.linalg.norm(by_error)))
+    return change, deviation

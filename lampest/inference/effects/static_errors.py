@@ -158,7 +158,13 @@ def _error_beside_channels(
 
 
 def _channel_spread(
-    scene: Scene, resting: Readings, fit: CellsFit | None, moves: SharedChanges, size: float
+    scene: Scene,
+    resting: Readings,
+    fit: CellsFit | None,
+    moves: SharedChanges,
+    size: float,
+    *,
+    with_none: bool = False,
 ) -> Number:
     """Return the posterior of the spread of the channels over the usual one.
 
@@ -175,14 +181,18 @@ def _channel_spread(
     moves : SharedChanges
     size : float
         Standard deviation of each reading's own error.
+    with_none : bool
+        Whether no spread is tried, too, first and with no prior probability: the gain is that over
+        none.
     """
     error = np.array([size])
+    factors = np.append(np.zeros(int(with_none)), CHANNEL_FACTORS)
+    prior = np.append(np.zeros(int(with_none)), np.exp(LOG_PRIOR_OF_FACTORS))
     unloaded = [
-        unloaded_costs(scene, resting, fit, error, ohm)[0]
-        for ohm in CHANNEL_FACTORS * CHANNELS.prior
+        unloaded_costs(scene, resting, fit, error, ohm)[0] for ohm in factors * CHANNELS.prior
     ]
-    changes = error_costs(scene, moves, error, CHANNEL_FACTORS, ASSUMED.slope_cells)[:, 0]
-    return Number.by_costs(CHANNEL_FACTORS, unloaded + changes, np.exp(LOG_PRIOR_OF_FACTORS))
+    changes = error_costs(scene, moves, error, factors, ASSUMED.slope_cells)[:, 0]
+    return Number.by_costs(factors, unloaded + changes, prior)
 
 
 def significant_reading_error(
@@ -261,29 +271,39 @@ def _with_common_errors(
         Spread of the channels over the usual one.
     """
     size = READING_ERROR.size(errors.possible.sizes)
+    if moves.has_channels:
+        errors = _with_spread(errors, prior, spread)
     posterior = joint_posterior(scene, moves, size, spread)
     if posterior is None:
         return _undetermined(errors, "a load covers the panel", scene)
-    sizes = _determined_sizes(moves, posterior, prior)
+    sizes = errors.sizes | _determined_sizes(moves, posterior, prior)
     settings = [error.setting for error in moves.errors]
     # The columns of the root behind those of common errors are the readings' own errors.
     if size:
         settings.append(READING_ERROR.setting)
-    of_errors = errors.possible.sizes
     second = posterior.second
     if moves.has_channels:
-        # The spread that readers of the scene take; the root has the errors in its unit.
-        factor = float(np.sqrt(posterior.channel_factor.mean_square))
-        of_errors = replace(of_errors, channel_spread_ohm=factor * CHANNELS.size(prior))
+        # The root has the errors in the unit of the spread that readers of the scene take.
+        factor = float(np.sqrt(spread.mean_square))
         unit = 1 / moves.scales(factor, len(second))
         second = unit[:, None] * second * unit
-    possible = Possible(of_errors, tuple(settings), _lower_root(second), errors.possible.in_sigma)
-    return replace(
-        errors,
-        possible=possible,
-        sizes=errors.sizes | sizes,
-        undetermined="" if len(sizes) == len(moves.errors) else ALIKE,
-    )
+    possible = replace(errors.possible, settings=tuple(settings), root=_lower_root(second))
+    determined = all(error.setting in sizes for error in moves.errors)
+    return replace(errors, possible=possible, sizes=sizes, undetermined="" if determined else ALIKE)
+
+
+def _with_spread(errors: SharedErrors, prior: Systematic, spread: Number) -> SharedErrors:
+    """Return the errors with the spread of the channels, as a factor on the usual one.
+
+    The spread is determined where it is known better than its prior.
+    """
+    usual = CHANNELS.size(prior)
+    size = usual * float(np.sqrt(spread.mean_square))
+    sizes = replace(errors.possible.sizes, channel_spread_ohm=size)
+    determined = dict(errors.sizes)
+    if spread.log_deviation < MAX_UNTOLD * LOG_SD_OF_FACTORS:
+        determined[CHANNELS.setting] = usual * spread.mean, usual * spread.deviation
+    return replace(errors, possible=replace(errors.possible, sizes=sizes), sizes=determined)
 
 
 def _determined_sizes(
@@ -291,7 +311,7 @@ def _determined_sizes(
 ) -> dict[str, tuple[float, float]]:
     """Return the size and standard deviation of each error that the recording tells more of.
 
-    Of channels these are their spread, else the root mean square and the deviation of the error.
+    These are the root mean square and the deviation of the error; channels have their spread.
     Errors with a deviation of more than MAX_UNTOLD that of their prior are left out.
 
     Parameters
@@ -306,18 +326,12 @@ def _determined_sizes(
     for error in moves.errors:
         last = first + moves.counts[error.setting]
         unit = error.size(prior)
-        if error.setting == CHANNELS.setting:
-            spread = posterior.channel_factor
-            size = unit * spread.mean, unit * spread.deviation
-            determined = spread.log_deviation < MAX_UNTOLD * LOG_SD_OF_FACTORS
-        else:
-            second, covariance = (
-                float(np.trace(matrix[first:last, first:last])) / (last - first)
-                for matrix in (posterior.second, posterior.covariance)
-            )
+        second, covariance = (
+            float(np.trace(matrix[first:last, first:last])) / (last - first)
+            for matrix in (posterior.second, posterior.covariance)
+        )
+        if error.setting != CHANNELS.setting and covariance < MAX_UNTOLD**2:
             size = unit * float(np.sqrt(second)), unit * float(np.sqrt(covariance))
-            determined = covariance < MAX_UNTOLD**2
-        if determined:
             sizes[error.setting] = size
         first = last
     return sizes
@@ -430,30 +444,60 @@ class StaticErrors(SceneEffect):
         Channels make cells rougher, too: where they may differ, their spread is summed out.
         """
         scene = evidence.scene
-        noise = evidence.noise
-        unloaded = evidence.unloaded
-        if (
-            noise.readings.sigma is None
-            or not unloaded.any()
-            or not evidence.names_none("systematic.reading_error")
-        ):
+        frames = self._frames(evidence)
+        if frames is None or not evidence.names_none("systematic.reading_error"):
             return None
         sizes = scene.systematic if isinstance(scene.systematic, Systematic) else Systematic()
         sizes = replace(sizes, reading_error=ESTIMATED)
         if beside_channels:
             sizes = replace(sizes, channel_spread_ohm=ESTIMATED)
         estimating = replace(scene, systematic=sizes)
+        return significant_reading_error(estimating, *frames, evidence.noise.frame)
+
+    def _channels(self, evidence: Gathered) -> Iterator[Unnamed]:
+        """Yield advice on channels of the lines that differ.
+
+        The largest tried spread is no finding: other errors move still cells then.
+        """
+        scene = evidence.scene
+        key = f"systematic.{CHANNELS.setting}"
+        frames = self._frames(evidence)
+        if frames is None or not evidence.names_none(key):
+            return
+        sizes = scene.systematic if isinstance(scene.systematic, Systematic) else Systematic()
+        estimating = replace(
+            scene, systematic=replace(sizes, channel_spread_ohm=ESTIMATED, reading_error=None)
+        )
+        fit, moves = _fit_and_changes(estimating, *frames, evidence.noise.frame)
+        if moves is None:
+            return
+        spread = _channel_spread(estimating, frames[0], fit, moves, 0.0, with_none=True)
+        if spread.gain > DOUBTFUL_GAIN and np.argmax(spread.odds) < len(spread.odds) - 1:
+            size = CHANNELS.prior * spread.mean
+            yield Unnamed.of(f"channels of the lines seem to differ by {size:.1g} ohm", key)
+
+    def _frames(self, evidence: Gathered) -> tuple[Readings, Readings | None] | None:
+        """Return the mean of the unloaded frames, and the strongest loaded frame or None.
+
+        The result is None where readings tell no error that frames share.
+        """
+        noise = evidence.noise
+        unloaded = evidence.unloaded
+        if noise.readings.sigma is None or not unloaded.any():
+            return None
         # without the error of the model: the same misses would count for it and for errors of the
         # readings
         readings = replace(noise.readings, sigma=noise.readings.sigma / noise.model_factor)
         resting = readings[unloaded].mean()
-        loaded = None
-        if resting.plain[scene.requested].mean() < MIN_SHARE_READ:
+        if resting.value.size > MAX_CELLS:
             return None
+        if resting.plain[evidence.scene.requested].mean() < MIN_SHARE_READ:
+            return None
+        loaded = None
         if len(evidence.measured):
             strongest = strongest_frame(readings.plain_values, resting.value, evidence.measured)
             loaded = readings[strongest]
-        return significant_reading_error(estimating, resting, loaded, noise.frame)
+        return resting, loaded
 
     def _by_columns(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield advice on errors by whose columns still cells move between rest and a load."""
@@ -472,13 +516,3 @@ class StaticErrors(SceneEffect):
                     for part in (with_error.size, with_error.sd)
                 )
                 yield Unnamed.of(error.sentence(float(np.hypot(size, deviation)), deviation), key)
-
-    def _channels(self, evidence: Gathered) -> Iterator[Unnamed]:
-        """Yield advice on channels of the lines that differ."""
-        explanation = evidence.prepared.question.explanation
-        key = f"systematic.{CHANNELS.setting}"
-        if explanation is None or explanation.pair is None or not evidence.names_none(key):
-            return
-        spread, gain = explanation.pair.spread_of_channels()
-        if gain > DOUBTFUL_GAIN:
-            yield Unnamed.of(f"channels of the lines seem to differ by {spread:.1g} ohm", key)

@@ -15,13 +15,15 @@ import numpy as np
 import pytest
 from laws.recognised import answered, every_frame, known_before
 
-from docs.studies.attachments import ATTACHED_S, TOUCH_S, seen
+from docs.studies.attachments import ATTACHED_S, TOUCH_S, Seen, seen
 from docs.studies.attachments import recording as attached
+from docs.studies.words import rows
 from lampest import Array, Panel
 from lampest.apps.recognition.attachment import Attachment, continued_by
-from lampest.apps.recognition.breath import breath
+from lampest.apps.recognition.breath import Breath, breath
 from lampest.apps.recognition.breathing import Breathing
 from lampest.apps.recognition.detect.answer import (
+    CUP,
     LAMPREY,
     MIN_PROBABILITY,
     PRESSES,
@@ -222,10 +224,35 @@ def test_the_threshold_determines_the_answer_lamprey(threshold: float, answer: s
     assert answer_of(sure, 4.0, threshold)[0] == answer
 
 
+@pytest.mark.parametrize(("sd", "answer"), [(0.005, CUP), (0.03, SUCKS)])
+def test_a_full_window_excludes_a_breath_before_a_cup_is_named(sd: float, answer: str) -> None:
+    window = Breath(odds=-9.0, suction=0.8, hertz=(1.0, 0.1), depth=(0.01, sd))
+    early, late = (Breathing().after(window, 8.0, full=full) for full in (False, True))
+    cup = load(0.0, None)
+    named, why = answer_of(replace(cup, breath=late), 4.0)[::2]
+    assert named == answer and ("no full window excludes" in why) == (answer == SUCKS)
+    assert answer_of(replace(cup, breath=early), 4.0)[0] == SUCKS
+
+
+def test_answers_are_counted_by_word_and_probability() -> None:
+    answers = [("mouth", LAMPREY, 0.95), ("cup", LAMPREY, 0.93), ("leaking cup", CUP, 0.92)]
+    answers += [("rod", PRESSES, 1.0), ("mouth", PRESSES, 0.5), ("nothing", "nothing", 0.99)]
+    records = [
+        Seen(kind, 4.0, 0, 0.0, 0.0, answer, *[0.0] * 16, probability=probability)
+        for kind, answer, probability in answers
+    ]
+    assert rows(records) == [
+        (LAMPREY, "0.93 to 0.97", 2, pytest.approx(0.94), 1),
+        (CUP, "0.9 to 0.93", 1, 0.92, 1),
+        (PRESSES, "0 to 0.9", 1, 0.5, 0),
+        (PRESSES, "0.99 to 1", 1, 1.0, 1),
+    ]
+
+
 def test_a_reason_applies_to_its_time() -> None:
     """After 55 minutes nothing shows within minutes.
 
-    After nine seconds nothing shows at 4.5 s at the earliest.
+    After nine seconds nothing shows at 3.5 s at the earliest.
     """
     silent = replace(load(0.0, None), breath=Breathing(judged_s=9.0))
     assert "earliest" not in answer_of(silent, 4.0)[2]

@@ -11,6 +11,7 @@ from lampest.apps.recognition.attachment import Attachment, Pair
 from lampest.apps.recognition.breath import too_slow
 from lampest.apps.recognition.breathing import MIN_WINDOW_S
 from lampest.apps.recognition.detect.disturbance import disturbances
+from lampest.apps.recognition.hypotheses import MIN_DEPTH
 from lampest.files import hdf5
 from lampest.files.errors import counted
 from lampest.panel.panel import Array, Panel
@@ -26,6 +27,7 @@ BARE_PROBABILITY = 0.99
 MIN_PROBABILITY = 0.9  # from which an attachment is called a lamprey, or a suction cup
 MIN_PUMP_MINUTES = 10.0  # three of the longest published intervals between pumps
 TOO_SMALL = "it is too small for this pitch: no cell would show whether it sucks"
+FAINT = "no breath shows, but no full window excludes one as deep as a mouth's"
 CHANCES = {
     "sucks": ("1", "probability that it sucks"),
     "breathes": ("1", "probability that its suction changes as breathing does"),
@@ -308,8 +310,10 @@ def answer_of(
         )
     if breath.hertz is None:
         return SUCKS, load.sucks, _silence_in_words(load)
-    if breath.previous_odds < 0 and lifeless >= threshold:  # no breath in a full window
+    if lifeless >= threshold and breath.max_depth < MIN_DEPTH:
         return CUP, lifeless, ""
+    if lifeless >= threshold:
+        return SUCKS, load.sucks, FAINT
     return SUCKS, load.sucks, f"whether it breathes is not clear (P = {load.breathes:.2f})"
 
 
