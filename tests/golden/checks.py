@@ -23,12 +23,13 @@ from lampest.apps.recognition.candidates import Several
 from lampest.apps.recognition.detect import detection
 from lampest.apps.recognition.detect.answer import Detected, alarming, event_table, load_table
 from lampest.apps.recognition.detector import Detector
-from lampest.apps.recognition.fit import Fit, Verdict, prior_cost
+from lampest.apps.recognition.fit import Fit
 from lampest.apps.recognition.image import ImageWatch
 from lampest.apps.recognition.pumping import Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without_water, settled
 from lampest.apps.recognition.suction import may_suck, suctions
 from lampest.apps.recognition.swings import Patterns, patterns_of
+from lampest.apps.recognition.verdict import Verdict, prior_cost
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import Look, WatchSetup
 from lampest.apps.recognition.window import Window

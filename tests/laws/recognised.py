@@ -10,9 +10,9 @@ from lampest.apps.recognition.candidates import LOADS
 from lampest.apps.recognition.detect.answer import Detected
 from lampest.apps.recognition.detect.detection import Frames, Known, known_of, measured_frames
 from lampest.apps.recognition.detector import Detector
-from lampest.apps.recognition.fit import Verdict
 from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.apps.recognition.observation import Baseline, Observation
+from lampest.apps.recognition.verdict import Verdict
 from lampest.inference.prepared import Prepared
 from lampest.recording.shapes.shape import Candidate
 

@@ -17,7 +17,6 @@ from lampest.apps.recognition.breath import breath
 from lampest.apps.recognition.breathing import MAX_LOG_ODDS, MIN_WINDOW_S, WINDOW_S, Breathing
 from lampest.apps.recognition.candidates import UNIFORM, under
 from lampest.apps.recognition.contacts import contacts_of
-from lampest.apps.recognition.fit import Verdict
 from lampest.apps.recognition.hypotheses import NEVER_LOG_ODDS
 from lampest.apps.recognition.observation import Observation
 from lampest.apps.recognition.pulled import pulled_suction
@@ -25,6 +24,7 @@ from lampest.apps.recognition.pumping import BLOCK_S, Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without_water
 from lampest.apps.recognition.suction import would_show
 from lampest.apps.recognition.swings import Patterns
+from lampest.apps.recognition.verdict import Verdict
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
 from lampest.panel.panel import Array, Panel
 from lampest.recording.shapes.shape import Candidate

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import expit, logsumexp
 
-from lampest.apps.recognition.fit import EVIDENCE_SHARE, MAX_ROUNDS
+from lampest.apps.recognition.fit import MAX_ROUNDS
 from lampest.apps.recognition.hypotheses import (
     BREATH,
     BREATHING_SD,
@@ -37,6 +37,7 @@ from lampest.apps.recognition.hypotheses import (
 )
 from lampest.apps.recognition.steady_frames import SteadyFrames
 from lampest.apps.recognition.swings import EDGE_SD, Patterns
+from lampest.apps.recognition.verdict import EVIDENCE_SHARE
 from lampest.files.levels import SIGNIFICANT
 from lampest.panel.panel import Array
 from lampest.panel.response import RESPONSE_SD

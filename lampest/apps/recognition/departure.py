@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from lampest.apps.recognition.fit import Verdict
 from lampest.apps.recognition.suction import MIN_RISE
+from lampest.apps.recognition.verdict import Verdict
 from lampest.files.levels import NOISE_REACH
 
 MIN_RELIEVED = 3  # cells that rise where a load left: one or two are even by chance

@@ -24,22 +24,24 @@ from lampest.apps.recognition.candidates import (
     under,
 )
 from lampest.apps.recognition.fit import (
-    EVIDENCE_SHARE,
     MAX_LOG_RATIO,
-    MAX_MISFIT,
     SEARCH,
     CellLikelihood,
     Fit,
     Fitting,
-    Verdict,
     field_fit,
     inverse_beside_prior,
-    prior_cost,
     states,
 )
 from lampest.apps.recognition.observation import Observation, Whitening, alone, outliers
 from lampest.apps.recognition.profile import along_diameter
 from lampest.apps.recognition.suction import Suction, groups_of, may_suck, suctions
+from lampest.apps.recognition.verdict import (
+    EVIDENCE_SHARE,
+    MAX_MISFIT,
+    Verdict,
+    prior_cost,
+)
 from lampest.files.levels import MAX_MEAN_SQUARE, SIGNIFICANT
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import BentSuction, PublishedResponse

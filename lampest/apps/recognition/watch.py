@@ -15,13 +15,13 @@ import numpy as np
 
 from lampest.apps.recognition.attachment import Attachment, attachments_of, continued_by
 from lampest.apps.recognition.departure import relieved_by_departure
-from lampest.apps.recognition.fit import RARE_LOG_ODDS, Verdict
 from lampest.apps.recognition.leaks import Leaks, leaks_of
 from lampest.apps.recognition.observation import Observation, counting
 from lampest.apps.recognition.open_lines import open_lines, without_lines
 from lampest.apps.recognition.step_test import StepTest
 from lampest.apps.recognition.suction import MIN_FALL
 from lampest.apps.recognition.swings import patterns_of
+from lampest.apps.recognition.verdict import RARE_LOG_ODDS, Verdict
 from lampest.apps.recognition.watch_parts import (
     FOLLOWS_S,
     MIN_FRAMES,

@@ -8,11 +8,11 @@ import numpy as np
 
 from lampest.apps.recognition.breathing import WINDOW_S
 from lampest.apps.recognition.detector import Detector
-from lampest.apps.recognition.fit import Verdict
 from lampest.apps.recognition.leaks import Leaks
 from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.apps.recognition.observation import Baseline, Observation, patch_of
 from lampest.apps.recognition.recognition_scene import RecognitionScene
+from lampest.apps.recognition.verdict import Verdict
 from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH
 from lampest.panel.conditions import motion_patterns, water_pressure
 from lampest.panel.panel import Array

@@ -36,7 +36,6 @@ from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.fit import (
     SD,
-    Verdict,
     field_fit,
     potts_cost,
     prior,
@@ -45,6 +44,7 @@ from lampest.apps.recognition.fit import (
 from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.apps.recognition.observation import Baseline, Observation
 from lampest.apps.recognition.profile import along_diameter
+from lampest.apps.recognition.verdict import Verdict
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.files.levels import MAX_MEAN_SQUARE
