@@ -246,9 +246,19 @@ def test_the_memory_of_a_converter_is_estimated() -> None:
 
 def with_errors(size: float, **keys: Any) -> Recording:
     """A rod stands, and each reading is off by a factor of its own in all frames."""
-    standing = moving_load(40, "rod", Motion(scan=0.0), keys)
-    factors = np.exp(size * np.random.default_rng(99).standard_normal((8, 8)))
-    return replace(standing, recorded=standing.recorded * factors)
+    scene = Scene(Panel(5, 5), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0, **keys)
+    rod = lampest.Rod(centre_mm=(25, 25), diameter_mm=20, mass_g=1500)
+    of_rod = lampest.Simulation(
+        1,
+        40,
+        scene,
+        lampest.Cells(3000.0, 0.1),
+        baseline_frames=5,
+        frames=4,
+        loads=(rod,),
+        unmodelled=lampest.Unmodelled(reading_error=size),
+    )
+    return lampest.simulate(of_rod, "rod")
 
 
 def test_a_circuit_that_fails_is_advised_the_error_with_which_it_explains() -> None:
