@@ -169,14 +169,23 @@ def test_a_cup_in_waves_does_not_breathe(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 5))
+@pytest.mark.parametrize(
+    "seed",
+    [
+        1,
+        2,
+        3,
+        # A look at 23.25 s finds this mouth 7 mm too far, and calls that a second slide.
+        pytest.param(4, marks=pytest.mark.xfail(strict=True)),
+        5,
+    ],
+)
 def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
     slid, mouth, _, _ = recording(SLIDING, 4.0, seed, attached_s=20.0)
     answer = answered(slid)
     (attachment,) = answer.attachments
     begin = slid.time[UNLOADED] + TOUCH_S
-    # some seconds after it slid its breath may be uncertain: docs/studies/mouths.md
-    assert answer.answer in (LAMPREY, SUCKS) and "pumping" not in answer.sentence
+    assert answer.answer == LAMPREY and "pumping" not in answer.sentence
     assert (
         attachment.moved_s
         and begin + SLIDES_S[0] < attachment.moved_s[-1] < begin + SLIDES_S[1] + 0.5
