@@ -467,7 +467,7 @@ def test_an_error_of_readings_is_estimated_only_where_a_coarse_scan_shows_one(
     costs_of = unloaded_costs
 
     def noted(
-        scene: Scene, resting: Readings, fit: CellsFit | None, tried: Array, *channels: float
+        scene: Scene, resting: Readings, fit: CellsFit | None, tried: Array, *channels: Array
     ) -> Array:
         if not channels:
             scans.append(len(tried))
