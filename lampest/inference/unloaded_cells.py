@@ -114,11 +114,16 @@ def unloaded_costs(
 
 
 def _of_channels(scene: Scene, resting: Readings, fit: CellsFit | None, spread_ohm: float) -> Array:
-    """Return changes of the plain readings by a spread of the channels, (readings, channels)."""
+    """Return changes of the plain readings by a spread of the channels, (readings, channels).
+
+    The spread is that about their mean, which is a resistance in series. With a mean, channels of
+    less than no resistance beside larger cells, which differ less, would explain a rough panel.
+    """
     if not spread_ohm or fit is None:
         return np.zeros((0, 0))
     spread = Systematic(channel_spread_ohm=spread_ohm)
     columns = error_columns((CHANNELS,), fit.network, resting.value, scene, spread)
+    columns -= columns.mean(axis=0)
     return columns.reshape(len(columns), -1).T[resting.plain.ravel()]
 
 
