@@ -32,6 +32,7 @@ from lampest.audit import advice, effects
 from lampest.audit.finding import Finding
 from lampest.inference import model_check, resolve
 from lampest.inference import warnings as objections
+from lampest.inference.assumptions import ASSUMED
 from lampest.inference.effects import (
     converter_ends,
     converter_memory,
@@ -40,7 +41,9 @@ from lampest.inference.effects import (
     motion,
     static_errors,
 )
+from lampest.inference.effects.effect import Gathered
 from lampest.inference.prepared import Prepared
+from lampest.inference.shared_changes import CHANNEL_FACTORS
 from tests.estimates import recording_of
 
 ROWS = 12
@@ -283,6 +286,23 @@ def test_channels_that_differ_are_advised_and_not_as_errors_of_each_reading() ->
     assert lines == ["systematic: {channel_spread_ohm: estimated}"]
     alike = Prepared(channels_recording(100, LOADS["mouth"], Row(), {}))
     assert not effects.unnamed_effects(alike)
+
+
+def test_each_spread_of_channels_is_tried_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A few spreads come first. Where they gain, these were tried again with all others."""
+    spreads: list[float] = []
+    costs_of = static_errors.error_costs
+
+    def noted(scene: Scene, moves: Any, errors: Any, factors: Any, cells: float) -> Any:
+        if cells == ASSUMED.slope_cells:
+            spreads.extend(factors)
+        return costs_of(scene, moves, errors, factors, cells)
+
+    monkeypatch.setattr(static_errors, "error_costs", noted)
+    differing = Prepared(channels_recording(100, LOADS["mouth"], Row(channel_ohm=10.0), {}))
+    evidence = Gathered(differing.cleaned.recording, differing)
+    assert len(tuple(static_errors.StaticErrors().unnamed(evidence))) == 1
+    assert sorted(spreads) == [0.0, *CHANNEL_FACTORS]
 
 
 def test_channels_are_advised_under_a_hand_that_covers_most_cells() -> None:

@@ -15,6 +15,7 @@ theory only e is estimated.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,9 +164,35 @@ def _channel_spread(
     fit: CellsFit | None,
     moves: SharedChanges,
     size: float,
-    factors: Array = CHANNEL_FACTORS,
 ) -> Number:
     """Return the posterior of the spread of the channels over the usual one.
+
+    The arguments are those of `_costs_of_spreads`.
+    """
+    return _spread(
+        CHANNEL_FACTORS, _costs_of_spreads(scene, resting, fit, moves, size, CHANNEL_FACTORS)
+    )
+
+
+def _spread(factors: Array, costs: Array) -> Number:
+    """Return the posterior of the spread of the channels from −2 ln evidence of each factor.
+
+    A first factor 0, no spread, has no prior probability: the gain is that over none.
+    """
+    with np.errstate(divide="ignore"):  # ln 0, with the probability 0
+        prior = np.exp(-np.square(np.log(factors) / LOG_SD_OF_FACTORS) / 2)
+    return Number.by_costs(factors, costs, prior)
+
+
+def _costs_of_spreads(
+    scene: Scene,
+    resting: Readings,
+    fit: CellsFit | None,
+    moves: SharedChanges,
+    size: float,
+    factors: Array,
+) -> Array:
+    """Return −2 ln evidence of spreads of the channels, (n,).
 
     The unloaded panel tells it, because channels change all cells of a line, and so do the changes
     of still cells.
@@ -181,17 +208,14 @@ def _channel_spread(
     size : float
         Standard deviation of each reading's own error.
     factors : array, shape (n,)
-        Tried spreads over the usual one. A first 0, no spread, has no prior probability: the gain
-        is that over none.
+        Tried spreads over the usual one.
     """
     error = np.array([size])
-    with np.errstate(divide="ignore"):  # ln 0, with the probability 0
-        prior = np.exp(-np.square(np.log(factors) / LOG_SD_OF_FACTORS) / 2)
     unloaded = [
         unloaded_costs(scene, resting, fit, error, ohm)[0] for ohm in factors * CHANNELS.prior
     ]
     changes = error_costs(scene, moves, error, factors, ASSUMED.slope_cells)[:, 0]
-    return Number.by_costs(factors, unloaded + changes, prior)
+    return np.asarray(unloaded + changes)
 
 
 def significant_reading_error(
@@ -470,11 +494,16 @@ class StaticErrors(SceneEffect):
         fit, moves = _fit_and_changes(estimating, *frames, evidence.noise.frame)
         if moves is None:
             return
+        costs_of = partial(_costs_of_spreads, estimating, frames[0], fit, moves, 0.0)
         # neighbours of a spread that counts gain a quarter of it, as those of an error do
-        for tried in (CHANNEL_FACTORS[FEW_FACTORS], CHANNEL_FACTORS):
-            spread = _channel_spread(estimating, frames[0], fit, moves, 0.0, np.append(0.0, tried))
-            if spread.gain < COARSE_GAIN:
-                return
+        few = np.append(0.0, CHANNEL_FACTORS[FEW_FACTORS])
+        of_few = costs_of(few)
+        if _spread(few, of_few).gain < COARSE_GAIN:
+            return
+        others = np.setdiff1d(CHANNEL_FACTORS, few)
+        factors = np.append(few, others)
+        order = np.argsort(factors)
+        spread = _spread(factors[order], np.append(of_few, costs_of(others))[order])
         if spread.gain > DOUBTFUL_GAIN and np.argmax(spread.odds) < len(spread.odds) - 1:
             size = CHANNELS.prior * spread.mean
             yield Unnamed.of(f"channels of the lines seem to differ by {size:.1g} ohm", key)
