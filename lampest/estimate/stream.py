@@ -59,8 +59,6 @@ class Stream(SequenceState):
         Weights of the terms that the data chose; None before the choice.
     weight_sigma : tuple of float
         Standard deviations of ln λ.
-    prior_variance : tuple of float
-        Mean squares of residuals, see `LinearModel`.
     weighed_at : float
         Change from rest of the frame that chose them.
     keeps_weights : bool
@@ -74,7 +72,6 @@ class Stream(SequenceState):
     estimator: Estimator
     weights: tuple[float, ...] | None = None
     weight_sigma: tuple[float, ...] = ()
-    prior_variance: tuple[float, ...] = ()
     weighed_at: float = 0.0
     keeps_weights: bool = False
     joined: ClassVar[bool] = False
@@ -234,7 +231,6 @@ class Stream(SequenceState):
                 stream,
                 weights=step.weights,
                 weight_sigma=step.weight_sigma,
-                prior_variance=step.prior_variance,
                 weighed_at=self.change(readings),
             )
         return stream, step
@@ -248,7 +244,7 @@ class Stream(SequenceState):
         """The estimator with the weights that the data chose, if there are any."""
         if self.weights is None or not self.chooses_weights:
             return self.estimator
-        return self.estimator.with_weights(self.weights, self.weight_sigma, self.prior_variance)
+        return self.estimator.with_weights(self.weights, self.weight_sigma)
 
     def weights_due(self, readings: Readings) -> bool:
         """Return whether a frame differs so much from rest that it should choose weights anew."""

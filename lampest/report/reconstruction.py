@@ -5,6 +5,7 @@ Each method imports the libraries that it needs; access to the cells loads none.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from html import escape
 from importlib.util import find_spec
 from pathlib import Path
@@ -72,12 +73,12 @@ class Reconstruction(Estimates):
 
         return {term: weight for term, weight in weights_of(self).items() if term != "misfit"}
 
-    @property
+    @cached_property
     def model_check(self) -> "ModelCheck":
         """Verdict on the circuit, 'yes', 'doubtful' or 'no', with the evidence against it."""
         from lampest.audit.verdict import verdict
 
-        return verdict(super().model_check, self.prepared)
+        return verdict(self.circuit_check, self.prepared)
 
     @property
     def advice(self) -> tuple[str, ...]:
@@ -121,7 +122,7 @@ class Reconstruction(Estimates):
         from lampest.report.words import digits, spanned
 
         case = self.result()
-        place = strongest_index([self.result()])
+        place = strongest_index([case])
         residual = (
             np.sqrt(np.nanmean(data_error(case)[case.solved] ** 2)) if case.solved.any() else np.nan
         )

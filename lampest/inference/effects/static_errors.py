@@ -122,7 +122,7 @@ def shared_errors(
         if moves is not None and moves.has_channels:
             error = _error_beside_channels(scene, resting, fit, moves)
         else:
-            costs = unloaded_costs(scene, resting, fit, READING_ERRORS)
+            costs = unloaded_costs(scene, resting, fit, READING_ERRORS)[0]
             error = _reading_error(costs + _costs_of_errors(scene, moves, EVERY_SECOND)[0])
         # √E[e²] exceeds the most probable e where e is uncertain
         size = float(np.sqrt(error.mean_square))
@@ -145,15 +145,10 @@ def _error_beside_channels(
 ) -> Number:
     """Return the posterior of e, summed over a few spreads of the channels."""
     every = np.arange(len(READING_ERRORS))
-    unloaded = [
-        np.interp(
-            every,
-            COARSE,
-            unloaded_costs(scene, resting, fit, READING_ERRORS[COARSE], ohm),
-        )
-        for ohm in CHANNEL_FACTORS[FEW_FACTORS] * CHANNELS.prior
-    ]
-    costs = np.array(unloaded) - 2 * LOG_PRIOR_OF_FACTORS[FEW_FACTORS, None]
+    spreads = CHANNEL_FACTORS[FEW_FACTORS] * CHANNELS.prior
+    coarse = unloaded_costs(scene, resting, fit, READING_ERRORS[COARSE], spreads)
+    unloaded = np.array([np.interp(every, COARSE, of_spread) for of_spread in coarse])
+    costs = unloaded - 2 * LOG_PRIOR_OF_FACTORS[FEW_FACTORS, None]
     beside = _costs_of_errors(scene, moves, COARSE, CHANNEL_FACTORS[FEW_FACTORS])
     return _reading_error(summed_out(costs + beside, axis=0))
 
@@ -211,9 +206,7 @@ def _costs_of_spreads(
         Tried spreads over the usual one.
     """
     error = np.array([size])
-    unloaded = [
-        unloaded_costs(scene, resting, fit, error, ohm)[0] for ohm in factors * CHANNELS.prior
-    ]
+    unloaded = unloaded_costs(scene, resting, fit, error, factors * CHANNELS.prior)[:, 0]
     changes = error_costs(scene, moves, error, factors, ASSUMED.slope_cells)[:, 0]
     return np.asarray(unloaded + changes)
 
@@ -244,11 +237,11 @@ def significant_reading_error(
     if moves is not None and moves.has_channels:
         error = _error_beside_channels(scene, resting, fit, moves)
         return (error.mean, error.deviation) if error.odds[0] < SIGNIFICANCE else None
-    coarse = unloaded_costs(scene, resting, fit, READING_ERRORS[COARSE])
+    coarse = unloaded_costs(scene, resting, fit, READING_ERRORS[COARSE])[0]
     coarse = coarse + _costs_of_errors(scene, moves, COARSE)[0, COARSE]
     if coarse[0] - coarse.min() < COARSE_GAIN:
         return None
-    costs = unloaded_costs(scene, resting, fit, READING_ERRORS)
+    costs = unloaded_costs(scene, resting, fit, READING_ERRORS)[0]
     error = _reading_error(costs + _costs_of_errors(scene, moves, EVERY_SECOND)[0])
     return (error.mean, error.deviation) if error.odds[0] < SIGNIFICANCE else None
 
