@@ -162,32 +162,36 @@ def _channel_spread(
 ) -> Number:
     """Return the posterior of the spread of the channels over the usual one.
 
-    The arguments are those of `_costs_of_spreads`.
+    The arguments are those of `_spread_by` and `_changes_by_spreads`.
     """
-    return _spread(
-        CHANNEL_FACTORS, _costs_of_spreads(scene, resting, fit, moves, size, CHANNEL_FACTORS)
-    )
+    changes = _changes_by_spreads(scene, moves, size, CHANNEL_FACTORS)
+    return _spread_by(scene, resting, fit, size, CHANNEL_FACTORS, changes)
 
 
-def _spread(factors: Array, costs: Array) -> Number:
-    """Return the posterior of the spread of the channels from −2 ln evidence of each factor.
+def _changes_by_spreads(scene: Scene, moves: SharedChanges, size: float, factors: Array) -> Array:
+    """Return −2 ln evidence of spreads of the channels by the changes to a loaded frame, (n,).
 
-    A first factor 0, no spread, has no prior probability: the gain is that over none.
+    Parameters
+    ----------
+    scene : Scene
+    moves : SharedChanges
+    size : float
+        Standard deviation of each reading's own error.
+    factors : array, shape (n,)
+        Tried spreads over the usual one.
     """
-    with np.errstate(divide="ignore"):  # ln 0, with the probability 0
-        prior = np.exp(-np.square(np.log(factors) / LOG_SD_OF_FACTORS) / 2)
-    return Number.by_costs(factors, costs, prior)
+    return error_costs(scene, moves, np.array([size]), factors, ASSUMED.slope_cells)[:, 0]
 
 
-def _costs_of_spreads(
+def _spread_by(
     scene: Scene,
     resting: Readings,
     fit: CellsFit | None,
-    moves: SharedChanges,
     size: float,
     factors: Array,
-) -> Array:
-    """Return −2 ln evidence of spreads of the channels, (n,).
+    changes: Array,
+) -> Number:
+    """Return the posterior of the spread of the channels over the usual one.
 
     The unloaded panel tells it, because channels change all cells of a line, and so do the changes
     of still cells.
@@ -199,16 +203,19 @@ def _costs_of_spreads(
         Mean of the unloaded frames, (rows, columns).
     fit : CellsFit or None
         Fit of the unloaded panel.
-    moves : SharedChanges
     size : float
         Standard deviation of each reading's own error.
     factors : array, shape (n,)
-        Tried spreads over the usual one.
+        Tried spreads over the usual one. A first 0, no spread, has no prior probability: the gain
+        is that over none.
+    changes : array, shape (n,)
+        −2 ln evidence of each by the changes of still cells.
     """
-    error = np.array([size])
-    unloaded = unloaded_costs(scene, resting, fit, error, factors * CHANNELS.prior)[:, 0]
-    changes = error_costs(scene, moves, error, factors, ASSUMED.slope_cells)[:, 0]
-    return np.asarray(unloaded + changes)
+    with np.errstate(divide="ignore"):  # ln 0, with the probability 0
+        prior = np.exp(-np.square(np.log(factors) / LOG_SD_OF_FACTORS) / 2)
+    spreads = factors * CHANNELS.prior
+    unloaded = unloaded_costs(scene, resting, fit, np.array([size]), spreads)[:, 0]
+    return Number.by_costs(factors, unloaded + changes, prior)
 
 
 def significant_reading_error(
@@ -487,16 +494,17 @@ class StaticErrors(SceneEffect):
         fit, moves = _fit_and_changes(estimating, *frames, evidence.noise.frame)
         if moves is None:
             return
-        costs_of = partial(_costs_of_spreads, estimating, frames[0], fit, moves, 0.0)
+        spread_by = partial(_spread_by, estimating, frames[0], fit, 0.0)
         # neighbours of a spread that counts gain a quarter of it, as those of an error do
         few = np.append(0.0, CHANNEL_FACTORS[FEW_FACTORS])
-        of_few = costs_of(few)
-        if _spread(few, of_few).gain < COARSE_GAIN:
+        of_few = _changes_by_spreads(estimating, moves, 0.0, few)
+        if spread_by(few, of_few).gain < COARSE_GAIN:
             return
         others = np.setdiff1d(CHANNEL_FACTORS, few)
-        factors = np.append(few, others)
-        order = np.argsort(factors)
-        spread = _spread(factors[order], np.append(of_few, costs_of(others))[order])
+        of_others = _changes_by_spreads(estimating, moves, 0.0, others)
+        order = np.argsort(np.append(few, others))
+        changes = np.append(of_few, of_others)[order]
+        spread = spread_by(np.append(0.0, CHANNEL_FACTORS), changes)
         if spread.gain > DOUBTFUL_GAIN and np.argmax(spread.odds) < len(spread.odds) - 1:
             size = CHANNELS.prior * spread.mean
             yield Unnamed.of(f"channels of the lines seem to differ by {size:.1g} ohm", key)
