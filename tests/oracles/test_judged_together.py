@@ -8,6 +8,7 @@ import pytest
 from docs.studies.effects import LOADS, ROWS, Row, figures, recording
 from lampest import Systematic
 from lampest.audit.effects import unnamed_effects
+from lampest.audit.health import Health
 from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.effects.motion import share_of_motion
 from lampest.inference.prepared import Prepared
@@ -51,6 +52,13 @@ def test_bars_hold_a_load_that_trembles_within_a_scan(motion: str | float) -> No
     of_load = figures(trembling, advised=False)
     assert of_load.own > 85 and of_load.changes > 85
     assert 0.03 < Prepared(trembling).noise.motion.trembling < 0.12
+
+
+def test_bars_hold_a_load_whose_trembling_moves_most_cells() -> None:
+    """No cells stood still without trembling, and 16 % were held."""
+    trembling = recording(101, LOADS["trembling"], Row(), {"motion": 1.0})
+    assert figures(trembling, advised=False).own > 85
+    assert Health.of(trembling).well
 
 
 def test_a_load_that_trembles_is_advised_to_be_named() -> None:

@@ -13,8 +13,12 @@ from scipy.stats import norm
 
 from lampest.apps.calibration.loads import _responses
 from lampest.files import levels
+from lampest.inference.assumptions import ASSUMED
 from lampest.inference.evidence import (
     MOVED_COST,
+    OUTLINE_COST,
+    OWN_SHARE,
+    Changes,
     scores_with_errors,
     select_changed,
     usual_starts,
@@ -80,6 +84,28 @@ def test_the_selected_cells_have_the_most_evidence_of_all_subsets(seed: int) -> 
     # Adds cells only, and may end above.
     score = scores_with_errors(change, precision, np.zeros((8, 1)))
     assert score[0] > evidence(change, covariance, moved) - ROUNDING
+
+
+def test_moved_cells_are_single_ones_or_loads_with_equal_probability() -> None:
+    """A bar costs its outline, and the smooth change of its cells."""
+    change, covariance = random_change(20, 3)
+    place = np.argwhere(np.ones((4, 5), dtype=bool))
+    moved = (place[:, 0] >= 2) & (place[:, 1] < 4)
+    change[moved] -= 0.8
+    distance = np.hypot(*(place[moved, None] - place[moved]).T)
+    smooth = np.exp(-(distance**2) / (2 * ASSUMED.slope_cells**2))
+    of_load = covariance.copy()
+    of_load[np.ix_(moved, moved)] += (1 - OWN_SHARE) * smooth + OWN_SHARE * np.eye(8)
+    volume = np.linalg.slogdet(of_load)[1] - np.linalg.slogdet(covariance)[1]
+    as_load = change @ np.linalg.solve(of_load, change) + volume + 6 * OUTLINE_COST
+    as_cells = evidence(change, covariance, moved)
+    either = np.exp(-as_load / 2) + np.exp(-as_cells / 2)
+    changes = Changes(change, covariance, np.zeros((20, 1)))
+    gain = changes.gain_of_loads(moved, place)
+    assert gain == pytest.approx(as_cells + 2 * np.log(either / 2), rel=1e-6)
+    assert gain > 10
+    assert changes.gain_of_loads(np.zeros(20, dtype=bool), place) == 0
+    assert changes.gain_of_loads(place[:, 0] >= 1, place) == 0
 
 
 def test_the_strongest_cell_determines_changes_within_the_frames_of_a_load(

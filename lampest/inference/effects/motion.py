@@ -304,7 +304,8 @@ class _Frame:
     explained : mapping of (float, float, float) to _Explained
         By size of errors, share and trembling.
     is_mostly_still : bool
-        Whether most cells are still under the likeliest of them without trembling.
+        Whether most cells are still under the likeliest of them without trembling, or with it and
+        without a load.
     shows_trembling : bool
         Whether most cells are still and without a load. Otherwise trembling explains any motion.
     displacements, errors : float
@@ -382,6 +383,17 @@ class _Moving:
             noise=covariance,
         )
 
+    def _still_and_free(self, motion: Motion) -> tuple[bool, bool]:
+        """Return whether most cells are still under a motion, and whether they have no load.
+
+        A load that trembles may move any cell that changed as loaded ones do.
+        """
+        exact = self._changes_by(motion, doubted=False)
+        moved = exact.selected(usual_starts(exact.change))[1]
+        change = np.abs(exact.change - np.median(exact.change))
+        loaded = change > LOADED_SHARE * change.max()
+        return mostly_still(moved), mostly_still(moved | loaded)
+
     def explained_by(self, tried: Sequence[Motion]) -> _Frame:
         """Return the frame with each motion, of which some have no trembling.
 
@@ -421,17 +433,18 @@ class _Moving:
                 shared,
                 MOVED_COST * int(moved.sum()) + jacobian,
             )
-        steady = min((key for key in tried if not key[2]), key=lambda key: explained[key].cost)
-        exact = self._changes_by(steady, doubted=False)
-        moved = exact.selected(usual_starts(exact.change))[1]
-        # A load that trembles may move any cell that changed as loaded ones do.
-        change = np.abs(exact.change - np.median(exact.change))
-        loaded = change > LOADED_SHARE * change.max()
+
+        steady = [key for key in tried if not key[2]]
+        still, free = self._still_and_free(min(steady, key=lambda key: explained[key].cost))
+        if not still:
+            # Where a load trembles, cells stand still under no steady motion.
+            free = self._still_and_free(min(tried, key=lambda key: explained[key].cost))[1]
+            still = free
         noise = frame.readings.known_sigma
         return _Frame(
             explained,
-            mostly_still(moved),
-            mostly_still(moved | loaded),
+            still,
+            free,
             float(np.sum((self.displaced.value / noise) ** 2)),
             float(np.sum((self.displaced.smooth / noise) ** 2)),
         )
