@@ -433,6 +433,7 @@ class StaticErrors(SceneEffect):
             f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, "
             "the same in all frames: cells are rougher than those of films",
             "systematic.reading_error",
+            error,
         )
 
     def _reading_error(
@@ -477,7 +478,11 @@ class StaticErrors(SceneEffect):
                 return
         if spread.gain > DOUBTFUL_GAIN and np.argmax(spread.odds) < len(spread.odds) - 1:
             size = CHANNELS.prior * spread.mean
-            yield Unnamed.of(f"channels of the lines seem to differ by {size:.1g} ohm", key)
+            yield Unnamed.of(
+                f"channels of the lines seem to differ by {size:.1g} ohm",
+                key,
+                (size, CHANNELS.prior * spread.deviation),
+            )
 
     def _frames(self, evidence: Gathered) -> tuple[Readings, Readings | None] | None:
         """Return the mean of the unloaded frames, and the strongest loaded frame or None.
@@ -518,4 +523,5 @@ class StaticErrors(SceneEffect):
                     error.prior * float(np.sqrt(np.mean(part[1:] ** 2)))
                     for part in (with_error.size, with_error.sd)
                 )
-                yield Unnamed.of(error.sentence(float(np.hypot(size, deviation)), deviation), key)
+                size = float(np.hypot(size, deviation))
+                yield Unnamed.of(error.sentence(size, deviation), key, (size, deviation))
