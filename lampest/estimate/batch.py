@@ -118,7 +118,6 @@ def _with_common_weights(group: Mapping[int, Stream], readings: Readings) -> dic
             stream,
             weights=weights,
             weight_sigma=objective.weight_sigma,
-            prior_variance=objective.prior_variance,
             weighed_at=max(changes),
         )
         for number, stream in group.items()

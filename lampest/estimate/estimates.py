@@ -411,7 +411,7 @@ class Estimates:
         return None if self._load is None or self.estimator.tare is None else self._load.tared
 
     @property
-    def model_check(self) -> "ModelCheck":
+    def circuit_check(self) -> "ModelCheck":
         """The check whether the scene's circuit explains the recording's readings."""
         check = self.prepared.check
         number = self.prepared.recording.number

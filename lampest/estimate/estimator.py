@@ -146,8 +146,6 @@ class Estimator(Objective):
         Frames that IPOPT solves again on the nodal program, from another start.
     weight_sigma : tuple of float
         Standard deviations of ln λ of chosen weights.
-    prior_variance : tuple of float
-        Mean squares of the residuals of terms with an absolute loss, see `LinearModel`.
 
     >>> lampest.Estimator((lampest.Misfit(),), formulation="reduced").relative
     False

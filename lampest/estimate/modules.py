@@ -431,7 +431,6 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
         sum(step.bars_seconds for step in present),
         sentence=_sentence(layout, steps, status),
         weight_sigma=counted[0].weight_sigma,
-        prior_variance=counted[0].prior_variance,
     )
 
 

@@ -54,8 +54,6 @@ class Objective:
         Choice of the weights that the terms leave open.
     weight_sigma : tuple of float
         Standard deviations of ln λ of chosen weights.
-    prior_variance : tuple of float
-        Mean squares of the residuals of terms with an absolute loss, see `LinearModel`.
     """
 
     terms: tuple[Term, ...]
@@ -64,7 +62,6 @@ class Objective:
     bounds: Bounds = Bounds()
     auto_weight: AutoWeight = AutoWeight()
     weight_sigma: tuple[float, ...] = ()
-    prior_variance: tuple[float, ...] = ()
 
     def with_terms(self, terms: tuple[Term, ...]) -> "Objective":
         """Return the objective with other terms.
@@ -82,7 +79,6 @@ class Objective:
             bounds=self.bounds,
             auto_weight=self.auto_weight,
             weight_sigma=of_terms(self.weight_sigma),
-            prior_variance=of_terms(self.prior_variance),
         )
 
     @property
@@ -90,22 +86,16 @@ class Objective:
         """Whether a weight is still to be chosen."""
         return any(term.weight == "auto" for term in self.terms)
 
-    def with_weights(
-        self,
-        weights: Iterable[float],
-        sigma: tuple[float, ...] = (),
-        variance: tuple[float, ...] = (),
-    ) -> Self:
+    def with_weights(self, weights: Iterable[float], sigma: tuple[float, ...] = ()) -> Self:
         """Return the objective with these weights of the terms, in their order.
 
-        `sigma` becomes its `weight_sigma`, and `variance` its `prior_variance`.
+        `sigma` becomes its `weight_sigma`.
         """
         terms = zip(self.terms, weights, strict=True)
         return replace(
             self,
             terms=tuple(replace(term, weight=float(weight)) for term, weight in terms),
             weight_sigma=sigma,
-            prior_variance=variance,
         )
 
     @property

@@ -41,8 +41,6 @@ class Step:
         Status of an image of modules; else ''.
     weight_sigma : tuple of float
         Standard deviations of ln λ, see `Objective`.
-    prior_variance : tuple of float
-        Mean squares of residuals, see `LinearModel`.
     verification : Verification or None
         Comparison with a second solve by IPOPT; None where none was requested.
 
@@ -63,7 +61,6 @@ class Step:
     bars_seconds: float = 0.0
     sentence: str = ""
     weight_sigma: tuple[float, ...] = ()
-    prior_variance: tuple[float, ...] = ()
     verification: "Verification | None" = None
 
     def __repr__(self) -> str:
@@ -104,9 +101,7 @@ class Step:
         dual = self.solution.dual
         if not self.solution.optimum or at is None or dual is None:
             return None
-        return LinearModel(
-            at, dual, weight_sigma=self.weight_sigma, prior_variance=self.prior_variance
-        )
+        return LinearModel(at, dual, weight_sigma=self.weight_sigma)
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,10 +68,8 @@ def with_usual_scale(estimator: Estimator, scene: Scene, readings: Readings) -> 
         priors = (resting, *priors)
     unchosen = (np.nan,) * len(priors)
     sigmas = estimator.weight_sigma
-    variances = estimator.prior_variance
     return replace(
         estimator,
         terms=(*estimator.terms, *priors),
         weight_sigma=(*sigmas, *unchosen) if sigmas else (),
-        prior_variance=(*variances, *unchosen) if variances else (),
     )

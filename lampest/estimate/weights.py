@@ -54,8 +54,8 @@ MAX_SWEEPS = 6  # over several penalties: each converges within a few
 NOISE_BELIEF = 0.1
 MIN_FREEDOM = 0.05  # degrees of freedom of a residual: fewer do not determine its scale
 AnyObjective = TypeVar("AnyObjective", bound=Objective)
-# Of the terms, the standard deviations of log λ, and the mean squares of residuals.
-Weights = tuple[list[float], tuple[float, ...], tuple[float, ...]]
+# Of the terms, and the standard deviations of log λ.
+Weights = tuple[list[float], tuple[float, ...]]
 
 
 def with_chosen_weights(
@@ -196,7 +196,6 @@ class WeightSearch:
         """
         weights = self.suggested(first)
         sigma = [np.nan] * len(self.cost.terms)
-        variance: tuple[float, ...] = ()
         several = len(self.open_terms) > 1
         with suppress(*BROKEN):
             if several:
@@ -211,29 +210,7 @@ class WeightSearch:
                 changes = np.log(np.array(weights) / np.array(previous))
                 if np.nanmax(np.abs(changes), initial=0.0) < SETTLED:
                     break
-            variance = self.shown_variance()
-        return weights, tuple(sigma), variance
-
-    def shown_variance(self) -> tuple[float, ...]:
-        """Return the mean square of the residuals of each open term with an absolute loss.
-
-        For the reference estimates the mean square is Σ (x̂² + diag(Z S Zᵀ)) over the residuals.
-        The weight of least risk does not determine it: an absolute loss may hold residuals that
-        noise hides, or that no one would miss. NaN of other terms.
-        """
-        models = self.models(self.begun)
-        variance = [np.nan] * len(self.cost.terms)
-        for number in self.open_terms:
-            if self.cost.terms[number].loss.enters != "dual":
-                continue
-            squares = []
-            for model, reference in zip(models, self.references, strict=True):
-                of_term = model.penalty_term == number
-                rows = model.penalty_jacobian.tocsr()[of_term]
-                spread = np.sum((rows @ reference.covariance) * rows.toarray(), axis=1)
-                squares.append(model.penalty[of_term] ** 2 + spread)
-            variance[number] = float(np.mean(np.concatenate(squares)))
-        return tuple(variance)
+        return weights, tuple(sigma)
 
     def suggested(self, first: Array) -> list[float]:
         """Return initial weights from the residuals at cells (frames, rows, columns) ohm."""
@@ -275,7 +252,7 @@ class WeightSearch:
             weights = chosen.weights
             for number in self.open_terms:
                 sigma[number] = np.sqrt(2 / max(chosen.errors.determined(number), 1.0))
-        return weights, tuple(sigma), ()
+        return weights, tuple(sigma)
 
     def _settled(self, near: "EvidencePoint", scale: float) -> "EvidencePoint":
         """Return the weights settled for a factor on σ, from those of a near factor."""

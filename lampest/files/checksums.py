@@ -98,21 +98,39 @@ def check_digest(attributes: Any, value: Any, name: str = "") -> None:
 
 
 def set_attribute(
-    node: Any, name: str, data: NDArray[Any], kinds: tuple[Any, Any] | None = None
+    node: Any,
+    name: str,
+    data: NDArray[Any],
+    kinds: tuple[Any, Any] | None = None,
+    path: bytes = b".",
 ) -> None:
-    """Write an attribute of an object, `node` being its h5py identifier.
+    """Write an attribute as `create_attribute`, in place of an earlier one and of its digest."""
+    for label in (name.encode(), f"{name}_{DIGEST}".encode()):
+        if not h5py.h5a.exists(node, label, obj_name=path):
+            break
+        h5py.h5a.delete(node, label, obj_name=path)
+    create_attribute(node, name, data, kinds, path)
+
+
+def create_attribute(
+    node: Any,
+    name: str,
+    data: NDArray[Any],
+    kinds: tuple[Any, Any] | None = None,
+    path: bytes = b".",
+) -> None:
+    """Write a new attribute of the object at a path from an h5py identifier.
 
     The SHA-256 of a large one is written as a further one. `kinds` are its HDF5 types in the file
     and in memory, by default those of its elements.
     """
     # The functions beneath `h5py.AttributeManager`, which takes three times as long.
     if data.nbytes > MAX_ATTRIBUTE_BYTES and not data.dtype.hasobject:
-        set_attribute(node, f"{name}_{DIGEST}", np.asarray(np.bytes_(digest_of(data))))
-    label = name.encode()
-    if h5py.h5a.exists(node, label):
-        h5py.h5a.delete(node, label)
+        digest = np.asarray(np.bytes_(digest_of(data)))
+        create_attribute(node, f"{name}_{DIGEST}", digest, path=path)
     in_file, in_memory = kinds or types_of(data.dtype)
-    written = h5py.h5a.create(node, label, in_file, dataspace(data.shape))
+    space = dataspace(data.shape)
+    written = h5py.h5a.create(node, name.encode(), in_file, space, obj_name=path)
     written.write(np.ascontiguousarray(data).reshape(data.shape), in_memory)
 
 
@@ -145,7 +163,7 @@ def attribute(node: Any, name: str, path: bytes = b".") -> NDArray[Any] | None:
 def _value(held: Any) -> NDArray[Any]:
     """Return the value of an open attribute."""
     data = np.empty(held.shape, held.dtype)
-    held.read(data)
+    held.read(data, None if data.dtype.hasobject else types_of(data.dtype)[1])
     return data
 
 
@@ -165,7 +183,7 @@ def set_digests(node: Any, values: Any, step: int) -> None:
         _entry(first, values[first : first + step] if shape else values[()])
         for first in range(0, shape[0] if shape else 1, step)
     ]
-    set_attribute(node, BLOCKS, np.array(entries, dtype="S"))
+    create_attribute(node, BLOCKS, np.array(entries, dtype="S"))
 
 
 def seal(file: h5py.File) -> None:

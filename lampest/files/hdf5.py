@@ -2,7 +2,7 @@
 
 All values have digests, and all datasets have units. Format v110 has checksums of all metadata,
 including small values. Larger values are in chunks with Fletcher-32 checksums, and are compressed
-unless they are many and their digits are noise. Each block of values has a digest
+unless their digits are noise. Each block of values has a digest
 (`checksums.seal`), which every reading function verifies.
 """
 
@@ -11,7 +11,7 @@ import re
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
-from functools import wraps
+from functools import lru_cache, wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -31,6 +31,7 @@ UNPACKED: Mapping[str, Any] = {"fletcher32": True}
 PACKED: Mapping[str, Any] = {**UNPACKED, "compression": "gzip", "shuffle": True}
 DEFLATE_LEVEL = 4  # that of h5py
 CHUNK = 100_000  # values of a chunk, which contains whole frames
+SAMPLE = 128  # values that show whether an array shrinks; they take a tenth of its compression
 ALL = slice(None)
 
 # Attributes of HDF5's dimension scales: references to the scales of each axis of a dataset, and the
@@ -216,8 +217,12 @@ def set_attributes(node: Any, **attributes: Any) -> None:
     The SHA-256 of a large attribute is written as a further attribute `<name>_sha256`.
     """
     for name, value in attributes.items():
-        data = np.asarray(ascii_array(value) if isinstance(value, str | list) else value)
-        checksums.set_attribute(node.id, name, data)
+        checksums.set_attribute(node.id, name, _attribute_of(value))
+
+
+def _attribute_of(value: Any) -> NDArray[Any]:
+    """Return the array that an attribute stores of a value."""
+    return np.asarray(ascii_array(value) if isinstance(value, str | list) else value)
 
 
 def write_dataset(
@@ -235,17 +240,13 @@ def write_dataset(
     meanings of flags.
     """
     data = np.asarray(data)
-    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     if data.shape and data.size > 64:  # fewer are not worth compression
-        properties.set_chunk(chunk_of(data.shape))
-        if _shrinks(data):
-            properties.set_shuffle()
-            properties.set_deflate(DEFLATE_LEVEL)
-        properties.set_fletcher32()
+        properties = _properties(chunks=chunk_of(data.shape), packed=_shrinks(data))
         dataset = _written(group, name, data, properties)
     else:
         dataset = write_plain(group, name, data)
-    set_attributes(dataset, units=units, long_name=long_name, **further)
+    for label, value in {"units": units, "long_name": long_name, **further}.items():
+        checksums.create_attribute(dataset.id, label, _attribute_of(value))
     if any(scales):
         attach_scales(group, {name: scales})
 
@@ -256,11 +257,12 @@ def chunk_of(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _shrinks(data: NDArray[Any]) -> bool:
-    """Return whether compression of data is worth its time, judged by a sample of large arrays."""
-    if data.size <= CHUNK or data.dtype.kind != "f":
+    """Return whether compression of data is worth its time, judged by a sample of real numbers."""
+    if data.dtype.kind != "f":
         return True
-    sample = np.ascontiguousarray(data.reshape(len(data), -1)[:16, :512])
-    planes = sample.view(np.uint8).reshape(sample.size, -1).T.tobytes()
+    places = np.linspace(0, data.size - 1, min(data.size, SAMPLE), dtype=int)
+    sample = np.ascontiguousarray(data).reshape(-1)[places]
+    planes = sample.view(np.uint8).reshape(len(sample), -1).T.tobytes()
     # Above two thirds of the size, compression takes twenty times the time of writing for little
     # gain.
     return len(zlib.compress(planes, 1)) < 2 / 3 * len(planes)
@@ -269,49 +271,76 @@ def _shrinks(data: NDArray[Any]) -> bool:
 def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> None:
     """Attach scales to the axes of datasets, given by path in the group.
 
-    An axis without a scale has the name ''. The attributes of HDF5's specification are written at
-    once; `h5py.h5ds` writes them anew for every axis.
+    Every axis has a name, '' without a scale. The attributes of HDF5's specification are written at
+    once; `h5py.h5ds` writes them anew for every axis. No dataset is opened: to open a chunked one
+    takes as long as to write its attribute.
     """
+    node = group.id
     used = dict.fromkeys(name for path, names in axes.items() for name in (path, *names) if name)
-    nodes = {name: h5py.h5d.open(group.id, name.encode("utf-8")) for name in used}
+    places = {name: name.encode("utf-8") for name in used}
     references = {
-        name: h5py.h5r.create(node, b".", h5py.h5r.OBJECT) for name, node in nodes.items()
+        name: h5py.h5r.create(node, place, h5py.h5r.OBJECT) for name, place in places.items()
     }
     users: dict[str, list[tuple[Any, int]]] = {}
     kinds = checksums.types_of(AXES_TYPE)
     for path, names in axes.items():
-        scales = np.empty(nodes[path].rank, dtype=AXES_TYPE)
-        for axis in range(len(scales)):
-            name = names[axis] if axis < len(names) else ""
+        scales = np.empty(len(names), dtype=AXES_TYPE)
+        for axis, name in enumerate(names):
             scales[axis] = np.array([references[name]] if name else [], dtype=h5py.ref_dtype)
             if name:
                 users.setdefault(name, []).append((references[path], axis))
-        checksums.set_attribute(nodes[path], AXES, scales, kinds)
+        checksums.set_attribute(node, AXES, scales, kinds, places[path])
     kinds = checksums.types_of(USERS_TYPE)
     for name, added in users.items():
-        earlier = checksums.attribute(nodes[name], USERS)
-        entries = [*([] if earlier is None else earlier.tolist()), *added]
-        checksums.set_attribute(nodes[name], USERS, np.array(entries, dtype=USERS_TYPE), kinds)
+        earlier = checksums.attribute(node, USERS, places[name])
+        entries = np.array([*([] if earlier is None else earlier.tolist()), *added], USERS_TYPE)
+        checksums.set_attribute(node, USERS, entries, kinds, places[name])
 
 
 def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Dataset:
     """Write an uncompressed dataset, within the metadata if it is small; also scalars."""
+    # HDF5's limit is 64 KiB; h5py itself cannot request it for scalars.
+    return _written(group, name, data, _properties(compact=data.nbytes <= 60_000))
+
+
+# Made once each: to make them takes a tenth of the time of a small dataset.
+@lru_cache(maxsize=256)
+def _properties(
+    *, chunks: tuple[int, ...] = (), packed: bool = False, compact: bool = False
+) -> h5py.h5p.PropDCID:
+    """Return the properties of a dataset.
+
+    It has chunks of a shape with Fletcher-32 checksums, is within the metadata if it is compact, or
+    has one block.
+    """
     properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    if data.nbytes <= 60_000:  # HDF5's limit is 64 KiB; h5py itself cannot request it for scalars
+    properties.set_obj_track_times(False)  # times would make equal contents different files
+    if chunks:
+        properties.set_chunk(chunks)
+        if packed:
+            properties.set_shuffle()
+            properties.set_deflate(DEFLATE_LEVEL)
+        properties.set_fletcher32()
+    elif compact:
         properties.set_layout(h5py.h5d.COMPACT)
-    return _written(group, name, data, properties)
+    return properties
+
+
+@lru_cache(maxsize=1)
+def _links() -> h5py.h5p.PropLCID:
+    """Return the properties of a link whose groups are made as needed."""
+    links = h5py.h5p.create(h5py.h5p.LINK_CREATE)
+    links.set_create_intermediate_group(True)
+    return links
 
 
 def _written(
     group: h5py.Group, name: str, data: NDArray[Any], properties: h5py.h5p.PropDCID
 ) -> h5py.Dataset:
     """Write a dataset with these properties, and its digests."""
-    links = h5py.h5p.create(h5py.h5p.LINK_CREATE)
-    links.set_create_intermediate_group(True)
-    properties.set_obj_track_times(False)  # times would make equal contents different files
     kind, _ = checksums.types_of(data.dtype)
     space = checksums.dataspace(data.shape)
-    node = h5py.h5d.create(group.id, name.encode("utf-8"), kind, space, properties, links)
+    node = h5py.h5d.create(group.id, name.encode("utf-8"), kind, space, properties, _links())
     if data.size:
         node.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(data).reshape(data.shape))
         chunked = properties.get_layout() == h5py.h5d.CHUNKED

@@ -127,9 +127,9 @@ def copy_group(source: h5py.Group, target: h5py.Group, name: str) -> None:
             for user, axis in users.tolist():
                 scales[names[h5py.h5r.dereference(user, source.id)]][axis] = scale
     axes = {
-        name: tuple(by_axis.get(axis, "") for axis in range(max(by_axis) + 1))
-        for name, by_axis in scales.items()
-        if by_axis
+        name: tuple(scales[name].get(axis, "") for axis in range(node.rank))
+        for node, name in names.items()
+        if scales[name]
     }
     hdf5.attach_scales(copied, axes)
 

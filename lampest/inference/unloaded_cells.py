@@ -1,5 +1,6 @@
 """Likelihood of errors of the readings by the unloaded panel: its cells are alike, to a scatter."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,9 +30,9 @@ def unloaded_costs(
     resting: Readings,
     fit: CellsFit | None,
     tried: Array,
-    channels_ohm: float = 0.0,
+    channels_ohm: Sequence[float] | Array = (0.0,),
 ) -> Array:
-    """Return −2 ln likelihood of errors of the readings, up to a constant, (errors,).
+    """Return −2 ln likelihood of errors of the readings, up to a constant, (spreads, errors).
 
     The constant is the same for all errors and all spreads of the channels.
 
@@ -43,10 +44,11 @@ def unloaded_costs(
         V = 1 + s² A Aᵀ,
 
     with a = t/τ and b = A 1. The likelihood is averaged over the prior of SCATTERS. u is
-    first the point of the largest error, then that of the most probable one of a few errors. Where
-    the cells are not alike, e is overestimated rather than underestimated. Linear theory lets cells
-    explain readings that no cells give; but no likelihood exceeds that of the best fit, so that −2
-    log p is at least χ²/max(τ/σ)² + Σ log τ².
+    first the point of the largest error, then that of the most probable one of a few errors beside
+    the middle spread; all errors and spreads share it. Where the cells are not alike, e is
+    overestimated rather than underestimated. Linear theory lets cells explain readings that no
+    cells give; but no likelihood exceeds that of the best fit, so that −2 log p is at least
+    χ²/max(τ/σ)² + Σ log τ².
 
     Parameters
     ----------
@@ -57,8 +59,8 @@ def unloaded_costs(
         Fit of the unloaded panel: no cells have a smaller χ². None: without this limit.
     tried : array, shape (errors,)
         Values of e.
-    channels_ohm : float
-        Standard deviation c of the resistance of each line's channel. With the columns C of one
+    channels_ohm : array, shape (spreads,)
+        Standard deviations c of the resistance of each line's channel. With the columns C of one
         ohm each, the covariance of the readings is τ² + c² C Cᵀ in place of τ².
 
     Raises
@@ -66,49 +68,63 @@ def unloaded_costs(
     Errors of `BROKEN`.
     """
     data = data_of_cells(scene, resting)
-    plain = resting.plain.ravel()
     share = np.abs(recorded_share(resting.value, scene))
-    cells = np.log(data.uniform_start[0])
-    costs = np.zeros((1, len(SCATTERS)))
-    few_errors = READING_ERRORS[1::4] if len(tried) > 1 else tried
     least = 0.0 if fit is None else fit.chi_square
-    channels: Array = np.zeros((resting.value.size, 0))
-    if channels_ohm and fit is not None:
-        spread = Systematic(channel_spread_ohm=channels_ohm)
-        columns = error_columns((CHANNELS,), fit.network, resting.value, scene, spread)
-        channels = columns.reshape(len(columns), -1).T
-    for errors, previous_errors in (
-        (few_errors, READING_ERRORS[-1:] if len(tried) > 1 else tried),
-        (tried, few_errors),
-    ):
-        row, column = np.unravel_index(np.argmin(costs), costs.shape)
-        deviation = np.where(
-            resting.plain, np.hypot(resting.known_sigma, previous_errors[row] * share), np.inf
-        )
-        cells, jacobian = _most_probable(
-            data, resting.value, deviation, float(SCATTERS[column]), cells
-        )
+    channels = [_of_channels(scene, resting, fit, ohm) for ohm in channels_ohm]
+    middle = channels[len(channels) // 2 : len(channels) // 2 + 1]
+    several = len(tried) > 1
+    few = READING_ERRORS[1::4] if several else tried
+    widest = READING_ERRORS[-1] if several else tried[0]
+
+    def linearised(error: float, scatter: float, near: Array) -> tuple[Array, Array, Array]:
+        deviation = np.where(resting.plain, np.hypot(resting.known_sigma, error * share), np.inf)
+        cells, jacobian = _most_probable(data, resting.value, deviation, scatter, near)
         missed = resting.value - data.network(0, np.exp(cells)).reading()
-        target = missed.ravel() + jacobian @ cells.ravel()
-        costs = np.empty((len(errors), len(SCATTERS)))
-        for number, error in enumerate(errors):
-            tau = np.hypot(resting.known_sigma, error * share).ravel()[plain]
-            both = np.column_stack([jacobian, target])[plain]
-            if channels.size:
-                root = np.linalg.cholesky(np.diag(tau**2) + channels[plain] @ channels[plain].T)
-                whitened = np.linalg.solve(root, both)
-                deviation = np.linalg.norm(root, axis=1)
-                logarithms = 2 * np.log(np.diag(root)).sum()
-            else:
-                whitened = both / tau[:, None]
-                deviation = tau
-                logarithms = 2 * np.log(tau).sum()
-            linear = _linear_costs(whitened[:, :-1], whitened[:, -1])
-            widening = np.max(deviation / resting.known_sigma.ravel()[plain])
-            costs[number] = np.maximum(linear + logarithms, least / widening**2 + logarithms)
+        return cells, jacobian, missed.ravel() + jacobian @ cells.ravel()
+
+    def costs(errors: Array, columns: Sequence[Array], jacobian: Array, target: Array) -> Array:
+        plain = resting.plain.ravel()
+        sigma = resting.known_sigma.ravel()[plain]
+        both = np.column_stack([jacobian, target])[plain]
+        each = np.empty((len(columns), len(errors), len(SCATTERS)))
+        for number, of_channels in enumerate(columns):
+            for place, error in enumerate(errors):
+                tau = np.hypot(sigma, error * share.ravel()[plain])
+                if of_channels.size:
+                    root = np.linalg.cholesky(np.diag(tau**2) + of_channels @ of_channels.T)
+                    whitened = np.linalg.solve(root, both)
+                    tau = np.linalg.norm(root, axis=1)
+                    logarithms = 2 * np.log(np.diag(root)).sum()
+                else:
+                    whitened = both / tau[:, None]
+                    logarithms = 2 * np.log(tau).sum()
+                linear = _linear_costs(whitened[:, :-1], whitened[:, -1])
+                widening = np.max(tau / sigma)
+                each[number, place] = np.maximum(linear, least / widening**2) + logarithms
+        return each
+
+    start = np.log(data.uniform_start[0])
+    cells, *at_largest = linearised(float(widest), float(SCATTERS[0]), start)
+    first = costs(few, middle, *at_largest)[0]
+    row, column = np.unravel_index(np.argmin(first), first.shape)
+    _, *at_best = linearised(float(few[row]), float(SCATTERS[column]), cells)
     # −2 ln Σ_s p(y | e, s) p(s)
-    marginal = -2 * np.logaddexp.reduce(LOG_PRIOR - costs / 2, axis=1)
+    marginal = -2 * np.logaddexp.reduce(LOG_PRIOR - costs(tried, channels, *at_best) / 2, axis=-1)
     return np.asarray(marginal)
+
+
+def _of_channels(scene: Scene, resting: Readings, fit: CellsFit | None, spread_ohm: float) -> Array:
+    """Return changes of the plain readings by a spread of the channels, (readings, channels).
+
+    The spread is that about their mean, which is a resistance in series. With a mean, channels of
+    less than no resistance beside larger cells, which differ less, would explain a rough panel.
+    """
+    if not spread_ohm or fit is None:
+        return np.zeros((0, 0))
+    spread = Systematic(channel_spread_ohm=spread_ohm)
+    columns = error_columns((CHANNELS,), fit.network, resting.value, scene, spread)
+    columns -= columns.mean(axis=0)
+    return columns.reshape(len(columns), -1).T[resting.plain.ravel()]
 
 
 def _linear_costs(scaled: Array, target: Array) -> Array:

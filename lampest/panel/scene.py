@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.applications import applications, loaded
-from lampest.files.document import INLINE, Document, validated
+from lampest.files.document import INLINE, Document, to_yaml, validated
 from lampest.files.typed import Configuration
 from lampest.panel.conditions import Experiment, MeasuredSubject, Temperature, Water
 from lampest.panel.faults import Faults
@@ -309,6 +309,11 @@ class Scene(Configuration):
                 text = f"{value:g}" if isinstance(value, float) else value
                 texts.append(f"{name}: {text}")
         return ", ".join(texts)
+
+    @cached_property
+    def yaml(self) -> str:
+        """Scene as YAML, made once for all results of a recording."""
+        return to_yaml(self)
 
     @cached_property
     def circuit(self) -> Readout:

@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from lampest.files.document import read_document, to_yaml
+from lampest.files.document import read_document
 from lampest.files.typed import members_of, typed
 from lampest.panel.readouts import AnyReadout
 from lampest.panel.scene import Scene, validated_scene
@@ -59,4 +59,4 @@ def scene_text(scene: Scene) -> str:
             "this file can be read again once it is (docs/howto/adding.md)",
             stacklevel=2,
         )
-    return to_yaml(scene)
+    return scene.yaml

@@ -24,8 +24,8 @@ class Conditioned:
 
     Attributes
     ----------
-    prior : array, shape (n, n)
-        P, which may be singular.
+    prior : array, shape (n, n) or (n,)
+        P, which may be singular; the variances of independent unknowns alone.
     across : array, shape (n, readings)
         P Aᵀ.
     root : array, shape (readings, readings)
@@ -46,9 +46,14 @@ class Conditioned:
             A.
         noise : array, shape (readings, readings)
             C.
-        prior : array, shape (n, n)
-            P.
+        prior : array, shape (n, n) or (n,)
+            P, or its diagonal.
         """
+        if prior.ndim == 1:
+            # BLAS computes half of a product with the own transpose.
+            scaled = columns * np.sqrt(prior)
+            across = (columns * prior).T
+            return cls(prior, across, cholesky(scaled @ scaled.T + noise, lower=True))
         across = prior @ columns.T
         return cls(prior, across, cholesky(columns @ across + noise, lower=True))
 
@@ -59,7 +64,9 @@ class Conditioned:
     @property
     def covariance(self) -> Array:
         """The posterior covariance, (n, n)."""
-        return np.asarray(self.prior - self.across @ cho_solve((self.root, True), self.across.T))
+        prior = np.diag(self.prior) if self.prior.ndim == 1 else self.prior
+        white = solve_triangular(self.root, self.across.T, lower=True, check_finite=False)
+        return np.asarray(prior - white.T @ white)
 
 
 @dataclass(frozen=True, eq=False)

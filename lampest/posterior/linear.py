@@ -30,6 +30,23 @@ IGNORANCE = 1e-4  # prior precision of log r, which regularises cells without da
 
 
 @dataclass(frozen=True, eq=False)
+class Sites:
+    """Normal distributions N(m, s²/ω) in place of the prior of residuals with absolute losses.
+
+    Attributes
+    ----------
+    rows : boolean array, shape (penalty rows,)
+        Whether a residual has a site.
+    curvature, centre : array, shape (sites,)
+        ω and m.
+    """
+
+    rows: NDArray[np.bool_]
+    curvature: Array
+    centre: Array
+
+
+@dataclass(frozen=True, eq=False)
 class LinearModel:
     """Linear model about an estimate.
 
@@ -48,9 +65,9 @@ class LinearModel:
     weight_sigma : tuple of float
         For every term, the standard deviation of log λ if the data chose its weight, otherwise NaN;
         () if no weight was chosen.
-    prior_variance : tuple of float
-        For every term with an absolute loss whose weight has the least risk, the mean square of its
-        residuals as the data show it, otherwise NaN; () if there is none.
+    sites : Sites or None
+        Distributions in place of the prior of absolute losses whose weights the data chose; see
+        `lampest.posterior.sparse_prior`.
     """
 
     at: Evaluation
@@ -58,7 +75,7 @@ class LinearModel:
     own_error: Array | float = field(default=0.0, kw_only=True)
     deviation: Array | None = field(default=None, kw_only=True)
     weight_sigma: tuple[float, ...] = field(default=(), kw_only=True)
-    prior_variance: tuple[float, ...] = field(default=(), kw_only=True)
+    sites: Sites | None = field(default=None, kw_only=True)
 
     @cached_property
     def gradient(self) -> Array:
@@ -204,9 +221,28 @@ class LinearModel:
         return sparse.csc_array(basis[:, np.flatnonzero(moving)])
 
     @property
+    def chosen_absolute(self) -> NDArray[np.bool_]:
+        """Whether a penalty row has an absolute loss whose weight the data chose, (rows,)."""
+        chosen = np.flatnonzero(np.isfinite(self.weight_sigma))
+        return self.absolute & np.isin(self.penalty_term, chosen) & bool(len(self.dual))
+
+    @property
+    def half_slopes(self) -> Array:
+        """Half the slopes λ z/2 of absolute losses, z the duals; 0 elsewhere, (penalty rows,)."""
+        slopes = np.zeros(len(self.penalty_term))
+        dual_term = self.at.cost.functions.nonsmooth_terms
+        for number in np.unique(self.penalty_term[self.absolute]):
+            dual = self.dual[dual_term == number]
+            slopes[self.penalty_term == number] = self.at.weights[number] * dual / 2
+        return slopes
+
+    @property
     def penalty_squares(self) -> Array:
-        """Squares ω x̂²/s² of the penalties, (penalty rows,)."""
-        return np.asarray(self.penalty_curvature * self.penalty**2 / self.scale)
+        """Squares ω x̂²/s² of the penalties, (penalty rows,); 0 of sites, which fit the data."""
+        squares = np.asarray(self.penalty_curvature * self.penalty**2 / self.scale)
+        if self.sites is not None:
+            squares[self.sites.rows] = 0.0
+        return squares
 
     @cached_property
     def penalty_term(self) -> NDArray[np.intp]:
@@ -215,21 +251,11 @@ class LinearModel:
 
     @cached_property
     def penalty_curvature(self) -> Array:
-        """Curvature ω of the penalties, (penalty rows,).
-
-        Where the data show the variance of residuals, ω is s² over this variance: an absolute loss
-        with the weight of least risk holds more residuals at 0 than are 0.
-        """
+        """Curvature ω of the penalties and of sites, (penalty rows,)."""
         curvature = self.penalty_curvature_for(self.at.weights)
-        for number, variance in self._shown_variances():
-            curvature[self.penalty_term == number] = self.scale / variance
+        if self.sites is not None:
+            curvature[self.sites.rows] = self.sites.curvature
         return curvature
-
-    def _shown_variances(self) -> Iterator[tuple[int, float]]:
-        """Yield the numbers of terms whose variance the data show, and the variance."""
-        for number, variance in enumerate(self.prior_variance):
-            if np.isfinite(variance) and len(self.dual):
-                yield number, variance
 
     def penalty_curvature_for(self, weights: Array) -> Array:
         """Return the curvature ω of the penalties for given weights (terms,), (penalty rows,)."""
@@ -247,9 +273,8 @@ class LinearModel:
         W = σ λ Zᵀ ½ρ'(x̂) has a column for each weight that the data chose, for one standard
         deviation σ of log λ. Without it, intervals are too narrow where the noise is as large as
         the prior (docs/studies/calibration.md). H is half the slope ∂φ/∂x of
-        each row beyond ω x̂; see `Loss.steady_pull`. Where the data show the variance of a term's
-        residuals, its column is Zᵀ (λ z/2 − ω x̂), z the duals: it moves the estimate to the mean
-        of the posterior with this variance.
+        each row beyond ω x̂; see `Loss.steady_pull`. Sites have the column Zᵀ (λ z/2 − ω (x̂ − m)):
+        it moves the estimate to the mean of the posterior with them.
         """
         terms = self.at.cost.terms
         weights = self.at.weights
@@ -258,16 +283,15 @@ class LinearModel:
         columns = [sparse.csc_array((len(residual), 0))]
         for number, loss, rows in curved_rows(self.at.cost, self.penalty_term):
             beyond[rows] = weights[number] * loss.steady_pull(residual[rows])
-        with_variance = [number for number, _ in self._shown_variances()]
-        for number in with_variance:
-            pull = -self.penalty_curvature * residual
-            rows = self.penalty_term == number
-            dual = self.dual[self.at.cost.functions.nonsmooth_terms == number]
-            pull[rows] += weights[number] * dual / 2
-            columns.append(sparse.csc_array(np.where(rows, pull, 0.0)[:, None]))
+        with_site = np.zeros(len(residual), dtype=bool)
+        if self.sites is not None:
+            with_site = self.sites.rows
+            pull = np.where(with_site, self.half_slopes, 0.0)
+            pull[with_site] -= self.sites.curvature * (residual[with_site] - self.sites.centre)
+            columns.append(sparse.csc_array(pull[:, None]))
         for number, sigma in enumerate(self.weight_sigma):
-            rows = self.penalty_term == number
-            if np.isfinite(sigma) and rows.any() and number not in with_variance:
+            rows = (self.penalty_term == number) & ~with_site
+            if np.isfinite(sigma) and rows.any():
                 slope = weights[number] * terms[number].loss.stiffness(residual) * residual
                 columns.append(sparse.csc_array(np.where(rows, sigma * slope, 0.0)[:, None]))
         if beyond.any():

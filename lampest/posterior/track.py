@@ -279,7 +279,12 @@ def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = N
     """
     samples = None if memory is None or memory.exact else memory
     if samples is None and model.at.cell_resistance.size <= MAX_DENSE:
-        return DenseErrors(model, memory, drawn)
+        errors = DenseErrors(model, memory, drawn)
+        if not model.chosen_absolute.any():
+            return errors
+        from lampest.posterior.sparse_prior import with_sites
+
+        return with_sites(errors)
     from lampest.posterior.sampled import SampledErrors
 
     return SampledErrors(model, samples, drawn)

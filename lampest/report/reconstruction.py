@@ -5,6 +5,7 @@ Each method imports the libraries that it needs; access to the cells loads none.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from html import escape
 from importlib.util import find_spec
 from pathlib import Path
@@ -72,12 +73,12 @@ class Reconstruction(Estimates):
 
         return {term: weight for term, weight in weights_of(self).items() if term != "misfit"}
 
-    @property
+    @cached_property
     def model_check(self) -> "ModelCheck":
         """Verdict on the circuit, 'yes', 'doubtful' or 'no', with the evidence against it."""
         from lampest.audit.verdict import verdict
 
-        return verdict(super().model_check, self.prepared)
+        return verdict(self.circuit_check, self.prepared)
 
     @property
     def advice(self) -> tuple[str, ...]:
@@ -121,7 +122,7 @@ class Reconstruction(Estimates):
         from lampest.report.words import digits, spanned
 
         case = self.result()
-        place = strongest_index([self.result()])
+        place = strongest_index([case])
         residual = (
             np.sqrt(np.nanmean(data_error(case)[case.solved] ** 2)) if case.solved.any() else np.nan
         )
@@ -214,7 +215,8 @@ class Reconstruction(Estimates):
     ) -> "Figure":
         """Return a Matplotlib figure of a kind, or of your own Plot.
 
-        A kind is for example `change` or `residuals`.
+        A kind is for example `change` or `residuals`. A figure does not wait for the check of the
+        circuit; the case that a Plot draws has none.
 
         Parameters
         ----------
@@ -237,8 +239,10 @@ class Reconstruction(Estimates):
         with extra():
             # Matplotlib takes longer to load than a frame to solve.
             from lampest.report.plots import picture
+        from lampest.runs.filling import named_result
 
-        return picture((self.result(),), kind, frame, ax, figsize, vmin=vmin, vmax=vmax)
+        case = named_result(self, None, checked=False)
+        return picture((case,), kind, frame, ax, figsize, vmin=vmin, vmax=vmax)
 
 
 def _median(values: Array | None) -> str:

@@ -40,7 +40,6 @@ from lampest.runs.columns import (
 
 if TYPE_CHECKING:  # readers of results need not load the solvers
     from lampest.estimate.estimates import Estimates
-    from lampest.inference.model_check import ModelCheck
 
 
 def _declared(
@@ -217,21 +216,6 @@ MISFIT = {
 }
 
 
-def _verdict(done: Estimates) -> ModelCheck:
-    """Return the verdict on the scene's circuit."""
-    # With all of the estimate, which the reading of results does without.
-    from lampest.audit.verdict import verdict
-
-    return verdict(done.model_check, done.prepared)
-
-
-def _advice(done: Estimates) -> str:
-    """Return the advice on the scene, one line each."""
-    from lampest.audit.advice import Audit
-
-    return "\n".join(finding.text for finding in Audit(done.prepared).advice)
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Content(Validated):
     """Fields of a case, see `lampest.runs.case.CaseResult`."""
@@ -248,15 +232,15 @@ class Content(Validated):
         "baseline_solve_time_s", "baseline.seconds", float("nan")
     )
     joint_start: bool = _attribute("joint_start", "joint_start", default=False)
-    model_mark: str = _attribute("model_explains", value=lambda done: _verdict(done).mark)
-    model_sentence: str = _attribute("model_check", value=lambda done: _verdict(done).sentence)
-    advice: str = _attribute("advice", value=_advice)
+    model_mark: str = _attribute("model_explains")
+    model_sentence: str = _attribute("model_check")
+    advice: str = _attribute("advice")
     noise_sentence: str = _attribute("noise_check", "noise.sentence")
     noise_learned: str = _attribute("noise_learned", "noise.summary")
     film_sentence: str = _attribute(
         "film", value=lambda done: "" if done.film is None else done.film.sentence
     )
-    warnings: str = _attribute("warnings", value=lambda done: "\n".join(done.checks))
+    warnings: str = _attribute("warnings")
     reading_error: float = _attribute("reading_error", "noise.reading_error", 0.0)
     error_in_sigma: float = _attribute("reading_error_in_sigma", "noise.error_in_sigma", 0.0)
     model_factor: float = _attribute("model_factor", "noise.model_factor", 1.0)

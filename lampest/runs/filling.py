@@ -58,7 +58,11 @@ def case_result(case: Case, estimates: Estimates, *, checked: bool = False) -> C
 
 
 def named_result(
-    estimates: Estimates, name: str | None, columns: Sequence[Column] = ()
+    estimates: Estimates,
+    name: str | None,
+    columns: Sequence[Column] = (),
+    *,
+    checked: bool = True,
 ) -> CaseResult:
     """Return the result of estimates without a run file. Raises InputError as `case_result`.
 
@@ -69,6 +73,8 @@ def named_result(
         Name of the estimator; None: its terms, such as `misfit + gradient`.
     columns : sequence of Column
         Columns besides those of lampest and of installed packages.
+    checked : bool
+        Whether the case has the check of the circuit and advice.
     """
     recording = estimates.recording
     estimator = estimates.estimator
@@ -82,7 +88,7 @@ def named_result(
         estimates,
         columns,
         names | {"case_id": hash_of(resolved), "case_yaml": resolved},
-        checked=True,
+        checked=checked,
     )
 
 
@@ -101,8 +107,7 @@ def _filled(
     checked : bool
         Whether the case has the check of the circuit and advice.
     """
-    unchecked = {} if checked else {"warnings": "\n".join(estimates.checks_without_circuit)}
-    left_out = () if checked else ("model_mark", "model_sentence", "advice", "warnings")
+    doubts = _audited(estimates) if checked else _unchecked(estimates)
     table = all_columns(columns)
     values = {column.name: column.filled(estimates) for column in table}
     result = CaseResult.of(
@@ -115,13 +120,34 @@ def _filled(
         **{
             item.name: item.metadata["value"](estimates)
             for item in fields(Content)
-            if item.metadata.get("value") and item.name not in left_out
+            if item.metadata.get("value")
         },
-        **unchecked,
+        **doubts,
         **{folder.name: folder.value(estimates) for folder in FIGURES},
     )
     result.check(table)
     return result
+
+
+def _audited(estimates: Estimates) -> dict[str, str]:
+    """Return the verdict on the circuit, the advice and the warnings of estimates by field."""
+    # An import for the check alone, which runs make later.
+    from lampest.audit.advice import Audit
+    from lampest.audit.verdict import verdict
+
+    audit = Audit(estimates.prepared)
+    check = verdict(estimates.circuit_check, estimates.prepared, audit.health)
+    return {
+        "model_mark": check.mark,
+        "model_sentence": check.sentence,
+        "advice": "\n".join(finding.text for finding in audit.advice),
+        "warnings": "\n".join(estimates.checks),
+    }
+
+
+def _unchecked(estimates: Estimates) -> dict[str, str]:
+    """Return the warnings of estimates that need no check of the circuit."""
+    return {"warnings": "\n".join(estimates.checks_without_circuit)}
 
 
 @cache

@@ -510,10 +510,7 @@ def files_row() -> dict[str, Any]:
 
 
 def chunks_row() -> dict[str, Any]:
-    """Packing of few and many, smooth and noisy values.
-
-    The first 16 frames, and 512 values of each, decide.
-    """
+    """Packing of few and many, smooth and noisy values: 128 values decide, spread over all."""
     rng = np.random.default_rng(1)
     noise = rng.standard_normal((9, 4, 8))
     halves = np.round(rng.standard_normal((9, 4, 8)), 1)

@@ -20,7 +20,7 @@ from lampest.apps.studies.study import read_settings
 from lampest.audit.effects import unnamed_effects
 from lampest.estimate.sequence import reconstruct
 from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, TWO_SIDED, UNUSUAL
-from lampest.inference.cells_fit import CellsFit
+from lampest.inference.cells_fit import CellsFit, fitted
 from lampest.inference.compared_frames import noise_factor
 from lampest.inference.effects import static_errors
 from lampest.inference.outliers import detect_outliers, frozen_readings
@@ -467,7 +467,7 @@ def test_an_error_of_readings_is_estimated_only_where_a_coarse_scan_shows_one(
     costs_of = unloaded_costs
 
     def noted(
-        scene: Scene, resting: Readings, fit: CellsFit | None, tried: Array, *channels: float
+        scene: Scene, resting: Readings, fit: CellsFit | None, tried: Array, *channels: Array
     ) -> Array:
         if not channels:
             scans.append(len(tried))
@@ -478,6 +478,16 @@ def test_an_error_of_readings_is_estimated_only_where_a_coarse_scan_shows_one(
     assert scans == [len(static_errors.COARSE)] == [11]
     assert STATIC_LINE in lines_of(recorded(9, scene_of(0.7), static=0.005))
     assert scans[1:] == [11, len(READING_ERRORS)]
+
+
+def test_a_rough_unloaded_panel_is_no_sign_of_channels_that_differ() -> None:
+    """Channels of 24 ohm do not take the place of a scatter of the cells."""
+    panel = Scene(Panel(16, 16), TwoPointReadout(adc_bits=12, readings=20))
+    recording = simulate(Simulation(1, 2, panel, baseline_frames=6, frames=2))
+    resting = Prepared(recording).noise.readings[np.arange(6)].mean()
+    fit = fitted(panel, resting, patient=True)
+    none, wide = unloaded_costs(panel, resting, fit, np.zeros(1), (0.0, 24.0))[:, 0]
+    assert wide > none
 
 
 def lines_of(recording: Recording) -> set[str]:

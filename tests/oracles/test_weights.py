@@ -214,7 +214,7 @@ def test_the_risk_of_several_solves_and_penalties_is_least_at_the_chosen_weights
         estimator.cost(Scene(Panel(*SHAPE)), 1, partial=False), tuple(data), Settings()
     )
     assert search.begun == [1.0, 1.0, 1.0] and search.open_terms == [1, 2]
-    weights, sigma, _ = search.by_risk(data[0].uniform_start)
+    weights, sigma = search.by_risk(data[0].uniform_start)
     for number in (1, 2):
         spectra = search.spectra(number, weights)
         assert np.log(best_weight(spectra) / weights[number]) == pytest.approx(0, abs=MINIMUM)
@@ -289,8 +289,9 @@ def test_intervals_contain_draws_of_the_prior_at_their_stated_rate(
 def test_intervals_contain_draws_of_laplace_under_an_absolute_loss_with_a_chosen_weight(
     level: str,
 ) -> None:
+    """At medium noise 92 % hold, less three standard deviations of 1,440 cells."""
     drawn = calibration(PRIORS[ABSOLUTE], *SETTINGS[level], True, 40, 7)
-    assert 0.92 < drawn.coverage[2] < 0.98
+    assert 0.895 < drawn.coverage[2] < 0.98
 
 
 def test_bars_of_changes_that_noise_hides_are_as_wide_as_the_changes() -> None:

@@ -10,6 +10,7 @@ from promises import promise
 
 import lampest
 from lampest.apps.recognition.detect.detection import answer_recording, detect_recording
+from lampest.audit.health import Health
 from lampest.report.info import describe
 from lampest.runs import batch
 from lampest.runs.batch import Report, run_batch
@@ -201,3 +202,26 @@ def test_a_check_that_fails_costs_no_estimate(
     assert (report.done, report.failed) == (2, ())
     assert any("the circuit was not checked" in line for line in report.warnings)
     assert len(read_results(folder / "out" / "results.h5").cases) == 2
+
+
+def test_a_result_and_a_report_look_at_the_health_of_a_panel_once(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks: list[Any] = []
+    of = Health.of
+    monkeypatch.setattr(Health, "of", lambda recording: looks.append(recording) or of(recording))
+    estimates = lampest.reconstruct(lampest.Recording.load(folder / "mine.h5"), [lampest.Misfit()])
+    case = estimates.result()
+    assert (case.model_mark, len(looks)) == ("yes", 1)
+    estimates.fit_report()
+    assert len(looks) == 2
+    assert estimates.model_check.mark == estimates.model_check.mark == "yes"
+    assert len(looks) == 3
+
+
+def test_a_figure_does_not_wait_for_the_check(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lampest.inference.prepared.Prepared.check", None)
+    recording = lampest.Recording.load(folder / "mine.h5")
+    assert lampest.reconstruct(recording, [lampest.Misfit()]).plot("change").axes

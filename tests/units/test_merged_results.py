@@ -73,6 +73,51 @@ def test_a_value_is_digested_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert hdf5.checked(reference.path)[1].datasets == len(digested) == count
 
 
+def test_a_dataset_is_written_once_and_opened_never(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Digests, texts and axes are written where it is created, or by its path."""
+    case = invented_case("LSM")
+    created: list[bytes] = []
+    create = h5py.h5d.create
+
+    def counted(group: Any, name: bytes, *properties: Any) -> Any:
+        created.append(name)
+        return create(group, name, *properties)
+
+    monkeypatch.setattr(h5py.h5d, "create", counted)
+    monkeypatch.setattr(h5py.h5d, "open", None)
+    [reference] = stored(tmp_path, [case])
+    with h5py.File(reference.path) as file:
+        nodes = [node for _, node in checksums.nodes_below(file, "/")]
+        assert len(created) == sum(isinstance(node, h5py.Dataset) for node in nodes)
+    created.clear()
+    write_results(tmp_path / "r.h5", [reference])
+    assert not created
+
+
+def test_the_text_of_a_scene_is_made_once_for_all_its_cases(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Any] = []
+    monkeypatch.setattr("lampest.panel.scene.to_yaml", lambda scene: made.append(scene) or "{}")
+    case = invented_case("LSM")
+    scene = dataclasses.replace(case.scene, assumed=("readout.readings",))
+    for name in METHODS[:2]:
+        each = dataclasses.replace(case, estimator=name, scene=scene)
+        write_results(tmp_path / f"{name}.h5", [each])
+    assert made == [scene]
+
+
+def test_a_short_text_in_place_of_a_long_one_has_no_digest_of_the_long_one(tmp_path: Path) -> None:
+    case = invented_case("LSM", warnings="long " * 1000)
+    [reference] = stored(tmp_path, [case])
+    after = dataclasses.replace(reference, verdict=("yes", "fits"), warnings="short")
+    write_results(tmp_path / "r.h5", [after])
+    [read] = read_results(tmp_path / "r.h5").cases
+    assert read.warnings == "short"
+
+
 def test_a_reference_is_that_of_the_written_case(tmp_path: Path) -> None:
     case = invented_case("LSM", warnings="one\ntwo", advice="three", case_id="c")
     [reference] = stored(tmp_path, [case])

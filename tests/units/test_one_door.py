@@ -213,6 +213,6 @@ def test_estimates_detection_and_warnings_share_one_preparation(
     for terms in ((Misfit(),), (Misfit(), LogGradient(weight=1.0))):
         estimates = reconstruct(prepared, Estimator(terms, "reduced"))
         assert estimates.checks == prepared.warnings and estimates.noise is prepared.noise
-        assert estimates.model_check is prepared.check
+        assert estimates.circuit_check is prepared.check
     known_of(prepared)
     assert sorted(taken) == sorted(STEPS)

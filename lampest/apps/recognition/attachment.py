@@ -431,7 +431,7 @@ def _contacts(frame: Observation) -> list[NDArray[np.bool_]]:
 def _misfit_without(frame: Observation, group: NDArray[np.bool_]) -> float:
     """Return the misfit of the most probable cells where those of a group are as at rest."""
     free = np.where(group, 0.0, 1.0)
-    return frame.cells(frame.free_map * free, np.diag(free.ravel())).misfit
+    return frame.cells(frame.free_map * free, free.ravel()).misfit
 
 
 def _touched(panel: Panel, group: NDArray[np.bool_], change: Array) -> dict[str, Any]:

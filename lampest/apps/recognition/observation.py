@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, lapack
+from scipy.linalg import blas, cholesky, lapack
 
 from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.apps.recognition.recognition_scene import RecognitionScene
@@ -117,8 +117,8 @@ def most_probable(
         Returns y − f(x), A = ∂f/∂x and C, given x.
     start, mean : array, shape (n,)
         Initial x, and mean of the prior.
-    prior : array, shape (n, n)
-        P, which may be singular.
+    prior : array, shape (n, n) or (n,)
+        P, which may be singular; the variances of independent components alone.
     settled : float
         Largest component of the last step.
     """
@@ -352,13 +352,16 @@ class Observation:
         return baseline.model_errors.gain(baseline.offsets, baseline.scene)
 
     @cached_property
-    def _resting_covariance(self) -> Array:
-        """C + T, (cells + offsets, cells + offsets): the baseline's covariance and the drift."""
+    def _resting_root(self) -> Array:
+        """Root of C + T, (cells + offsets, cells + offsets).
+
+        This is the baseline's covariance and the drift.
+        """
         covariance = self.baseline.covariance.copy()
         cells = self.measured.size
         drift = self.baseline.model_errors.resting_covariance(self.seconds, cells)
         covariance[:cells, :cells] += drift
-        return covariance
+        return np.asarray(cholesky(covariance, lower=True))
 
     def covariance(self, network: Network, cells: Array | float = 0.0) -> Array:
         """Return the covariance of the readings about those of a network, (cells, cells).
@@ -376,7 +379,9 @@ class Observation:
         # H = (J, E); H (C + T) Hᵀ with T on the block of the cells
         slope = self.sensitivity(network)
         both = np.hstack([slope, self.offsets(network)])
-        total = both @ self._resting_covariance @ both.T
+        # the root is triangular, and a product with the own transpose symmetric: half of each
+        spread = blas.dtrmm(1.0, self._resting_root.T, both.T).T
+        total = spread @ spread.T
         if np.ndim(cells):
             total += slope @ cells @ slope.T
         if self.common is not None:
@@ -387,7 +392,8 @@ class Observation:
     def cells(self, start: Array, prior: Array) -> MostProbable:
         """Return the most probable ln r/r0 of all cells with the prior N(0, `prior`).
 
-        The search begins at `start` (rows, columns).
+        `prior` is a covariance, or the variances of independent cells. The search begins at
+        `start` (rows, columns).
         """
 
         def model(change: Array) -> tuple[Array, Array, Array]:
@@ -400,7 +406,7 @@ class Observation:
     @cached_property
     def _mapped(self) -> MostProbable:
         zero = np.zeros(self.measured.shape)
-        return self.cells(zero, self.baseline.model_errors.mapped**2 * np.eye(zero.size))
+        return self.cells(zero, np.full(zero.size, self.baseline.model_errors.mapped**2))
 
     @property
     def map(self) -> Array:
@@ -416,7 +422,7 @@ class Observation:
 
         Any load may have changed them.
         """
-        return self.cells(np.zeros(self.measured.shape), np.eye(self.measured.size))
+        return self.cells(np.zeros(self.measured.shape), np.ones(self.measured.size))
 
     @property
     def free_map(self) -> Array:

@@ -521,8 +521,8 @@ class Watch:
             remains = np.where(change != 0, change - self._common(frame.free_map), 0.0)
             remains = np.minimum(remains, 0.0) if np.any(held < 0) else remains
             remains = np.where(np.abs(remains) > MIN_FALL, np.abs(remains), 0.0)  # less is drift
-            # the film's residue in the cells of the former load, and in those that it has left
-            cells = np.where(held != 0, np.abs(held), self.look.reached)
+            # the film's residue in all cells that the load has reached, before a slide, too
+            cells = np.maximum(np.abs(held), self.look.reached)
             least = self.look.most_left(self.setup.errors.residue) * np.sum(remains * cells)
             residue = bool(np.sum(remains**2) <= least)
         # some steps are noise

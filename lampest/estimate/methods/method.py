@@ -211,7 +211,6 @@ class Method(Configuration):
                 choice + perf_counter() - begin,
                 weights,
                 weight_sigma=objective.weight_sigma,
-                prior_variance=objective.prior_variance,
             )
 
     def begin(self, state: AnyState) -> AnyState:
@@ -279,9 +278,7 @@ class Method(Configuration):
         """
         from lampest.estimate.witness import compared, testimony
 
-        weighted = state.estimator.with_weights(
-            step.weights, step.weight_sigma, step.prior_variance
-        )
+        weighted = state.estimator.with_weights(step.weights, step.weight_sigma)
         before = replace(state, estimator=weighted)
         data, previous = self.data_and_start(before, readings)
         cost = before.estimator.cost(state.scene, len(data.measured), partial=data.partial)

@@ -147,10 +147,8 @@ def displacement(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -
 
 
 def share_of_motion(
-    scene: Scene,
-    resting: Readings,
+    recording: Recording,
     readings: Readings,
-    measured: NDArray[np.intp],
     errors_tried: Sequence[float],
     shares: Array = SHARES,
     *,
@@ -168,13 +166,10 @@ def share_of_motion(
 
     Parameters
     ----------
-    scene : Scene
-    resting : Readings
-        Mean of the unloaded frames, (rows, columns).
+    recording : Recording
+        With unloaded frames.
     readings : Readings
         All frames.
-    measured : array of int
-        Numbers of the measured frames.
     errors_tried : sequence of float
         Sizes of each reading's own error, the same in all frames: READING_ERRORS where it is
         unknown, (0.0,) where the readings have none beside their σ.
@@ -186,7 +181,7 @@ def share_of_motion(
     frame_noise : FrameNoise or None
         Errors that the readings of a frame share, such as a ripple: they, too, move all cells.
     """
-    moving = _moving_frames(scene, resting, readings, measured, frame_noise)
+    moving = _moving_frames(recording, readings, frame_noise)
     first = errors_tried[0]
     alone = [(first, share, 0.0) for share in shares.tolist()]
     alone += [(first, 0.0, trembling) for trembling in TREMBLINGS[1:].tolist()]
@@ -234,17 +229,16 @@ def share_of_motion(
 
 
 def _moving_frames(
-    scene: Scene,
-    resting: Readings,
-    readings: Readings,
-    measured: NDArray[np.intp],
-    frame_noise: FrameNoise | None,
+    recording: Recording, readings: Readings, frame_noise: FrameNoise | None
 ) -> "list[_Moving]":
     """Return the frames with the largest motion whose cells are determined well.
 
     The list is empty where a frame has no fit, and on panels of more than MAX_CELLS. The arguments
     are those of `share_of_motion`.
     """
+    scene = recording.scene
+    resting = readings[recording.role == UNLOADED].mean()
+    measured = np.flatnonzero(recording.role == MEASURED)
     inner = measured[1:-1]
     known = readings.sigma is not None and resting.sigma is not None
     if not len(inner) or not known or scene.panel.crossings > MAX_CELLS:
@@ -317,7 +311,8 @@ class _Frame:
     explained : mapping of (float, float, float) to _Explained
         By size of errors, share and trembling.
     is_mostly_still : bool
-        Whether most cells are still under the likeliest of them without trembling.
+        Whether most cells are still under the likeliest of them without trembling, or with it and
+        without a load.
     shows_trembling : bool
         Whether most cells are still and without a load. Otherwise trembling explains any motion.
     displacements, errors : float
@@ -406,6 +401,17 @@ class _Moving:
             noise=covariance,
         )
 
+    def _still_and_free(self, motion: Motion) -> tuple[bool, bool]:
+        """Return whether most cells are still under a motion, and whether they have no load.
+
+        A load that trembles may move any cell that changed as loaded ones do.
+        """
+        exact = self._changes_by(motion, doubted=False)
+        moved = exact.selected(usual_starts(exact.change))[1]
+        change = np.abs(exact.change - np.median(exact.change))
+        loaded = change > LOADED_SHARE * change.max()
+        return mostly_still(moved), mostly_still(moved | loaded)
+
     def explained_by(self, tried: Sequence[Motion]) -> _Frame:
         """Return the frame with each motion, of which some have no trembling.
 
@@ -445,17 +451,18 @@ class _Moving:
                 shared,
                 MOVED_COST * int(moved.sum()) + jacobian,
             )
-        steady = min((key for key in tried if not key[2]), key=lambda key: explained[key].cost)
-        exact = self._changes_by(steady, doubted=False)
-        moved = exact.selected(usual_starts(exact.change))[1]
-        # A load that trembles may move any cell that changed as loaded ones do.
-        change = np.abs(exact.change - np.median(exact.change))
-        loaded = change > LOADED_SHARE * change.max()
+
+        steady = [key for key in tried if not key[2]]
+        still, free = self._still_and_free(min(steady, key=lambda key: explained[key].cost))
+        if not still:
+            # Where a load trembles, cells stand still under no steady motion.
+            free = self._still_and_free(min(tried, key=lambda key: explained[key].cost))[1]
+            still = free
         noise = frame.readings.known_sigma
         return _Frame(
             explained,
-            mostly_still(moved),
-            mostly_still(moved | loaded),
+            still,
+            free,
             float(np.sum((self.displaced.value / noise) ** 2)),
             float(np.sum((self.displaced.smooth / noise) ** 2)),
         )
@@ -527,10 +534,8 @@ class ScanMotion(SceneEffect):
         size = None
         if unloaded.any():
             size = share_of_motion(
-                scene,
-                readings[unloaded].mean(),
+                recording,
                 readings,
-                measured,
                 READING_ERRORS if unknown_errors else (0.0,),
                 SHARES if known is None else np.array([known]),
                 frame_noise=noise.frame,
@@ -555,7 +560,7 @@ class ScanMotion(SceneEffect):
         if readings.sigma is None or not unloaded.any() or not evidence.names_none("motion"):
             return
         named = isinstance(specified(evidence.scene, "systematic.reading_error"), float)
-        compared = (evidence.scene, readings[unloaded].mean(), readings, evidence.measured)
+        compared = (evidence.recording, readings)
         frame = evidence.noise.frame
         share = share_of_motion(*compared, (0.0,), least_gain=MIN_EVIDENCE_GAIN, frame_noise=frame)
         # Errors of readings explain some of what seems to be motion: they are tried where some is.

@@ -1,11 +1,11 @@
 """Recordings of small panels for the C library: cells under a press that comes, moves and goes."""
 
-from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
 
 import lampest
+from lampest.runs.filling import _unchecked
 
 CIRCUITS = {
     "two_point": {"kind": "two_point", "noise_lsb": 0.7},
@@ -123,14 +123,7 @@ def unchecked_case(estimate, name="estimator"):
 
     The check takes longer than all the rest; tests/oracles/test_model_check.py has it.
     """
-    content = "lampest.runs.content"
-    no_check = lampest.ModelCheck(None, "")
-    no_verdict = SimpleNamespace(mark="", sentence="")
-    with (
-        mock.patch(f"{content}._verdict", lambda done: no_verdict),
-        mock.patch(f"{content}._advice", lambda done: ""),
-        mock.patch("lampest.inference.prepared.Prepared.check", no_check),
-    ):
+    with mock.patch("lampest.runs.filling._audited", _unchecked):
         return estimate.result(name)
 
 

@@ -169,18 +169,9 @@ def test_a_cup_in_waves_does_not_breathe(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "seed",
-    [
-        1,
-        2,
-        3,
-        # A look at 23.25 s finds this mouth 7 mm too far, and calls that a second slide.
-        pytest.param(4, marks=pytest.mark.xfail(strict=True)),
-        5,
-    ],
-)
+@pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
 def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
+    """The film keeps a residue also where the mouth was before it slid (seed 4)."""
     slid, mouth, _, _ = recording(SLIDING, 4.0, seed, attached_s=20.0)
     answer = answered(slid)
     (attachment,) = answer.attachments
