@@ -19,16 +19,27 @@ TOLERANT = {
     for room, rows in json.loads(TOLERANCES.read_text()).items()
     for name, places in rows.items()
 }
-LONG_ROWS = {  # rows of 0.8 s or more
+LONG_ROWS = {  # rows of half a second or more, but those of a scene each
+    "estimate estimate auto per frame on modules",
     "estimate estimate smoother at bounds",
+    "estimate modules that choose together",
     "estimate moved resistors",
+    "estimate no resistors",
+    "estimate smoother of modules",
+    "estimate smoother of shared errors",
+    "inputs units",
     "report live smoother",
     "report pictures of files",
     "report pictures of variants",
     "runs damaged files",
+    "runs faults of run",
+    "runs faults of simulate",
     "runs refused commands",
     "solvers minima",
+    "studies budgets",
+    "studies paper",
     "studies tradeoff",
+    "whole files",
     "whole weights figure",
 }
 SLOW_ROWS = {  # rows of two seconds or more on a busy machine
