@@ -66,6 +66,7 @@ ALIKE = "the load changes all cells alike: press a few cells, and leave the othe
 EVERY_SECOND = np.arange(0, len(READING_ERRORS), 2)
 COARSE = np.append(0, np.arange(1, len(READING_ERRORS), 4))
 COARSE_GAIN = 3.0
+MAX_ADVISED = 0.9  # of the largest tried error
 USUAL_SPREAD = np.ones(1)  # of channels, over itself
 # Of the unloaded readings that are values: with fewer, films look uneven (tests/golden/checks.py).
 MIN_SHARE_READ = 0.9
@@ -457,6 +458,7 @@ class StaticErrors(SceneEffect):
             f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, "
             "the same in all frames: cells are rougher than those of films",
             "systematic.reading_error",
+            error,
         )
 
     def _reading_error(
@@ -475,7 +477,9 @@ class StaticErrors(SceneEffect):
         if beside_channels:
             sizes = replace(sizes, channel_spread_ohm=ESTIMATED)
         estimating = replace(scene, systematic=sizes)
-        return significant_reading_error(estimating, *frames, evidence.noise.frame)
+        error = significant_reading_error(estimating, *frames, evidence.noise.frame)
+        # The largest tried error is no finding: it stands for cells that are unlike.
+        return error if error is not None and error[0] < MAX_ADVISED * READING_ERRORS[-1] else None
 
     def _channels(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield advice on channels of the lines that differ.
@@ -507,7 +511,11 @@ class StaticErrors(SceneEffect):
         spread = spread_by(np.append(0.0, CHANNEL_FACTORS), changes)
         if spread.gain > DOUBTFUL_GAIN and np.argmax(spread.odds) < len(spread.odds) - 1:
             size = CHANNELS.prior * spread.mean
-            yield Unnamed.of(f"channels of the lines seem to differ by {size:.1g} ohm", key)
+            yield Unnamed.of(
+                f"channels of the lines seem to differ by {size:.1g} ohm",
+                key,
+                (size, CHANNELS.prior * spread.deviation),
+            )
 
     def _frames(self, evidence: Gathered) -> tuple[Readings, Readings | None] | None:
         """Return the mean of the unloaded frames, and the strongest loaded frame or None.
@@ -548,4 +556,5 @@ class StaticErrors(SceneEffect):
                     error.prior * float(np.sqrt(np.mean(part[1:] ** 2)))
                     for part in (with_error.size, with_error.sd)
                 )
-                yield Unnamed.of(error.sentence(float(np.hypot(size, deviation)), deviation), key)
+                size = float(np.hypot(size, deviation))
+                yield Unnamed.of(error.sentence(size, deviation), key, (size, deviation))
