@@ -11,7 +11,9 @@ beside a roughness that knows no order,
 with K_rows ⊗ K_columns for the interaction. The scale s is integrated out by its maximum, ℓ and ρ
 over a few values, equally probable. An order is found where its odds against all others that are
 tried, and against the scene's, are a thousand to one. Single cells far larger than all others may
-stand side by side by chance: the normal scores of the ranks have to show the order, too.
+stand side by side by chance: the normal scores of the ranks have to show the order, too. A load
+that trembles while it is scanned tears the weaker patterns apart: the strongest one, the load's own
+image, must not be less smooth in the order.
 
 A load on every second line, such as a comb, has the image of a load on interleaved lines. Where
 such a load has not these odds against it, the recording cannot tell the order.
@@ -197,7 +199,7 @@ def smoother_order(patterns: Array) -> SmootherOrder | None:
     Parameters
     ----------
     patterns : array, shape (patterns, rows, columns)
-        In the scene's order.
+        In the scene's order, the strongest one first.
     """
     if not len(patterns):
         return None
@@ -206,13 +208,17 @@ def smoother_order(patterns: Array) -> SmootherOrder | None:
     scores = normal_quantile((ranks + 0.5) / flat.shape[1])
     tried = list(orders(*patterns.shape[1:]))
     gains = []
+    strongest = []
     combs = []
     for values in (flat, scores):
         images = values.reshape(patterns.shape)
-        as_specified = smooth_cost(images)
-        gains.append([as_specified - smooth_cost(values[:, order.image]) for order in tried])
-        combs.append([as_specified - smooth_cost(images, steps) for steps in COMBS.values()])
+        as_specified = smooth_costs(images)
+        gains_each = [as_specified - smooth_costs(values[:, order.image]) for order in tried]
+        gains.append(np.sum(gains_each, axis=1))
+        strongest.append(np.array(gains_each)[:, 0])
+        combs.append([(as_specified - smooth_costs(images, step)).sum() for step in COMBS.values()])
     least = np.min(gains, axis=0).round(6)
+    least[np.min(strongest, axis=0) < 0] = -np.inf
     best = int(np.argmax(least))
     gain = float(least[best])
     enough = 2 * np.log(ODDS * len(tried))
@@ -225,8 +231,8 @@ def smoother_order(patterns: Array) -> SmootherOrder | None:
     return SmootherOrder(tried[best], gain, every_second)
 
 
-def smooth_cost(images: Array, steps: tuple[int, int] = (1, 1)) -> float:
-    """Return −2 ln evidence of images (n, rows, columns) as smooth processes of their lines.
+def smooth_costs(images: Array, steps: tuple[int, int] = (1, 1)) -> Array:
+    """Return −2 ln evidence of each image, (n,), as smooth processes of its lines.
 
     Parameters
     ----------
@@ -258,7 +264,8 @@ def smooth_cost(images: Array, steps: tuple[int, int] = (1, 1)) -> float:
                 count * np.log(np.maximum(squares, np.finfo(float).tiny))
                 + np.log(relative).sum(axis=1, keepdims=True)
             )
-    return float(sum(np.sum(-2 * np.logaddexp.reduce(-np.array(c) / 2, axis=0)) for c in costs))
+    of_parts = [-2 * np.logaddexp.reduce(-np.array(part) / 2, axis=0) for part in costs]
+    return np.asarray(np.sum(of_parts, axis=0))
 
 
 @lru_cache(maxsize=64)

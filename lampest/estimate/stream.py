@@ -205,7 +205,8 @@ class Stream(SequenceState):
 
         A frame that fails, or that has too few readings (`Readings.enough`), leaves the stream
         unchanged. Open weights are chosen again by a frame whose change from rest exceeds the
-        largest one before by MIN_INCREASE. Raises InputError as `begin`.
+        largest one before by MIN_INCREASE. A frame that a method compares with an unloaded panel
+        that was not solved has the status `UNCOMPARED`. Raises InputError as `begin`.
 
         Returns
         -------
@@ -222,9 +223,11 @@ class Stream(SequenceState):
             self.scene
         ):
             return self, self.unsolved(Status.UNRESTED)
+        if self.estimator.relative and not self.estimator.joint_start and not self.rested:
+            return self, self.unsolved(Status.UNSOLVED_REST)
         if self.chooses_weights and not self.choosing(readings):
             stream, step = method.push(replace(self, estimator=self.weighted), readings)
-            return replace(stream, estimator=self.estimator), step
+            return replace(stream, estimator=self.estimator), self._as_compared(step)
         stream, step = method.push(self, readings)
         if self.chooses_weights and step.solution.solved:
             stream = replace(
@@ -233,11 +236,20 @@ class Stream(SequenceState):
                 weight_sigma=step.weight_sigma,
                 weighed_at=self.change(readings),
             )
-        return stream, step
+        return stream, self._as_compared(step)
+
+    def _as_compared(self, step: Step) -> Step:
+        """Return the step; an optimum that a failed baseline leaves uncompared says so."""
+        failed = self.baseline is not None and not self.rested
+        joint = len(step.solution.cell_resistance) == 2
+        if not (failed and self.estimator.relative and step.solution.optimum) or joint:
+            return step
+        return replace(step, solution=replace(step.solution, status=Status.UNCOMPARED))
 
     def verified(self, readings: Readings, after: "Stream", step: Step) -> tuple["Stream", Step]:
         """Compare the step of a solved frame with a second solve, see `Method.verified`."""
-        return self.estimator.method.verified(self, readings, after, step)
+        after, step = self.estimator.method.verified(self, readings, after, step)
+        return after, self._as_compared(step)
 
     @property
     def weighted(self) -> Estimator:

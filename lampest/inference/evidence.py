@@ -7,8 +7,14 @@ then by N(0, 1). The changes of the moved cells M are integrated out:
 
 The search adds or removes one cell at a time, each time the one that lowers −2 ln evidence most.
 The sweep operator updates all gains after an exchange in O(cells²).
+
+A load is an extended thing: its cells change alike, and its outline counts, not its area. Where
+circuits are compared, the moved cells are single ones, as above, or loads with equal probability
+(`Changes.gain_of_loads`). Of loads d_M is N(0, S) with a smooth S, and ln |P_MM + 1| becomes
+ln |1 + P_MM S|. An outline costs OUTLINE_COST an edge, because a walk along edges goes on in one of
+three directions.
 Sources: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83, 1988; Goodnight, The American Statistician
-33, 1979.
+33, 1979; Madras & Slade, The Self-Avoiding Walk, 1993 (number of outlines of a length).
 """
 
 from collections.abc import Callable, Sequence
@@ -19,11 +25,15 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from lampest.inference.assumptions import ASSUMED
 from lampest.panel.panel import Array
 from lampest.posterior.gaussian import Conditioned
 from lampest.posterior.linear import inverse_and_volume, misfit_and_volume, swept
 
 MOVED_COST = 2.8  # 2 ln 4: −2 ln of the prior odds of one to four that a cell moved
+OUTLINE_COST = 2 * float(np.log(3))  # for each edge between a moved and a still cell
+# Share of the variance of a load's changes that each cell has of its own: film and contact.
+OWN_SHARE = 0.01
 # −2 ln prior odds of a bound, an effect or a resistance in series that an explanation needs
 PARAMETER_COST = 12.0
 MAX_EXCHANGES = 4  # for each cell, of one search
@@ -75,11 +85,15 @@ class Changes:
         Σ, the covariance of d over still cells without these errors.
     columns : array, shape (n, errors)
         A.
+    of_noise : tuple of array and float, or None
+        Inverse of Σ and the logarithm of its determinant where they are known: with few errors C
+        is inverted in less time by them.
     """
 
     change: Array
     noise: Array
     columns: Array
+    of_noise: tuple[Array, float] | None = None
 
     @cached_property
     def covariance(self) -> Array:
@@ -97,7 +111,17 @@ class Changes:
         volume : float
             ln |C⁻¹|.
         """
-        return inverse_and_volume(self.covariance)
+        if self.of_noise is None:
+            return inverse_and_volume(self.covariance)
+        # With V = Σ⁻¹ A: C⁻¹ = Σ⁻¹ − V (1 + Aᵀ V)⁻¹ Vᵀ
+        inverse, volume = self.of_noise
+        if not self.columns.size:
+            return inverse, volume
+        weighted = inverse @ self.columns
+        within, volume_within = inverse_and_volume(
+            np.eye(self.columns.shape[1]) + self.columns.T @ weighted
+        )
+        return inverse - weighted @ within @ weighted.T, volume + volume_within
 
     def selected(
         self, starts: Sequence[Chosen], loaded: Chosen | None = None
@@ -115,6 +139,32 @@ class Changes:
         slope = precision @ self.change
         lost, moved = select_changed(slope, precision, starts, loaded)
         return lost + float(self.change @ slope) - volume, moved
+
+    def gain_of_loads(self, moved: Chosen, place: NDArray[np.intp]) -> float:
+        """Return the decrease of −2 ln evidence where the moved cells may be loads.
+
+        Single cells and loads are equally probable. Where most cells moved, they are no load: the
+        crosstalk of a wrong circuit is smooth, too.
+
+        Parameters
+        ----------
+        moved : boolean array, shape (n,)
+            M.
+        place : integer array, shape (n, 2)
+            Row and column of each cell.
+        """
+        if not mostly_still(moved):
+            return 0.0
+        precision = self.inverse_and_volume[0]
+        slope = (precision @ self.change)[moved]
+        of_moved = precision[np.ix_(moved, moved)]
+        square = ((place[moved, None] - place[moved]) ** 2).sum(axis=-1)
+        smooth = smooth_covariance(square, ASSUMED.slope_cells)
+        as_loads = OUTLINE_COST * outline(place, moved) + _slab_cost(
+            of_moved, slope, (1 - OWN_SHARE) * smooth + OWN_SHARE * np.eye(len(slope))
+        )
+        as_cells = MOVED_COST * len(slope) + _slab_cost(of_moved, slope, np.eye(len(slope)))
+        return 2 * float(np.logaddexp(0.0, (as_cells - as_loads) / 2) - np.log(2))
 
     def part(self, cells: Chosen) -> "Changes":
         """Return the changes of these cells alone."""
@@ -146,6 +196,51 @@ class Changes:
         unit = np.eye(part.columns.shape[1])
         errors = Conditioned.on(part.columns, part.noise, unit)
         return errors.mean(part.change), errors.covariance
+
+
+def smooth_covariance(square: Array, cells: float) -> Array:
+    """Return the covariance exp(−distance²/(2 ℓ²)) of smooth changes.
+
+    Parameters
+    ----------
+    square : array
+        Squared distances.
+    cells : float
+        ℓ.
+    """
+    return np.asarray(np.exp(-square / (2 * cells**2)))
+
+
+def outline(place: NDArray[np.intp], moved: Chosen) -> int:
+    """Return the number of edges between moved and still cells.
+
+    Parameters
+    ----------
+    place : integer array, shape (n, 2)
+        Row and column of each cell.
+    moved : boolean array, shape (n,)
+    """
+    distance = np.abs(place[moved, None] - place[~moved]).sum(axis=-1)
+    return int((distance == 1).sum())
+
+
+def _slab_cost(precision: Array, slope: Array, slab: Array) -> float:
+    """Return ln |1 + P S| − sᵀ (P + S⁻¹)⁻¹ s of moved cells, the cost of the slab N(0, S).
+
+    Parameters
+    ----------
+    precision : array, shape (moved, moved)
+        P.
+    slope : array, shape (moved,)
+        s.
+    slab : array, shape (moved, moved)
+        S.
+    """
+    # with S = L Lᵀ: ln |1 + Lᵀ P L| − qᵀ (1 + Lᵀ P L)⁻¹ q, q = Lᵀ s
+    root = np.linalg.cholesky(slab)
+    pulled = root.T @ slope
+    seen = np.eye(len(slope)) + root.T @ precision @ root
+    return float(np.linalg.slogdet(seen)[1] - pulled @ np.linalg.solve(seen, pulled))
 
 
 def usual_starts(change: Array) -> list[Chosen]:
@@ -223,10 +318,11 @@ def _exchange_cells(
     for _ in range(MAX_EXCHANGES * len(slope)):
         # Decrease of −2 ln evidence if a cell is added: s²/p − ln p − MOVED_COST with its pivot p;
         # if it is removed: MOVED_COST − s²/|p| − ln |p|.
-        pivots = np.maximum(np.abs(np.diag(table)), MIN_PIVOT)
+        pivots = np.maximum(np.abs(table.diagonal()), MIN_PIVOT)
         gains = np.where(moved, -1, 1) * (table[:, -1] ** 2 / pivots - MOVED_COST) - np.log(pivots)
-        cell = int(np.argmax(np.where(fixed, -np.inf, gains)))
-        if fixed[cell] or not gains[cell] > 0:
+        gains[fixed] = -np.inf
+        cell = int(gains.argmax())
+        if not gains[cell] > 0:
             break
         cost -= float(gains[cell])
         moved[cell] = not moved[cell]

@@ -228,6 +228,17 @@ class FittedPair:
         """The evidence without further effects."""
         return self.explained(self.columns(()))
 
+    @cached_property
+    def _score(self) -> float:
+        """−2 ln evidence where the moved cells are single ones or loads."""
+        changes = self.with_columns(self.columns(()))
+        return self.evidence.score - changes.gain_of_loads(self.evidence.moved, self._place)
+
+    @property
+    def _place(self) -> NDArray[np.intp]:
+        """Row and column of each cell, (cells, 2)."""
+        return np.argwhere(np.ones(self.shape, dtype=bool))
+
     @property
     def moved(self) -> NDArray[np.bool_]:
         """The moved cells with the largest evidence, boolean (rows, columns)."""
@@ -258,7 +269,7 @@ class FittedPair:
         """
         # p(y) = p(d) |∂d/∂y|: −2 ln p(y) has ln |Jᵀ J| = ln |normal| and ln |Σ| more than the
         # quadratic form of d
-        return self.evidence.score - self.frames[1].log_volume + self._volume
+        return self._score - self.frames[1].log_volume + self._volume
 
     @cached_property
     def _misfit(self) -> tuple[float, int]:
@@ -269,12 +280,13 @@ class FittedPair:
     @property
     def beyond_noise(self) -> float:
         """The score less the misfit of the still cells as far as noise is expected to have it."""
-        return self.evidence.score - min(self._misfit)
+        return self._score - min(self._misfit)
 
     def beyond_noise_of(self, cells: NDArray[np.bool_]) -> float:
         """Return −2 ln evidence of these cells alone, beyond that of noise."""
         changes = self.with_columns(self.columns(())).part(cells)
         score, moved = changes.selected(usual_starts(changes.change))
+        score -= changes.gain_of_loads(moved, self._place[cells])
         score += self._prior + self._volume - float(np.linalg.slogdet(changes.noise)[1])
         return score - min(changes.part(~moved).misfit, int((~moved).sum()))
 

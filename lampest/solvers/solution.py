@@ -37,7 +37,7 @@ SMOOTHING_WIDTH = 1e-8
 
 
 class Status(Enum):
-    """Status of a solve, as a sentence; only the first six statuses come with an estimate.
+    """Status of a solve, as a sentence; only the first seven statuses come with an estimate.
 
     >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
@@ -55,6 +55,9 @@ class Status(Enum):
         "(by a millionth where that is unknown)"
     )
     MISSED = "an optimum, but it misses more than a tenth of the readings by ten times their noise"
+    UNCOMPARED = (
+        "an optimum, but compared with no unloaded panel: the solve of that was not verified"
+    )
     FLAT = "an optimum, but a plateau: the data and penalties leave some cells undetermined"
     FAINT = "an optimum, but some cells are determined so weakly that they may still move"
     APPROXIMATE = "approximate, as the formulation asks; not an optimum"
@@ -64,6 +67,9 @@ class Status(Enum):
     UNREAD = "too few of the frame's readings are values: the others are missing, or bounds"
     UNRESTED = (
         "too few of the unloaded panel's readings are values, and the method compares with them"
+    )
+    UNSOLVED_REST = (
+        "the solve of the unloaded panel ended without an optimum, and the method compares with it"
     )
     BROKEN_OFF = "the run was broken off before this frame"
     ROUNDED = (
@@ -89,6 +95,8 @@ ADVICE = {
     Status.MISSED: "Check the scene and the weights: "
     "the loss of the misfit ignores readings that are far off, "
     "and these are too many to be outliers.",
+    Status.UNCOMPARED: "Take `formulation: reduced`, or raise `solver: max_iterations`: "
+    "without the unloaded panel, terms that compare frames begin at the frame before.",
     Status.FLAT: "Add a penalty, or a weight to the one there is; "
     "do not interpret the undetermined cells.",
     Status.FAINT: "Add a penalty, lower `solver: tolerance`, "
@@ -99,6 +107,8 @@ ADVICE = {
     Status.WORSE: "Take `formulation: reduced`; if that ends so too, report the frame.",
     Status.UNREAD: "Measure the frame again; `lampest info` counts what is missing.",
     Status.UNRESTED: "Choose other unloaded frames with `lampest tare`.",
+    Status.UNSOLVED_REST: "Take `formulation: reduced`; "
+    "if that ends so too, look at the status of the baseline.",
     Status.BROKEN_OFF: "Run the same command again: it solves unfinished cases anew.",
     Status.ROUNDED: "Lower the weight of the heaviest term.",
     Status.STALLED: "Raise the weight of a penalty, or the corner of its loss; "
@@ -110,7 +120,7 @@ ADVICE = {
     Status.UNAVAILABLE: "Install IPOPT's linear solver, or take `formulation: reduced`.",
 }  # remedy for each status, one sentence
 STRICT = (Status.OPTIMUM, Status.HELD, Status.MISSED)  # certified strict minima
-OPTIMA = (*STRICT, Status.FLAT, Status.FAINT)
+OPTIMA = (*STRICT, Status.UNCOMPARED, Status.FLAT, Status.FAINT)
 
 
 @dataclass(frozen=True)

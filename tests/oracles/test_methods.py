@@ -1,5 +1,6 @@
 """Rungs of the ladder against closed forms and the full solution, and the paper's own solver."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,9 @@ from lampest import (
     Panel,
     Recording,
     Scene,
+    Settings,
+    Status,
+    Stream,
     TwoPointReadout,
     two_point_resistance,
 )
@@ -143,3 +147,19 @@ def test_ipopt_over_log_r_ends_at_the_minima_of_the_other_solvers() -> None:
     assert {solve.solver for solve in solves} == {"reduced", "nodal", "log r"}
     assert min(solve.iterations for solve in solves if solve.solver == "log r") > 0
     assert max(solve.above for solve in solves) < ROUNDING
+
+
+def test_the_status_says_that_the_unloaded_panel_of_a_comparison_is_not_verified() -> None:
+    cells = resting((4, 5))
+    data = recording(cells, cells * 0.9, noise=1e-3)
+    unloaded, loaded = data.readings()[0], data.readings()[1]
+    for terms, status in (((Misfit(), RelativeChange()), Status.UNCOMPARED), (LSM, Status.OPTIMUM)):
+        estimator = Estimator(terms, OptimalMethod("nodal"))
+        stopped = replace(estimator, solver=Settings(max_iterations=1))
+        stream = Stream.begin(stopped, data.scene, 1.0, unloaded)
+        assert not stream.rested
+        after, step = replace(stream, estimator=estimator).push(loaded)
+        assert step.solution.status is status and step.solution.solved
+        assert after.verified(loaded, after, step)[1].solution.status is status
+    rested = Stream.begin(Estimator((Misfit(), RelativeChange()), "nodal"), data.scene, 1, unloaded)
+    assert rested.push(loaded)[1].solution.status is Status.OPTIMUM

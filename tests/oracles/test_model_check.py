@@ -112,6 +112,25 @@ def test_a_verdict_says_whether_other_circuits_were_compared() -> None:
     assert alone.explains and not alone.compared
 
 
+def test_a_bar_over_whole_lines_is_no_other_circuit() -> None:
+    """17 cells that moved alone cost more than two cells under crosstalk of 28 ohm."""
+    drawn = sound(91002)
+    assert drawn is not None
+    assert Prepared(drawn[1]).check.explains
+
+
+def test_of_panels_that_read_alike_the_one_that_stands_still_within_noise_is_meant() -> None:
+    """Eight to ten bits leave cells of the right panel unknown, and a wrong one seemed stiller."""
+    for seed in (91013, 91028):
+        drawn = sound(seed)
+        assert drawn is not None
+        prepared = Prepared(drawn[1])
+        truth = prepared.recording.truth_cell_resistance
+        assert truth is not None and prepared.panels is not None
+        assert abs(np.median(np.log(prepared.panels.resting / truth[0]))) < 0.5
+        assert prepared.check.explains
+
+
 # 90079: cells that 8 bits leave uncertain; 90220: cells at their bounds.
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [*range(6), 90079, 90220])
@@ -178,6 +197,19 @@ def test_soft_loads_are_not_mistaken_for_another_circuit(circuit: Readout, seed:
     assert prepared.check.explains and prepared.noise.corrected_effects is None, (
         prepared.check.sentence
     )
+
+
+@pytest.mark.parametrize("deviations", [0.5, 1.0, 2.0, 3.0, 10.0])
+def test_a_fit_is_within_noise_where_its_tail_is(deviations: float) -> None:
+    """Few or many degrees of freedom may decide before their number is computed."""
+    readout = TwoPointReadout()
+    scene = Scene(lampest.Panel(*SHAPE, 10.0), readout)
+    exact = readout.exact_reading(CELLS)
+    sigma = 0.03 * exact
+    noise = np.random.default_rng(1).standard_normal(SHAPE)
+    fit = fitted(scene, Readings.of(scene, exact + deviations * sigma * noise, sigma), patient=True)
+    assert fit is not None
+    assert fit.within_noise == (fit.chi_square <= 1 or fit.tail >= SIGNIFICANCE)
 
 
 @pytest.mark.slow

@@ -13,14 +13,19 @@ from scipy.stats import norm
 
 from lampest.apps.calibration.loads import _responses
 from lampest.files import levels
+from lampest.inference.assumptions import ASSUMED
 from lampest.inference.evidence import (
     MOVED_COST,
+    OUTLINE_COST,
+    OWN_SHARE,
+    Changes,
     scores_with_errors,
     select_changed,
     usual_starts,
 )
 from lampest.panel import compiled
 from lampest.panel.panel import Array
+from lampest.posterior.linear import inverse_and_volume
 
 ROUNDING = 1e-9  # float64 times the condition of covariances, below 1e6
 
@@ -43,6 +48,17 @@ def test_an_additional_error_is_scored_by_the_density_of_the_change(seed: int) -
         assert score == pytest.approx(
             change @ np.linalg.solve(with_it, change) + volume, rel=ROUNDING
         )
+
+
+@pytest.mark.parametrize("errors", [0, 3])
+def test_changes_with_the_inverse_of_their_noise_have_the_same_evidence(errors: int) -> None:
+    change, noise = random_change(9, 5)
+    columns = np.random.default_rng(6).standard_normal((9, errors))
+    starts = usual_starts(change)
+    score, moved = Changes(change, noise, columns).selected(starts)
+    by_noise = Changes(change, noise, columns, inverse_and_volume(noise)).selected(starts)
+    assert by_noise[0] == pytest.approx(score, abs=1e-8)
+    assert np.array_equal(by_noise[1], moved)
 
 
 def test_cells_are_added_until_none_gains_however_many_these_are() -> None:
@@ -80,6 +96,28 @@ def test_the_selected_cells_have_the_most_evidence_of_all_subsets(seed: int) -> 
     # Adds cells only, and may end above.
     score = scores_with_errors(change, precision, np.zeros((8, 1)))
     assert score[0] > evidence(change, covariance, moved) - ROUNDING
+
+
+def test_moved_cells_are_single_ones_or_loads_with_equal_probability() -> None:
+    """A bar costs its outline, and the smooth change of its cells."""
+    change, covariance = random_change(20, 3)
+    place = np.argwhere(np.ones((4, 5), dtype=bool))
+    moved = (place[:, 0] >= 2) & (place[:, 1] < 4)
+    change[moved] -= 0.8
+    distance = np.hypot(*(place[moved, None] - place[moved]).T)
+    smooth = np.exp(-(distance**2) / (2 * ASSUMED.slope_cells**2))
+    of_load = covariance.copy()
+    of_load[np.ix_(moved, moved)] += (1 - OWN_SHARE) * smooth + OWN_SHARE * np.eye(8)
+    volume = np.linalg.slogdet(of_load)[1] - np.linalg.slogdet(covariance)[1]
+    as_load = change @ np.linalg.solve(of_load, change) + volume + 6 * OUTLINE_COST
+    as_cells = evidence(change, covariance, moved)
+    either = np.exp(-as_load / 2) + np.exp(-as_cells / 2)
+    changes = Changes(change, covariance, np.zeros((20, 1)))
+    gain = changes.gain_of_loads(moved, place)
+    assert gain == pytest.approx(as_cells + 2 * np.log(either / 2), rel=1e-6)
+    assert gain > 10
+    assert changes.gain_of_loads(np.zeros(20, dtype=bool), place) == 0
+    assert changes.gain_of_loads(place[:, 0] >= 1, place) == 0
 
 
 def test_the_strongest_cell_determines_changes_within_the_frames_of_a_load(
