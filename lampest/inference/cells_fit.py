@@ -173,14 +173,27 @@ class CellsFit(SumOfSquares):
     def within_noise(self) -> bool:
         """Whether noise alone may give the misfit, `tail` ≥ SIGNIFICANCE."""
         # χ² of at least one degree of freedom exceeds 1 in a third of all cases.
-        return self.chi_square <= 1 or self.tail >= SIGNIFICANCE
+        return self.chi_square <= 1 or self._may_be_noise(self.chi_square)
 
     @property
     def hopeless(self) -> bool:
         """Whether no minimum that further iterations reach from these cells is within noise."""
         if not self.jacobian.size:
             return self.chi_square > MAX_CHI_SQUARE * self.residual.size
-        return bool(chi_square_tail(self.chi_square / MAX_LOWERED, self.degrees) < SIGNIFICANCE)
+        return not self._may_be_noise(self.chi_square / MAX_LOWERED)
+
+    def _may_be_noise(self, chi_square: float) -> bool:
+        """Return whether P(χ²_degrees ≥ chi_square) ≥ SIGNIFICANCE.
+
+        The tail grows with the degrees of freedom. These cost all eigenvalues, and are computed
+        where neither the fewest nor the most decide.
+        """
+        most = max(float(np.sum(self.readings.seen)), 1.0)
+        if chi_square_tail(chi_square, most) < SIGNIFICANCE:
+            return False
+        if chi_square_tail(chi_square, 1.0) >= SIGNIFICANCE:
+            return True
+        return bool(chi_square_tail(chi_square, self.degrees) >= SIGNIFICANCE)
 
     @cached_property
     def _inverse_and_volume(self) -> tuple[Array, float]:

@@ -62,6 +62,8 @@ class Share(NamedTuple):
         Decrease of −2 ln evidence from no motion to the most probable one.
     trembling : float
         Relative standard deviation of the load within a scan.
+    steady : float
+        Probability of no trembling.
     """
 
     mean: float
@@ -69,6 +71,7 @@ class Share(NamedTuple):
     reach: float
     gain: float = 0.0
     trembling: float = 0.0
+    steady: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)

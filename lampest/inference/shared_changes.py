@@ -28,6 +28,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.posterior.frame_noise import FrameNoise
+from lampest.posterior.linear import inverse_and_volume
 from lampest.recording.readings import Readings
 
 # Tried spreads of the channels over the usual one. Their logarithms are N(0, ln² 3), because parts
@@ -289,14 +290,14 @@ def error_costs(
     by_readings = moves.own @ moves.own.T
     costs = np.zeros((len(SKIRTS), len(factors), len(errors)))
     for skirt, of_skirt in zip(SKIRTS, costs, strict=True):
-        smoothed = replace(moves, noise=moves.noise + skirt**2 * loads)
-        for factor, of_factor in zip(factors, of_skirt, strict=True):
-            spread = smoothed.with_channels(factor)
-            start = None
-            for column, size in enumerate(errors):
-                noise = spread.noise + size**2 * by_readings
-                changes = Changes(spread.change, noise, spread.hidden)
-                of_factor[column], start = _still(changes, start)
+        starts: list[Chosen | None] = [None] * len(factors)
+        for column, size in enumerate(errors):
+            noise = moves.noise + skirt**2 * loads + size**2 * by_readings
+            of_noise = inverse_and_volume(noise)
+            for number, factor in enumerate(factors):
+                hidden = moves.with_channels(factor).hidden
+                changes = Changes(moves.change, noise, hidden, of_noise)
+                of_skirt[number, column], starts[number] = _still(changes, starts[number])
     # −2 ln Σ_skirt p(d | e, skirt)
     return summed_out(costs, axis=0)
 

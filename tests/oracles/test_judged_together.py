@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from docs.studies.effects import LOADS, ROWS, Row, figures, recording
@@ -12,7 +11,6 @@ from lampest.audit.health import Health
 from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.effects.motion import share_of_motion
 from lampest.inference.prepared import Prepared
-from lampest.recording.recording import UNLOADED
 
 SPREAD = "systematic.channel_spread_ohm"
 SERIES = "systematic.series_tolerance_ohm"
@@ -70,10 +68,7 @@ def test_a_load_that_trembles_is_advised_to_be_named() -> None:
 def test_a_motion_that_is_of_interest_is_found_among_all_others(load: str) -> None:
     """Without interest, shares and tremblings are tried alone."""
     prepared = Prepared(recording(500, LOADS[load], Row(), {}))
-    readings = prepared.noise.readings
-    unloaded = prepared.recording.role == UNLOADED
-    scene = prepared.recording.scene
-    compared = scene, readings[unloaded].mean(), readings, np.flatnonzero(~unloaded), (0.0,)
+    compared = prepared.recording, prepared.noise.readings, (0.0,)
     every = share_of_motion(*compared)
     of_interest = share_of_motion(*compared, least_gain=MIN_EVIDENCE_GAIN)
     assert every is not None

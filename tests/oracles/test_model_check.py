@@ -199,6 +199,19 @@ def test_soft_loads_are_not_mistaken_for_another_circuit(circuit: Readout, seed:
     )
 
 
+@pytest.mark.parametrize("deviations", [0.5, 1.0, 2.0, 3.0, 10.0])
+def test_a_fit_is_within_noise_where_its_tail_is(deviations: float) -> None:
+    """Few or many degrees of freedom may decide before their number is computed."""
+    readout = TwoPointReadout()
+    scene = Scene(lampest.Panel(*SHAPE, 10.0), readout)
+    exact = readout.exact_reading(CELLS)
+    sigma = 0.03 * exact
+    noise = np.random.default_rng(1).standard_normal(SHAPE)
+    fit = fitted(scene, Readings.of(scene, exact + deviations * sigma * noise, sigma), patient=True)
+    assert fit is not None
+    assert fit.within_noise == (fit.chi_square <= 1 or fit.tail >= SIGNIFICANCE)
+
+
 @pytest.mark.slow
 def test_the_misfit_of_cells_alone_stays_within_its_degrees_of_freedom() -> None:
     """With 3 % of noise some cells of nearly every panel would have to be negative.

@@ -32,6 +32,7 @@ from lampest.audit import advice, effects
 from lampest.audit.finding import Finding
 from lampest.inference import model_check, resolve
 from lampest.inference import warnings as objections
+from lampest.inference.assumptions import ASSUMED
 from lampest.inference.effects import (
     converter_ends,
     converter_memory,
@@ -40,7 +41,9 @@ from lampest.inference.effects import (
     motion,
     static_errors,
 )
+from lampest.inference.effects.effect import Gathered, Unnamed
 from lampest.inference.prepared import Prepared
+from lampest.inference.shared_changes import CHANNEL_FACTORS
 from tests.estimates import recording_of
 
 ROWS = 12
@@ -285,6 +288,23 @@ def test_channels_that_differ_are_advised_and_not_as_errors_of_each_reading() ->
     assert not effects.unnamed_effects(alike)
 
 
+def test_each_spread_of_channels_is_tried_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A few spreads come first. Where they gain, these were tried again with all others."""
+    spreads: list[float] = []
+    costs_of = static_errors.error_costs
+
+    def noted(scene: Scene, moves: Any, errors: Any, factors: Any, cells: float) -> Any:
+        if cells == ASSUMED.slope_cells:
+            spreads.extend(factors)
+        return costs_of(scene, moves, errors, factors, cells)
+
+    monkeypatch.setattr(static_errors, "error_costs", noted)
+    differing = Prepared(channels_recording(100, LOADS["mouth"], Row(channel_ohm=10.0), {}))
+    evidence = Gathered(differing.cleaned.recording, differing)
+    assert len(tuple(static_errors.StaticErrors().unnamed(evidence))) == 1
+    assert sorted(spreads) == [0.0, *CHANNEL_FACTORS]
+
+
 def test_channels_are_advised_under_a_hand_that_covers_most_cells() -> None:
     """Cells that moved were more than half, and nothing was advised."""
     hand = Load(("hand",), swaying=0.05)
@@ -304,6 +324,28 @@ def test_a_gain_of_frames_is_not_also_creep() -> None:
     gained = channels_recording(4003, LOADS["still"], Row(gain=0.01), {})
     lines = [finding.line for finding in advice.Audit(Prepared(gained)).advice]
     assert lines == ["gain: estimated"]
+
+
+@pytest.mark.parametrize("load", ["still", "small"])
+def test_a_ripple_that_the_scene_names_is_no_motion(load: str) -> None:
+    """Still cells seemed to move with the load, in a scan that took 0 ± 0.6 of the time."""
+    rippled = channels_recording(100, LOADS[load], Row(ripple_lsb=10.0), {"ripple": "estimated"})
+    assert not effects.unnamed_effects(Prepared(rippled))
+
+
+@pytest.mark.parametrize(
+    ("number", "is_advised"), [((0.05, 0.2), False), ((-0.5, 0.2), False), ((0.7, 0.2), True)]
+)
+def test_an_effect_whose_size_may_be_none_is_not_advised(
+    number: tuple[float, float], is_advised: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Found:
+        def unnamed(self, evidence: object) -> Any:
+            yield Unnamed.of("it moves", "motion", number)
+
+    monkeypatch.setattr(effects, "searched_effects", lambda: (Found(),))
+    advised = [finding.line for finding in effects.searched(SimpleNamespace())]
+    assert advised == ["motion: estimated"] * is_advised
 
 
 def test_an_effect_that_gains_only_alone_is_not_advised(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -170,18 +170,22 @@ class Problem:
                 numbers = np.logaddexp(0, common + offsets[0]) if offsets else np.array(common)
                 limited = np.clip(numbers, *self._limits(unknown)).tolist()
                 values[scene_key(unknown.number)] = tuple(limited) if offsets else limited
-        # Contacts and faults belong to the panel, which is unplugged.
-        panel = self.scene.panel
-        converter = self.scene.readout
-        memory = self.scene.known_memory
-        scene: Scene = with_numbers(
-            Scene(panel, converter, lines=self.scene.lines, converter_memory=memory), values
-        )
+        scene: Scene = with_numbers(self._unplugged, values)
         readout = scene.circuit
         volt = readout.off_by(reference_off).volt_from_recorded(
             readout.simulated(cells, scene, *channels)
         )
         return with_memory(readout, scene.known_memory, volt) if scene.known_memory else volt
+
+    @cached_property
+    def _unplugged(self) -> Scene:
+        """The scene without contacts and faults, which belong to the unplugged panel."""
+        return Scene(
+            self.scene.panel,
+            self.scene.readout,
+            lines=self.scene.lines,
+            converter_memory=self.scene.known_memory,
+        )
 
     def _limits(self, unknown: Unknown) -> tuple[float, float]:
         """Return the range of a number in its unit, beyond which the circuit has no meaning."""

@@ -113,13 +113,21 @@ def scene_key(number: LineNumber) -> str:
 
 
 def with_numbers(part: Any, values: dict[str, Any]) -> Any:
-    """Return a record with other values by field name; 'a.b' is the field b of its part a."""
+    """Return a record with other values by field name; 'a.b' is the field b of its part a.
+
+    Each record is made once, with all of its values.
+    """
+    own: dict[str, Any] = {}
+    inner: dict[str, dict[str, Any]] = {}
     for name, value in values.items():
-        first, _, inner = name.partition(".")
-        part = replace(
-            part, **{first: with_numbers(getattr(part, first), {inner: value}) if inner else value}
-        )
-    return part
+        first, _, further = name.partition(".")
+        if further:
+            inner.setdefault(first, {})[further] = value
+        else:
+            own[first] = value
+    for first, further_values in inner.items():
+        own[first] = with_numbers(own.get(first, getattr(part, first)), further_values)
+    return replace(part, **own)
 
 
 def with_estimates(

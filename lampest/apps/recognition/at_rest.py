@@ -4,11 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from lampest.apps.recognition.detector import Detector
-from lampest.apps.recognition.model_errors import ModelErrors
-from lampest.apps.recognition.observation import patch_of
-from lampest.apps.recognition.watch import MAX_CELLS, Watch
-from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.compared_frames import noise_factor
 from lampest.inference.variance_components import NO_RIPPLE
@@ -23,6 +18,9 @@ MAX_GAIN = 0.1
 
 def lies_on(panel: Panel, logarithm: Array) -> bool:
     """Return whether unloaded cells, ln r (rows, columns), are uneven in the shape of a load."""
+    from lampest.apps.recognition.detector import Detector
+    from lampest.apps.recognition.observation import patch_of
+
     return Detector(patch_of(panel)).search(panel).lies_on(logarithm)
 
 
@@ -38,8 +36,14 @@ def touched(recording: Recording) -> bool:
     unloaded = recording.readings()[recording.role == UNLOADED]
     scene = recording.scene
     few = len(unloaded.value) < 2
-    large = scene.panel.crossings > MAX_CELLS
-    if scene.readout is None or few or large or noise_factor(unloaded) == 1:
+    if scene.readout is None or few or noise_factor(unloaded) == 1:
+        return False
+    # for the few recordings whose unloaded frames scatter more
+    from lampest.apps.recognition.model_errors import ModelErrors
+    from lampest.apps.recognition.watch import MAX_CELLS, Watch
+    from lampest.apps.recognition.watch_parts import WatchSetup
+
+    if scene.panel.crossings > MAX_CELLS:
         return False
     supply = FrameNoise(scene, len(unloaded.value), MAX_GAIN, NO_RIPPLE, NO_RIPPLE)
     setup = replace(

@@ -203,4 +203,5 @@ class ConverterMemory(SceneEffect):
                 f"the converter keeps {100 * share:.2g} +- {100 * deviation:.1g} % "
                 "of the channel before: so fewer cells have moved under the load",
                 "converter_memory",
+                estimate,
             )

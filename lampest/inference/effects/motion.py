@@ -6,7 +6,8 @@ known direction: the steps between frames, times each reading's delay, times the
 between frames that a scan takes. The readings are interpolated to the middle of the scan. Cells
 that no load touches determine the share: a wrong one makes them move. So do errors that a reading
 has in all frames, because a load changes their effect on the cells: the share is sought jointly
-with their size where that is unknown.
+with their size where that is unknown. Errors that the readings of a frame share, such as a ripple
+that the scene names, are part of the covariance.
 
 A load that trembles faster than frames are taken displaces each reading along the change that the
 load makes, by a random share of relative size q: σ grows by q times that change, and all readings
@@ -27,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.levels import MIN_EVIDENCE_GAIN
+from lampest.files.levels import MIN_EVIDENCE_GAIN, NOISE_REACH
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted, well_determined
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
@@ -58,6 +59,9 @@ TREMBLINGS = np.array([0.0, 0.015, 0.04, 0.1, 0.25])
 TREMBLING_ODDS = np.where(TREMBLINGS > 0, 0.5 / np.count_nonzero(TREMBLINGS), 0.5)
 # Of a gain of interest: what a motion has alone where only both a share and a trembling reach it.
 PROMISING = 0.25
+# Probability of a steady load below which trembling is shown: that of NOISE_REACH in a normal
+# distribution.
+STEADY_ODDS = 0.0027
 LOADED_SHARE = 0.15  # of the largest change: a cell that changes by more is under the load
 # Error of a value interpolated between two frames, over √(τ(1 − τ)) times the second difference of
 # the frames: 0.7 for a change at once, 0.2 to 0.4 for one that takes a frame or longer.
@@ -143,14 +147,13 @@ def displacement(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -
 
 
 def share_of_motion(
-    scene: Scene,
-    resting: Readings,
+    recording: Recording,
     readings: Readings,
-    measured: NDArray[np.intp],
     errors_tried: Sequence[float],
     shares: Array = SHARES,
     *,
     least_gain: float = 0.0,
+    frame_noise: FrameNoise | None = None,
 ) -> Share | None:
     """Return the share of the time between frames that a scan takes, and the load's trembling.
 
@@ -163,13 +166,10 @@ def share_of_motion(
 
     Parameters
     ----------
-    scene : Scene
-    resting : Readings
-        Mean of the unloaded frames, (rows, columns).
+    recording : Recording
+        With unloaded frames.
     readings : Readings
         All frames.
-    measured : array of int
-        Numbers of the measured frames.
     errors_tried : sequence of float
         Sizes of each reading's own error, the same in all frames: READING_ERRORS where it is
         unknown, (0.0,) where the readings have none beside their σ.
@@ -178,8 +178,10 @@ def share_of_motion(
     least_gain : float
         Gain in −2 ln evidence that is of interest. The result is None where no share without a
         trembling, and no trembling without a share, gains PROMISING of it.
+    frame_noise : FrameNoise or None
+        Errors that the readings of a frame share, such as a ripple: they, too, move all cells.
     """
-    moving = _moving_frames(scene, resting, readings, measured)
+    moving = _moving_frames(recording, readings, frame_noise)
     first = errors_tried[0]
     alone = [(first, share, 0.0) for share in shares.tolist()]
     alone += [(first, 0.0, trembling) for trembling in TREMBLINGS[1:].tolist()]
@@ -197,10 +199,11 @@ def share_of_motion(
         [_joint_cost([frame.explained[key] for frame in compared]) for key in tried]
     ).reshape(len(TREMBLINGS), len(errors_tried), len(shares))
     costs = np.moveaxis(costs, 0, 2)
-    trembling = 0.0
+    trembling, still = 0.0, 1.0
     if all(frame.shows_trembling for frame in compared):
         by_trembling = Number.by_costs(TREMBLINGS, costs, TREMBLING_ODDS, axis=2)
         trembling = float(np.sqrt(by_trembling.mean_square))
+        still = float(by_trembling.odds[0])
         costs -= 2 * np.log(TREMBLING_ODDS)
     else:
         costs = costs[:, :, :1]
@@ -208,7 +211,7 @@ def share_of_motion(
     gain = none - float(summed_out(costs, axis=0).min())
     if len(shares) == 1:
         known = float(shares[0])
-        return Share(known, 0.0, known, gain, trembling)
+        return Share(known, 0.0, known, gain, trembling, still)
     number = Number.by_costs(shares, costs, axis=1)
     steady = Number.by_costs(shares, costs[:, :, :1], axis=1)
     # Below the smallest share any share may be the whole time.
@@ -222,17 +225,20 @@ def share_of_motion(
         reach = max(float(of.odds @ unattenuated) / reliable for of in (number, steady))
     # The share of the scan is anywhere between both.
     deviation = float(np.hypot(number.deviation, (reach - number.mean) / np.sqrt(3)))
-    return Share(number.mean, deviation, reach, gain, trembling)
+    return Share(number.mean, deviation, reach, gain, trembling, still)
 
 
 def _moving_frames(
-    scene: Scene, resting: Readings, readings: Readings, measured: NDArray[np.intp]
+    recording: Recording, readings: Readings, frame_noise: FrameNoise | None
 ) -> "list[_Moving]":
     """Return the frames with the largest motion whose cells are determined well.
 
     The list is empty where a frame has no fit, and on panels of more than MAX_CELLS. The arguments
     are those of `share_of_motion`.
     """
+    scene = recording.scene
+    resting = readings[recording.role == UNLOADED].mean()
+    measured = np.flatnonzero(recording.role == MEASURED)
     inner = measured[1:-1]
     known = readings.sigma is not None and resting.sigma is not None
     if not len(inner) or not known or scene.panel.crossings > MAX_CELLS:
@@ -248,7 +254,8 @@ def _moving_frames(
             return []
         near = fit.cells
         if well_determined((base, fit)):
-            moving.append(_Moving((base, fit), Displacement(*(part[number] for part in moved))))
+            displaced = Displacement(*(part[number] for part in moved))
+            moving.append(_Moving((base, fit), displaced, frame_noise))
     return moving
 
 
@@ -329,16 +336,27 @@ class _Moving:
         Those of the unloaded panel and of the frame.
     displaced : Displacement
         That of the frame, (rows, columns).
+    frame_noise : FrameNoise or None
+        Errors that the readings of a frame share.
     """
 
     fits: tuple[CellsFit, CellsFit]
     displaced: Displacement
+    frame_noise: FrameNoise | None
 
     @cached_property
     def _changes(self) -> Changes:
         """The changes since rest without motion."""
         pair = FittedPair(self.fits)
-        return pair.with_columns(pair.columns(()))
+        changes = pair.with_columns(pair.columns(()))
+        if self.frame_noise is None:
+            return changes
+        by_error = (
+            fit.gain @ self.frame_noise.columns(fit.readings.value[None], baseline=baseline)
+            for fit, baseline in zip(self.fits, (True, False), strict=True)
+        )
+        covariance = sum((part @ part.T for part in by_error), changes.noise)
+        return replace(changes, noise=covariance)
 
     @cached_property
     def _of_readings(self) -> Array:
@@ -516,12 +534,11 @@ class ScanMotion(SceneEffect):
         size = None
         if unloaded.any():
             size = share_of_motion(
-                scene,
-                readings[unloaded].mean(),
+                recording,
                 readings,
-                measured,
                 READING_ERRORS if unknown_errors else (0.0,),
                 SHARES if known is None else np.array([known]),
+                frame_noise=noise.frame,
             )
         if known is not None:
             return interpolated(noise, recording, size or Share(known, 0.0, known))
@@ -543,14 +560,24 @@ class ScanMotion(SceneEffect):
         if readings.sigma is None or not unloaded.any() or not evidence.names_none("motion"):
             return
         named = isinstance(specified(evidence.scene, "systematic.reading_error"), float)
-        compared = (evidence.scene, readings[unloaded].mean(), readings, evidence.measured)
-        share = share_of_motion(*compared, (0.0,), least_gain=MIN_EVIDENCE_GAIN)
+        compared = (evidence.recording, readings)
+        frame = evidence.noise.frame
+        share = share_of_motion(*compared, (0.0,), least_gain=MIN_EVIDENCE_GAIN, frame_noise=frame)
         # Errors of readings explain some of what seems to be motion: they are tried where some is.
         if share is not None and share.gain > MIN_EVIDENCE_GAIN and not named:
-            share = share_of_motion(*compared, READING_ERRORS)
-        if share is not None and share.gain > MIN_EVIDENCE_GAIN:
+            share = share_of_motion(*compared, READING_ERRORS, frame_noise=frame)
+        if share is None or not share.gain > MIN_EVIDENCE_GAIN:
+            return
+        if share.steady < STEADY_ODDS and share.mean < NOISE_REACH * share.deviation:
             yield Unnamed.of(
-                "still cells seem to move with the load; a scan "
-                f"takes {share.mean:.2g} +- {share.deviation:.1g} of the time between frames",
+                "still cells seem to move with the load, which trembles by "
+                f"{100 * share.trembling:.2g} % within a scan",
                 "motion",
             )
+            return
+        yield Unnamed.of(
+            "still cells seem to move with the load; a scan "
+            f"takes {share.mean:.2g} +- {share.deviation:.1g} of the time between frames",
+            "motion",
+            (share.mean, share.deviation),
+        )

@@ -15,6 +15,7 @@ theory only e is estimated.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +66,7 @@ ALIKE = "the load changes all cells alike: press a few cells, and leave the othe
 EVERY_SECOND = np.arange(0, len(READING_ERRORS), 2)
 COARSE = np.append(0, np.arange(1, len(READING_ERRORS), 4))
 COARSE_GAIN = 3.0
+MAX_ADVISED = 0.9  # of the largest tried error
 USUAL_SPREAD = np.ones(1)  # of channels, over itself
 # Of the unloaded readings that are values: with fewer, films look uneven (tests/golden/checks.py).
 MIN_SHARE_READ = 0.9
@@ -158,7 +160,37 @@ def _channel_spread(
     fit: CellsFit | None,
     moves: SharedChanges,
     size: float,
-    factors: Array = CHANNEL_FACTORS,
+) -> Number:
+    """Return the posterior of the spread of the channels over the usual one.
+
+    The arguments are those of `_spread_by` and `_changes_by_spreads`.
+    """
+    changes = _changes_by_spreads(scene, moves, size, CHANNEL_FACTORS)
+    return _spread_by(scene, resting, fit, size, CHANNEL_FACTORS, changes)
+
+
+def _changes_by_spreads(scene: Scene, moves: SharedChanges, size: float, factors: Array) -> Array:
+    """Return −2 ln evidence of spreads of the channels by the changes to a loaded frame, (n,).
+
+    Parameters
+    ----------
+    scene : Scene
+    moves : SharedChanges
+    size : float
+        Standard deviation of each reading's own error.
+    factors : array, shape (n,)
+        Tried spreads over the usual one.
+    """
+    return error_costs(scene, moves, np.array([size]), factors, ASSUMED.slope_cells)[:, 0]
+
+
+def _spread_by(
+    scene: Scene,
+    resting: Readings,
+    fit: CellsFit | None,
+    size: float,
+    factors: Array,
+    changes: Array,
 ) -> Number:
     """Return the posterior of the spread of the channels over the usual one.
 
@@ -172,18 +204,18 @@ def _channel_spread(
         Mean of the unloaded frames, (rows, columns).
     fit : CellsFit or None
         Fit of the unloaded panel.
-    moves : SharedChanges
     size : float
         Standard deviation of each reading's own error.
     factors : array, shape (n,)
         Tried spreads over the usual one. A first 0, no spread, has no prior probability: the gain
         is that over none.
+    changes : array, shape (n,)
+        −2 ln evidence of each by the changes of still cells.
     """
-    error = np.array([size])
     with np.errstate(divide="ignore"):  # ln 0, with the probability 0
         prior = np.exp(-np.square(np.log(factors) / LOG_SD_OF_FACTORS) / 2)
-    unloaded = unloaded_costs(scene, resting, fit, error, factors * CHANNELS.prior)[:, 0]
-    changes = error_costs(scene, moves, error, factors, ASSUMED.slope_cells)[:, 0]
+    spreads = factors * CHANNELS.prior
+    unloaded = unloaded_costs(scene, resting, fit, np.array([size]), spreads)[:, 0]
     return Number.by_costs(factors, unloaded + changes, prior)
 
 
@@ -426,6 +458,7 @@ class StaticErrors(SceneEffect):
             f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, "
             "the same in all frames: cells are rougher than those of films",
             "systematic.reading_error",
+            error,
         )
 
     def _reading_error(
@@ -444,7 +477,9 @@ class StaticErrors(SceneEffect):
         if beside_channels:
             sizes = replace(sizes, channel_spread_ohm=ESTIMATED)
         estimating = replace(scene, systematic=sizes)
-        return significant_reading_error(estimating, *frames, evidence.noise.frame)
+        error = significant_reading_error(estimating, *frames, evidence.noise.frame)
+        # The largest tried error is no finding: it stands for cells that are unlike.
+        return error if error is not None and error[0] < MAX_ADVISED * READING_ERRORS[-1] else None
 
     def _channels(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield advice on channels of the lines that differ.
@@ -463,14 +498,24 @@ class StaticErrors(SceneEffect):
         fit, moves = _fit_and_changes(estimating, *frames, evidence.noise.frame)
         if moves is None:
             return
+        spread_by = partial(_spread_by, estimating, frames[0], fit, 0.0)
         # neighbours of a spread that counts gain a quarter of it, as those of an error do
-        for tried in (CHANNEL_FACTORS[FEW_FACTORS], CHANNEL_FACTORS):
-            spread = _channel_spread(estimating, frames[0], fit, moves, 0.0, np.append(0.0, tried))
-            if spread.gain < COARSE_GAIN:
-                return
+        few = np.append(0.0, CHANNEL_FACTORS[FEW_FACTORS])
+        of_few = _changes_by_spreads(estimating, moves, 0.0, few)
+        if spread_by(few, of_few).gain < COARSE_GAIN:
+            return
+        others = np.setdiff1d(CHANNEL_FACTORS, few)
+        of_others = _changes_by_spreads(estimating, moves, 0.0, others)
+        order = np.argsort(np.append(few, others))
+        changes = np.append(of_few, of_others)[order]
+        spread = spread_by(np.append(0.0, CHANNEL_FACTORS), changes)
         if spread.gain > DOUBTFUL_GAIN and np.argmax(spread.odds) < len(spread.odds) - 1:
             size = CHANNELS.prior * spread.mean
-            yield Unnamed.of(f"channels of the lines seem to differ by {size:.1g} ohm", key)
+            yield Unnamed.of(
+                f"channels of the lines seem to differ by {size:.1g} ohm",
+                key,
+                (size, CHANNELS.prior * spread.deviation),
+            )
 
     def _frames(self, evidence: Gathered) -> tuple[Readings, Readings | None] | None:
         """Return the mean of the unloaded frames, and the strongest loaded frame or None.
@@ -511,4 +556,5 @@ class StaticErrors(SceneEffect):
                     error.prior * float(np.sqrt(np.mean(part[1:] ** 2)))
                     for part in (with_error.size, with_error.sd)
                 )
-                yield Unnamed.of(error.sentence(float(np.hypot(size, deviation)), deviation), key)
+                size = float(np.hypot(size, deviation))
+                yield Unnamed.of(error.sentence(size, deviation), key, (size, deviation))
