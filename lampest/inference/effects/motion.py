@@ -192,7 +192,11 @@ def share_of_motion(
         (size, share, trembling)
         for trembling, size, share in product(TREMBLINGS.tolist(), errors_tried, shares.tolist())
     ]
-    compared = _mostly_still(moving, tried)
+    frames = [frame.explained_by(tried) for frame in moving]
+    compared = [frame for frame in frames if frame.is_mostly_still]
+    # A load on most cells, such as a hand, is like one that trembles: it is no reason for advice.
+    if not compared and not least_gain:
+        compared = [frame for frame in frames if frame.trembles]
     if not compared:
         return None
     costs = np.array(
@@ -311,8 +315,9 @@ class _Frame:
     explained : mapping of (float, float, float) to _Explained
         By size of errors, share and trembling.
     is_mostly_still : bool
-        Whether most cells are still under the likeliest of them without trembling, or with it and
-        without a load.
+        Whether most cells are still under the likeliest of them without trembling.
+    trembles : bool
+        Whether they are still and without a load with trembling alone.
     shows_trembling : bool
         Whether most cells are still and without a load. Otherwise trembling explains any motion.
     displacements, errors : float
@@ -321,6 +326,7 @@ class _Frame:
 
     explained: Mapping[Motion, _Explained]
     is_mostly_still: bool
+    trembles: bool
     shows_trembling: bool
     displacements: float
     errors: float
@@ -454,14 +460,16 @@ class _Moving:
 
         steady = [key for key in tried if not key[2]]
         still, free = self._still_and_free(min(steady, key=lambda key: explained[key].cost))
+        trembles = False
         if not still:
             # Where a load trembles, cells stand still under no steady motion.
-            free = self._still_and_free(min(tried, key=lambda key: explained[key].cost))[1]
-            still = free
+            likeliest = min(tried, key=lambda key: explained[key].cost)
+            trembles = free = self._still_and_free(likeliest)[1]
         noise = frame.readings.known_sigma
         return _Frame(
             explained,
             still,
+            trembles,
             free,
             float(np.sum((self.displaced.value / noise) ** 2)),
             float(np.sum((self.displaced.smooth / noise) ** 2)),
