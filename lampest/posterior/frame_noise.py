@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from lampest.files.applications import loaded
-from lampest.panel.effects.sized_effect import OF_FRAMES
+from lampest.panel.effects import OF_FRAMES
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
@@ -78,10 +78,10 @@ class FrameNoise:
         """
         circuit = self.scene.circuit
         volt = circuit.volt_from_recorded(circuit.to_recorded(measured, self.scene))
-        parts = [np.zeros((measured.size, 0))]
+        parts = list[Array]()
         for names, path in OF_FRAMES:
             sizes = [getattr(self, name) for name in names]
-            if not any(np.any(size) for size in sizes if size is not None):
+            if parts and not any(np.any(size) for size in sizes if size is not None):
                 continue
             effect = loaded(path)()
             if effect.in_volt:

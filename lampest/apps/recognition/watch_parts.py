@@ -15,7 +15,7 @@ from lampest.apps.recognition.recognition_scene import RecognitionScene
 from lampest.apps.recognition.verdict import Verdict
 from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH
 from lampest.panel.conditions import motion_patterns, water_pressure
-from lampest.panel.effects.water import Water
+from lampest.panel.effects.water import moved_by_water
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
@@ -137,7 +137,7 @@ class WatchSetup:
         parts: list[Array] = [np.zeros((readings.size, 0))]
         parts += [] if self.common is None else [self.common(readings)]
         if self.motion.size:
-            moved = Water().columns(self.scene.circuit, readings, self.motion)
+            moved = moved_by_water(readings, self.motion)
             parts.append(moved.reshape(len(moved), -1).T)
         return np.hstack(parts)
 

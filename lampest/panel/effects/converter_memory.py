@@ -10,7 +10,7 @@ from lampest.panel.readouts.readout import Readout, in_panel_order, in_scan_orde
 from lampest.panel.sizes import BELOW_ONE
 
 
-class ConverterMemory(SizedEffect):
+class KeptShare(SizedEffect):
     """A share of the voltage of the channel before; readings are freed of it.
 
     What remains is the error of the share, the same in all frames.

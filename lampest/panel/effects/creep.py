@@ -3,7 +3,7 @@
 from lampest.panel.effects.sized_effect import SizedEffect
 
 
-class Creep(SizedEffect):
+class FilmCreep(SizedEffect):
     """A change of all cells since the unloaded frames; the size is that of ln r."""
 
     limits = (-1.0, 1.0)

@@ -16,7 +16,7 @@ TREMBLINGS = np.array([0.0, 0.015, 0.04, 0.1, 0.25])
 TREMBLING_ODDS = np.where(TREMBLINGS > 0, 0.5 / np.count_nonzero(TREMBLINGS), 0.5)
 
 
-class Motion(SizedEffect):
+class LoadMotion(SizedEffect):
     """A displacement of each reading along the load's motion.
 
     The size is the share of the time between frames that a scan takes. Readings are interpolated to

@@ -13,24 +13,6 @@ import numpy as np
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import Readout
 
-ROOM = "lampest.panel.effects"
-# Effects at a converter in the order in which they act: entries of `unmodelled` with the sizes, the
-# first of which is absent or 0 without the effect, and its class.
-AT_CONVERTER = (
-    (("gain_spread",), f"{ROOM}.gain:Gain"),
-    (("supply_ripple_lsb", "supply_ripple_hz"), f"{ROOM}.ripple:Ripple"),
-    (("inl_lsb",), f"{ROOM}.converter_curve:ConverterCurve"),
-    (("saturation",), f"{ROOM}.saturation:Saturation"),
-)
-# Effects that leave errors in a frame: attributes of `FrameNoise` with their sizes, and its class.
-OF_FRAMES = (
-    (("gain",), f"{ROOM}.gain:Gain"),
-    (("common_ripple", "line_ripple"), f"{ROOM}.ripple:Ripple"),
-    (("motion",), f"{ROOM}.water:Water"),
-    (("trembling", "resting"), f"{ROOM}.motion:Motion"),
-    (("memory",), f"{ROOM}.converter_memory:ConverterMemory"),
-)
-
 
 class SizedEffect(ABC):
     """Kind of effect that has a size. Its object has no fields.

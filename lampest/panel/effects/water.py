@@ -10,7 +10,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import Readout
 
 
-class Water(SizedEffect):
+class MovingWater(SizedEffect):
     """A relative change of the readings in the patterns of `motion_patterns`.
 
     No scene names it: the scatter of the unloaded frames tells its sizes.
@@ -20,5 +20,9 @@ class Water(SizedEffect):
 
     def columns(self, circuit: Readout, values: Array, *sizes: Any) -> Array:
         """Return the columns of the patterns."""
-        (motion,) = sizes
-        return np.asarray(motion[:, None, None] * motion_patterns(values.shape) * values)
+        return moved_by_water(values, *sizes)
+
+
+def moved_by_water(measured: Array, motion: Array) -> Array:
+    """Return the changes of readings (rows, columns) by motion of 3 sizes, (3, rows, columns)."""
+    return np.asarray(motion[:, None, None] * motion_patterns(measured.shape) * measured)

@@ -19,11 +19,10 @@ from lampest.files.typed import (
     check_range,
     check_ranges,
 )
-from lampest.panel.effects import shared_effect_of
+from lampest.panel.effects import AT_CONVERTER, shared_effect_of
 from lampest.panel.effects.channels import CHANNELS
 from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.effects.reference import REFERENCE
-from lampest.panel.effects.sized_effect import AT_CONVERTER
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import of_side
