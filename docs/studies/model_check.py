@@ -110,8 +110,12 @@ def loads(random: np.random.Generator, panel: lampest.Panel) -> tuple[lampest.Sh
     return shapes[int(random.integers(len(shapes)))]
 
 
-def sound(seed: int) -> tuple[str, Recording] | None:
-    """Return a fully specified recording, or None if no such panel can be simulated or read."""
+def sound(seed: int, *, drifts: bool = True) -> tuple[str, Recording] | None:
+    """Return a fully specified recording, or None if no such panel can be simulated or read.
+
+    A third of the panels drift by a percent a minute, which the scene does not name; none does
+    without `drifts`.
+    """
     random = np.random.default_rng([seed, 1])
     rows, columns = random.choice(SIDES, 2).tolist()
     panel = lampest.Panel(rows, columns, 10.0)
@@ -121,7 +125,8 @@ def sound(seed: int) -> tuple[str, Recording] | None:
     cells = lampest.Cells(
         float(random.choice([800.0, 3050.0, 30000.0])), float(random.choice([0.1, 0.3, 1.0]))
     )
-    creep = lampest.Unmodelled(drift_per_minute=float(random.choice([0.0, 0.0, 0.01])))
+    drift = float(random.choice([0.0, 0.0, 0.01]))
+    creep = lampest.Unmodelled(drift_per_minute=drift if drifts else 0.0)
     simulation = Simulation(
         1, seed, scene, cells, frames=3, loads=loads(random, panel), unmodelled=creep
     )

@@ -26,8 +26,13 @@ PENALTIES: dict[str, lampest.Term] = {
 }
 
 
-def weak_load(seed: int, depth: float, noise_lsb: float) -> lampest.Recording:
-    """A recording of a load whose strongest cell changes by −depth in log r."""
+def weak_load(
+    seed: int, depth: float, noise_lsb: float, further: tuple[int, int] | None = None
+) -> lampest.Recording:
+    """A recording of a load whose strongest cell changes by −depth in log r.
+
+    The cell `further` of the last frame changes by another 2 %.
+    """
     rng = np.random.default_rng(seed)
     readout = lampest.TwoPointReadout(adc_bits=10, readings=1, noise_lsb=noise_lsb)
     row, column = np.indices((SIDE, SIDE))
@@ -36,6 +41,8 @@ def weak_load(seed: int, depth: float, noise_lsb: float) -> lampest.Recording:
     film = 3000 * np.exp(0.1 * rng.standard_normal((1, SIDE, SIDE)))
     cells = np.repeat(film, FRAMES, axis=0)
     cells[UNLOADED:] *= np.exp(-depth * shape)
+    if further:
+        cells[-1, *further] *= 1.02
     volt = readout.volt_from_recorded(lampest.two_point_resistance(cells) + 140)
     volt = volt + noise_lsb * readout.lsb_volt * rng.standard_normal(volt.shape)
     return lampest.Recording(

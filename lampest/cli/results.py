@@ -214,6 +214,7 @@ def check(
         checked_sentence = applications().required("board", "repair", "--repair")
     damaged = 0
     with screen.progress("files") as on_file:
+        on_file(0, len(files))
         for number, file in enumerate(files, 1):
             try:
                 screen.say(checked_sentence(file))

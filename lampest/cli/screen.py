@@ -225,7 +225,9 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
 
     Yields a function that takes the number of finished parts, their total, a text for the label,
     and the name of a further step with a bar of its own. The first call for a step starts its
-    clock. The clock of a step that is shown earlier starts anew when the step before it ends.
+    clock. The first finished part starts it anew if the call before said that nothing is finished
+    yet, as while a run prepares its recordings, or if another step has not ended. So does the end
+    of another step.
 
     Parameters
     ----------
@@ -255,16 +257,23 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
         tasks = {label: bar.add_task(label, total=None, left=UNKNOWN_TIME)}
         began: dict[str, tuple[float, int]] = {}
         unfinished: dict[str, int] = {}
+        idle: dict[str, bool] = {}  # step of which nothing is finished → whether it has not begun
 
         def show(done: int, total: int | None, text: str | None = None, step: str = label) -> None:
             now = monotonic()
             if step not in tasks:
                 tasks[step] = bar.add_task(step, total=None, left=UNKNOWN_TIME)
+            if step not in began:
+                began[step], idle[step] = (now, done), False
+            elif step in idle and done == began[step][1]:
+                idle[step] = True
+            elif step in idle and (idle.pop(step) or unfinished.keys() - {step}):
+                began[step] = now, done
+            start, before = began[step]
             if done != total:
                 unfinished[step] = done
             elif unfinished.pop(step, None) is not None:
                 began.update({other: (now, count) for other, count in unfinished.items()})
-            start, before = began.setdefault(step, (now, done))
             bar.update(
                 tasks[step],
                 completed=done,

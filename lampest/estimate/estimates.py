@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.terms import term_kind
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.state import Step
+from lampest.estimate.state import Step, held_by_all
 from lampest.files.applications import applications
 from lampest.files.levels import TWO_SIDED
 from lampest.inference.noise import NoiseEstimate
@@ -479,8 +479,15 @@ class Estimates:
     def _smoothed(self) -> str:
         """Share of single cells' changes that chosen penalties leave, in words where it is small.
 
-        The share is the median of `resolution`. Absolute losses hold most cells, and have none.
+        The share is the median of `resolution`. Absolute losses hold most cells; theirs is that of
+        what the readings show of changes, see `Held`.
         """
+        held = held_by_all(self.steps)
+        if held is not None and held.share < MIN_SHOWN:
+            return (
+                "weak loads are held at rest: a change of log r of a single cell below "
+                f"{held.threshold:.2g} does not show; average more readings of every cell"
+            )
         holds = any(term.loss.enters == "dual" for term in self.estimator.terms)
         shares = None if holds or not self.automatic else self.resolution
         known = np.zeros(0) if shares is None else shares[np.isfinite(shares)]

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from operator import attrgetter
 
 import numpy as np
-import scipy
 
 from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import MIN_EVIDENCE_GAIN
@@ -36,6 +35,7 @@ MIN_MEMORY = MEMORIES[0] / 2 * 1.1
 MAX_MEMORY = MEMORIES[-1] * 1.9
 MIN_LINEAR_SHARE = 0.5  # of the gain by a memory that linear theory gives at least
 MEMORY_ACCURACY = 0.03  # of the search about the best one, as a share of it
+GOLDEN = (5**0.5 - 1) / 2  # share of a range that golden sections keep
 SERIES_ACCURACY = 0.05  # of that search, as a share of their distance
 
 
@@ -193,10 +193,18 @@ class _ParameterSearch:
         return explanation.score
 
     def between(self, lower: float, upper: float, accuracy: float) -> None:
-        """Search between two values."""
-        scipy.optimize.minimize_scalar(
-            self.score, bounds=(lower, upper), method="bounded", options={"xatol": accuracy}
-        )
+        """Search between two values by golden sections, until these are nearer than `accuracy`."""
+        values = [upper - GOLDEN * (upper - lower), lower + GOLDEN * (upper - lower)]
+        scores = [self.score(value) for value in values]
+        while upper - lower > 2 * accuracy:
+            if scores[0] < scores[1]:
+                upper = values[1]
+                values = [upper - GOLDEN * (upper - lower), values[0]]
+                scores = [self.score(values[0]), scores[0]]
+            else:
+                lower = values[0]
+                values = [values[1], lower + GOLDEN * (upper - lower)]
+                scores = [scores[1], self.score(values[1])]
 
 
 def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool:

@@ -21,7 +21,7 @@ READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))  # tried sizes e
 # Tried scatters s of unloaded cells, and the logarithms of their prior probabilities. Steps are a
 # tenth, because a hundred cells show their scatter to some percent: where crosstalk is small an
 # error e would fill a gap between two of them.
-SCATTERS = np.geomspace(0.01, 1.0, 48)
+SCATTERS = np.geomspace(0.01, 2.0, 56)
 LOG_PRIOR = -np.square(np.log(SCATTERS / ASSUMED.scatter) / np.log(ASSUMED.scatter_factor)) / 2
 
 

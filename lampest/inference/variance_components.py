@@ -419,8 +419,11 @@ def _patterns(rows: Array, freedom: float, *, separated: bool) -> tuple[float, A
     width = (first + second) * (1 / first + 1 / second) ** (1 / 3)
     unsure = 1 + TWO_SIDED * np.sqrt(2 / (freedom * max(channels - 1, 1)))
     edge = unsure * ((first + second) ** 2 + EDGE_WIDTHS * width) / freedom
-    # Each eigenvalue against the mean of the smaller ones, from the largest down.
-    above = size[1:] > edge * np.cumsum(size)[:-1] / np.arange(1, channels)
+    # Each eigenvalue against the mean of the smaller ones, from the largest down. Of white noise,
+    # k of them hold what the largest one leaves of k + 1.
+    smaller = np.arange(1, channels)
+    left = np.maximum(smaller + 1 - (first + second) ** 2 / freedom, TINY)
+    above = size[1:] > edge * np.cumsum(size)[:-1] / np.minimum(left, smaller)
     enough = separated and freedom >= MIN_SAMPLES_PER_CHANNEL * channels
     strong = int(np.argmin([*above[::-1], False])) if enough else 0
     weak = channels - strong

@@ -566,7 +566,7 @@ def each_of(
     items : sequence
         Its arguments, one each.
     on_done : callable
-        Receives the numbers of finished and of all items.
+        Receives the numbers of finished and of all items, at the beginning and after each.
     executor : Executor or None
         By default processes if there are many items. Serial for items whose classes other processes
         cannot import.
@@ -577,6 +577,7 @@ def each_of(
     executor = executor or (Processes() if len(items) > MIN_TASKS else Serial())
     executor.ready()
     results: dict[int, Any] = {}
+    on_done(0, len(items))
     with closing(executor.results(function, items)) as ends:
         for item, outcome in ends:
             if isinstance(outcome, BaseException) and lost is None:

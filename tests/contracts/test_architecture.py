@@ -60,7 +60,6 @@ DOORS: dict[str, tuple[str, ...]] = {
         "cost.problem",
         "recording.readings",
         "apps.calibration",
-        "inference.rival_parameters",
         "estimate.own_program",
         "formulation",
         "solvers",

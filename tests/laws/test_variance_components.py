@@ -102,3 +102,13 @@ def test_the_size_of_an_effect_scales_and_grows_with_its_squares(freedom: int) -
             assert_allclose(scaled, factor * size, rtol=ROUNDING)
         means.append(size[0])
     assert np.all(np.diff(means) >= -ROUNDING * np.array(means[1:]))
+
+
+def test_noise_of_small_panels_has_no_ripple_of_lines() -> None:
+    """What the largest variance leaves of 4 × 4 cells in three frames is small."""
+    rng = np.random.default_rng(7)
+    loudness = np.ones((4, 4))
+    for _ in range(300):
+        deviation = rng.standard_normal((3, 4, 4))
+        deviation -= deviation.mean(axis=0)
+        assert not scatter(deviation, loudness, 2).line_ripple.size

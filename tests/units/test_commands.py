@@ -35,6 +35,9 @@ from lampest import (
 from lampest.apps.board.record import Progress, Recorded
 from lampest.apps.live.engine import Engine
 from lampest.apps.live.run import from_recording
+from lampest.apps.recognition.commands import _with_checks
+from lampest.apps.recognition.detect.answer import Detected
+from lampest.apps.recognition.detect.detection import Unchecked
 from lampest.apps.studies.study import Row, Study
 from lampest.cli import screen
 from lampest.cli.program import app
@@ -260,33 +263,73 @@ def test_progress_on_a_terminal_shows_the_count_and_the_remaining_time(
 def test_the_remaining_time_follows_from_what_is_left(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of a run with 4 frames of 10 done before; its two checks begin after the frames."""
+    """Of a run with 4 frames of 10 done before; its two checks begin after the frames.
+
+    The time until the first frame, in which recordings are prepared, is none of frames.
+    """
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "100")
-    calls = {  # clock in s, step, done, total → remaining time of both steps
+    alone = {  # clock in s, step, done, total → remaining time of both steps
         (0, "checks", 0, 2): ("-:--:--", "-:--:--"),
         (0, "frames", 4, 10): ("-:--:--", "-:--:--"),
         (60, "frames", 4, 10): ("-:--:--", "-:--:--"),
-        (90, "frames", 6, 10): ("0:03:00", "-:--:--"),  # 2 frames in 90 s, 4 are left
-        (150, "frames", 9, 10): ("0:00:30", "-:--:--"),
+        (90, "frames", 6, 10): ("-:--:--", "-:--:--"),
+        (120, "frames", 6, 10): ("-:--:--", "-:--:--"),
+        (150, "frames", 8, 10): ("0:01:00", "-:--:--"),  # 2 frames in 60 s, 2 are left
+        (180, "frames", 9, 10): ("0:00:30", "-:--:--"),
         (200, "frames", 10, 10): ("0:00:00", "-:--:--"),
         (201, "frames", 10, 10): ("0:00:00", "-:--:--"),
         (225, "checks", 1, 2): ("0:00:00", "0:00:25"),
         (230, "checks", 2, 2): ("0:00:00", "0:00:00"),
     }
-    for number, expected in enumerate(calls.values(), 1):
-        with screen.progress("frames", counted=True) as show:
-            for clock, step, done, total in list(calls)[:number]:
-                monkeypatch.setattr(screen, "monotonic", lambda clock=clock: float(clock))
-                show(done, total, step=step)
-        drawn = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
-        last = {line.split()[0]: line for line in drawn.replace("\r", "\n").split("\n") if line}
-        remaining = tuple(
-            re.findall(r"(\S+) left", last[step])[-1] if step in last else "-:--:--"
-            for step in ("frames", "checks")
-        )
-        assert remaining == expected
+    in_two_processes = {  # one checks while the other solves the last frames
+        (0, "checks", 0, 4): ("-:--:--", "-:--:--"),
+        (0, "frames", 0, 10): ("-:--:--", "-:--:--"),
+        (1, "frames", 0, 10): ("-:--:--", "-:--:--"),
+        (20, "frames", 1, 10): ("-:--:--", "-:--:--"),
+        (100, "frames", 9, 10): ("0:00:10", "-:--:--"),
+        (120, "checks", 1, 4): ("0:00:10", "-:--:--"),  # 120 s were those of frames
+        (130, "checks", 2, 4): ("0:00:10", "0:00:20"),
+        (150, "frames", 10, 10): ("0:00:00", "0:00:20"),
+        (155, "checks", 3, 4): ("0:00:00", "0:00:05"),
+    }
+    one_by_one = {  # a picture, a recording: the clock runs from the beginning
+        (0, "frames", 0, 3): ("-:--:--", "-:--:--"),
+        (30, "frames", 1, 3): ("0:01:00", "-:--:--"),
+    }
+    for calls in (alone, in_two_processes, one_by_one):
+        for number, expected in enumerate(calls.values(), 1):
+            with screen.progress("frames", counted=True) as show:
+                for clock, step, done, total in list(calls)[:number]:
+                    monkeypatch.setattr(screen, "monotonic", lambda clock=clock: float(clock))
+                    show(done, total, step=step)
+            drawn = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
+            last = {line.split()[0]: line for line in drawn.replace("\r", "\n").split("\n") if line}
+            remaining = tuple(
+                re.findall(r"(\S+) left", last[step])[-1] if step in last else "-:--:--"
+                for step in ("frames", "checks")
+            )
+            assert remaining == expected
+
+
+def test_detect_counts_the_checks_that_are_left_to_make(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither results nor a recording without its check, or with a kept one, have any to make."""
+    calls = list[Any]()
+
+    def shown(label: str) -> Any:
+        calls.append(label)
+        return nullcontext(lambda done, total: calls.append((done, total)))
+
+    monkeypatch.setattr(screen, "progress", shown)
+    answer = Detected("mine", "nothing", 1.0)
+    ready = Unchecked.never(answer)
+    waiting = Unchecked(answer, lambda: ("doubtful",), waits=True)
+    checked = _with_checks([answer] * 3, [waiting, ready, waiting])
+    assert [each.warnings for each in checked] == [("doubtful",), (), ("doubtful",)]
+    assert calls == ["checks", (0, 2), (1, 2), (1, 2), (2, 2)]
+    calls.clear()
+    assert len(_with_checks([answer], [ready])) == 1 and calls == []
 
 
 def test_exhausted_memory_gives_one_sentence(

@@ -58,6 +58,13 @@ def test_a_run_makes_the_objects_of_the_page_in_its_order(tmp_path: Path) -> Non
     assert [name for name in made if name in expected] == expected
 
 
+CHECKED = """
+import sys, lampest
+from lampest.inference.prepared import Prepared
+check = Prepared(lampest.Recording.load(sys.argv[1])).check
+assert check.mark == "yes", check.sentence
+print("scipy.optimize" in sys.modules)
+"""
 LOADED = """
 import sys, lampest
 recording = lampest.Recording.load(sys.argv[1])
@@ -69,6 +76,17 @@ print(*[name for name in sys.modules if name.startswith("lampest.")])
 MAX_LOADED = 90  # modules of a first reconstruction, without the effects that its scene names
 NAMED = ("channels", "reference")  # effects of the scene of ring.h5
 MAX_PASSED = 40  # files whose functions a frame calls
+
+
+def test_a_check_that_searches_for_a_resistance_loads_no_library_of_optimisation() -> None:
+    """Loading it took an eighth of the command."""
+    completed = subprocess.run(
+        [sys.executable, "-c", CHECKED, str(ROOT / "data" / "cup_air_10kpa.h5")],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert completed.stdout.strip() == "False"
 
 
 def test_a_first_reconstruction_loads_no_application_and_no_room_above() -> None:

@@ -1,6 +1,7 @@
 """The command `detect`."""
 
 import json
+from contextlib import nullcontext
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -106,10 +107,12 @@ def detect(
 def _with_checks(answers: "Sequence[Detected]", pending: "Sequence[Unchecked]") -> "list[Detected]":
     """Check the circuits of the answers' recordings, and return the answers with warnings."""
     checked = []
-    with screen.progress("checks") as on_check:
-        for answer, unchecked in zip(answers, pending, strict=True):
+    count = sum(unchecked.waits for unchecked in pending)
+    with screen.progress("checks") if count else nullcontext(lambda done, total: None) as on_check:
+        on_check(0, count)
+        for number, (answer, unchecked) in enumerate(zip(answers, pending, strict=True), 1):
             checked.append(replace(answer, warnings=unchecked.checked().warnings))
-            on_check(len(checked), len(pending))
+            on_check(sum(earlier.waits for earlier in pending[:number]), count)
     return checked
 
 

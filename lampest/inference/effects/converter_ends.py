@@ -34,6 +34,7 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 # In widths within which voltages count as equal: least range of the channels; within a smaller one
 # all are alike.
 MIN_EXTENT = 10.0
+MIN_CROWD = 2.0  # channels within the width at a limit, over those within the next one
 COMPARED_FRAMES = 8  # frames, about, in which the voltages of lines are compared
 ZERO = "readout.converter.zero_volt"
 PASSES = "readout.passes_volt"
@@ -90,7 +91,7 @@ def saturated(recording: Recording) -> Saturated | None:
 
     The result is None where there is none, or where the scene states one. Channels that moved under
     load are tested by their largest or smallest voltage over the measured frames, all channels by
-    their unloaded voltage.
+    their unloaded voltage. A limit within noise of the converter's own end is that end.
     """
     scene = recording.scene
     unloaded = recording.role == UNLOADED
@@ -118,6 +119,9 @@ def saturated(recording: Recording) -> Saturated | None:
                 end = float(np.nanmax(channels, initial=-np.inf))
                 near_end = np.broadcast_to(at_end, volt.shape) & (end - volt <= 2 * width)
                 level = float(np.median(volt[near_end]))
+                rail = max(sign * limit for limit in readout.range_volt)
+                if rail - level < float(np.mean(width)):
+                    continue
                 at_rest = int((np.abs(resting - level) <= width).sum())
                 return Saturated(sign * level, int((at_end & moved).sum()), at_rest, sign > 0)
     return None
@@ -142,13 +146,16 @@ def _channels_at_end(
     below = np.where(counted, end - volt, np.inf)
     at_end = below <= width
     lines = min(int(at_end.any(axis=axis).sum()) for axis in (0, 1))
-    near_end = int((below <= MIN_EXTENT * width).sum())
+    count, with_next, near_end = (
+        int((below <= reach * width).sum()) for reach in (1.0, 2.0, MIN_EXTENT)
+    )
     # Binomial test: if the other channels within MIN_EXTENT were evenly spread, each would lie
     # within the first width with probability 1/MIN_EXTENT.
-    chance = binomial_tail(int(at_end.sum()) - 1, near_end - 1, 1 / MIN_EXTENT)
-    if extent > MIN_EXTENT * float(np.mean(width)) and lines > 1 and chance < SIGNIFICANCE:
-        return at_end
-    return None
+    chance = binomial_tail(count - 1, near_end - 1, 1 / MIN_EXTENT)
+    # Small readings of dissimilar cells crowd near zero without a limit: in the next width, too.
+    crowded = count >= MIN_CROWD * (with_next - count)
+    wide = extent > MIN_EXTENT * float(np.mean(width))
+    return at_end if wide and crowded and lines > 1 and chance < SIGNIFICANCE else None
 
 
 def with_saturated_stage(recording: Recording) -> Recording:

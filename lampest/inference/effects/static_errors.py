@@ -66,6 +66,7 @@ ALIKE = "the load changes all cells alike: press a few cells, and leave the othe
 EVERY_SECOND = np.arange(0, len(READING_ERRORS), 2)
 COARSE = np.append(0, np.arange(1, len(READING_ERRORS), 4))
 COARSE_GAIN = 3.0
+MAX_ADVISED = 0.9  # of the largest tried error
 USUAL_SPREAD = np.ones(1)  # of channels, over itself
 # Of the unloaded readings that are values: with fewer, films look uneven (tests/golden/checks.py).
 MIN_SHARE_READ = 0.9
@@ -476,7 +477,9 @@ class StaticErrors(SceneEffect):
         if beside_channels:
             sizes = replace(sizes, channel_spread_ohm=ESTIMATED)
         estimating = replace(scene, systematic=sizes)
-        return significant_reading_error(estimating, *frames, evidence.noise.frame)
+        error = significant_reading_error(estimating, *frames, evidence.noise.frame)
+        # The largest tried error is no finding: it stands for cells that are unlike.
+        return error if error is not None and error[0] < MAX_ADVISED * READING_ERRORS[-1] else None
 
     def _channels(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield advice on channels of the lines that differ.

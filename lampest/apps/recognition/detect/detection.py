@@ -290,15 +290,18 @@ class Unchecked:
         With the warnings that need no check.
     warnings : callable
         Checks the circuit and returns all warnings.
+    waits : bool
+        Whether a check is to be made: not of results, without one, or with one that a run has kept.
     """
 
     answer: Detected
     warnings: Callable[[], Sequence[str]]
+    waits: bool
 
     @classmethod
     def never(cls, answer: Detected) -> "Unchecked":
         """Return an answer that keeps its warnings, as those of results do."""
-        return cls(answer, lambda: answer.warnings)
+        return cls(answer, lambda: answer.warnings, waits=False)
 
     def checked(self) -> Detected:
         """Return the answer with the warnings of the check."""
@@ -388,7 +391,7 @@ def answer_recording(
             return (*without, NOT_CHECKED)
         return (*seen, *warnings_of(head.recording, recognition_noise(head), head.check))
 
-    return Unchecked(_with_warnings(answer, without), doubts)
+    return Unchecked(_with_warnings(answer, without), doubts, waits=check and kept is None)
 
 
 def _with_warnings(answer: Detected, warnings: Sequence[str]) -> Detected:
