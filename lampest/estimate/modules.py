@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lampest.estimate.batch import push_streams, solve_baselines
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.state import Step
+from lampest.estimate.state import Step, held_by_all
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
@@ -427,7 +427,7 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
             float(np.mean(weights))
             for weights in zip(*(step.weights for step in counted), strict=True)
         ),
-        None if frame is None else Bars(frame, change, reading),
+        None if frame is None else Bars(frame, change, reading, held_by_all(present)),
         sum(step.bars_seconds for step in present),
         sentence=_sentence(layout, steps, status),
         weight_sigma=counted[0].weight_sigma,

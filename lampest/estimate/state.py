@@ -1,5 +1,6 @@
 """State of a sequence between frames, and the solve of a frame."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from lampest.estimate.witness import Verification
     from lampest.inference.alike import PanelChoice
     from lampest.posterior.frame_noise import FrameNoise
+    from lampest.posterior.sparse_prior import Held
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +104,12 @@ class Step:
         if not self.solution.optimum or at is None or dual is None:
             return None
         return LinearModel(at, dual, weight_sigma=self.weight_sigma)
+
+
+def held_by_all(steps: Sequence[Step]) -> "Held | None":
+    """Return what absolute losses hold in all of these steps; None where none is known."""
+    held = [step.bars.held for step in steps if step.bars is not None and step.bars.held]
+    return held[0].together(held) if held else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -223,8 +223,6 @@ class Stream(SequenceState):
             self.scene
         ):
             return self, self.unsolved(Status.UNRESTED)
-        if self.estimator.relative and not self.estimator.joint_start and not self.rested:
-            return self, self.unsolved(Status.UNSOLVED_REST)
         if self.chooses_weights and not self.choosing(readings):
             stream, step = method.push(replace(self, estimator=self.weighted), readings)
             return replace(stream, estimator=self.estimator), self._as_compared(step)

@@ -21,6 +21,7 @@ Brown, Bayesian Analysis 5, 2010 (the prior); Daniels, Canadian J. Statistics 27
 shrinkage).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,7 +30,7 @@ from scipy.special import gammainc
 
 from lampest.panel.panel import Array
 from lampest.posterior.covariance import DenseErrors
-from lampest.posterior.linear import Sites, positive_inverse
+from lampest.posterior.linear import LinearModel, Sites, positive_inverse
 
 SHAPES = 0.5 ** np.arange(6)  # κ, each half of the one before
 SCALES = 30  # of V, in equal steps of ln V
@@ -107,6 +108,65 @@ class SparsePrior:
         whole = np.sum(density * means, axis=1)
         spread = variance[:, None] * self.variances / total + (means - whole[:, None]) ** 2
         return whole, np.sum(density * spread, axis=1)
+
+
+@dataclass(frozen=True)
+class Held:
+    """What absolute losses with chosen weights hold of changes.
+
+    With all other residuals as they are, the readings have a residual at x̂ + d, where d is the pull
+    λ z/2 of the loss over their curvature, z the dual. A cell whose pulls are all together stronger
+    than its change stays at rest: below t = Σ λ |∂x/∂u|/2 over the curvature.
+
+    Attributes
+    ----------
+    threshold : float
+        Median of t over the cells, of log r.
+    estimated, seen : float
+        Sums of x̂ (x̂ + d) and of (x̂ + d)², weighed by the curvature of the readings.
+    """
+
+    threshold: float
+    estimated: float
+    seen: float
+
+    @classmethod
+    def by(cls, model: LinearModel, sensitivity: Array) -> "Held":
+        """Return what is held in the last frame of a model.
+
+        Parameters
+        ----------
+        model : LinearModel
+        sensitivity : array, shape (data rows, frames · cells)
+            ∂x/∂u of the data.
+        """
+        chosen = model.chosen_absolute & ~model.unread_rows
+        last = slice(-model.at.cell_resistance[-1].size, None)
+        rows = sparse.csr_array(abs(model.penalty_jacobian))[chosen][:, last]
+        curvature = np.sum(model.data_curvature[:, None] * sensitivity[:, last] ** 2, axis=0)
+        pulls = rows.T @ model.at.weights[model.penalty_term[chosen]] / 2
+        read = (pulls > 0) & (curvature > 0)
+        threshold = np.median(pulls[read] / curvature[read]) if read.any() else 0.0
+        # Curvature of the data along one cell of a residual: the mean over its cells
+        along = (rows > 0) @ curvature
+        known = along > 0
+        residual = (model.penalty[chosen] / rows.max(axis=1).toarray().ravel())[known]
+        pull = (model.half_slopes[chosen] * rows.sum(axis=1))[known] / along[known]
+        seen = residual + pull
+        weighed = along[known] * seen
+        return cls(float(threshold), float(residual @ weighed), float(seen @ weighed))
+
+    @classmethod
+    def together(cls, parts: Sequence["Held"]) -> "Held":
+        """Return the same of several frames or modules."""
+        threshold = float(np.median([part.threshold for part in parts]))
+        sums = np.sum([(part.estimated, part.seen) for part in parts], axis=0)
+        return cls(threshold, *map(float, sums))
+
+    @property
+    def share(self) -> float:
+        """Share of changes that is estimated; 1 where nothing changes."""
+        return self.estimated / self.seen if self.seen > 0 else 1.0
 
 
 def with_sites(errors: DenseErrors) -> DenseErrors:

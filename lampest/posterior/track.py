@@ -28,6 +28,7 @@ from lampest.recording.readings import Readings, stand_in_spread
 
 if TYPE_CHECKING:
     from lampest.posterior.frame_noise import FrameNoise
+    from lampest.posterior.sparse_prior import Held
 
 # Least noise relative to the deviation that includes own errors: rounding of the difference.
 MIN_NOISE_SHARE = 1e-4
@@ -54,11 +55,14 @@ class Bars:
         Certainty of the change from the baseline; None if that of the baseline is not known.
     reading : array or None
         Standard deviation of the modelled readings, without noise; None if not computed.
+    held : Held or None
+        What absolute losses with chosen weights hold of changes; None without, or on large panels.
     """
 
     frame: Certainty
     change: Certainty | None
     reading: Array | None = None
+    held: "Held | None" = None
 
     def reaching_farther(self, below: Array, above: Array) -> "Bars":
         """Return bars with extended intervals; see `Certainty.reaching_farther`."""
@@ -157,7 +161,12 @@ class Track:
             memory=memory,
             answers=np.stack([answer, resting]),
         )
-        return track, Bars(frame, change, errors.reading_deviation()[-1])
+        held = None
+        if errors.exact and model.chosen_absolute.any():
+            from lampest.posterior.sparse_prior import Held
+
+            held = Held.by(errors.model, errors.sensitivity)
+        return track, Bars(frame, change, errors.reading_deviation()[-1], held)
 
     def _errors(self, model: LinearModel, *, baseline: bool) -> DenseErrors:
         """Return the errors of an estimate, with V and with each reading's own systematic error.

@@ -68,9 +68,6 @@ class Status(Enum):
     UNRESTED = (
         "too few of the unloaded panel's readings are values, and the method compares with them"
     )
-    UNSOLVED_REST = (
-        "the solve of the unloaded panel ended without an optimum, and the method compares with it"
-    )
     BROKEN_OFF = "the run was broken off before this frame"
     ROUNDED = (
         "not converged: "
@@ -107,8 +104,6 @@ ADVICE = {
     Status.WORSE: "Take `formulation: reduced`; if that ends so too, report the frame.",
     Status.UNREAD: "Measure the frame again; `lampest info` counts what is missing.",
     Status.UNRESTED: "Choose other unloaded frames with `lampest tare`.",
-    Status.UNSOLVED_REST: "Take `formulation: reduced`; "
-    "if that ends so too, look at the status of the baseline.",
     Status.BROKEN_OFF: "Run the same command again: it solves unfinished cases anew.",
     Status.ROUNDED: "Lower the weight of the heaviest term.",
     Status.STALLED: "Raise the weight of a penalty, or the corner of its loss; "

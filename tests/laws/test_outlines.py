@@ -195,6 +195,7 @@ def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
     )
 
 
+@pytest.mark.long
 @promise("howto/outlines: They are not estimated, and their resistance in results is NaN.")
 @pytest.mark.parametrize("outline", ["glove", "ring"])
 def test_results_and_pictures_have_the_outline_of_the_panel(outline: str, tmp_path: Path) -> None:

@@ -16,9 +16,7 @@ from lampest import Array, Readings, Readout, Term
 from lampest.apps.studies.bench import BenchFile
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.estimate.methods.method import Method
 from lampest.estimate.sequence import first_stream
-from lampest.estimate.state import Step
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.trust_region import backtracked
@@ -185,31 +183,3 @@ def test_a_step_is_halved_until_a_trial_is_accepted() -> None:
 
     assert backtracked(accepted, 8) == 0.25 and tried == [1.0, 0.5, 0.25]
     assert backtracked(accepted, 2) is None
-
-
-@pytest.mark.parametrize(
-    ("terms", "status"),
-    [
-        ([lampest.Misfit()], Status.OPTIMUM),
-        ([lampest.Misfit(), lampest.RelativeChange(weight=1.0)], Status.UNSOLVED_REST),
-    ],
-)
-def test_frames_are_not_compared_with_an_unloaded_panel_that_is_no_optimum(
-    terms: list[Term], status: Status, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    solves = list[Step]()
-    solve = Method.solve
-
-    def unverified(self: Method, *given: Any) -> Step:
-        step = solve(self, *given)
-        solves.append(step)
-        if len(solves) > 1:
-            return step
-        return replace(step, solution=replace(step.solution, status=Status.UNVERIFIED))
-
-    monkeypatch.setattr(Method, "solve", unverified)
-    scene = lampest.Scene(lampest.Panel(3, 3), lampest.TwoPointReadout(), 140.0)
-    recording = lampest.simulate(lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2))
-    estimates = lampest.reconstruct(recording, terms)
-    assert {step.solution.status for step in estimates.steps} == {status}
-    assert np.isfinite(estimates.cell_resistance).all() == (status is Status.OPTIMUM)
