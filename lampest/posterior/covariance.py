@@ -122,8 +122,9 @@ class DenseErrors:
         """Sensitivity ∂x/∂u of the data over all cells, (data rows, frames · cells)."""
         return np.asarray(self.model.through @ self._readings_by_cells)
 
-    @property
+    @cached_property
     def _readings_by_cells(self) -> Array:
+        """F, the sensitivity ∂f/∂u of the readings over all cells, (readings, cells)."""
         return block_diagonal([network.sensitivity() for network in self.model.at.networks])
 
     @cached_property
@@ -157,9 +158,15 @@ class DenseErrors:
         return with_entries(rows, rows.data * np.sqrt(self.model.penalty_curvature)[rows.indices])
 
     @cached_property
+    def _free_rows(self) -> sparse.csc_array:
+        """√Ω Z over the free cells, (penalty rows, free) sparse."""
+        free = self.model.free
+        return self._rows if len(free) == self._rows.shape[1] else self._rows[:, free]
+
+    @cached_property
     def _penalties(self) -> Array:
         """√Ω Z over the free cells, (penalty rows, free)."""
-        return np.asarray(self._rows[:, self.model.free].toarray())
+        return np.asarray(self._free_rows.toarray())
 
     @cached_property
     def inverse(self) -> Array:
@@ -168,19 +175,25 @@ class DenseErrors:
         if not len(self.model.free):
             return np.zeros((0, 0))
         matrix = blas.dsyrk(1.0, (self.jacobian * np.sqrt(self.model.data_curvature)[:, None]).T)
-        matrix += self._rows[:, self.model.free].T @ self._penalties
+        matrix += (self._free_rows.T @ self._free_rows).toarray()
         matrix[np.diag_indices(len(matrix))] += self.model.ignorance * self.model.scale
         return positive_inverse(matrix)
 
     @cached_property
+    def _by_readings(self) -> Array:
+        """F A⁻¹, (readings, free)."""
+        return np.asarray(self._readings_by_cells[:, self.model.free] @ self.inverse)
+
+    @cached_property
     def _gain(self) -> Array:
         """Gain K = A⁻¹ Jᵀ Ω, (free, data rows)."""
-        return self.inverse @ (self.jacobian.T * self.model.data_curvature)
+        rows = self.model.through @ self._by_readings
+        return np.asarray((rows * self.model.data_curvature[:, None]).T)
 
     @cached_property
     def _pulls(self) -> Array:
         """A⁻¹ Zᵀ √Ω, (free, penalty rows)."""
-        return np.asarray((self._rows[:, self.model.free] @ self.inverse).T)
+        return np.asarray((self._free_rows @ self.inverse).T)
 
     def determined(self, term: int) -> float:
         """Return the number of residuals of a term (number) that the data determine.
@@ -189,13 +202,16 @@ class DenseErrors:
         tr(B⁺ B_t) is the rank of B_t.
         """
         of_term = self.model.penalty_term == term
-        rows = self._penalties
         # tr(A⁻¹ B_t) = Σ over the rows of term t of diag(√Ω Z A⁻¹ Zᵀ √Ω)
-        used = float(np.sum(rows[of_term] * self._pulls.T[of_term]))
+        entries = self._free_rows.tocoo()
+        chosen = of_term[entries.row]
+        pulls = self._pulls[entries.col[chosen], entries.row[chosen]]
+        used = float(entries.data[chosen] @ pulls)
         if of_term.all():
             return min(rank(self.model.at.cost.unweighted), len(self.inverse)) - used
         # tr(B⁺ B_t) in the same way
-        return float(np.sum((rows[of_term] @ self._penalties_inverse) * rows[of_term])) - used
+        rows = self._penalties[of_term]
+        return float(np.sum((rows @ self._penalties_inverse) * rows)) - used
 
     @cached_property
     def _penalties_inverse(self) -> Array:
@@ -217,24 +233,26 @@ class DenseErrors:
 
     @cached_property
     def _own(self) -> list[tuple[Array, Array]]:
-        """Pairs (X, Y), (free, n) each, with S = Σ X Yᵀ without the errors of previous frames."""
+        """Pairs (X, d), (free, n) and (n,), with S = Σ X diag(d) Xᵀ without earlier frames."""
         model = self.model
-        parts: list[tuple[Array, Array | float]] = [
+        parts = [
             (self._gain, model.noise**2),
             (self.inverse, model.scale**2 * model.ignorance),
         ]
         if len(model.penalty_term):
+            pulled = np.asarray((model.pulls[model.free].T @ self.inverse).T)
             parts += [
                 (self._pulls, model.scale * self.widening),
-                ((model.pulls[model.free].T @ self.inverse).T, 1.0),
+                (pulled, np.ones(pulled.shape[1])),
             ]
         if self.drawn is not None:
-            parts.append((self._gain @ self.drawn, 1.0))
-        return [(rows * size, rows) for rows, size in parts]
+            shared = self._gain @ self.drawn
+            parts.append((shared, np.ones(shared.shape[1])))
+        return parts
 
     @cached_property
     def _inherited(self) -> list[tuple[Array, Array]]:
-        """The same of (A⁻¹ M) S₀ (A⁻¹ M)ᵀ, block by block of S₀."""
+        """Pairs (X, Y), (free, n) each, with (A⁻¹ M) S₀ (A⁻¹ M)ᵀ = Σ X Yᵀ, by blocks of S₀."""
         if self.before is None:
             return []
         pairs = product(self._carried, repeat=2)
@@ -244,17 +262,16 @@ class DenseErrors:
     @cached_property
     def variance(self) -> Array:
         """Diagonal of S, (free,)."""
-        return np.asarray(
-            sum(np.sum(left * right, axis=1) for left, right in self._own + self._inherited)
-        )
+        own = sum(np.square(rows) @ size for rows, size in self._own)
+        return np.asarray(own + sum(np.sum(x * y, axis=1) for x, y in self._inherited))
 
     @cached_property
     def covariance(self) -> Array:
         """S over all cells, (frames · cells, frames · cells); zero for cells that are not free."""
         matrix = np.zeros((self.model.at.cell_resistance.size,) * 2)
-        matrix[np.ix_(self.model.free, self.model.free)] = sum(
-            x @ y.T for x, y in self._own + self._inherited
-        )
+        own = sum((rows * size) @ rows.T for rows, size in self._own)
+        inherited = sum(x @ y.T for x, y in self._inherited)
+        matrix[np.ix_(self.model.free, self.model.free)] = own + inherited
         return matrix
 
     def memory(self) -> Memory:
@@ -332,11 +349,11 @@ class DenseErrors:
         """
         model = self.model
         slopes = self._readings_by_cells[:, model.free]
-        variance = model.scale * np.sum((slopes @ self.inverse) * slopes, axis=1)
+        variance = model.scale * np.sum(self._by_readings * slopes, axis=1)
         if model.at.data.partial:
             missing = np.flatnonzero(np.ravel(model.at.data.given.seen) == 0)
             variance[missing] = sum(
-                np.sum((slopes[missing] @ x) * (slopes[missing] @ y), axis=1) for x, y in self._own
+                np.square(slopes[missing] @ rows) @ size for rows, size in self._own
             )
         return np.asarray(
             np.sqrt(np.maximum(variance, 0.0)).reshape(model.at.cell_resistance.shape)

@@ -39,6 +39,7 @@ from lampest.inference.number import Number, summed_out
 from lampest.inference.pair import FittedPair
 from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.effects import estimated_errors, own_errors
+from lampest.panel.effects.motion import SHARES, TREMBLING_ODDS, TREMBLINGS, LoadMotion
 from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_panel_order
@@ -50,13 +51,8 @@ from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MAX_NEIGHBOURS, MEASURED, UNLOADED, Recording
 
-SHARES = np.linspace(0, 1, 6)  # of the time between frames that a scan takes
 # Sizes of each reading's own error that are tried beside a share, all equally probable.
 READING_ERRORS = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
-# Sizes of the trembling of a load within a scan that are tried beside them, and their prior
-# probabilities: no trembling is as probable as all others together.
-TREMBLINGS = np.array([0.0, 0.015, 0.04, 0.1, 0.25])
-TREMBLING_ODDS = np.where(TREMBLINGS > 0, 0.5 / np.count_nonzero(TREMBLINGS), 0.5)
 # Of a gain of interest: what a motion has alone where only both a share and a trembling reach it.
 PROMISING = 0.25
 # Probability of a steady load below which trembling is shown: that of NOISE_REACH in a normal
@@ -577,15 +573,7 @@ class ScanMotion(SceneEffect):
         if share is None or not share.gain > MIN_EVIDENCE_GAIN:
             return
         if share.steady < STEADY_ODDS and share.mean < NOISE_REACH * share.deviation:
-            yield Unnamed.of(
-                "still cells seem to move with the load, which trembles by "
-                f"{100 * share.trembling:.2g} % within a scan",
-                "motion",
-            )
+            yield Unnamed.of(LoadMotion().trembling_sentence(share.trembling), "motion")
             return
-        yield Unnamed.of(
-            "still cells seem to move with the load; a scan "
-            f"takes {share.mean:.2g} +- {share.deviation:.1g} of the time between frames",
-            "motion",
-            (share.mean, share.deviation),
-        )
+        number = share.mean, share.deviation
+        yield Unnamed.of(LoadMotion().sentence(*number), "motion", number)
