@@ -454,10 +454,7 @@ class Estimates:
 
     @property
     def _overruled(self) -> str:
-        """Misfit in words where penalties with chosen weights make it large against the noise.
-
-        Else it is ''.
-        """
+        """Misfit in words where chosen weights make it large against the noise, else ''."""
         chi_square = self.misfit.get("chi_square", np.zeros(0)) if self.automatic else np.zeros(0)
         solved = np.isfinite(chi_square)
         if self.sigma is None or not solved.any():
@@ -479,14 +476,14 @@ class Estimates:
     def _smoothed(self) -> str:
         """Share of single cells' changes that chosen penalties leave, in words where it is small.
 
-        The share is the median of `resolution`. Absolute losses hold most cells; theirs is that of
-        what the readings show of changes, see `Held`.
+        The share is the median of `resolution`; under absolute losses that of `Held`.
         """
         held = held_by_all(self.steps)
+        advice = "average more readings of every cell"
         if held is not None and held.share < MIN_SHOWN:
             return (
                 "weak loads are held at rest: a change of log r of a single cell below "
-                f"{held.threshold:.2g} does not show; average more readings of every cell"
+                f"{held.threshold:.2g} does not show; {advice}"
             )
         holds = any(term.loss.enters == "dual" for term in self.estimator.terms)
         shares = None if holds or not self.automatic else self.resolution
@@ -496,8 +493,7 @@ class Estimates:
             return ""
         return (
             "weak loads are smoothed: a change of log r of a single cell is estimated at "
-            f"{share:.0%} of its size in the median, a wider load at more; "
-            "average more readings of every cell"
+            f"{share:.0%} of its size in the median, a wider load at more; {advice}"
         )
 
     @cached_property
@@ -516,10 +512,7 @@ class Estimates:
 
     @property
     def misfit(self) -> dict[str, Array]:
-        """Misfit of every frame against its noise, see `frame_misfit`.
-
-        The dictionary is empty where the noise is unknown.
-        """
+        """Misfit of every frame, see `frame_misfit`; empty where the noise is unknown."""
         if self.sigma is None:
             return {}
         return frame_misfit(self.reading_model, self.measured, self.sigma, self.resolution)

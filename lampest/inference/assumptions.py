@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from lampest.panel.effects.creep import FilmCreep
+
 
 @dataclass(frozen=True)
 class Assumptions:
@@ -29,9 +31,9 @@ class Assumptions:
         prior of ln s has mean ln scatter and standard deviation ln scatter_factor.
     """
 
-    common_change: float = 0.05
+    common_change: float = FilmCreep.prior
     common_step: float = 0.1
-    creep: float = 3e-3
+    creep: float = FilmCreep.of_cell
     skirt: float = 0.3
     skirt_cells: float = 1.5
     slope_cells: float = 3.0

@@ -96,6 +96,8 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
     mostly_increases = bool(change.max(initial=0.0) > -change.min(initial=0.0))
     # circuits that only exchange the names of lines have the scene's score within rounding
     limit = np.inf if specified is None else specified.score - SAME_SCORE
+    if specified is not None and specified.pair is not None:
+        limit -= specified.pair.gain_of_loads
     rivals = [
         rival
         for rival in (

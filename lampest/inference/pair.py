@@ -231,8 +231,13 @@ class FittedPair:
     @cached_property
     def _score(self) -> float:
         """−2 ln evidence where the moved cells are single ones or loads."""
+        return self.evidence.score - self.gain_of_loads
+
+    @cached_property
+    def gain_of_loads(self) -> float:
+        """Decrease of −2 ln evidence where the moved cells may be loads."""
         changes = self.with_columns(self.columns(()))
-        return self.evidence.score - changes.gain_of_loads(self.evidence.moved, self._place)
+        return changes.gain_of_loads(self.evidence.moved, self._place)
 
     @property
     def _place(self) -> NDArray[np.intp]:
@@ -269,7 +274,7 @@ class FittedPair:
         """
         # p(y) = p(d) |∂d/∂y|: −2 ln p(y) has ln |Jᵀ J| = ln |normal| and ln |Σ| more than the
         # quadratic form of d
-        return self._score - self.frames[1].log_volume + self._volume
+        return self.evidence.score - self.frames[1].log_volume + self._volume
 
     @cached_property
     def _misfit(self) -> tuple[float, int]:

@@ -23,7 +23,7 @@ from lampest.panel.effects import SHARED, estimated_errors, systematic_of
 from lampest.panel.panel import as_panels_have
 from lampest.panel.readouts.converter import MAX_VOLT
 from lampest.panel.scene import Scene, specified
-from lampest.panel.sizes import ESTIMATED, LIMITS, Systematic, within_limits
+from lampest.panel.sizes import ESTIMATED, LIMITS, SIZED, Systematic, within_limits
 from lampest.recording.recording import Recording
 
 if TYPE_CHECKING:
@@ -230,7 +230,7 @@ def _allowed(scene: Scene, key: str, number: float) -> float:
         full_scale = scene.readout.full_scale_volt
         most = min(full_scale / 2, MAX_VOLT - full_scale)
         return min(max(_limited(number), -most), most)
-    is_size = name in LIMITS or key.startswith("systematic.")
+    is_size = name in LIMITS or name in SIZED or key.startswith("systematic.")
     return within_limits(name, number) if is_size else _limited(number)
 
 

@@ -17,6 +17,7 @@ from lampest.inference.compared_frames import ComparedFrames, broken_law
 from lampest.inference.evidence import PARAMETER_COST
 from lampest.inference.explanation import FAR, Explanation, rival_fits
 from lampest.inference.rivals import Rival
+from lampest.panel.effects.converter_memory import KeptShare
 from lampest.panel.panel import Array
 
 # −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
@@ -27,7 +28,7 @@ MAX_SERIES_SHARE = 0.98
 SERIES_POINTS = 5  # resistances in series that are tried, before a search about the best one
 # Fractions of the channel before that a converter may keep.
 MEMORIES = (0.01, 0.02, 0.04, 0.08, 0.16)
-LINEAR_MEMORY = MEMORIES[2]
+LINEAR_MEMORY = KeptShare.prior
 # Fractions nearer to the ends of the searched range, half the smallest and twice the largest of
 # MEMORIES, are no finding.
 MIN_MEMORY = MEMORIES[0] / 2 * 1.1

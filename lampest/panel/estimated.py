@@ -3,14 +3,15 @@
 from collections.abc import Iterable, Mapping
 from math import floor, inf, log10
 
-# Key of a scene, or the end of it → unit; other numbers are relative.
+from lampest.files.applications import loaded
+from lampest.panel.sizes import SIZED
+
+# End of a key of a scene → unit, other numbers are relative; effects of SIZED have their own.
 UNITS = {
     "_lsb": "LSB",
     "_volt": "volt",
-    "ripple": "LSB",
     "_ohm": "ohm",
     "_ohm_per_cell": "ohm a cell",
-    "motion": "of the time between frames",
     "model_error": "times the noise",
     "leaks": "siemens",
     "contacts": "ohm",
@@ -48,6 +49,9 @@ def about_recordings(
 
 def unit_of_key(key: str) -> str:
     """Return the unit of a number by its key; '' for a relative one."""
+    if key in SIZED:
+        effect_unit: str = loaded(SIZED[key]).unit
+        return effect_unit
     return next((unit for end, unit in UNITS.items() if key.endswith(end)), "")
 
 

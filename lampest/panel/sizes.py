@@ -15,14 +15,17 @@ from lampest.files.typed import Extensible, check_range, check_ranges
 ESTIMATED: Final = "estimated"  # in place of a number: the recording determines it
 Size = float | Literal["estimated"]
 BELOW_ONE = nextafter(1.0, 0.0)
-# Key of a size, without its section -> least and largest number that a scene may state. Those of
-# errors that all readings share are in their files, `lampest.panel.effects`.
+# Key of a scene -> effect with its limits, unit and prior.
+SIZED = {
+    "converter_memory": "lampest.panel.effects.converter_memory:KeptShare",
+    "gain": "lampest.panel.effects.gain:Gain",
+    "motion": "lampest.panel.effects.motion:LoadMotion",
+    "creep": "lampest.panel.effects.creep:FilmCreep",
+    "ripple": "lampest.panel.effects.ripple:Ripple",
+}
+# Key of a size of no effect -> least and largest number that a scene may state. Those of errors
+# that all readings share are in their files, too.
 LIMITS = {
-    "converter_memory": (0.0, BELOW_ONE),
-    "gain": (0.0, 1.0),
-    "motion": (0.0, 1.0),
-    "creep": (-1.0, 1.0),
-    "ripple": (0.0, 2.0**32),
     "response_sd": (0.0, 10.0),
     "model_error": (0.0, 1e6),
 }
@@ -114,7 +117,9 @@ def limits_of(name: str) -> tuple[float, float]:
     """
     if name in LIMITS:
         return LIMITS[name]
-    limits: tuple[float, float] = loaded("lampest.panel.effects:shared_effect_of")(name).limits
+    shared = "lampest.panel.effects:shared_effect_of"
+    effect = loaded(SIZED[name]) if name in SIZED else loaded(shared)(name)
+    limits: tuple[float, float] = effect.limits
     return limits
 
 

@@ -1,6 +1,7 @@
 """Random errors that all readings of a frame, or of one of its scanned lines, share, as columns V.
 
 The error of a frame's readings is noise + V·z with standard normal z, independent for each frame.
+Each effect of `OF_FRAMES` has columns of V.
 """
 
 from dataclasses import dataclass, field
@@ -8,16 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import linalg
 
-from lampest.panel.conditions import motion_patterns
+from lampest.files.applications import loaded
+from lampest.panel.effects import OF_FRAMES
 from lampest.panel.panel import Array
-from lampest.panel.readouts.readout import in_panel_order, in_scan_order
 from lampest.panel.scene import Scene
-
-
-def motion_columns(measured: Array, motion: Array) -> Array:
-    """Return the changes of readings (rows, columns) by motion of three sizes, (cells, 3)."""
-    moved = motion[:, None, None] * motion_patterns(measured.shape) * measured
-    return np.asarray(moved.reshape(len(moved), -1).T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,43 +64,33 @@ class FrameNoise:
         parts = []
         for number, frame in enumerate(measured):
             resting = baseline and number == 0
-            columns = self._of_frame(frame) / (np.sqrt(max(self.unloaded, 1)) if resting else 1.0)
-            if self.memory:
-                # A channel differs by the share of what it differs from the channel before.
-                volt = self._volt(frame)
-                channels = in_scan_order(self.scene.circuit, volt)
-                before = in_panel_order(
-                    self.scene.circuit, np.roll(channels, 1, axis=-1), volt.shape
-                )
-                columns = np.column_stack(
-                    [columns, self._by_volt(volt, self.memory * (volt - before)[None])]
-                )
+            columns = self._of_frame(frame, np.sqrt(max(self.unloaded, 1)) if resting else 1.0)
             if self.effect_errors is not None:
                 fractions = self.effect_errors[0 if resting else 1] * frame
                 columns = np.column_stack([columns, fractions.reshape(len(fractions), -1).T])
             parts.append(columns)
         return np.asarray(linalg.block_diag(*parts))
 
-    def _of_frame(self, measured: Array) -> Array:
+    def _of_frame(self, measured: Array, averaging: float) -> Array:
         """Return V, (cells, n), for one frame's readings (rows, columns).
 
-        The columns of V are central differences of the readout.
+        The mean of frames has random errors smaller by the factor `averaging`.
         """
-        volt = self._volt(measured)
-        changes = np.concatenate([self.gain * volt[None], self._patterns(measured.shape)])
-        columns = self._by_volt(volt, changes)
-        if self.motion.size:
-            columns = np.column_stack([columns, motion_columns(measured, self.motion)])
-        if self.trembling and self.resting is not None:
-            columns = np.column_stack(
-                [columns, (self.trembling * (measured - self.resting)).ravel()]
-            )
-        return columns
-
-    def _volt(self, measured: Array) -> Array:
-        """Return the voltages of readings."""
         circuit = self.scene.circuit
-        return circuit.volt_from_recorded(circuit.to_recorded(measured, self.scene))
+        volt = circuit.volt_from_recorded(circuit.to_recorded(measured, self.scene))
+        parts = list[Array]()
+        for names, path in OF_FRAMES:
+            sizes = [getattr(self, name) for name in names]
+            if parts and not any(np.any(size) for size in sizes if size is not None):
+                continue
+            effect = loaded(path)()
+            if effect.in_volt:
+                columns = self._by_volt(volt, effect.columns(circuit, volt, *sizes))
+            else:
+                changes = effect.columns(circuit, measured, *sizes)
+                columns = changes.reshape(len(changes), measured.size).T
+            parts.append(columns / averaging if effect.averages else columns)
+        return np.column_stack(parts)
 
     def _by_volt(self, volt: Array, changes: Array) -> Array:
         """Return the changes of readings (cells, n) by those of the voltages (n, rows, columns)."""
@@ -119,18 +104,3 @@ class FrameNoise:
             for sign in (1, -1)
         ]
         return np.asarray((ends[0] - ends[1]).reshape(len(changes), -1).T / 2)
-
-    def _patterns(self, shape: tuple[int, ...]) -> Array:
-        """Return the patterns of ripple in volt, (n, rows, columns).
-
-        Patterns that are common to all lines precede those of each line alone.
-        """
-        lines, channels = shape[::-1] if self.scene.circuit.by_columns else shape
-        common = np.repeat(self.common_ripple.T[:, None, :], lines, axis=1)
-        by_line = np.zeros((lines, self.line_ripple.shape[1], lines, channels))
-        for line in range(lines):
-            by_line[line, :, line] = self.line_ripple.T
-        flat = np.concatenate(
-            [common.reshape(-1, lines * channels), by_line.reshape(-1, lines * channels)]
-        )
-        return in_panel_order(self.scene.circuit, flat, (len(flat), *shape))

@@ -7,9 +7,18 @@ import pytest
 from numpy.testing import assert_allclose
 
 import lampest
-from lampest.panel.effects import SharedEffect, error_columns, shared_effects
+from lampest.files.applications import loaded
+from lampest.panel.effects import (
+    AT_CONVERTER,
+    OF_FRAMES,
+    SharedEffect,
+    error_columns,
+    shared_effects,
+)
 from lampest.panel.effects.line_effect import LineEffect, effect_on_readings, line_effects
 from lampest.panel.effects.loose_contact import LooseContact
+from lampest.panel.estimated import estimated_lines
+from lampest.panel.sizes import SIZED, limits_of
 
 SHAPE = (3, 4)
 SCENE = lampest.Scene(lampest.Panel(*SHAPE), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
@@ -83,3 +92,41 @@ def test_an_exact_reference_keeps_its_column_and_leaves_error_bars_unchanged() -
         readings, baseline=1, scene=replace(SCENE, systematic=exact)
     )
     assert np.isfinite(lampest.reconstruct(recording).cell_resistance_errors).all()
+
+
+@pytest.mark.parametrize("key", SIZED)
+def test_limits_and_unit_of_a_key_are_those_of_its_effect(key: str) -> None:
+    effect = loaded(SIZED[key])()
+    assert limits_of(key) == effect.limits
+    (line,) = estimated_lines({key: (0.5, 0.1)})
+    assert line.endswith(f" {effect.unit or '(relative)'}")
+
+
+@pytest.mark.parametrize(("names", "path"), OF_FRAMES)
+def test_errors_of_a_frame_are_proportional_to_their_sizes(
+    names: tuple[str, ...], path: str
+) -> None:
+    effect = loaded(path)()
+    roots = np.random.default_rng(2).uniform(0.1, 1.0, (3, 1))
+    sizes = {
+        "motion": roots[:, 0],
+        "common_ripple": np.ones((4, 1)),
+        "line_ripple": np.ones((4, 1)),
+    }
+    given = [sizes.get(name, 0.1 if name != "resting" else np.ones(SHAPE)) for name in names]
+    values = np.random.default_rng(3).uniform(1.0, 2.0, SHAPE)
+    single = effect.columns(SCENE.circuit, values, *given)
+    doubled = [
+        2 * size if name != "resting" else size for name, size in zip(names, given, strict=True)
+    ]
+    assert single.shape[1:] == SHAPE and np.all(np.abs(single).max(axis=(1, 2)) > 0)
+    assert_allclose(effect.columns(SCENE.circuit, values, *doubled), 2 * single, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("names", "path"), AT_CONVERTER)
+def test_an_effect_at_the_converter_changes_voltages(names: tuple[str, ...], path: str) -> None:
+    assert SCENE.readout is not None
+    volt = np.random.default_rng(3).uniform(1.0, 4.0, (2, *SHAPE))
+    sizes = [0.5, *[None] * (len(names) - 1)]
+    disturbed = loaded(path)().disturbed(SCENE.readout, volt, np.random.default_rng(1), 1.0, *sizes)
+    assert disturbed.shape == volt.shape and np.abs(disturbed - volt).max() > 0

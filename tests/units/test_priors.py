@@ -25,13 +25,17 @@ reference.E24_TOLERANCE = 0.07
 series.SeriesTolerance.prior = 37.0
 wire.WirePerCell.prior = 0.27
 
-import lampest.inference.effects.converter_memory
-lampest.inference.effects.converter_memory.USUAL_MEMORY = 0.037
+from lampest.panel.effects import converter_memory
+converter_memory.KeptShare.prior = 0.037
+from lampest.panel.effects import creep
+creep.FilmCreep.prior, creep.FilmCreep.of_cell = 0.057, 0.0037
 
 import lampest
 from lampest.apps.calibration import channels as of_channels
 from lampest.apps.calibration import circuit_fit, circuit_numbers, resistors
 from lampest.apps.recognition.model_errors import ModelErrors
+from lampest.inference import rival_parameters
+from lampest.inference.assumptions import ASSUMED
 from lampest.panel.sizes import Systematic
 from lampest.panel.effects import systematic_of
 
@@ -50,6 +54,11 @@ print(json.dumps({
     "typical": [getattr(typical, name) for name in (*names, "response_sd")],
     "calibrated channels": of_channels.prior_sizes(scenes[0]).channel_spread_ohm,
     "calibrated memory": circuit_numbers.EXPECTED["converter_memory"][1],
+    "calibrated wire": [
+        circuit_numbers.EXPECTED[f"lines.{line}_ohm_per_cell"][1] for line in ("row", "column")
+    ],
+    "tried memory": rival_parameters.LINEAR_MEMORY,
+    "assumed": [ASSUMED.common_change, ASSUMED.creep],
     "calibrated resistors": [
         circuit_fit.TYPICAL_OHM, circuit_fit.WORST_OHM, resistors.WORST_OHM,
         circuit_fit.E24_TOLERANCE, resistors.E24_TOLERANCE,
@@ -68,6 +77,9 @@ def test_scenes_calibrations_and_recognition_read_priors_from_the_effects_files(
         "typical": [0.0, 0.7, 0.017, 37.0, 0.27, 0.77],
         "calibrated channels": 7.0,
         "calibrated memory": 0.037,
+        "calibrated wire": [0.27, 0.27],
+        "tried memory": 0.037,
+        "assumed": [0.057, 0.0037],
         "calibrated resistors": [71.0, 171.0, 171.0, 0.07, 0.07],
         "recognition": [7.0, 0.0017],
     }

@@ -13,7 +13,8 @@ import numpy as np
 
 from lampest.apps.calibration.calibration import DIGITS, FRACTION_DIGITS
 from lampest.files.levels import SIGNIFICANT
-from lampest.inference.effects.converter_memory import USUAL_MEMORY
+from lampest.panel.effects.converter_memory import KeptShare
+from lampest.panel.effects.wire import WirePerCell
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import LineNumber, SeriesPerLine, Side
 from lampest.panel.scene import Scene
@@ -24,12 +25,11 @@ WIRE = tuple(
     LineNumber(f"lines.{line}_ohm_per_cell", (), in_scene=True) for line in ("row", "column")
 )
 # Name in words, typical value, and the largest σ of a number that counts as determined, if 0.3 of
-# its value is less. A real board had a memory of 2.9 % of the channel before, and conductive thread
-# an ohm from cell to cell.
+# its value is less.
 EXPECTED = {
-    "converter_memory": ("converter memory", USUAL_MEMORY, 0.01),
-    "lines.row_ohm_per_cell": ("wire of rows", 1.0, 0.5),
-    "lines.column_ohm_per_cell": ("wire of columns", 1.0, 0.5),
+    "converter_memory": ("converter memory", KeptShare.prior, 0.01),
+    "lines.row_ohm_per_cell": ("wire of rows", WirePerCell.prior, 0.5),
+    "lines.column_ohm_per_cell": ("wire of columns", WirePerCell.prior, 0.5),
     "diode.drop_volt": ("diode drop", None, 0.2),
 }
 

@@ -1,7 +1,7 @@
 """The command `detect`."""
 
 import json
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,7 +11,7 @@ from lampest.cli import screen
 from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from lampest.apps.recognition.detect.answer import Detected
     from lampest.apps.recognition.detect.detection import Unchecked
@@ -108,7 +108,9 @@ def _with_checks(answers: "Sequence[Detected]", pending: "Sequence[Unchecked]") 
     """Check the circuits of the answers' recordings, and return the answers with warnings."""
     checked = []
     count = sum(unchecked.waits for unchecked in pending)
-    with screen.progress("checks") if count else nullcontext(lambda done, total: None) as on_check:
+    bar: AbstractContextManager[Callable[..., None]]
+    bar = screen.progress("checks") if count else nullcontext(lambda *counts: None)
+    with bar as on_check:
         on_check(0, count)
         for number, (answer, unchecked) in enumerate(zip(answers, pending, strict=True), 1):
             checked.append(replace(answer, warnings=unchecked.checked().warnings))

@@ -15,9 +15,9 @@ from lampest.apps.recognition.recognition_scene import RecognitionScene
 from lampest.apps.recognition.verdict import Verdict
 from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH
 from lampest.panel.conditions import motion_patterns, water_pressure
+from lampest.panel.effects.water import moved_by_water
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.posterior.frame_noise import motion_columns
 
 # Time constant, s, with which means follow the frames, and with which a residue fades.
 FOLLOWS_S = 20.0
@@ -136,7 +136,9 @@ class WatchSetup:
         """Return a root (cells, n) of the covariance of errors that a frame's readings share."""
         parts: list[Array] = [np.zeros((readings.size, 0))]
         parts += [] if self.common is None else [self.common(readings)]
-        parts += [motion_columns(readings, self.motion)] if self.motion.size else []
+        if self.motion.size:
+            moved = moved_by_water(readings, self.motion)
+            parts.append(moved.reshape(len(moved), -1).T)
         return np.hstack(parts)
 
 

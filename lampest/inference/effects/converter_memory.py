@@ -22,6 +22,7 @@ from lampest.inference.number import parabola
 from lampest.inference.rival_parameters import MEMORIES as TRIED
 from lampest.inference.rival_parameters import may_gain_by_memory
 from lampest.inference.variance_components import NO_RIPPLE
+from lampest.panel.effects.converter_memory import KeptShare
 from lampest.panel.panel import Array
 from lampest.panel.scene import specified
 from lampest.posterior.frame_noise import FrameNoise
@@ -33,8 +34,6 @@ MEMORIES = np.linspace(0.0, 0.3, 16)
 FINER = 9  # points between the neighbours of the most probable one
 # Of the share, where edges of loads look like a memory (docs/studies/effects.md).
 EDGE_ERROR = 0.012
-# Root mean square of converters whose capacitor is charged by some 10 kohm: 0 to 5 %.
-USUAL_MEMORY = 0.03
 MAX_DEVIATION = 0.05  # of the share: with more, the recording does not determine it
 
 
@@ -168,11 +167,11 @@ def with_uncertain_memory(
     noise : NoiseEstimate
     recording : Recording
     memory : (float, float) or str
-        As `estimated_memory` returns it. Where nothing determines it, its prior is USUAL_MEMORY.
+        As `estimated_memory` returns it. Where nothing determines it, it has its prior.
     """
     if isinstance(memory, str):
         noise = noise.undetermined(KEY, memory)
-        deviation = USUAL_MEMORY
+        deviation = KeptShare.prior
     else:
         noise = noise.determined(KEY, memory)
         deviation = memory[1]
@@ -198,10 +197,4 @@ class ConverterMemory(SceneEffect):
             return
         estimate = estimated_memory(evidence.recording)
         if not isinstance(estimate, str):
-            share, deviation = estimate
-            yield Unnamed.of(
-                f"the converter keeps {100 * share:.2g} +- {100 * deviation:.1g} % "
-                "of the channel before: so fewer cells have moved under the load",
-                "converter_memory",
-                estimate,
-            )
+            yield Unnamed.of(KeptShare().sentence(*estimate), KEY, estimate)

@@ -11,6 +11,8 @@ import numpy as np
 from lampest.files.levels import SIGNIFICANCE
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.variance_components import unloaded_scatter
+from lampest.panel.effects.gain import Gain
+from lampest.panel.effects.ripple import Ripple
 from lampest.panel.sizes import ESTIMATED
 
 
@@ -32,9 +34,9 @@ class GainAndRipple(SceneEffect):
         if parts is None:
             return
         if parts.gain_tail < SIGNIFICANCE:
-            yield Unnamed.of(f"the gain of a frame varies by {100 * parts.gain:.2g} %", "gain")
+            yield Unnamed.of(Gain().sentence(parts.gain, parts.gain_sd), "gain")
         roots = np.hstack([parts.common_ripple, parts.line_ripple])
         if parts.ripple_tail < SIGNIFICANCE or parts.line_ripple.size:
             noise_lsb = np.mean(scene.readout.sigma_code())
             size = float(np.sqrt((roots**2).sum() / len(roots)) * noise_lsb)
-            yield Unnamed.of(f"the lines of a scan vary together by {size:.2g} LSB", "ripple")
+            yield Unnamed.of(Ripple().sentence(size, 0.0), "ripple")

@@ -39,6 +39,7 @@ from lampest.inference.number import Number, summed_out
 from lampest.inference.pair import FittedPair
 from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.effects import estimated_errors, own_errors
+from lampest.panel.effects.motion import SHARES, TREMBLING_ODDS, TREMBLINGS, LoadMotion
 from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_panel_order
@@ -50,13 +51,8 @@ from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MAX_NEIGHBOURS, MEASURED, UNLOADED, Recording
 
-SHARES = np.linspace(0, 1, 6)  # of the time between frames that a scan takes
 # Sizes of each reading's own error that are tried beside a share, all equally probable.
 READING_ERRORS = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
-# Sizes of the trembling of a load within a scan that are tried beside them, and their prior
-# probabilities: no trembling is as probable as all others together.
-TREMBLINGS = np.array([0.0, 0.015, 0.04, 0.1, 0.25])
-TREMBLING_ODDS = np.where(TREMBLINGS > 0, 0.5 / np.count_nonzero(TREMBLINGS), 0.5)
 # Of a gain of interest: what a motion has alone where only both a share and a trembling reach it.
 PROMISING = 0.25
 # Probability of a steady load below which trembling is shown: that of NOISE_REACH in a normal
@@ -192,7 +188,11 @@ def share_of_motion(
         (size, share, trembling)
         for trembling, size, share in product(TREMBLINGS.tolist(), errors_tried, shares.tolist())
     ]
-    compared = _mostly_still(moving, tried)
+    frames = [frame.explained_by(tried) for frame in moving]
+    compared = [frame for frame in frames if frame.is_mostly_still]
+    # A load on most cells, such as a hand, is like one that trembles: it is no reason for advice.
+    if not compared and not least_gain:
+        compared = [frame for frame in frames if frame.trembles]
     if not compared:
         return None
     costs = np.array(
@@ -311,8 +311,9 @@ class _Frame:
     explained : mapping of (float, float, float) to _Explained
         By size of errors, share and trembling.
     is_mostly_still : bool
-        Whether most cells are still under the likeliest of them without trembling, or with it and
-        without a load.
+        Whether most cells are still under the likeliest of them without trembling.
+    trembles : bool
+        Whether they are still and without a load with trembling alone.
     shows_trembling : bool
         Whether most cells are still and without a load. Otherwise trembling explains any motion.
     displacements, errors : float
@@ -321,6 +322,7 @@ class _Frame:
 
     explained: Mapping[Motion, _Explained]
     is_mostly_still: bool
+    trembles: bool
     shows_trembling: bool
     displacements: float
     errors: float
@@ -454,14 +456,16 @@ class _Moving:
 
         steady = [key for key in tried if not key[2]]
         still, free = self._still_and_free(min(steady, key=lambda key: explained[key].cost))
+        trembles = False
         if not still:
             # Where a load trembles, cells stand still under no steady motion.
-            free = self._still_and_free(min(tried, key=lambda key: explained[key].cost))[1]
-            still = free
+            likeliest = min(tried, key=lambda key: explained[key].cost)
+            trembles = free = self._still_and_free(likeliest)[1]
         noise = frame.readings.known_sigma
         return _Frame(
             explained,
             still,
+            trembles,
             free,
             float(np.sum((self.displaced.value / noise) ** 2)),
             float(np.sum((self.displaced.smooth / noise) ** 2)),
@@ -569,15 +573,7 @@ class ScanMotion(SceneEffect):
         if share is None or not share.gain > MIN_EVIDENCE_GAIN:
             return
         if share.steady < STEADY_ODDS and share.mean < NOISE_REACH * share.deviation:
-            yield Unnamed.of(
-                "still cells seem to move with the load, which trembles by "
-                f"{100 * share.trembling:.2g} % within a scan",
-                "motion",
-            )
+            yield Unnamed.of(LoadMotion().trembling_sentence(share.trembling), "motion")
             return
-        yield Unnamed.of(
-            "still cells seem to move with the load; a scan "
-            f"takes {share.mean:.2g} +- {share.deviation:.1g} of the time between frames",
-            "motion",
-            (share.mean, share.deviation),
-        )
+        number = share.mean, share.deviation
+        yield Unnamed.of(LoadMotion().sentence(*number), "motion", number)

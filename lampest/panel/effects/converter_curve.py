@@ -1,12 +1,13 @@
 """The converter's smooth deviation from a straight line, its integral nonlinearity."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from lampest.panel.effects import SharedEffect
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
+from lampest.panel.readouts.readout import Readout
 from lampest.panel.scene import Scene
 
 # Sines of which a converter's curve consists; the mean square of their sum is the specified one.
@@ -22,6 +23,7 @@ class ConverterCurve(SharedEffect):
     # rms; data sheets of microcontrollers' converters promise 1 to 2 at most, that of an ATmega2560
     # 0.5.
     prior: ClassVar[float] = 0.5
+    stream = "inl"
     is_typical = True
     is_advised = False
 
@@ -41,6 +43,19 @@ class ConverterCurve(SharedEffect):
         above = circuit.from_recorded(circuit.recorded_from_volt(volt + 0.5 * waves), scene)
         below = circuit.from_recorded(circuit.recorded_from_volt(volt - 0.5 * waves), scene)
         return np.asarray(above - below)
+
+    def disturbed(
+        self,
+        readout: Readout,
+        volt: Array,
+        random: np.random.Generator,
+        period_s: float,
+        *sizes: Any,
+    ) -> Array:
+        """Return simulated voltages with a drawn curve, (frames, rows, columns)."""
+        (inl_lsb,) = sizes
+        curve = drawn_curve(volt / readout.full_scale_volt, random)
+        return np.asarray(volt + inl_lsb * readout.lsb_volt * curve)
 
 
 def drawn_curve(share: Array, random: np.random.Generator) -> Array:

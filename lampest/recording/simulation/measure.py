@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.applications import loaded
 from lampest.files.document import INLINE
 from lampest.files.typed import (
     Extensible,
@@ -18,7 +19,7 @@ from lampest.files.typed import (
     check_range,
     check_ranges,
 )
-from lampest.panel.effects import shared_effect_of
+from lampest.panel.effects import AT_CONVERTER, shared_effect_of
 from lampest.panel.effects.channels import CHANNELS
 from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.effects.reference import REFERENCE
@@ -207,8 +208,7 @@ def measured(
         )
     if scene.readout is None:
         return total, None
-    # Voltages at the converter: memory of the previous channel, gain, ripple, nonlinearity,
-    # saturation; then codes.
+    # Voltages at the converter: memory of the previous channel, other effects, then codes.
     volt = actual.volt_from_recorded(total)
     if scene.known_memory is not None:
         volt = with_memory(actual, scene.known_memory, volt)
@@ -359,28 +359,15 @@ def raw_sums(readout: Readout | None, sums: NDArray[np.int64] | None) -> NDArray
 def _disturbed(
     readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int, period_s: float
 ) -> Array:
-    """Return V·(1 + gain) + ripple + INL(V), clipped to the stage's range.
+    """Return voltages with the effects at the converter that the scene does not contain.
 
     The voltages have the shape (frames, rows, columns), in V.
     """
-    if unmodelled.gain_spread:
-        gain = unmodelled.gain_spread * random_stream(seed, "gain").standard_normal(len(volt))
-        volt = volt * (1 + gain[:, None, None])
-    if unmodelled.supply_ripple_lsb:
-        channels = volt[0].size
-        lines = volt.shape[2 if readout.by_columns else 1]
-        periods = (
-            lines if unmodelled.supply_ripple_hz is None else unmodelled.supply_ripple_hz * period_s
-        )
-        time = (np.arange(channels) + 0.5) / channels * periods
-        phase = random_stream(seed, "ripple").uniform(0, 2 * np.pi, len(volt))
-        wave = in_panel_order(readout, np.sin(2 * np.pi * time + phase[:, None]), volt.shape)
-        volt = volt + unmodelled.supply_ripple_lsb * readout.lsb_volt * wave
-    if unmodelled.inl_lsb:
-        from lampest.panel.effects.converter_curve import drawn_curve  # for this key alone
-
-        curve = drawn_curve(volt / readout.full_scale_volt, random_stream(seed, "inl"))
-        volt = volt + unmodelled.inl_lsb * readout.lsb_volt * curve
-    if unmodelled.saturation:
-        volt = np.minimum(volt, unmodelled.saturation * readout.full_scale_volt)
+    for names, path in AT_CONVERTER:
+        sizes = [getattr(unmodelled, name) for name in names]
+        if sizes[0]:
+            effect = loaded(path)()
+            volt = effect.disturbed(
+                readout, volt, random_stream(seed, effect.stream), period_s, *sizes
+            )
     return volt

@@ -1,0 +1,49 @@
+"""Motion: loads that move, and tremble, while the readings of a frame are taken."""
+
+from typing import Any
+
+import numpy as np
+
+from lampest.panel.effects.sized_effect import SizedEffect
+from lampest.panel.panel import Array
+from lampest.panel.readouts.readout import Readout
+
+# Shares of the time between frames that a scan takes, all equally probable before.
+SHARES = np.linspace(0, 1, 6)
+# Sizes of the trembling of a load within a scan, and their prior probabilities: no trembling is as
+# probable as all others together.
+TREMBLINGS = np.array([0.0, 0.015, 0.04, 0.1, 0.25])
+TREMBLING_ODDS = np.where(TREMBLINGS > 0, 0.5 / np.count_nonzero(TREMBLINGS), 0.5)
+
+
+class LoadMotion(SizedEffect):
+    """A displacement of each reading along the load's motion.
+
+    The size is the share of the time between frames that a scan takes. Readings are interpolated to
+    the middle of their scan; what remains is the trembling of the load, a share of the change that
+    it makes.
+    """
+
+    unit = "of the time between frames"
+    limits = (0.0, 1.0)
+    in_volt = False
+
+    def sentence(self, size: float, deviation: float) -> str:
+        return (
+            "still cells seem to move with the load; a scan "
+            f"takes {size:.2g} +- {deviation:.1g} of the time between frames"
+        )
+
+    def trembling_sentence(self, trembling: float) -> str:
+        """Return that a load trembles, by a share of the change that it makes, in words."""
+        return (
+            "still cells seem to move with the load, which trembles by "
+            f"{100 * trembling:.2g} % within a scan"
+        )
+
+    def columns(self, circuit: Readout, values: Array, *sizes: Any) -> Array:
+        """Return the column of the trembling; none where the unloaded panel was not read."""
+        trembling, resting = sizes
+        if resting is None:
+            return np.zeros((0, *values.shape))
+        return np.asarray((trembling * (values - resting))[None])

@@ -1,0 +1,28 @@
+"""Moving water: its pressure changes all cells, alike or along the panel."""
+
+from typing import Any
+
+import numpy as np
+
+from lampest.panel.conditions import motion_patterns
+from lampest.panel.effects.sized_effect import SizedEffect
+from lampest.panel.panel import Array
+from lampest.panel.readouts.readout import Readout
+
+
+class MovingWater(SizedEffect):
+    """A relative change of the readings in the patterns of `motion_patterns`.
+
+    No scene names it: the scatter of the unloaded frames tells its sizes.
+    """
+
+    in_volt = False
+
+    def columns(self, circuit: Readout, values: Array, *sizes: Any) -> Array:
+        """Return the columns of the patterns."""
+        return moved_by_water(values, *sizes)
+
+
+def moved_by_water(measured: Array, motion: Array) -> Array:
+    """Return the changes of readings (rows, columns) by motion of 3 sizes, (3, rows, columns)."""
+    return np.asarray(motion[:, None, None] * motion_patterns(measured.shape) * measured)
