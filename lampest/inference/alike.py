@@ -6,29 +6,24 @@ holds for the pair of panels that is meant. In any other pair nearly all cells c
 potential of a driven line is another one beyond its fold. With a Student-like density of changes,
 a pair costs
 
-    Σ ln(1 + (Δ ln r)²/(CHANGE² + σ²)),
+    Σ ln(1 + (Δ ln r/CHANGE)²)
 
-σ² being the variance of Δ ln r by the readings' noise under this pair: 8 bits may leave a cell
-unknown on one branch and known to a hundredth on another. Another pair is ruled out where it costs
-more by CLEAR.
+and another pair is ruled out where it costs more by CLEAR.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Self
 
 import numpy as np
 
-from lampest.inference.cells_fit import CellsFit, data_of_cells
 from lampest.panel.panel import Array
-from lampest.panel.scene import Scene
-from lampest.posterior.reference import MAX_CELLS
+from lampest.panel.readouts import Readout
 from lampest.recording.readings import Readings
 
 CHANGE = 0.03  # of ln r: cells that change by less stand still within the noise of exact fits
 CLEAR = 10.0  # in the cost of a pair: odds of e^10, the more careful as changes share their noise
-STILL = 2.0  # median change, over CHANGE and noise, in a pair of which most cells stand still
+STILL = 2 * CHANGE  # median change of ln r in a pair of which most cells stand still
 NOISE_RANGE = 3.0  # standard deviations of a reading: panels that fit to less are compared
 
 
@@ -53,14 +48,9 @@ class PanelChoice:
     clear: bool
 
     @classmethod
-    def of(cls, scene: Scene, resting: Readings, loaded: Readings) -> Self | None:
-        """Return the choice for two frames.
-
-        A bound counts as a reading at its limit. The result is None where readings are missing, or
-        no panel is found.
-        """
-        circuit = scene.circuit
-        if not (circuit.several_panels and resting.seen.all() and loaded.seen.all()):
+    def of(cls, circuit: Readout, resting: Readings, loaded: Readings) -> Self | None:
+        """Return the choice for two frames; None where one has bounds, or no panel is found."""
+        if not (circuit.several_panels and resting.plain.all() and loaded.plain.all()):
             return None
         tolerance = max(noise_share(resting), noise_share(loaded))
         unloaded = circuit.every_panel(resting.value, tolerance)
@@ -69,23 +59,22 @@ class PanelChoice:
         unloaded = circuit.every_panel(resting.value, tolerance, [*unloaded, *of_load])
         pairs = sorted(
             (
-                _Pair(before, after, of_before + of_after)
-                for before, of_before in _with_variances(scene, resting, unloaded)
-                for after, of_after in _with_variances(scene, loaded, of_load)
+                (change_cost(after, before), number, before, after)
+                for number, (before, after) in enumerate(
+                    (before, after) for before in unloaded for after in of_load
+                )
             ),
-            key=lambda pair: pair.cost,
+            key=lambda pair: pair[:2],
         )
         if not pairs:
             return None
-        best = pairs[0]
-        # A pair that differs by less than noise is the same one.
-        second = next((pair for pair in pairs if best.differs_from(pair)), None)
-        if second is None:
-            return cls(best.before, best.after, None, clear=best.mostly_still)
-        frames = (change_cost(second.before, best.before), change_cost(second.after, best.after))
-        other = second.before if frames[0] > frames[1] else second.after
-        clear = second.cost - best.cost > CLEAR and best.mostly_still
-        return cls(best.before, best.after, other, clear)
+        least, _, before, after = pairs[0]
+        if len(pairs) == 1:
+            return cls(before, after, None, clear=_mostly_still(before, after))
+        second, _, *cells = pairs[1]
+        other = cells[0] if cells[0] is not before else cells[1]
+        clear = second - least > CLEAR and _mostly_still(before, after)
+        return cls(before, after, other, clear)
 
     @property
     def sentence(self) -> str:
@@ -105,65 +94,19 @@ class PanelChoice:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Pair:
-    """A panel of the unloaded and one of the loaded frame.
-
-    Attributes
-    ----------
-    before, after : array, shape (rows, columns)
-        Cells in ohm.
-    variance : array, shape (rows, columns)
-        Variance of the change of ln r by noise.
-    """
-
-    before: Array
-    after: Array
-    variance: Array
-
-    @cached_property
-    def cost(self) -> float:
-        """Cost of the changes of the cells."""
-        return change_cost(self.after, self.before, self.variance)
-
-    @property
-    def mostly_still(self) -> bool:
-        """Whether most cells stand still within noise."""
-        noise = np.sqrt(CHANGE**2 + self.variance)
-        return bool(np.median(np.abs(np.log(self.after / self.before)) / noise) < STILL)
-
-    def differs_from(self, pair: "_Pair") -> bool:
-        """Return whether another pair has other cells beyond noise, which costs more than CLEAR."""
-        frames = ((pair.before, self.before), (pair.after, self.after))
-        return any(change_cost(*cells, self.variance) > CLEAR for cells in frames)
-
-
-def _with_variances(
-    scene: Scene, readings: Readings, panels: Sequence[Array]
-) -> list[tuple[Array, Array]]:
-    """Return panels with the variances of their ln r by the noise of readings.
-
-    The variances are 0 where noise is unknown, or a panel is too large.
-    """
-    if readings.sigma is None or readings.value.size > MAX_CELLS:
-        return [(cells, np.zeros(cells.shape)) for cells in panels]
-    data = data_of_cells(scene, readings)
-    fits = [CellsFit.at(scene, data, readings, cells) for cells in panels]
-    return [(fit.cells, np.diag(fit.covariance).reshape(fit.cells.shape)) for fit in fits]
-
-
-def change_cost(cells: Array, baseline: Array, variance: Array | float = 0.0) -> float:
-    """Return Σ ln(1 + (Δ ln r)²/(CHANGE² + σ²)) of two panels.
-
-    `variance` is σ² of the change by noise.
-    """
-    squares = np.log(cells / baseline) ** 2 / (CHANGE**2 + variance)
-    return float(np.log1p(squares).sum())
+def change_cost(cells: Array, baseline: Array) -> float:
+    """Return Σ ln(1 + (Δ ln r/CHANGE)²) of two panels."""
+    return float(np.log1p((np.log(cells / baseline) / CHANGE) ** 2).sum())
 
 
 def nearest_panel(panels: Sequence[Array], baseline: Array) -> Array:
     """Return the panel in which the fewest cells differ from the unloaded ones."""
     return min(panels, key=lambda cells: change_cost(cells, baseline))
+
+
+def _mostly_still(before: Array, after: Array) -> bool:
+    """Return whether most cells of a pair stand still."""
+    return bool(np.median(np.abs(np.log(after / before))) < STILL)
 
 
 def noise_share(readings: Readings) -> float:

@@ -118,7 +118,7 @@ class ComparedFrames:
         if not scene.circuit.several_panels or scene.wiring is not None or not len(self.standing):
             return None
         resting, loaded = self.readings(self.specified)
-        return PanelChoice.of(scene, resting, loaded)
+        return PanelChoice.of(scene.circuit, resting, loaded)
 
     @cached_property
     def _usable(self) -> Array:
