@@ -73,18 +73,14 @@ def named(prepared: Prepared, finding: Finding) -> Prepared:
 
 @ONE_BLAS_THREAD
 def searched(evidence: Gathered) -> tuple[Finding, ...]:
-    """Return the findings of all searches in a single network's recording.
-
-    An effect whose size may be none is no finding, whatever evidence it gains.
-    """
+    """Return the findings of all searches in a single network's recording."""
     findings = list[Finding]()
     for effect in searched_effects():
         try:
             with np.errstate(all="ignore"):
-                unnamed = tuple(effect.unnamed(evidence))
+                findings += [_finding(shown) for shown in effect.unnamed(evidence)]
         except BROKEN:  # nothing is advised where arithmetic breaks down
             continue
-        findings += [_finding(shown) for shown in unnamed if shown.is_shown]
     return tuple(findings)
 
 

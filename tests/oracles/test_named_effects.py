@@ -41,7 +41,7 @@ from lampest.inference.effects import (
     motion,
     static_errors,
 )
-from lampest.inference.effects.effect import Gathered, Unnamed
+from lampest.inference.effects.effect import Gathered
 from lampest.inference.prepared import Prepared
 from lampest.inference.shared_changes import CHANNEL_FACTORS
 from tests.estimates import recording_of
@@ -331,21 +331,6 @@ def test_a_ripple_that_the_scene_names_is_no_motion(load: str) -> None:
     """Still cells seemed to move with the load, in a scan that took 0 ± 0.6 of the time."""
     rippled = channels_recording(100, LOADS[load], Row(ripple_lsb=10.0), {"ripple": "estimated"})
     assert not effects.unnamed_effects(Prepared(rippled))
-
-
-@pytest.mark.parametrize(
-    ("number", "is_advised"), [((0.05, 0.2), False), ((-0.5, 0.2), False), ((0.7, 0.2), True)]
-)
-def test_an_effect_whose_size_may_be_none_is_not_advised(
-    number: tuple[float, float], is_advised: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Found:
-        def unnamed(self, evidence: object) -> Any:
-            yield Unnamed.of("it moves", "motion", number)
-
-    monkeypatch.setattr(effects, "searched_effects", lambda: (Found(),))
-    advised = [finding.line for finding in effects.searched(SimpleNamespace())]
-    assert advised == ["motion: estimated"] * is_advised
 
 
 def test_an_effect_that_gains_only_alone_is_not_advised(monkeypatch: pytest.MonkeyPatch) -> None:

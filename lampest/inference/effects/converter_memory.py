@@ -197,4 +197,4 @@ class ConverterMemory(SceneEffect):
             return
         estimate = estimated_memory(evidence.recording)
         if not isinstance(estimate, str):
-            yield Unnamed.of(KeptShare().sentence(*estimate), KEY, estimate)
+            yield Unnamed.of(KeptShare().sentence(*estimate), KEY)

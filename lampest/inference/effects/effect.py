@@ -8,7 +8,6 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.levels import NOISE_REACH
 from lampest.inference.model_check import ModelCheck, Question
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides, CircuitEffects
@@ -86,30 +85,18 @@ class Unnamed:
         What shows it.
     addition : mapping
         Entries of the scene that name it.
-    number : (float, float), or None
-        Its size with the standard deviation. None where it has no size, or where its probability
-        shows it: that of a scatter between few frames says more than the deviation of its size.
     """
 
     sentence: str
     addition: Mapping[str, Any] = field(default_factory=dict)
-    number: tuple[float, float] | None = None
 
     @classmethod
-    def of(cls, sentence: str, key: str, number: tuple[float, float] | None = None) -> "Unnamed":
+    def of(cls, sentence: str, key: str) -> "Unnamed":
         """Return the effect of a dotted key, which the recording is to determine."""
         addition: Any = ESTIMATED
         for part in reversed(key.split(".")):
             addition = {part: addition}
-        return cls(sentence, addition, number)
-
-    @property
-    def is_shown(self) -> bool:
-        """Whether the size differs from none by more than NOISE_REACH standard deviations."""
-        if self.number is None:
-            return True
-        size, deviation = self.number
-        return abs(size) > NOISE_REACH * deviation
+        return cls(sentence, addition)
 
 
 class SceneEffect(ABC):

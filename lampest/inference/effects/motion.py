@@ -575,5 +575,4 @@ class ScanMotion(SceneEffect):
         if share.steady < STEADY_ODDS and share.mean < NOISE_REACH * share.deviation:
             yield Unnamed.of(LoadMotion().trembling_sentence(share.trembling), "motion")
             return
-        number = share.mean, share.deviation
-        yield Unnamed.of(LoadMotion().sentence(*number), "motion", number)
+        yield Unnamed.of(LoadMotion().sentence(share.mean, share.deviation), "motion")

@@ -458,7 +458,6 @@ class StaticErrors(SceneEffect):
             f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, "
             "the same in all frames: cells are rougher than those of films",
             "systematic.reading_error",
-            error,
         )
 
     def _reading_error(
@@ -511,11 +510,7 @@ class StaticErrors(SceneEffect):
         spread = spread_by(np.append(0.0, CHANNEL_FACTORS), changes)
         if spread.gain > DOUBTFUL_GAIN and np.argmax(spread.odds) < len(spread.odds) - 1:
             size = CHANNELS.prior * spread.mean
-            yield Unnamed.of(
-                f"channels of the lines seem to differ by {size:.1g} ohm",
-                key,
-                (size, CHANNELS.prior * spread.deviation),
-            )
+            yield Unnamed.of(f"channels of the lines seem to differ by {size:.1g} ohm", key)
 
     def _frames(self, evidence: Gathered) -> tuple[Readings, Readings | None] | None:
         """Return the mean of the unloaded frames, and the strongest loaded frame or None.
@@ -557,4 +552,4 @@ class StaticErrors(SceneEffect):
                     for part in (with_error.size, with_error.sd)
                 )
                 size = float(np.hypot(size, deviation))
-                yield Unnamed.of(error.sentence(size, deviation), key, (size, deviation))
+                yield Unnamed.of(error.sentence(size, deviation), key)
