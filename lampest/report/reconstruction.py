@@ -215,8 +215,7 @@ class Reconstruction(Estimates):
     ) -> "Figure":
         """Return a Matplotlib figure of a kind, or of your own Plot.
 
-        A kind is for example `change` or `residuals`. A figure does not wait for the check of the
-        circuit; the case that a Plot draws has none.
+        A kind is for example `change` or `residuals`.
 
         Parameters
         ----------
@@ -239,10 +238,8 @@ class Reconstruction(Estimates):
         with extra():
             # Matplotlib takes longer to load than a frame to solve.
             from lampest.report.plots import picture
-        from lampest.runs.filling import named_result
 
-        case = named_result(self, None, checked=False)
-        return picture((case,), kind, frame, ax, figsize, vmin=vmin, vmax=vmax)
+        return picture((self.result(),), kind, frame, ax, figsize, vmin=vmin, vmax=vmax)
 
 
 def _median(values: Array | None) -> str:

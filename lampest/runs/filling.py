@@ -61,8 +61,6 @@ def named_result(
     estimates: Estimates,
     name: str | None,
     columns: Sequence[Column] = (),
-    *,
-    checked: bool = True,
 ) -> CaseResult:
     """Return the result of estimates without a run file. Raises InputError as `case_result`.
 
@@ -73,8 +71,6 @@ def named_result(
         Name of the estimator; None: its terms, such as `misfit + gradient`.
     columns : sequence of Column
         Columns besides those of lampest and of installed packages.
-    checked : bool
-        Whether the case has the check of the circuit and advice.
     """
     recording = estimates.recording
     estimator = estimates.estimator
@@ -88,7 +84,7 @@ def named_result(
         estimates,
         columns,
         names | {"case_id": hash_of(resolved), "case_yaml": resolved},
-        checked=checked,
+        checked=True,
     )
 
 

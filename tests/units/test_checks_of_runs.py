@@ -217,11 +217,3 @@ def test_a_result_and_a_report_look_at_the_health_of_a_panel_once(
     assert len(looks) == 2
     assert estimates.model_check.mark == estimates.model_check.mark == "yes"
     assert len(looks) == 3
-
-
-def test_a_figure_does_not_wait_for_the_check(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("lampest.inference.prepared.Prepared.check", None)
-    recording = lampest.Recording.load(folder / "mine.h5")
-    assert lampest.reconstruct(recording, [lampest.Misfit()]).plot("change").axes
