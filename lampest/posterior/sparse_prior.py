@@ -112,7 +112,7 @@ class SparsePrior:
 
 @dataclass(frozen=True)
 class Held:
-    """What absolute losses with chosen weights hold of changes.
+    """Part of the changes that absolute losses with chosen weights hold at rest.
 
     With all other residuals as they are, the readings have a residual at x̂ + d, where d is the pull
     λ z/2 of the loss over their curvature, z the dual. A cell whose pulls are all together stronger
