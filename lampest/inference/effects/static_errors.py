@@ -509,8 +509,8 @@ class StaticErrors(SceneEffect):
         changes = np.append(of_few, of_others)[order]
         spread = spread_by(np.append(0.0, CHANNEL_FACTORS), changes)
         if spread.gain > DOUBTFUL_GAIN and np.argmax(spread.odds) < len(spread.odds) - 1:
-            size = CHANNELS.prior * spread.mean
-            yield Unnamed.of(f"channels of the lines seem to differ by {size:.1g} ohm", key)
+            size = float(f"{CHANNELS.prior * spread.mean:.1g}")
+            yield Unnamed.of(f"channels of the lines seem to differ by {size:g} ohm", key)
 
     def _frames(self, evidence: Gathered) -> tuple[Readings, Readings | None] | None:
         """Return the mean of the unloaded frames, and the strongest loaded frame or None.
