@@ -8,6 +8,7 @@ import numpy as np
 from lampest.cost.problem import Data
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import FIT, CellsFit, data_of_cells
+from lampest.inference.shared_changes import LINEAR_LIMIT
 from lampest.panel.effects import error_columns, recorded_share
 from lampest.panel.effects.channels import CHANNELS
 from lampest.panel.least_squares import SumOfSquares
@@ -61,7 +62,8 @@ def unloaded_costs(
         Values of e.
     channels_ohm : array, shape (spreads,)
         Standard deviations c of the resistance of each line's channel. With the columns C of one
-        ohm each, the covariance of the readings is τ² + c² C Cᵀ in place of τ².
+        ohm each, the covariance of the readings is τ² + c² C Cᵀ in place of τ². A spread that
+        moves a cell beyond LINEAR_LIMIT counts as the largest that does not.
 
     Raises
     ------
@@ -70,7 +72,9 @@ def unloaded_costs(
     data = data_of_cells(scene, resting)
     share = np.abs(recorded_share(resting.value, scene))
     least = 0.0 if fit is None else fit.chi_square
-    channels = [_of_channels(scene, resting, fit, ohm) for ohm in channels_ohm]
+    columns = _of_channels(scene, resting, fit)
+    most = _most_linear(columns, resting, fit)
+    channels = [min(ohm, most) * columns if ohm else columns[:, :0] for ohm in channels_ohm]
     middle = channels[len(channels) // 2 : len(channels) // 2 + 1]
     several = len(tried) > 1
     few = READING_ERRORS[1::4] if several else tried
@@ -113,18 +117,29 @@ def unloaded_costs(
     return np.asarray(marginal)
 
 
-def _of_channels(scene: Scene, resting: Readings, fit: CellsFit | None, spread_ohm: float) -> Array:
-    """Return changes of the plain readings by a spread of the channels, (readings, channels).
+def _of_channels(scene: Scene, resting: Readings, fit: CellsFit | None) -> Array:
+    """Return changes of the plain readings by one ohm in each channel, (readings, channels).
 
-    The spread is that about their mean, which is a resistance in series. With a mean, channels of
-    less than no resistance beside larger cells, which differ less, would explain a rough panel.
+    The changes are those about their mean, which is a resistance in series. With a mean, channels
+    of less than no resistance beside larger cells, which differ less, would explain a rough panel.
     """
-    if not spread_ohm or fit is None:
-        return np.zeros((0, 0))
-    spread = Systematic(channel_spread_ohm=spread_ohm)
-    columns = error_columns((CHANNELS,), fit.network, resting.value, scene, spread)
+    if fit is None:
+        return np.zeros((int(resting.plain.sum()), 0))
+    unit = Systematic(channel_spread_ohm=1.0)
+    columns = error_columns((CHANNELS,), fit.network, resting.value, scene, unit)
     columns -= columns.mean(axis=0)
     return columns.reshape(len(columns), -1).T[resting.plain.ravel()]
+
+
+def _most_linear(columns: Array, resting: Readings, fit: CellsFit | None) -> float:
+    """Return the spread of channels that moves no cell by more than LINEAR_LIMIT of log r, ohm.
+
+    Beside cells of little resistance large ones are moved most.
+    """
+    if fit is None or not columns.size:
+        return np.inf
+    moved = np.linalg.norm(fit.gain[:, resting.plain.ravel()] @ columns, axis=1)
+    return float(LINEAR_LIMIT / max(moved.max(), np.finfo(float).tiny))
 
 
 def _linear_costs(scaled: Array, target: Array) -> Array:

@@ -483,7 +483,8 @@ class StaticErrors(SceneEffect):
     def _channels(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield advice on channels of the lines that differ.
 
-        The largest tried spread is no finding: other errors move still cells then.
+        Where the largest tried spread explains as much, there is no finding: other errors move
+        still cells then, or the unloaded cells are unlike.
         """
         scene = evidence.scene
         key = f"systematic.{CHANNELS.setting}"
@@ -508,7 +509,9 @@ class StaticErrors(SceneEffect):
         order = np.argsort(np.append(few, others))
         changes = np.append(of_few, of_others)[order]
         spread = spread_by(np.append(0.0, CHANNEL_FACTORS), changes)
-        if spread.gain > DOUBTFUL_GAIN and np.argmax(spread.odds) < len(spread.odds) - 1:
+        likelihood = spread.odds[1:] / np.exp(LOG_PRIOR_OF_FACTORS)
+        largest = likelihood[-1] > np.exp(-COARSE_GAIN / 2) * likelihood.max()
+        if spread.gain > DOUBTFUL_GAIN and not largest:
             size = float(f"{CHANNELS.prior * spread.mean:.1g}")
             yield Unnamed.of(f"channels of the lines seem to differ by {size:g} ohm", key)
 
