@@ -120,8 +120,8 @@ def unloaded_costs(
 def _of_channels(scene: Scene, resting: Readings, fit: CellsFit | None) -> Array:
     """Return changes of the plain readings by one ohm in each channel, (readings, channels).
 
-    The changes are those about their mean, which is a resistance in series. With a mean, channels
-    of less than no resistance beside larger cells, which differ less, would explain a rough panel.
+    The changes are those about their mean, which is a resistance in series. With a mean, negative
+    channels beside larger cells, which differ less, would explain an uneven panel.
     """
     if fit is None:
         return np.zeros((int(resting.plain.sum()), 0))

@@ -482,7 +482,7 @@ def test_an_error_of_readings_is_estimated_only_where_a_coarse_scan_shows_one(
     assert scans[1:] == [11, len(READING_ERRORS)]
 
 
-def test_a_rough_unloaded_panel_is_no_sign_of_channels_that_differ() -> None:
+def test_an_uneven_unloaded_panel_is_no_sign_of_channels_that_differ() -> None:
     """Channels of 24 ohm do not take the place of a scatter of the cells.
 
     The cells of the second panel have 72 ohm to 10 kilohm: linear theory holds for small spreads.

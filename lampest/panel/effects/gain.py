@@ -12,7 +12,7 @@ from lampest.panel.readouts.readout import Readout
 class Gain(SizedEffect):
     """A factor on the voltages of a frame; the size is its relative standard deviation.
 
-    It has no prior: the scatter of the unloaded frames tells its size.
+    It has no prior: the scatter of the unloaded frames shows its size.
     """
 
     limits = (0.0, 1.0)

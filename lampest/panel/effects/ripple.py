@@ -12,7 +12,7 @@ from lampest.panel.readouts.readout import Readout, in_panel_order
 class Ripple(SizedEffect):
     """A wave on the voltages of a scan; the size is its standard deviation in steps.
 
-    It has no prior: the scatter of the unloaded frames tells its size.
+    It has no prior: the scatter of the unloaded frames shows its size.
     """
 
     unit = "LSB"

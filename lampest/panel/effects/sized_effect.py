@@ -24,7 +24,7 @@ class SizedEffect(ABC):
     limits : (float, float)
         Least and largest size that a scene may state.
     prior : float
-        One standard deviation of the size where a recording tells nothing.
+        One standard deviation of the size where a recording shows nothing.
     in_volt : bool
         Whether columns change the voltages at the converter, or else the readings.
     averages : bool

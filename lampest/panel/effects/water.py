@@ -13,7 +13,7 @@ from lampest.panel.readouts.readout import Readout
 class MovingWater(SizedEffect):
     """A relative change of the readings in the patterns of `motion_patterns`.
 
-    No scene names it: the scatter of the unloaded frames tells its sizes.
+    No scene names it: the scatter of the unloaded frames shows its sizes.
     """
 
     in_volt = False
