@@ -19,6 +19,8 @@ from lampest.posterior.gaussian import forms_over_scales
 from lampest.recording.readings import Readings
 
 READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))  # tried sizes e
+MAX_POINTS = 4  # at which the readings are linearised
+SMALL_GAIN = 3.0  # of −2 ln likelihood, for which they are not linearised once more
 # Tried scatters s of unloaded cells, and the logarithms of their prior probabilities. Steps are a
 # tenth, because a hundred cells show their scatter to some percent: where crosstalk is small an
 # error e would fill a gap between two of them.
@@ -44,12 +46,13 @@ def unloaded_costs(
         −2 log p(y | e, s) = aᵀV⁻¹a − (aᵀV⁻¹b)²/(bᵀV⁻¹b) + log |V| + log bᵀV⁻¹b + Σ log τ²,
         V = 1 + s² A Aᵀ,
 
-    with a = t/τ and b = A 1. The likelihood is averaged over the prior of SCATTERS. u is
-    first the point of the largest error, then that of the most probable one of a few errors beside
-    the middle spread; all errors and spreads share it. Where the cells are not alike, e is
-    overestimated rather than underestimated. Linear theory lets cells explain readings that no
-    cells give; but no likelihood exceeds that of the best fit, so that −2 log p is at least
-    χ²/max(τ/σ)² + Σ log τ².
+    with a = t/τ and b = A 1. The likelihood is averaged over the prior of SCATTERS. All errors and
+    spreads share u, which is the most probable point beside one error and one scatter: first those
+    that are likeliest where readings are linearised about equal cells. Where another error and
+    scatter are likelier then, the readings are linearised there, too, and the larger cost holds:
+    linear theory lets cells explain readings that no cells give. No likelihood exceeds that of the
+    best fit either, so that −2 log p is at least χ²/max(τ/σ)² + Σ log τ². Where the cells are not
+    alike, e is overestimated rather than underestimated.
 
     Parameters
     ----------
@@ -107,13 +110,27 @@ def unloaded_costs(
                 each[number, place] = np.maximum(linear, least / widening**2) + logarithms
         return each
 
-    start = np.log(data.uniform_start[0])
-    cells, *at_largest = linearised(float(widest), float(SCATTERS[0]), start)
-    first = costs(few, middle, *at_largest)[0]
-    row, column = np.unravel_index(np.argmin(first), first.shape)
-    _, *at_best = linearised(float(few[row]), float(SCATTERS[column]), cells)
+    def most_probable(costs_of_few: Array) -> tuple[int, int]:
+        place = np.unravel_index(np.argmin(costs_of_few / 2 - LOG_PRIOR), costs_of_few.shape)
+        return int(place[0]), int(place[1])
+
+    cells, *at_largest = linearised(
+        float(widest), float(SCATTERS[0]), np.log(data.uniform_start[0])
+    )
+    place = most_probable(costs(few, middle, *at_largest)[0])
+    of_few = np.full((len(few), len(SCATTERS)), -np.inf)
+    points = list[list[Array]]()
+    for _ in range(MAX_POINTS):
+        cells, *point = linearised(float(few[place[0]]), float(SCATTERS[place[1]]), cells)
+        points.append(point)
+        of_few = np.maximum(of_few, costs(few, middle, *point)[0])
+        likelier = most_probable(of_few)
+        if of_few[place] - of_few[likelier] < SMALL_GAIN:
+            break
+        place = likelier
+    each = np.max([costs(tried, channels, *point) for point in points], axis=0)
     # −2 ln Σ_s p(y | e, s) p(s)
-    marginal = -2 * np.logaddexp.reduce(LOG_PRIOR - costs(tried, channels, *at_best) / 2, axis=-1)
+    marginal = -2 * np.logaddexp.reduce(LOG_PRIOR - each / 2, axis=-1)
     return np.asarray(marginal)
 
 
