@@ -295,6 +295,10 @@ def estimate_noise(
     elif readout is not None and not specified and unloaded >= enough_frames:
         factor = shown_noise(readout, ratio)[1]
     scaled = replace(cleaned, sigma=factor * cleaned.sigma)
+    if readout is not None and scaled.constant is not None and factor != 1:
+        # noise as large as the shown one dithers the rounding
+        share = readout.constant_share(shown_noise(readout, ratio)[0])
+        scaled = replace(scaled, constant=share * scaled.known_sigma)
     noise = replace(
         unscaled, readings=scaled, factor=ratio, factor_error=ratio / precision, sigma_factor=factor
     )
