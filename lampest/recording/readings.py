@@ -313,6 +313,13 @@ class Readings:
         return self.sigma
 
     @property
+    def mostly_rounding(self) -> bool:
+        """Whether the constant part makes more than half of the variance."""
+        if self.sigma is None or self.constant is None:
+            return False
+        return bool(np.mean(self.constant**2) > np.mean(self.sigma**2) / 2)
+
+    @property
     def sigma_of_values(self) -> Array | None:
         """Standard deviations, infinite for bounds and missing readings; None if unknown."""
         return None if self.sigma is None else np.where(self.plain, self.sigma, np.inf)

@@ -503,6 +503,18 @@ def test_a_spread_of_channels_that_any_larger_one_explains_is_not_advised() -> N
     assert drawn is not None and not lines_of(drawn[1])
 
 
+def test_cells_that_differ_by_a_factor_of_ten_are_no_errors_of_readings() -> None:
+    """Linearised for one error, the readings seem likelier with any other."""
+    drawn = sound(94002)
+    assert drawn is not None and STATIC_LINE not in lines_of(drawn[1])
+
+
+def test_codes_without_noise_show_no_ripple() -> None:
+    """In each frame some ten of 216 readings have another code than in the first one."""
+    drawn = sound(94026)
+    assert drawn is not None and not lines_of(drawn[1])
+
+
 def lines_of(recording: Recording) -> set[str]:
     """The lines that advice on effects suggests."""
     return {finding.line for finding in unnamed_effects(Prepared(recording))}
