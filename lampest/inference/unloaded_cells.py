@@ -110,21 +110,21 @@ def unloaded_costs(
                 each[number, place] = np.maximum(linear, least / widening**2) + logarithms
         return each
 
-    def most_probable(costs_of_few: Array) -> tuple[int, int]:
-        place = np.unravel_index(np.argmin(costs_of_few / 2 - LOG_PRIOR), costs_of_few.shape)
+    def lowest(costs_of_few: Array) -> tuple[int, int]:
+        place = np.unravel_index(np.argmin(costs_of_few), costs_of_few.shape)
         return int(place[0]), int(place[1])
 
     cells, *at_largest = linearised(
         float(widest), float(SCATTERS[0]), np.log(data.uniform_start[0])
     )
-    place = most_probable(costs(few, middle, *at_largest)[0])
+    place = lowest(costs(few, middle, *at_largest)[0] - 2 * LOG_PRIOR)
     of_few = np.full((len(few), len(SCATTERS)), -np.inf)
     points = list[list[Array]]()
     for _ in range(MAX_POINTS):
         cells, *point = linearised(float(few[place[0]]), float(SCATTERS[place[1]]), cells)
         points.append(point)
-        of_few = np.maximum(of_few, costs(few, middle, *point)[0])
-        likelier = most_probable(of_few)
+        of_few = np.maximum(of_few, costs(few, middle, *point)[0] - 2 * LOG_PRIOR)
+        likelier = lowest(of_few)
         if of_few[place] - of_few[likelier] < SMALL_GAIN:
             break
         place = likelier
