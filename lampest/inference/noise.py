@@ -328,8 +328,10 @@ def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
     expected = 0.0 if readout is None or recording.sigma is not None else scattering_share(readout)
     if readout is not None and parts.own * MIN_EXCESS < expected:
         below = 1 - chi_square_tail(squares / expected**2, parts.own_freedom)
-        if below < SIGNIFICANCE:
-            return shown_noise(readout, parts.own)[1]
+        factor = shown_noise(readout, parts.own)[1]
+        # with less noise than rounding σ is that of the step, whatever the noise is
+        if below < SIGNIFICANCE and abs(np.log(factor)) > np.log(MIN_EXCESS):
+            return factor
     return noted_excess(squares, parts.own_freedom)
 
 

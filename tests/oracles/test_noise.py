@@ -516,6 +516,12 @@ def test_codes_without_noise_show_no_ripple() -> None:
     assert drawn is not None and not lines_of(drawn[1])
 
 
+def test_noise_below_the_rounding_is_not_said_to_be_another_one() -> None:
+    """0.017 LSB in place of 0.03 change no sigma."""
+    drawn = sound(94120, drifts=False)
+    assert drawn is not None and Prepared(drawn[1]).noise.sentence == ""
+
+
 def lines_of(recording: Recording) -> set[str]:
     """The lines that advice on effects suggests."""
     return {finding.line for finding in unnamed_effects(Prepared(recording))}
