@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import SIGNIFICANCE
-from lampest.inference.outliers import MAX_SHARE, MIN_FRAMES
+from lampest.inference.cleaning import MAX_SHARE, MIN_FRAMES
 from lampest.inference.variance_components import (
     MIN_EXCESS,
     NO_RIPPLE,
@@ -33,7 +33,7 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 
 if TYPE_CHECKING:
-    from lampest.inference.alike import PanelChoice
+    from lampest.inference.circuits.alike import PanelChoice
     from lampest.inference.nuisances import CircuitEffects
     from lampest.posterior.frame_noise import FrameNoise
 

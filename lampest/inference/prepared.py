@@ -10,59 +10,24 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.errors import BROKEN, InputError, in_words
 from lampest.files.process import ONE_BLAS_THREAD
+from lampest.inference.cleaning import Cleaned
 from lampest.inference.noise import NoiseEstimate, estimate_noise
-from lampest.inference.outliers import (
-    frozen_readings,
-    impossible_readings,
-    without_outliers,
-    without_readings,
-)
 from lampest.inference.resolve import OF_NOISE, PASSES, ZERO, resolved, resolved_scene
 from lampest.panel.effects import unobservable_numbers
 from lampest.panel.panel import Array, Modules
 from lampest.panel.scene import specified
 from lampest.panel.sizes import ESTIMATED
-from lampest.recording.garbled import GarbledLines, garbled_lines, garbled_sentence, readings_of
-from lampest.recording.readings import Readings
-from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.garbled import garbled_sentence
+from lampest.recording.recording import Recording
 
 if TYPE_CHECKING:
-    from lampest.inference.alike import PanelChoice
-    from lampest.inference.model_check import ModelCheck, Question
+    from lampest.inference.circuits.alike import PanelChoice
+    from lampest.inference.circuits.model_check import ModelCheck, Question
     from lampest.inference.nuisances import CircuitEffects
     from lampest.panel.effects.line_effect import LineEffect
-
-
-@dataclass(frozen=True, eq=False)
-class Cleaned:
-    """Readings of a single network without outliers.
-
-    Attributes
-    ----------
-    recording : Recording
-        Its scene includes a saturated stage where the readings show one; frozen and garbled
-        readings are missing.
-    frozen : boolean array, shape (rows, columns)
-    garbled : tuple of GarbledLines
-    outliers : boolean array, shape (frames, rows, columns)
-    readings : Readings
-        Unloaded outliers are missing, measured ones are replaced by the prediction of neighbouring
-        frames.
-    memory : (float, float), str or None
-        Estimate of `converter_memory` with its standard deviation, or why there is none; None where
-        the scene calls for none.
-    """
-
-    recording: Recording
-    frozen: NDArray[np.bool_]
-    garbled: tuple[GarbledLines, ...]
-    outliers: NDArray[np.bool_]
-    readings: Readings
-    memory: tuple[float, float] | str | None = None
 
 
 # Of parts in two dividers, with resistors of 5 % (series E24, IEC 60063): √2 · 5 %, rounded up.
@@ -145,17 +110,7 @@ class Prepared:
             from lampest.inference.effects.converter_memory import with_estimated_memory  # alike
 
             recording, memory = with_estimated_memory(recording)
-        if self.recording.scene.outliers == "keep":
-            frozen = np.zeros(recording.scene.panel.shape, dtype=bool)
-            outliers = np.zeros(recording.recorded.shape, dtype=bool)
-            return Cleaned(recording, frozen, (), outliers, recording.readings(), memory)
-        frozen = frozen_readings(recording)
-        garbled = garbled_lines(recording)
-        recording = without_readings(recording, frozen | readings_of(garbled, recording))
-        readings = recording.readings()
-        impossible = impossible_readings(recording.scene.circuit, readings)
-        outliers, readings = without_outliers(impossible, readings, recording.role == UNLOADED)
-        return Cleaned(recording, frozen, garbled, outliers, readings, memory)
+        return Cleaned.of(recording, memory)
 
     @cached_property
     def frame_noise(self) -> NoiseEstimate:
@@ -189,7 +144,7 @@ class Prepared:
 
         Raises the errors of `BROKEN`.
         """
-        from lampest.inference.model_check import Question  # for a check alone
+        from lampest.inference.circuits.model_check import Question  # for a check alone
 
         return Question.of(self.cleaned.recording, self.cleaned.outliers)
 
@@ -235,7 +190,7 @@ class Prepared:
     @ONE_BLAS_THREAD
     def _check(self) -> "ModelCheck":
         """The check without the numbers that no frame can determine."""
-        from lampest.inference.model_check import ModelCheck, check_of_modules
+        from lampest.inference.circuits.model_check import ModelCheck, check_of_modules
 
         if self.layout is not None:
             living = {
@@ -291,7 +246,7 @@ class Prepared:
         question = replace(self.question, named_errors=self._named_errors)
         if question.fault:
             return check
-        from lampest.inference.model_check import EXPLAINED
+        from lampest.inference.circuits.model_check import EXPLAINED
         from lampest.panel.estimated import estimated_lines
 
         sizes = {

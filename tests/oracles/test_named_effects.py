@@ -30,9 +30,10 @@ from lampest import (
 )
 from lampest.audit import advice, effects
 from lampest.audit.finding import Finding
-from lampest.inference import model_check, resolve
+from lampest.inference import resolve
 from lampest.inference import warnings as objections
 from lampest.inference.assumptions import ASSUMED
+from lampest.inference.circuits import model_check
 from lampest.inference.effects import (
     converter_ends,
     converter_memory,

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
-from lampest.inference.compared_frames import ComparedFrames
+from lampest.inference.circuits.compared_frames import ComparedFrames
+from lampest.inference.circuits.explanation import Explanation
+from lampest.inference.circuits.rivals import Rival, with_converter
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
-from lampest.inference.explanation import Explanation
 from lampest.inference.noise import NoiseEstimate
-from lampest.inference.rivals import Rival, with_converter
 from lampest.panel.panel import Array
 from lampest.panel.readouts.converter import Characteristic
 from lampest.panel.readouts.divider import Divider

@@ -13,14 +13,14 @@ from dataclasses import replace
 import numpy as np
 
 from lampest.files.levels import MIN_EVIDENCE_GAIN
-from lampest.inference.compared_frames import ComparedFrames
+from lampest.inference.circuits.compared_frames import ComparedFrames
+from lampest.inference.circuits.explanation import Explanation
+from lampest.inference.circuits.parameters import MEMORIES as TRIED
+from lampest.inference.circuits.parameters import may_gain_by_memory
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.evidence import PARAMETER_COST, mostly_still
-from lampest.inference.explanation import Explanation
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.number import parabola
-from lampest.inference.rival_parameters import MEMORIES as TRIED
-from lampest.inference.rival_parameters import may_gain_by_memory
 from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.effects.converter_memory import KeptShare
 from lampest.panel.panel import Array

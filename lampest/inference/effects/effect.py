@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.inference.model_check import ModelCheck, Question
+from lampest.inference.circuits.model_check import ModelCheck, Question
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides, CircuitEffects
 from lampest.panel.scene import Scene, specified

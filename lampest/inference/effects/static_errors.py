@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANCE
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted
+from lampest.inference.circuits.parameters import DOUBTFUL_GAIN
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.evidence import mostly_still
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides
 from lampest.inference.number import Number, summed_out
-from lampest.inference.rival_parameters import DOUBTFUL_GAIN
 from lampest.inference.shared_changes import (
     CHANNEL_FACTORS,
     FEW_FACTORS,
