@@ -297,7 +297,8 @@ class Prepared:
         if self.whole_recording is not None:
             return self.whole_recording.panels
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            if self.recording.scene.circuit.several_panels:
+            scene = self.recording.scene
+            if scene.circuit.several_panels(*scene.panel.shape):
                 return self.question.panels
         return None
 

@@ -50,7 +50,9 @@ class PanelChoice:
     @classmethod
     def of(cls, circuit: Readout, resting: Readings, loaded: Readings) -> Self | None:
         """Return the choice for two frames; None where one has bounds, or no panel is found."""
-        if not (circuit.several_panels and resting.plain.all() and loaded.plain.all()):
+        if not (resting.plain.all() and loaded.plain.all()):
+            return None
+        if not circuit.several_panels(*resting.value.shape):
             return None
         tolerance = max(noise_share(resting), noise_share(loaded))
         unloaded = circuit.every_panel(resting.value, tolerance)
