@@ -122,9 +122,8 @@ class Method(Configuration):
         if objective.relative:
             background = self._background_with_previous(state, readings)
         data = replace(objective.data(readings.alone(), background), first=state.first)
-        several = (
-            state.scene.wiring is None
-            and state.scene.circuit.several_panels(*state.scene.panel.shape)
+        several = state.scene.wiring is None and state.scene.circuit.several_panels(
+            *state.scene.panel.shape
         )
         if state.previous is not None:
             start = state.previous

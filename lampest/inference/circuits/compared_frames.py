@@ -119,7 +119,7 @@ class ComparedFrames:
         if not several or scene.wiring is not None or not len(self.standing):
             return None
         resting, loaded = self.readings(self.specified)
-        return PanelChoice.of(scene.circuit, resting, loaded)
+        return PanelChoice.of(scene, resting, loaded)
 
     @cached_property
     def _usable(self) -> Array:
