@@ -8,9 +8,12 @@ from dataclasses import dataclass, field, fields
 from math import nextafter
 from typing import Any, Final, Literal
 
+import numpy as np
+
 from lampest.files.applications import loaded
 from lampest.files.document import INLINE, MIN_NUMBER
 from lampest.files.typed import Extensible, check_range, check_ranges
+from lampest.panel.panel import as_panels_have
 
 ESTIMATED: Final = "estimated"  # in place of a number: the recording determines it
 Size = float | Literal["estimated"]
@@ -138,11 +141,15 @@ def check_sizes(owner: Any, *names: str) -> None:
             check_ranges(owner, *limits_of(name), name)
 
 
-def within_limits(name: str, number: float) -> float:
-    """Return the number nearest to one that a recording determined which a scene may state.
+def nearest_allowed(key: str, number: float) -> float:
+    """Return the number nearest to a determined one that a scene may state under a dotted key.
 
-    Numbers below the range of physical quantities are zero, numbers beyond a limit are the limit.
+    Numbers below the range of physical quantities are zero. Numbers beyond the limits of a size are
+    the limit, and without limits infinity beyond that range.
     """
-    low, high = limits_of(name)
-    limited = min(max(number, low), high)
-    return 0.0 if abs(limited) < MIN_NUMBER else limited
+    name = key.rpartition(".")[2]
+    if name in LIMITS or name in SIZED or key.startswith("systematic."):
+        low, high = limits_of(name)
+        number = min(max(number, low), high)
+        return 0.0 if abs(number) < MIN_NUMBER else number
+    return float(as_panels_have(np.asarray(number)))
