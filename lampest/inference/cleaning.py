@@ -524,9 +524,6 @@ class Cleaned:
     readings : Readings
         Unloaded outliers are missing, measured ones are replaced by the prediction of neighbouring
         frames.
-    memory : (float, float), str or None
-        Estimate of `converter_memory` with its standard deviation, or why there is none; None where
-        the scene calls for none.
     """
 
     recording: Recording
@@ -534,10 +531,9 @@ class Cleaned:
     garbled: tuple[GarbledLines, ...]
     outliers: NDArray[np.bool_]
     readings: Readings
-    memory: tuple[float, float] | str | None = None
 
     @classmethod
-    def of(cls, recording: Recording, memory: tuple[float, float] | str | None) -> "Cleaned":
+    def of(cls, recording: Recording) -> "Cleaned":
         """Return the readings of a recording without those that do not belong to it.
 
         All remain where its scene keeps outliers.
@@ -545,11 +541,11 @@ class Cleaned:
         if recording.scene.outliers == "keep":
             frozen = np.zeros(recording.scene.panel.shape, dtype=bool)
             outliers = np.zeros(recording.recorded.shape, dtype=bool)
-            return cls(recording, frozen, (), outliers, recording.readings(), memory)
+            return cls(recording, frozen, (), outliers, recording.readings())
         frozen = frozen_readings(recording)
         garbled = garbled_lines(recording)
         recording = without_readings(recording, frozen | readings_of(garbled, recording))
         readings = recording.readings()
         impossible = impossible_readings(recording.scene.circuit, readings)
         outliers, readings = without_outliers(impossible, readings, recording.role == UNLOADED)
-        return cls(recording, frozen, garbled, outliers, readings, memory)
+        return cls(recording, frozen, garbled, outliers, readings)

@@ -15,11 +15,17 @@ from lampest.files.errors import BROKEN, InputError, in_words
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.cleaning import Cleaned
 from lampest.inference.noise import NoiseEstimate, estimate_noise
-from lampest.inference.resolve import OF_NOISE, PASSES, ZERO, resolved, resolved_scene
+from lampest.inference.resolve import (
+    OF_NOISE,
+    Freed,
+    effects_of_frames,
+    freed,
+    keys_in_sigma,
+    resolved,
+    resolved_scene,
+)
 from lampest.panel.effects import unobservable_numbers
 from lampest.panel.panel import Array, Modules
-from lampest.panel.scene import specified
-from lampest.panel.sizes import ESTIMATED
 from lampest.recording.garbled import garbled_sentence
 from lampest.recording.recording import Recording
 
@@ -92,25 +98,15 @@ class Prepared:
         assert self.layout is not None
         return noise_of_modules(self.recording, self.layout, estimates)
 
-    @property
-    def _estimates_ends(self) -> bool:
-        """Whether the scene leaves an end of its converter to the recording."""
-        return any(specified(self.recording.scene, key) == ESTIMATED for key in (PASSES, ZERO))
+    @cached_property
+    def _freed(self) -> Freed:
+        """The recording of a single network without effects that act before readings are taken."""
+        return freed(self.recording)
 
     @cached_property
     def cleaned(self) -> Cleaned:
         """The readings of a single network without outliers."""
-        recording = self.recording
-        if self._estimates_ends:
-            from lampest.inference.effects.converter_ends import with_saturated_stage  # as above
-
-            recording = with_saturated_stage(recording)
-        memory: tuple[float, float] | str | None = None
-        if recording.scene.converter_memory == ESTIMATED:
-            from lampest.inference.effects.converter_memory import with_estimated_memory  # alike
-
-            recording, memory = with_estimated_memory(recording)
-        return Cleaned.of(recording, memory)
+        return Cleaned.of(self._freed.recording)
 
     @cached_property
     def frame_noise(self) -> NoiseEstimate:
@@ -119,16 +115,10 @@ class Prepared:
             return self._joined(
                 [None if module is None else module.frame_noise for module in self.modules]
             )
-        noise = estimate_noise(self.cleaned.recording, self.cleaned.outliers, self.cleaned.readings)
-        if self._estimates_ends:
-            from lampest.inference.effects.converter_ends import with_resolved_ends  # as above
-
-            noise = with_resolved_ends(noise, self.recording, self.cleaned.recording)
-        memory = self.cleaned.memory
-        if memory is not None:
-            from lampest.inference.effects.converter_memory import with_uncertain_memory  # as above
-
-            noise = with_uncertain_memory(noise, self.cleaned.recording, memory)
+        recording = self.cleaned.recording
+        effects = effects_of_frames(recording.scene)
+        noise = estimate_noise(recording, self.cleaned.outliers, self.cleaned.readings, effects)
+        noise = self._freed.noted(noise, self.cleaned.recording)
         places = [f"row {row}, column {column}" for row, column in np.argwhere(self.cleaned.frozen)]
         if places:
             noise = noise.with_warnings(
@@ -249,11 +239,8 @@ class Prepared:
         from lampest.inference.circuits.model_check import EXPLAINED
         from lampest.panel.estimated import estimated_lines
 
-        sizes = {
-            key: size
-            for key, size in self.noise.estimated.items()
-            if key == "motion" or key.startswith("systematic.")
-        }
+        keys = keys_in_sigma(self.recording.scene)
+        sizes = {key: size for key, size in self.noise.estimated.items() if key in keys}
         explained = replace(check, explains=True, sentence=EXPLAINED, doubts=())
         doubts = list(check.doubts)
         if sizes:
