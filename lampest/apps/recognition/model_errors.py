@@ -37,7 +37,7 @@ class ModelErrors:
         are too noisy.
     drift, common_drift : of ln r at rest for each decade of minutes, of each cell and of all alike
         (temperature).
-    settled : of ln r at rest, apart from drift, which `lampest.inference` has in one number, because
+    settled : of ln r at rest, apart from drift. `lampest.inference` has both in one number, because
         it knows no time since the unloaded frames.
     channel_ohm : of the on-resistance of a multiplexer's channel about its mean, one for each line.
     reference : relative error of the reference resistor: 1 % at most, uniform.
