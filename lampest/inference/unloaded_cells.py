@@ -95,11 +95,11 @@ def costs_by_scatter(
         −2 log p(y | e, s) = aᵀV⁻¹a − (aᵀV⁻¹b)²/(bᵀV⁻¹b) + log |V| + log bᵀV⁻¹b + Σ log τ²,
         V = 1 + s² A Aᵀ,
 
-    with a = t/τ and b = A 1. u is first the point of the largest error, then that of the most probable one of a few errors beside
-    the middle spread; all errors and spreads share it. Where the cells are not alike, e is
-    overestimated rather than underestimated. Linear theory lets cells explain readings that no
-    cells give; but no likelihood exceeds that of the best fit, so that −2 log p is at least
-    χ²/max(τ/σ)² + Σ log τ².
+    with a = t/τ and b = A 1. u is first the point of the largest error, then that of the most
+    probable one of a few errors beside the middle spread; all errors and spreads share it. Where
+    the cells are not alike, e is overestimated rather than underestimated. Linear theory lets cells
+    explain readings that no cells give; but no likelihood exceeds that of the best fit, so that −2
+    log p is at least χ²/max(τ/σ)² + Σ log τ².
 
     Parameters
     ----------
