@@ -105,7 +105,7 @@ BREAKS = {
         "estimate/estimator.py", "Estimator.has_error_bars", "return True"
     ),
     "outliers_are_detected_under_a_breathing_load": Break(
-        "inference/outliers.py", "_exceeds_threshold", "return result & False"
+        "inference/cleaning.py", "_exceeds_threshold", "return result & False"
     ),
     "the_error_of_a_missing_library_names_its_extra_unlike_own_modules": Break(
         "files/errors.py", "PACKAGES", "{}"

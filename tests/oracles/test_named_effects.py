@@ -30,14 +30,15 @@ from lampest import (
 )
 from lampest.audit import advice, effects
 from lampest.audit.finding import Finding
-from lampest.inference import model_check, resolve
 from lampest.inference import warnings as objections
 from lampest.inference.assumptions import ASSUMED
+from lampest.inference.circuits import model_check
 from lampest.inference.effects import (
     converter_ends,
     converter_memory,
     creep,
     gain_and_ripple,
+    leaks_and_contacts,
     motion,
     static_errors,
 )
@@ -110,7 +111,7 @@ def test_an_effect_without_an_entry_in_the_scene_is_not_estimated(
         raise AssertionError("was not asked for")
 
     for module, names in (
-        (resolve, ("without_effects",)),
+        (leaks_and_contacts, ("without_effects",)),
         (static_errors, ("shared_errors",)),
         (motion, ("share_of_motion",)),
         (creep, ("fitted",)),

@@ -34,7 +34,7 @@ import lampest
 from lampest.apps.calibration import channels as of_channels
 from lampest.apps.calibration import circuit_fit, circuit_numbers, resistors
 from lampest.apps.recognition.model_errors import ModelErrors
-from lampest.inference import rival_parameters
+from lampest.inference.circuits import parameters
 from lampest.inference.assumptions import ASSUMED
 from lampest.panel.sizes import Systematic
 from lampest.panel.effects import systematic_of
@@ -57,7 +57,7 @@ print(json.dumps({
     "calibrated wire": [
         circuit_numbers.EXPECTED[f"lines.{line}_ohm_per_cell"][1] for line in ("row", "column")
     ],
-    "tried memory": rival_parameters.LINEAR_MEMORY,
+    "tried memory": parameters.LINEAR_MEMORY,
     "assumed": [ASSUMED.common_change, ASSUMED.creep],
     "calibrated resistors": [
         circuit_fit.TYPICAL_OHM, circuit_fit.WORST_OHM, resistors.WORST_OHM,

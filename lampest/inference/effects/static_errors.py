@@ -13,10 +13,15 @@ Given e, the still cells determine the posterior of z. Of errors that are too la
 theory only e is estimated.
 """
 
+<<<<<<< HEAD
 from collections.abc import Iterator
 from contextlib import suppress
+=======
+from collections.abc import Iterator, Sequence
+>>>>>>> main
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +30,12 @@ from lampest.files.errors import BROKEN
 from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANCE
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted
+from lampest.inference.circuits.parameters import DOUBTFUL_GAIN
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.evidence import mostly_still
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides
 from lampest.inference.number import Number, summed_out
-from lampest.inference.rival_parameters import DOUBTFUL_GAIN
 from lampest.inference.shared_changes import (
     CHANNEL_FACTORS,
     FEW_FACTORS,
@@ -470,6 +475,18 @@ class StaticErrors(SceneEffect):
                 reason = errors.undetermined or "no frame shows it; `lampest calibrate` measures it"
                 noise = noise.undetermined(f"systematic.{name}", reason)
         return noise
+
+    def stated(self, scene: Scene, keys: Sequence[str], noise: NoiseEstimate) -> Scene:
+        """Return the scene with the sizes of the posterior, or of the prior where there is none."""
+        systematic = scene.systematic
+        assert isinstance(systematic, Systematic)
+        sizes = noise.possible_errors.sizes if noise.possible_errors else systematic_of(scene)
+        stated = dict[str, Any]()
+        for key in keys:
+            name = key.removeprefix("systematic.")
+            size = None if sizes is None else sizes.entry(name)
+            stated[name] = None if size is None else self.allowed(scene, key, size)
+        return replace(scene, systematic=systematic.with_entries(stated))
 
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield advice on columns, on channels, or on errors of each reading that stay the same."""

@@ -44,23 +44,6 @@ LINE_EFFECTS = (
     "lampest.panel.effects.line_leak:LineLeak",
     "lampest.panel.effects.loose_contact:LooseContact",
 )
-# Effects at a converter in the order in which they act: entries of `unmodelled` with the sizes, the
-# first of which is absent or 0 without the effect, and its class.
-AT_CONVERTER = (
-    (("gain_spread",), "lampest.panel.effects.gain:Gain"),
-    (("supply_ripple_lsb", "supply_ripple_hz"), "lampest.panel.effects.ripple:Ripple"),
-    (("inl_lsb",), "lampest.panel.effects.converter_curve:ConverterCurve"),
-    (("saturation",), "lampest.panel.effects.saturation:Saturation"),
-)
-# Effects that leave errors in a frame: attributes of `FrameNoise` with the sizes, and class. The
-# first has its column at size 0, too.
-OF_FRAMES = (
-    (("gain",), "lampest.panel.effects.gain:Gain"),
-    (("common_ripple", "line_ripple"), "lampest.panel.effects.ripple:Ripple"),
-    (("motion",), "lampest.panel.effects.water:MovingWater"),
-    (("trembling", "resting"), "lampest.panel.effects.motion:LoadMotion"),
-    (("memory",), "lampest.panel.effects.converter_memory:KeptShare"),
-)
 REFERENCE = "reference_tolerance"
 SERIES = "series_tolerance_ohm"
 LOG_STEP = 1e-6  # of the logarithm of a recorded value, for central differences
