@@ -13,12 +13,8 @@ Given e, the still cells determine the posterior of z. Of errors that are too la
 theory only e is estimated.
 """
 
-<<<<<<< HEAD
-from collections.abc import Iterator
-from contextlib import suppress
-=======
 from collections.abc import Iterator, Sequence
->>>>>>> main
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
