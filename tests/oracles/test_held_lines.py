@@ -7,6 +7,7 @@ import pytest
 
 import lampest
 from docs.studies.held_lines import nodal_volts, random_readout
+from docs.studies.model_check import sound
 from lampest import Array, DrivenReadout, Misfit, Panel, Recording, Scene
 from lampest.audit.verdict import verdict
 from lampest.inference.prepared import Prepared
@@ -75,6 +76,17 @@ def test_random_circuits_have_clear_and_right_panels_or_a_doubt() -> None:
         error = np.median(np.abs(choice.loaded / loaded - 1)[PRESSED])
         assert error < 0.1, (seed, readout)
     assert clear >= 6
+
+
+@pytest.mark.parametrize("seed", [94013, 94112])
+def test_idle_sensed_lines_fold_the_readings_too(seed: int) -> None:
+    """They pull the driven line to ground; near the fold the right cells are noisy."""
+    drawn = sound(seed, drifts=False)
+    assert drawn is not None
+    choice = Prepared(drawn[1]).panels
+    assert choice is not None and drawn[1].truth_cell_resistance is not None
+    off = np.log(choice.resting / drawn[1].truth_cell_resistance[0])
+    assert abs(np.median(off)) < 0.1
 
 
 def test_readings_of_the_study_are_those_of_netlists() -> None:
