@@ -166,6 +166,11 @@ class NoiseEstimate:
         return 100 * self.frame.gain, common_lsb, line_lsb
 
     @property
+    def resting_cells(self) -> Array | None:
+        """Cells of the unloaded panel, ohm, at which fits begin where several panels read alike."""
+        return None if self.panels is None else self.panels.resting
+
+    @property
     def summary(self) -> str:
         """Noise of the frames in one line; '' where it is unknown."""
         if np.isnan(self.factor):

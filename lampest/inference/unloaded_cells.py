@@ -168,6 +168,8 @@ def costs_by_scatter(
     nearest = np.abs(np.subtract.outer(_place(tried), _place(points))).argmin(axis=1)
     each = np.empty((len(channels), len(tried), len(SCATTERS)))
     near = np.log(data.uniform_start[0])
+    if fit is not None:
+        near = np.full(near.shape, np.median(np.log(fit.cells)))
     likeliest = 0  # of SCATTERS
     # The fit beside a large error is the start of that beside the next smaller one.
     for number in np.argsort(-points):

@@ -96,7 +96,11 @@ class SharedErrors:
 
 
 def shared_errors(
-    scene: Scene, resting: Readings, loaded: Readings | None, noise: FrameNoise | None
+    scene: Scene,
+    resting: Readings,
+    loaded: Readings | None,
+    noise: FrameNoise | None,
+    near: Array | None = None,
 ) -> SharedErrors:
     """Return the errors that a scene calls `estimated`, from the unloaded panel and a loaded frame.
 
@@ -111,6 +115,8 @@ def shared_errors(
         final σ.
     noise : FrameNoise or None
         Errors that the readings of a frame share.
+    near : array, shape (rows, columns), optional
+        Cells in ohm at which the fit of the unloaded panel begins.
     """
     prior = systematic_of(scene) or Systematic()
     possible = Possible(prior, in_sigma=READING_ERROR.size(prior))
@@ -120,7 +126,7 @@ def shared_errors(
     if resting.value.size > MAX_CELLS:
         reason = f"the panel has more than {MAX_CELLS} cells: estimate them on a part of it"
         return SharedErrors(possible, {}, reason)
-    fit, moves = _fit_and_changes(scene, resting, loaded, noise)
+    fit, moves = _fit_and_changes(scene, resting, loaded, noise, near)
     own = SharedErrors(possible, {})
     if READING_ERROR.setting in estimated_errors(scene):
         if moves is not None and moves.has_channels:
@@ -243,7 +249,11 @@ def _spread_by(
 
 
 def significant_reading_error(
-    scene: Scene, resting: Readings, loaded: Readings | None, noise: FrameNoise | None
+    scene: Scene,
+    resting: Readings,
+    loaded: Readings | None,
+    noise: FrameNoise | None,
+    near: Array | None = None,
 ) -> tuple[float, float] | None:
     """Return the size of each reading's own error; None where it is insignificant.
 
@@ -254,7 +264,7 @@ def significant_reading_error(
     ----------
     scene : Scene
         Calls the error `estimated`.
-    resting, loaded, noise
+    resting, loaded, noise, near
         As those of `shared_errors`.
 
     Returns
@@ -264,7 +274,7 @@ def significant_reading_error(
     """
     if resting.sigma is None or resting.value.size > MAX_CELLS:
         return None
-    fit, moves = _fit_and_changes(scene, resting, loaded, noise)
+    fit, moves = _fit_and_changes(scene, resting, loaded, noise, near)
     if moves is not None and moves.has_channels:
         error = _error_beside_channels(scene, resting, fit, moves)
         return (error.mean, error.deviation) if error.odds[0] < SIGNIFICANCE else None
@@ -278,10 +288,14 @@ def significant_reading_error(
 
 
 def _fit_and_changes(
-    scene: Scene, resting: Readings, loaded: Readings | None, noise: FrameNoise | None
+    scene: Scene,
+    resting: Readings,
+    loaded: Readings | None,
+    noise: FrameNoise | None,
+    near: Array | None = None,
 ) -> "tuple[CellsFit | None, SharedChanges | None]":
     """Return the fit of the unloaded panel, and the changes to the loaded frame; None without."""
-    fit = fitted(scene, resting, patient=True)
+    fit = fitted(scene, resting, near, patient=True)
     if fit is None or loaded is None or not fit.within_noise:
         return fit, None
     prior = systematic_of(scene) or Systematic()
@@ -461,7 +475,7 @@ class StaticErrors(SceneEffect):
         loaded = None
         if len(measured):
             loaded = readings[strongest_frame(readings.plain_values, resting.value, measured)]
-        errors = shared_errors(scene, resting, loaded, noise.frame)
+        errors = shared_errors(scene, resting, loaded, noise.frame, noise.resting_cells)
         possible = _with_film_scatter(errors.possible, scene, resting)
         noise = replace(noise, possible_errors=possible).with_reading_error(recording)
         for name in requested:
@@ -515,7 +529,9 @@ class StaticErrors(SceneEffect):
         if beside_channels:
             sizes = replace(sizes, channel_spread_ohm=ESTIMATED)
         estimating = replace(scene, systematic=sizes)
-        error = significant_reading_error(estimating, *frames, evidence.noise.frame)
+        error = significant_reading_error(
+            estimating, *frames, evidence.noise.frame, evidence.noise.resting_cells
+        )
         # The largest tried error is no finding: it stands for cells that are unlike.
         return error if error is not None and error[0] < MAX_ADVISED * READING_ERRORS[-1] else None
 
@@ -534,7 +550,9 @@ class StaticErrors(SceneEffect):
         estimating = replace(
             scene, systematic=replace(sizes, channel_spread_ohm=ESTIMATED, reading_error=None)
         )
-        fit, moves = _fit_and_changes(estimating, *frames, evidence.noise.frame)
+        fit, moves = _fit_and_changes(
+            estimating, *frames, evidence.noise.frame, evidence.noise.resting_cells
+        )
         if moves is None:
             return
         spread_by = partial(_spread_by, estimating, frames[0], fit, 0.0)
@@ -563,6 +581,8 @@ class StaticErrors(SceneEffect):
         unloaded = evidence.unloaded
         if noise.readings.sigma is None or not unloaded.any():
             return None
+        if noise.panels is not None and not noise.panels.clear:
+            return None  # of panels that read alike another one may be meant
         # without the error of the model: the same misses would count for it and for errors of the
         # readings
         readings = replace(noise.readings, sigma=noise.readings.sigma / noise.model_factor)
