@@ -167,12 +167,10 @@ def costs_by_scatter(
 
     nearest = np.abs(np.subtract.outer(_place(tried), _place(points))).argmin(axis=1)
     each = np.empty((len(channels), len(tried), len(SCATTERS)))
-    near = np.log(data.uniform_start[0])
-    if fit is not None:
-        near = np.full(near.shape, np.median(np.log(fit.cells)))
-    likeliest = 0  # of SCATTERS
-    # The fit beside a large error is the start of that beside the next smaller one.
-    for number in np.argsort(-points):
+    near = np.log(data.uniform_start[0] if fit is None else fit.cells)
+    likeliest = int(np.abs(np.log(SCATTERS / max(float(near.std()), SCATTERS[0]))).argmin())
+    # The most probable cells beside an error are the start of those beside the next larger one.
+    for number in range(len(points)):
         for _ in range(MAX_ROUNDS):
             scatter = likeliest
             near, *point = linearised(float(points[number]), float(SCATTERS[scatter]), near)
