@@ -1,30 +1,34 @@
 """Choice among panels that read alike, by an unloaded and a loaded frame together.
 
-Where idle lines are held harder than the driven one, several panels give the readings of a frame
-(`lampest.panel.readouts.branches`). A load changes some cells, and the others stand still: this
-holds for the pair of panels that is meant. In any other pair nearly all cells change, because the
-potential of a driven line is another one beyond its fold. With a Student-like density of changes,
-a pair costs
-
-    Σ ln(1 + (Δ ln r/CHANGE)²)
-
-and another pair is ruled out where it costs more by CLEAR.
+Where idle lines are held and the driven one has a resistance, several panels give the readings of a
+frame (`lampest.panel.readouts.branches`). A load changes some cells, and the others stand still:
+this holds for the pair of panels that is meant. In any other pair nearly all cells change, because
+the potential of a driven line is another one beyond its fold. Panels of one circuit are therefore
+compared by the evidence that compares circuits (`lampest.inference.pair`), which counts the noise
+that cells have beside each fold. Another pair is ruled out where it has less evidence by CLEAR.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import product
+from operator import itemgetter
 from typing import Self
 
 import numpy as np
 
+from lampest.files.errors import BROKEN
+from lampest.inference.cells_fit import CellsFit, data_of_cells, fitted
+from lampest.inference.evidence import mostly_still
+from lampest.inference.pair import FittedPair
 from lampest.panel.panel import Array
-from lampest.panel.readouts import Readout
+from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 
-CHANGE = 0.03  # of ln r: cells that change by less stand still within the noise of exact fits
-CLEAR = 10.0  # in the cost of a pair: odds of e^10, the more careful as changes share their noise
-STILL = 2 * CHANGE  # median change of ln r in a pair of which most cells stand still
-NOISE_RANGE = 3.0  # standard deviations of a reading: panels that fit to less are compared
+CLEAR = 20.0  # in −2 ln evidence: odds of e^10
+CHANGE = 0.03  # of ln r: panels of which no cell differs by more than this and noise are one
+STILL = 2 * CHANGE  # median change of ln r by which a solve ends at another panel
+NOISE_RANGE = 3.0  # standard deviations of a reading, and of a cell: panels within noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,33 +52,40 @@ class PanelChoice:
     clear: bool
 
     @classmethod
-    def of(cls, circuit: Readout, resting: Readings, loaded: Readings) -> Self | None:
-        """Return the choice for two frames; None where one has bounds, or no panel is found."""
-        if not (circuit.several_panels and resting.plain.all() and loaded.plain.all()):
+    def of(cls, scene: Scene, resting: Readings, loaded: Readings) -> Self | None:
+        """Return the choice for two frames.
+
+        The result is None where no panel explains a frame.
+        """
+        if not (resting.plain.any() and loaded.plain.any()):
             return None
         tolerance = max(noise_share(resting), noise_share(loaded))
-        unloaded = circuit.every_panel(resting.value, tolerance)
-        of_load = circuit.every_panel(loaded.value, tolerance, unloaded)
+        unloaded = _every_panel(scene, resting, tolerance)
+        of_load = _every_panel(scene, loaded, tolerance, unloaded)
         # Panels of a load are starts of the unloaded one that uniform panels may miss
-        unloaded = circuit.every_panel(resting.value, tolerance, [*unloaded, *of_load])
-        pairs = sorted(
-            (
-                (change_cost(after, before), number, before, after)
-                for number, (before, after) in enumerate(
-                    (before, after) for before in unloaded for after in of_load
-                )
-            ),
-            key=lambda pair: pair[:2],
-        )
+        unloaded = _every_panel(scene, resting, tolerance, [*unloaded, *of_load])
+        before = _distinct_fits(scene, resting, unloaded)
+        after = _distinct_fits(scene, loaded, of_load)
+        pairs = []
+        for frames in product(before, after):
+            with suppress(*BROKEN):
+                pair = FittedPair(frames)
+                pairs.append((pair.density + pair.misfits, pair))
         if not pairs:
             return None
-        least, _, before, after = pairs[0]
+        pairs.sort(key=itemgetter(0))
+        cost, best = pairs[0]
+        clear = mostly_still(best.moved)
+        chosen = [frame.cells for frame in best.frames]
         if len(pairs) == 1:
-            return cls(before, after, None, clear=_mostly_still(before, after))
-        second, _, *cells = pairs[1]
-        other = cells[0] if cells[0] is not before else cells[1]
-        clear = second - least > CLEAR and _mostly_still(before, after)
-        return cls(before, after, other, clear)
+            return cls(*chosen, None, clear)
+        second_cost, second = pairs[1]
+        other = next(
+            frame.cells
+            for frame, taken in zip(second.frames, best.frames, strict=True)
+            if frame is not taken
+        )
+        return cls(*chosen, other, clear and second_cost - cost > CLEAR)
 
     @property
     def sentence(self) -> str:
@@ -104,13 +115,39 @@ def nearest_panel(panels: Sequence[Array], baseline: Array) -> Array:
     return min(panels, key=lambda cells: change_cost(cells, baseline))
 
 
-def _mostly_still(before: Array, after: Array) -> bool:
-    """Return whether most cells of a pair stand still."""
-    return bool(np.median(np.abs(np.log(after / before))) < STILL)
+def _every_panel(
+    scene: Scene, readings: Readings, tolerance: float, firsts: Sequence[Array] = ()
+) -> list[Array]:
+    """Return the panels that give a frame's readings, with cells within the bounds of estimates.
+
+    Bounds and readings of broken cells do not count.
+    """
+    data = data_of_cells(scene, readings)
+    limits = (data.lower[0], data.upper[0])
+    return scene.circuit.every_panel(readings.plain_values, limits, tolerance, firsts)
+
+
+def _distinct_fits(scene: Scene, readings: Readings, panels: Sequence[Array]) -> list[CellsFit]:
+    """Return the fits of a frame that begin at panels and explain it, each once."""
+    distinct: list[CellsFit] = []
+    for panel in panels:
+        fit = fitted(scene, readings, panel)
+        if fit is not None and all(_differ(fit, known) for known in distinct):
+            distinct.append(fit)
+    return distinct
+
+
+def _differ(fit: CellsFit, other: CellsFit) -> bool:
+    """Return whether a cell of two fits differs by more than CHANGE and noise."""
+    variance = np.diag(fit.covariance) + np.diag(other.covariance)
+    change = np.log(fit.cells / other.cells).ravel()
+    return bool((np.abs(change) > np.hypot(CHANGE, NOISE_RANGE * np.sqrt(variance))).any())
 
 
 def noise_share(readings: Readings) -> float:
     """Return the reach of readings' noise over their median; 0 where it is unknown."""
     if readings.sigma is None:
         return 0.0
-    return NOISE_RANGE * float(np.median(readings.sigma) / np.median(readings.value))
+    plain = readings.plain
+    share = np.median(readings.sigma[plain]) / np.median(readings.value[plain])
+    return NOISE_RANGE * float(share)

@@ -342,7 +342,7 @@ class Prepared:
         if self.whole_recording is not None:
             return self.whole_recording.panels
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            if self.recording.scene.circuit.several_panels:
+            if self.recording.scene.several_panels:
                 return self.question.panels
         return None
 
