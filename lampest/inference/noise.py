@@ -132,6 +132,11 @@ class NoiseEstimate:
         return "; ".join(self.warnings)
 
     @property
+    def resting_cells(self) -> Array | None:
+        """Cells of the unloaded panel, where several panels give its readings; else None."""
+        return None if self.panels is None else self.panels.resting
+
+    @property
     def reading_error(self) -> float:
         """Standard deviation of ln of a factor on each reading that is constant in time.
 

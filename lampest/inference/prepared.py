@@ -327,10 +327,8 @@ class Prepared:
             return self._joined(
                 [None if module is None else module.noise for module in self.modules]
             )
-        noise = resolved(
-            self.frame_noise, self.cleaned.recording, self.whole_recording, self.effects_of
-        )
-        return replace(noise, panels=self.panels)
+        noise = replace(self.frame_noise, panels=self.panels)
+        return resolved(noise, self.cleaned.recording, self.whole_recording, self.effects_of)
 
     @cached_property
     @ONE_BLAS_THREAD

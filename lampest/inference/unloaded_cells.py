@@ -108,6 +108,9 @@ def unloaded_costs(
         return each
 
     start = np.log(data.uniform_start[0])
+    if fit is not None and scene.several_panels:
+        # On the side of the fold on which the fit is
+        start = np.full(start.shape, np.median(np.log(fit.cells)))
     cells, *at_largest = linearised(float(widest), float(SCATTERS[0]), start)
     first = costs(few, middle, *at_largest)[0]
     row, column = np.unravel_index(np.argmin(first), first.shape)

@@ -23,7 +23,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,6 +150,7 @@ def share_of_motion(
     *,
     least_gain: float = 0.0,
     frame_noise: FrameNoise | None = None,
+    resting_cells: Array | None = None,
 ) -> Share | None:
     """Return the share of the time between frames that a scan takes, and the load's trembling.
 
@@ -177,7 +178,7 @@ def share_of_motion(
     frame_noise : FrameNoise or None
         Errors that the readings of a frame share, such as a ripple: they, too, move all cells.
     """
-    moving = _moving_frames(recording, readings, frame_noise)
+    moving = _moving_frames(recording, readings, frame_noise, resting_cells)
     first = errors_tried[0]
     alone = [(first, share, 0.0) for share in shares.tolist()]
     alone += [(first, 0.0, trembling) for trembling in TREMBLINGS[1:].tolist()]
@@ -229,7 +230,10 @@ def share_of_motion(
 
 
 def _moving_frames(
-    recording: Recording, readings: Readings, frame_noise: FrameNoise | None
+    recording: Recording,
+    readings: Readings,
+    frame_noise: FrameNoise | None,
+    resting_cells: Array | None,
 ) -> "list[_Moving]":
     """Return the frames with the largest motion whose cells are determined well.
 
@@ -245,9 +249,9 @@ def _moving_frames(
         return []
     moved = displacement(scene, readings, measured)
     size = np.sqrt(np.mean((moved.value / readings.known_sigma) ** 2, axis=(1, 2)))
-    base = fitted(scene, resting, patient=True)
+    base = fitted(scene, resting, resting_cells, patient=True)
     moving = list[_Moving]()
-    near = None
+    near = resting_cells
     for number in inner[np.argsort(-size[inner])][: 1 + MAX_NEIGHBOURS]:
         fit = fitted(scene, readings[number], near, patient=True)
         if base is None or fit is None:
@@ -543,6 +547,7 @@ class ScanMotion(SceneEffect):
                 READING_ERRORS if unknown_errors else (0.0,),
                 SHARES if known is None else np.array([known]),
                 frame_noise=noise.frame,
+                resting_cells=noise.resting_cells,
             )
         if known is not None:
             return interpolated(noise, recording, size or Share(known, 0.0, known))
@@ -565,11 +570,14 @@ class ScanMotion(SceneEffect):
             return
         named = isinstance(specified(evidence.scene, "systematic.reading_error"), float)
         compared = (evidence.recording, readings)
-        frame = evidence.noise.frame
-        share = share_of_motion(*compared, (0.0,), least_gain=MIN_EVIDENCE_GAIN, frame_noise=frame)
+        known: dict[str, Any] = {
+            "frame_noise": evidence.noise.frame,
+            "resting_cells": evidence.noise.resting_cells,
+        }
+        share = share_of_motion(*compared, (0.0,), least_gain=MIN_EVIDENCE_GAIN, **known)
         # Errors of readings explain some of what seems to be motion: they are tried where some is.
         if share is not None and share.gain > MIN_EVIDENCE_GAIN and not named:
-            share = share_of_motion(*compared, READING_ERRORS, frame_noise=frame)
+            share = share_of_motion(*compared, READING_ERRORS, **known)
         if share is None or not share.gain > MIN_EVIDENCE_GAIN:
             return
         if share.steady < STEADY_ODDS and share.mean < NOISE_REACH * share.deviation:

@@ -48,7 +48,6 @@ from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
-from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -93,7 +92,7 @@ class SharedErrors:
 
 
 def shared_errors(
-    scene: Scene, resting: Readings, loaded: Readings | None, noise: FrameNoise | None
+    scene: Scene, resting: Readings, loaded: Readings | None, noise: NoiseEstimate
 ) -> SharedErrors:
     """Return the errors that a scene calls `estimated`, from the unloaded panel and a loaded frame.
 
@@ -106,8 +105,8 @@ def shared_errors(
     resting, loaded : Readings
         Mean of the unloaded frames, and a loaded frame or None, (rows, columns) each, with their
         final σ.
-    noise : FrameNoise or None
-        Errors that the readings of a frame share.
+    noise : NoiseEstimate
+        Its errors that the readings of a frame share, and its cells of the unloaded panel.
     """
     prior = systematic_of(scene) or Systematic()
     possible = Possible(prior, in_sigma=READING_ERROR.size(prior))
@@ -220,7 +219,7 @@ def _spread_by(
 
 
 def significant_reading_error(
-    scene: Scene, resting: Readings, loaded: Readings | None, noise: FrameNoise | None
+    scene: Scene, resting: Readings, loaded: Readings | None, noise: NoiseEstimate
 ) -> tuple[float, float] | None:
     """Return the size of each reading's own error; None where it is insignificant.
 
@@ -255,14 +254,14 @@ def significant_reading_error(
 
 
 def _fit_and_changes(
-    scene: Scene, resting: Readings, loaded: Readings | None, noise: FrameNoise | None
+    scene: Scene, resting: Readings, loaded: Readings | None, noise: NoiseEstimate
 ) -> "tuple[CellsFit | None, SharedChanges | None]":
     """Return the fit of the unloaded panel, and the changes to the loaded frame; None without."""
-    fit = fitted(scene, resting, patient=True)
+    fit = fitted(scene, resting, noise.resting_cells, patient=True)
     if fit is None or loaded is None or not fit.within_noise:
         return fit, None
     prior = systematic_of(scene) or Systematic()
-    return fit, shared_changes(scene, fit, loaded, prior, noise)
+    return fit, shared_changes(scene, fit, loaded, prior, noise.frame)
 
 
 def _undetermined(errors: SharedErrors, reason: str, scene: Scene) -> SharedErrors:
@@ -435,7 +434,7 @@ class StaticErrors(SceneEffect):
         loaded = None
         if len(measured):
             loaded = readings[strongest_frame(readings.plain_values, resting.value, measured)]
-        errors = shared_errors(scene, resting, loaded, noise.frame)
+        errors = shared_errors(scene, resting, loaded, noise)
         noise = replace(noise, possible_errors=errors.possible).with_reading_error(recording)
         for name in requested:
             if name in errors.sizes:
@@ -476,7 +475,7 @@ class StaticErrors(SceneEffect):
         if beside_channels:
             sizes = replace(sizes, channel_spread_ohm=ESTIMATED)
         estimating = replace(scene, systematic=sizes)
-        error = significant_reading_error(estimating, *frames, evidence.noise.frame)
+        error = significant_reading_error(estimating, *frames, evidence.noise)
         # The largest tried error is no finding: it stands for cells that are unlike.
         return error if error is not None and error[0] < MAX_ADVISED * READING_ERRORS[-1] else None
 
@@ -495,7 +494,7 @@ class StaticErrors(SceneEffect):
         estimating = replace(
             scene, systematic=replace(sizes, channel_spread_ohm=ESTIMATED, reading_error=None)
         )
-        fit, moves = _fit_and_changes(estimating, *frames, evidence.noise.frame)
+        fit, moves = _fit_and_changes(estimating, *frames, evidence.noise)
         if moves is None:
             return
         spread_by = partial(_spread_by, estimating, frames[0], fit, 0.0)
