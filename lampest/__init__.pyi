@@ -46,7 +46,7 @@ from .estimate.own_program import program as program
 from .estimate.state import Step as Step
 from .estimate.stream import Stream as Stream
 from .files.errors import InputError as InputError
-from .inference.model_check import ModelCheck as ModelCheck
+from .inference.circuits.model_check import ModelCheck as ModelCheck
 from .panel.conditions import Experiment as Experiment
 from .panel.conditions import MeasuredSubject as MeasuredSubject
 from .panel.conditions import Temperature as Temperature

@@ -21,10 +21,10 @@ import lampest
 from lampest import LoadedColumnsReadout, Recording, Scene, Simulation, TwoPointReadout
 from lampest.audit.advice import Audit
 from lampest.files.levels import SIGNIFICANCE
-from lampest.inference.explanation import Explanation
-from lampest.inference.model_check import ModelCheck, Question
+from lampest.inference.circuits.explanation import Explanation
+from lampest.inference.circuits.model_check import ModelCheck, Question
+from lampest.inference.circuits.rivals import Rival
 from lampest.inference.prepared import Prepared
-from lampest.inference.rivals import Rival
 from lampest.recording.simulation.measure import measured
 
 # evidence; its noise is some ± 2 √evidence

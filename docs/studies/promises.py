@@ -75,6 +75,28 @@ BREAKS = {
         "warnings_of",
         "return (*result, f'load of {recording.scene.readout.load_ohm:.0f} ohm')",
     ),
+    "bars_of_cells_that_an_absolute_loss_holds_are_as_wide_as_their_errors": Break(
+        "posterior/sparse_prior.py", "with_sites", "return errors"
+    ),
+    "a_chosen_weight_says_where_it_smooths_weak_loads": Break(
+        "estimate/estimates.py", "Estimates._smoothed", "return ''"
+    ),
+    "a_change_of_a_cell_below_the_said_threshold_does_not_show": Break(
+        "posterior/sparse_prior.py",
+        "Held.by",
+        "return replace(result, threshold=3 * result.threshold)",
+    ),
+    "a_bar_over_whole_lines_is_no_other_circuit": Break(
+        "inference/evidence.py", "Changes.gain_of_loads", "return 0.0"
+    ),
+    "the_status_says_that_the_unloaded_panel_of_a_comparison_is_not_verified": Break(
+        "estimate/stream.py", "Stream._as_compared", "return step"
+    ),
+    "bars_hold_a_load_that_trembles_within_a_scan": Break(
+        "inference/effects/motion.py",
+        "interpolated",
+        "share = share._replace(trembling=0.0)",
+    ),
     "an_effect_without_an_entry_in_the_scene_is_not_estimated": Break(
         "estimate/estimates.py", "Estimates.solved", "self.advice"
     ),
@@ -105,7 +127,7 @@ BREAKS = {
         "estimate/estimator.py", "Estimator.has_error_bars", "return True"
     ),
     "outliers_are_detected_under_a_breathing_load": Break(
-        "inference/outliers.py", "_exceeds_threshold", "return result & False"
+        "inference/cleaning.py", "_exceeds_threshold", "return result & False"
     ),
     "the_error_of_a_missing_library_names_its_extra_unlike_own_modules": Break(
         "files/errors.py", "PACKAGES", "{}"

@@ -14,7 +14,7 @@ from lampest.audit.finding import Finding
 from lampest.audit.health import Health
 from lampest.audit.verdict import verdict
 from lampest.files.errors import InputError
-from lampest.inference.model_check import ModelCheck
+from lampest.inference.circuits.model_check import ModelCheck
 from lampest.inference.prepared import Prepared
 from lampest.panel.sizes import ESTIMATED
 

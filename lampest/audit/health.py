@@ -17,7 +17,7 @@ from lampest.audit.finding import Finding
 from lampest.audit.order import order_findings
 from lampest.files.errors import BROKEN, InputError, first_and_more
 from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
-from lampest.inference.outliers import frozen_readings
+from lampest.inference.cleaning import frozen_readings
 from lampest.panel.faults import Faults
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene

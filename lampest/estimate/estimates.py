@@ -23,7 +23,7 @@ from lampest.recording.recording import Recording
 from lampest.solvers.solution import Status
 
 if TYPE_CHECKING:
-    from lampest.inference.model_check import ModelCheck
+    from lampest.inference.circuits.model_check import ModelCheck
 
 OVERRULED_MISFIT = 5.0  # times the noise: a penalty that the data choose leaves readings within it
 MIN_SHOWN = 0.5  # of a cell's change: below, penalties decide more of the cell than readings do

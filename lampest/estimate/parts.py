@@ -11,7 +11,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import MeasuredPart, first_stream, frame_period
 from lampest.estimate.stream import CarriedOver, Stream
 from lampest.files.errors import InputError
-from lampest.inference.outliers import WINDOW
+from lampest.inference.cleaning import WINDOW
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
 from lampest.recording.readings import mean_change

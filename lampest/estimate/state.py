@@ -18,7 +18,7 @@ from lampest.solvers.solution import Solution, Status, blank
 
 if TYPE_CHECKING:
     from lampest.estimate.witness import Verification
-    from lampest.inference.alike import PanelChoice
+    from lampest.inference.circuits.alike import PanelChoice
     from lampest.posterior.frame_noise import FrameNoise
     from lampest.posterior.sparse_prior import Held
 

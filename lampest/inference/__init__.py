@@ -22,7 +22,8 @@ circuit, and advice:
 | `evidence` | the moved cells, the evidence of d, the posterior of z |
 | `number` | the posterior of a θ by its evidence on a grid |
 | `shared_changes`, `unloaded_cells` | the posterior of the sizes of errors that all frames share |
-| `explanation`, `rivals`, `better_rival` | other h, and the one that explains the frames better |
+| `circuits` | other h, and the one that explains the frames better |
+| `cleaning` | y without outliers, frozen and garbled readings |
 | `resolve` | the numbers of a scene |
 
 `lampest.posterior.gaussian` has the posterior of a Gaussian unknown by linear readings.

@@ -6,18 +6,17 @@ ripple that a scene leaves open are taken from them. `NoiseEstimate` holds the r
 sentence for each number and contradiction.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import SIGNIFICANCE
-from lampest.inference.outliers import MAX_SHARE, MIN_FRAMES
+from lampest.inference.cleaning import MAX_SHARE, MIN_FRAMES
 from lampest.inference.variance_components import (
     MIN_EXCESS,
-    NO_RIPPLE,
     Scatter,
     noted_excess,
     repeated_scatter,
@@ -27,13 +26,13 @@ from lampest.panel.effects import Possible, own_errors, sized_effects
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
-from lampest.panel.sizes import ESTIMATED, Systematic, plain_size
+from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 
 if TYPE_CHECKING:
-    from lampest.inference.alike import PanelChoice
+    from lampest.inference.circuits.alike import PanelChoice
     from lampest.inference.nuisances import CircuitEffects
     from lampest.posterior.frame_noise import FrameNoise
 
@@ -192,6 +191,10 @@ class NoiseEstimate:
         )
         return "; ".join(filter(None, messages))
 
+    def number(self, key: str) -> float | None:
+        """Return the number that the recording determined under a key; None without one."""
+        return self.estimated[key][0] if key in self.estimated else None
+
     def determined(self, key: str, size: tuple[float, float]) -> "NoiseEstimate":
         """Return the noise with a number of the scene that the recording determined.
 
@@ -241,26 +244,20 @@ class NoiseEstimate:
         )
 
 
-def without_effects(
-    noise: NoiseEstimate, recording: Recording, besides: "CircuitEffects | None"
-) -> NoiseEstimate:
-    """Return the noise with the effects of leaks and contacts taken off the readings."""
-    if besides is None or besides.pair is None:
-        return noise
-    from lampest.inference.nuisances import remaining_errors, without_effects_of
-    from lampest.posterior.frame_noise import FrameNoise
+class FrameEffect(Protocol):
+    """An effect that the readings of a frame share, as the noise of the frames has it."""
 
-    unloaded = recording.role == UNLOADED
-    frame = noise.frame or FrameNoise(
-        recording.scene, int(unloaded.sum()), 0.0, NO_RIPPLE, NO_RIPPLE
-    )
-    readings = without_effects_of(besides.pair, noise.readings, unloaded)
-    frame = replace(frame, effect_errors=remaining_errors(besides.pair))
-    return replace(noise, readings=readings, frame=frame, corrected_effects=besides)
+    def in_frames(
+        self, noise: NoiseEstimate, recording: Recording, scatter: Scatter | None
+    ) -> NoiseEstimate:
+        """Return the noise of the frames with the effect, given their scatter if it is known."""
 
 
 def estimate_noise(
-    recording: Recording, outliers: NDArray[np.bool_], cleaned: Readings
+    recording: Recording,
+    outliers: NDArray[np.bool_],
+    cleaned: Readings,
+    effects: Sequence[FrameEffect] = (),
 ) -> NoiseEstimate:
     """Return the noise of a single network from its unloaded frames, or measured ones at rest.
 
@@ -275,6 +272,8 @@ def estimate_noise(
     outliers : boolean array, shape (frames, rows, columns)
     cleaned : Readings
         Readings of all frames without outliers.
+    effects : sequence of FrameEffect
+        Those that the scene names.
     """
     scene = recording.scene
     readout = recording.scene.readout
@@ -282,10 +281,11 @@ def estimate_noise(
     unscaled = NoiseEstimate(
         outliers, _outlier_messages(outliers, cleaned, recording.role == UNLOADED), cleaned
     )
-    unscaled = _with_specified_frame_noise(unscaled, scene, unloaded)
     requested = readout is not None and readout.noise_lsb == ESTIMATED
     parts = None if cleaned.sigma is None else _scatter_of(recording, cleaned)
     if cleaned.sigma is None or parts is None:
+        for effect in effects:
+            unscaled = effect.in_frames(unscaled, recording, None)
         reason = "record five or more unloaded frames"
         return unscaled.undetermined("readout.noise_lsb", reason) if requested else unscaled
     ratio = parts.own
@@ -307,7 +307,8 @@ def estimate_noise(
     if readout is not None and requested:
         size = shown_noise(readout, ratio)[0]
         noise = noise.determined("readout.noise_lsb", (size, size / precision))
-    noise = _with_estimated_frame_noise(noise, recording, parts)
+    for effect in effects:
+        noise = effect.in_frames(noise, recording, parts)
     if not parts.motion.size:
         return noise
     from lampest.posterior.frame_noise import FrameNoise  # for frames that move
@@ -357,60 +358,6 @@ def _contradiction_in_words(readout: Readout | None, ratio: float, unloaded: int
     if measured == specified:
         return ""
     return f"noise {measured}, measured in {where}; the scene specifies {specified}"
-
-
-def _with_specified_frame_noise(noise: NoiseEstimate, scene: Scene, unloaded: int) -> NoiseEstimate:
-    """Return the noise with the gain and the ripple that a scene specifies as numbers."""
-    gain, ripple = (plain_size(size) or 0.0 for size in (scene.gain, scene.ripple))
-    if scene.readout is None or not (gain or ripple):
-        return noise
-    from lampest.posterior.frame_noise import FrameNoise
-
-    # a ripple that all lines share, independent from channel to channel
-    channels = scene.panel.shape[0 if scene.circuit.by_columns else 1]
-    common = (
-        ripple * scene.circuit.lsb_volt * np.eye(channels) if ripple else np.zeros((channels, 0))
-    )
-    return replace(noise, frame=FrameNoise(scene, unloaded, gain, common, np.zeros((channels, 0))))
-
-
-def _with_estimated_frame_noise(
-    noise: NoiseEstimate, recording: Recording, parts: Scatter
-) -> NoiseEstimate:
-    """Return the noise with the gain and the ripple that the scene calls `estimated`.
-
-    The unloaded frames determine both.
-    """
-    scene = recording.scene
-    unloaded = int((recording.role == UNLOADED).sum())
-    requested = [key for key in ("gain", "ripple") if getattr(scene, key) == ESTIMATED]
-    if not requested or scene.readout is None:
-        return noise
-    if unloaded < MIN_REQUESTED_FRAMES:
-        for key in requested:
-            noise = noise.undetermined(key, "record two or more unloaded frames")
-        return noise
-    from lampest.posterior.frame_noise import FrameNoise
-
-    volt = float(np.mean(scene.readout.sigma_volt()))
-    frame = noise.frame or FrameNoise(
-        scene, unloaded, 0.0, parts.common_ripple[:, :0], parts.line_ripple[:, :0]
-    )
-    if "gain" in requested:
-        frame = replace(frame, gain=float(np.hypot(parts.gain, parts.gain_sd)))  # √E[s²]
-        noise = noise.determined("gain", (parts.gain, parts.gain_sd))
-    if "ripple" in requested:
-        frame = replace(
-            frame, common_ripple=parts.common_ripple * volt, line_ripple=parts.line_ripple * volt
-        )
-        noise = replace(noise, frame=frame)
-        _, common_lsb, line_lsb = noise.shared_sizes
-        common_sd = parts.ripple_sd * volt / scene.circuit.lsb_volt
-        # relative deviation of a standard deviation with as many degrees of freedom
-        line_sd = line_lsb * (1 / np.sqrt(2 * (unloaded - 1)))
-        size = float(np.hypot(common_lsb, line_lsb))
-        noise = noise.determined("ripple", (size, float(np.hypot(common_sd, line_sd))))
-    return replace(noise, frame=frame)
 
 
 def excludes_model_error(scene: Scene) -> bool:

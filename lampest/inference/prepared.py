@@ -10,59 +10,30 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.errors import BROKEN, InputError, in_words
 from lampest.files.process import ONE_BLAS_THREAD
+from lampest.inference.cleaning import Cleaned
 from lampest.inference.noise import NoiseEstimate, estimate_noise
-from lampest.inference.outliers import (
-    frozen_readings,
-    impossible_readings,
-    without_outliers,
-    without_readings,
+from lampest.inference.resolve import (
+    OF_NOISE,
+    Freed,
+    effects_of_frames,
+    freed,
+    keys_in_sigma,
+    resolved,
+    resolved_scene,
 )
-from lampest.inference.resolve import OF_NOISE, PASSES, ZERO, resolved, resolved_scene
 from lampest.panel.effects import unobservable_numbers
 from lampest.panel.panel import Array, Modules
-from lampest.panel.scene import specified
-from lampest.panel.sizes import ESTIMATED
-from lampest.recording.garbled import GarbledLines, garbled_lines, garbled_sentence, readings_of
-from lampest.recording.readings import Readings
-from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.garbled import garbled_sentence
+from lampest.recording.recording import Recording
 
 if TYPE_CHECKING:
-    from lampest.inference.alike import PanelChoice
-    from lampest.inference.model_check import ModelCheck, Question
+    from lampest.inference.circuits.alike import PanelChoice
+    from lampest.inference.circuits.model_check import ModelCheck, Question
     from lampest.inference.nuisances import CircuitEffects
     from lampest.panel.effects.line_effect import LineEffect
-
-
-@dataclass(frozen=True, eq=False)
-class Cleaned:
-    """Readings of a single network without outliers.
-
-    Attributes
-    ----------
-    recording : Recording
-        Its scene includes a saturated stage where the readings show one; frozen and garbled
-        readings are missing.
-    frozen : boolean array, shape (rows, columns)
-    garbled : tuple of GarbledLines
-    outliers : boolean array, shape (frames, rows, columns)
-    readings : Readings
-        Unloaded outliers are missing, measured ones are replaced by the prediction of neighbouring
-        frames.
-    memory : (float, float), str or None
-        Estimate of `converter_memory` with its standard deviation, or why there is none; None where
-        the scene calls for none.
-    """
-
-    recording: Recording
-    frozen: NDArray[np.bool_]
-    garbled: tuple[GarbledLines, ...]
-    outliers: NDArray[np.bool_]
-    readings: Readings
-    memory: tuple[float, float] | str | None = None
 
 
 # Of parts in two dividers, with resistors of 5 % (series E24, IEC 60063): √2 · 5 %, rounded up.
@@ -127,35 +98,15 @@ class Prepared:
         assert self.layout is not None
         return noise_of_modules(self.recording, self.layout, estimates)
 
-    @property
-    def _estimates_ends(self) -> bool:
-        """Whether the scene leaves an end of its converter to the recording."""
-        return any(specified(self.recording.scene, key) == ESTIMATED for key in (PASSES, ZERO))
+    @cached_property
+    def _freed(self) -> Freed:
+        """The recording of a single network without effects that act before readings are taken."""
+        return freed(self.recording)
 
     @cached_property
     def cleaned(self) -> Cleaned:
         """The readings of a single network without outliers."""
-        recording = self.recording
-        if self._estimates_ends:
-            from lampest.inference.effects.converter_ends import with_saturated_stage  # as above
-
-            recording = with_saturated_stage(recording)
-        memory: tuple[float, float] | str | None = None
-        if recording.scene.converter_memory == ESTIMATED:
-            from lampest.inference.effects.converter_memory import with_estimated_memory  # alike
-
-            recording, memory = with_estimated_memory(recording)
-        if self.recording.scene.outliers == "keep":
-            frozen = np.zeros(recording.scene.panel.shape, dtype=bool)
-            outliers = np.zeros(recording.recorded.shape, dtype=bool)
-            return Cleaned(recording, frozen, (), outliers, recording.readings(), memory)
-        frozen = frozen_readings(recording)
-        garbled = garbled_lines(recording)
-        recording = without_readings(recording, frozen | readings_of(garbled, recording))
-        readings = recording.readings()
-        impossible = impossible_readings(recording.scene.circuit, readings)
-        outliers, readings = without_outliers(impossible, readings, recording.role == UNLOADED)
-        return Cleaned(recording, frozen, garbled, outliers, readings, memory)
+        return Cleaned.of(self._freed.recording)
 
     @cached_property
     def frame_noise(self) -> NoiseEstimate:
@@ -164,16 +115,10 @@ class Prepared:
             return self._joined(
                 [None if module is None else module.frame_noise for module in self.modules]
             )
-        noise = estimate_noise(self.cleaned.recording, self.cleaned.outliers, self.cleaned.readings)
-        if self._estimates_ends:
-            from lampest.inference.effects.converter_ends import with_resolved_ends  # as above
-
-            noise = with_resolved_ends(noise, self.recording, self.cleaned.recording)
-        memory = self.cleaned.memory
-        if memory is not None:
-            from lampest.inference.effects.converter_memory import with_uncertain_memory  # as above
-
-            noise = with_uncertain_memory(noise, self.cleaned.recording, memory)
+        recording = self.cleaned.recording
+        effects = effects_of_frames(recording.scene)
+        noise = estimate_noise(recording, self.cleaned.outliers, self.cleaned.readings, effects)
+        noise = self._freed.noted(noise, self.cleaned.recording)
         places = [f"row {row}, column {column}" for row, column in np.argwhere(self.cleaned.frozen)]
         if places:
             noise = noise.with_warnings(
@@ -189,7 +134,7 @@ class Prepared:
 
         Raises the errors of `BROKEN`.
         """
-        from lampest.inference.model_check import Question  # for a check alone
+        from lampest.inference.circuits.model_check import Question  # for a check alone
 
         return Question.of(self.cleaned.recording, self.cleaned.outliers)
 
@@ -235,7 +180,7 @@ class Prepared:
     @ONE_BLAS_THREAD
     def _check(self) -> "ModelCheck":
         """The check without the numbers that no frame can determine."""
-        from lampest.inference.model_check import ModelCheck, check_of_modules
+        from lampest.inference.circuits.model_check import ModelCheck, check_of_modules
 
         if self.layout is not None:
             living = {
@@ -291,14 +236,11 @@ class Prepared:
         question = replace(self.question, named_errors=self._named_errors)
         if question.fault:
             return check
-        from lampest.inference.model_check import EXPLAINED
+        from lampest.inference.circuits.model_check import EXPLAINED
         from lampest.panel.estimated import estimated_lines
 
-        sizes = {
-            key: size
-            for key, size in self.noise.estimated.items()
-            if key == "motion" or key.startswith("systematic.")
-        }
+        keys = keys_in_sigma(self.recording.scene)
+        sizes = {key: size for key, size in self.noise.estimated.items() if key in keys}
         explained = replace(check, explains=True, sentence=EXPLAINED, doubts=())
         doubts = list(check.doubts)
         if sizes:

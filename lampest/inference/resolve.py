@@ -6,7 +6,7 @@ Where the recording cannot determine a number, a warning states the reason and t
 and the prior stays.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -18,15 +18,15 @@ from lampest.files.applications import loaded
 from lampest.files.errors import BROKEN
 from lampest.files.typed import Extensible
 from lampest.inference.model_error import scaled, with_model_error
-from lampest.inference.noise import BROKE_DOWN, NoiseEstimate, without_effects
-from lampest.panel.effects import SHARED, estimated_errors, systematic_of
+from lampest.inference.noise import BROKE_DOWN, NoiseEstimate
+from lampest.panel.effects import SHARED
 from lampest.panel.panel import as_panels_have
-from lampest.panel.readouts.converter import MAX_VOLT
 from lampest.panel.scene import Scene, specified
-from lampest.panel.sizes import ESTIMATED, LIMITS, SIZED, Systematic, within_limits
+from lampest.panel.sizes import ESTIMATED, nearest_allowed
 from lampest.recording.recording import Recording
 
 if TYPE_CHECKING:
+    from lampest.inference.effects.effect import Determined, SceneEffect
     from lampest.inference.nuisances import Besides
 
 
@@ -46,6 +46,11 @@ class Entry:
         Section of the scene whose further keys are of the effect, too; '' for none.
     advised : int
         Place in advice.
+    before_readings : bool
+        Whether the effect acts on recorded values, so that it is determined before any reading is
+        taken from them.
+    of_frames : bool
+        Whether the readings of a frame share the effect, so that it is determined with their noise.
     """
 
     keys: tuple[str, ...]
@@ -53,6 +58,8 @@ class Entry:
     numbers: tuple[str, ...] = ()
     section: str = ""
     advised: int = 0
+    before_readings: bool = False
+    of_frames: bool = False
 
     def keys_of(self, scene: Scene) -> tuple[str, ...]:
         """Return the keys, with those of the section that are no fields and a scene names."""
@@ -62,12 +69,16 @@ class Entry:
 
     def acts(self, scene: Scene) -> bool:
         """Return whether the scene names the effect so that readings or σ depend on it."""
-        estimated = any(specified(scene, key) == ESTIMATED for key in self.keys_of(scene))
-        return estimated or any(specified(scene, key) for key in self.numbers)
+        return bool(self.requested(scene)) or any(specified(scene, key) for key in self.numbers)
 
-    def load(self) -> Any:
-        """Return the effect, a `lampest.inference.effects.effect.SceneEffect`."""
-        return loaded(self.path)()
+    def requested(self, scene: Scene) -> tuple[str, ...]:
+        """Return the keys under which a scene says `estimated`."""
+        return tuple(key for key in self.keys_of(scene) if specified(scene, key) == ESTIMATED)
+
+    def load(self) -> "SceneEffect":
+        """Return the effect."""
+        effect: SceneEffect = loaded(self.path)()
+        return effect
 
 
 # Effects in the order in which they are resolved: each sees the readings without those before it.
@@ -77,16 +88,19 @@ ENTRIES = (
         ("readout.passes_volt", "readout.converter.zero_volt"),
         "lampest.inference.effects.converter_ends:ConverterEnds",
         advised=0,
+        before_readings=True,
     ),
     Entry(
         ("converter_memory",),
         "lampest.inference.effects.converter_memory:ConverterMemory",
         advised=4,
+        before_readings=True,
     ),
     Entry(
         ("gain", "ripple"),
         "lampest.inference.effects.gain_and_ripple:GainAndRipple",
         advised=1,
+        of_frames=True,
     ),
     Entry(
         ("leaks", "contacts"),
@@ -108,9 +122,56 @@ ENTRIES = (
     ),
     Entry(("creep",), "lampest.inference.effects.creep:CommonCreep", advised=3),
 )
-PASSES, ZERO = ENTRIES[0].keys
 MODEL_ERROR = "systematic.model_error"
 OF_NOISE = "readout.noise_lsb"
+
+
+@dataclass(frozen=True, eq=False)
+class Freed:
+    """A recording without the effects that act before readings are taken.
+
+    Attributes
+    ----------
+    recording : Recording
+        Its scene has numbers in place of `estimated`.
+    estimates : tuple of (SceneEffect, mapping)
+        What each of the effects determined, as `SceneEffect.freed` returns it.
+    """
+
+    recording: Recording
+    estimates: "tuple[tuple[SceneEffect, Mapping[str, Determined]], ...]" = ()
+
+    def noted(self, noise: NoiseEstimate, recording: Recording) -> NoiseEstimate:
+        """Return the noise of the cleaned recording with the numbers of these effects."""
+        for effect, estimates in self.estimates:
+            noise = effect.noted(noise, recording, estimates)
+        return noise
+
+
+def freed(recording: Recording) -> Freed:
+    """Return a single network's recording without effects that act before readings are taken."""
+    result = Freed(recording)
+    for entry in ENTRIES:
+        if entry.before_readings and entry.requested(recording.scene):
+            effect = entry.load()
+            without, estimates = effect.freed(result.recording)
+            result = Freed(without, (*result.estimates, (effect, estimates)))
+    return result
+
+
+def effects_of_frames(scene: Scene) -> "tuple[SceneEffect, ...]":
+    """Return the effects that a scene names and the readings of a frame share."""
+    return tuple(
+        entry.load()
+        for entry in ENTRIES
+        if entry.of_frames and any(specified(scene, key) is not None for key in entry.keys)
+    )
+
+
+def keys_in_sigma(scene: Scene) -> set[str]:
+    """Return the keys of errors that may widen σ of the readings."""
+    entries = (entry for entry in ENTRIES if entry.numbers)
+    return {MODEL_ERROR, *chain.from_iterable(entry.keys_of(scene) for entry in entries)}
 
 
 def resolved(
@@ -162,11 +223,9 @@ def _as_the_whole(
     noise: NoiseEstimate, recording: Recording, whole: NoiseEstimate
 ) -> NoiseEstimate:
     """Return the noise of a part with the effects, motion and errors of the whole recording."""
-    noise = without_effects(noise, recording, whole.corrected_effects)
-    if whole.motion is not None and noise.readings.sigma is not None:
-        from lampest.inference.effects.motion import interpolated  # for this key alone
-
-        noise = interpolated(noise, recording, whole.motion)
+    for entry in ENTRIES:
+        if entry.acts(recording.scene):
+            noise = entry.load().as_the_whole(noise, recording, whole)
     noise = replace(noise, possible_errors=whole.possible_errors, estimated=whole.estimated)
     noise = noise.with_reading_error(recording)
     return scaled(noise, recording, whole.model_factor)
@@ -178,62 +237,29 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
     An error that the recording cannot determine has its prior, any other effect is absent. A number
     that the scene's key does not allow is the nearest allowed one.
     """
-    keys = [*chain.from_iterable(entry.keys_of(scene) for entry in ENTRIES), OF_NOISE, MODEL_ERROR]
-    requested = [key for key in keys if specified(scene, key) == ESTIMATED]
-    if not requested:
+    requested = [(entry, entry.requested(scene)) for entry in ENTRIES]
+    of_effects = {key: entry.load() for entry, keys in requested for key in keys}
+    others = [key for key in (OF_NOISE, MODEL_ERROR) if specified(scene, key) == ESTIMATED]
+    if not of_effects and not others:
         return scene
-    estimated = {
-        key: (_allowed(scene, key, number), _limited(deviation))
-        for key, (number, deviation) in noise.estimated.items()
-    }
-    numbers = {key: size[0] for key, size in estimated.items()}
-    systematic: Any = scene.systematic
-    if isinstance(systematic, Systematic):
-        sizes = noise.possible_errors.sizes if noise.possible_errors else systematic_of(scene)
-        changes: dict[str, Any] = {
-            name: sizes and sizes.entry(name) for name in estimated_errors(scene)
-        }
-        changes["model_error"] = numbers.get("systematic.model_error", changes.get("model_error"))
-        within: dict[str, Any] = {
-            name: None
-            if changes[name] is None
-            else _allowed(scene, f"systematic.{name}", changes[name])
-            for name in estimated_errors(scene)
-        }
-        systematic = systematic.with_entries(within)
-    readout: Any = scene.readout
-    if specified(scene, OF_NOISE) == ESTIMATED:
-        readout = replace(readout, noise_lsb=numbers.get(OF_NOISE))
-    if specified(scene, PASSES) == ESTIMATED:
-        passes = None
-        if PASSES in estimated:
-            from lampest.inference.effects.converter_ends import passed_range  # for this key alone
-
-            passes = passed_range(estimated[PASSES], readout.range_volt)
-        readout = replace(readout, passes_volt=passes)
-    if specified(scene, ZERO) == ESTIMATED:
-        ends = readout.converter
-        zero = numbers.get(ZERO, 0.0)
-        full = readout.full_scale_volt + zero if ends.full_volt is None else ends.full_volt
-        readout = replace(readout, converter=replace(ends, zero_volt=zero, full_volt=full))
-    own: dict[str, Any] = {key: numbers.get(key) for key in requested if "." not in key}
-    return replace(scene, readout=readout, systematic=systematic, estimated=estimated, **own)
-
-
-def _allowed(scene: Scene, key: str, number: float) -> float:
-    """Return the number nearest to a determined one that a scene may state under its key."""
-    name = key.rpartition(".")[2]
-    if name == "noise_lsb" and scene.readout is not None:
-        return min(max(_limited(number), 0.0), 2.0**scene.readout.adc_bits)
-    if key == ZERO and scene.readout is not None:
-        # A zero farther off would leave less than half of the range, or a range beyond MAX_VOLT.
-        full_scale = scene.readout.full_scale_volt
-        most = min(full_scale / 2, MAX_VOLT - full_scale)
-        return min(max(_limited(number), -most), most)
-    is_size = name in LIMITS or name in SIZED or key.startswith("systematic.")
-    return within_limits(name, number) if is_size else _limited(number)
-
-
-def _limited(number: float) -> float:
-    """Return a number within the range of physical quantities: zero or infinity beyond it."""
-    return float(as_panels_have(np.asarray(number)))
+    estimated = dict[str, tuple[float, float]]()
+    for key, (number, deviation) in noise.estimated.items():
+        if key in of_effects:
+            number = of_effects[key].allowed(scene, key, number)
+        elif key == OF_NOISE and scene.readout is not None:
+            number = min(max(nearest_allowed(key, number), 0.0), 2.0**scene.readout.adc_bits)
+        else:
+            number = nearest_allowed(key, number)
+        estimated[key] = number, float(as_panels_have(np.asarray(deviation)))
+    noise = replace(noise, estimated=estimated)
+    for entry, keys in requested:
+        if keys:
+            scene = entry.load().stated(scene, keys, noise)
+    if OF_NOISE in others:
+        readout: Any = scene.readout
+        scene = replace(scene, readout=replace(readout, noise_lsb=noise.number(OF_NOISE)))
+    if MODEL_ERROR in others:
+        systematic: Any = scene.systematic
+        size = noise.number(MODEL_ERROR)
+        scene = replace(scene, systematic=replace(systematic, model_error=size))
+    return replace(scene, estimated=estimated)

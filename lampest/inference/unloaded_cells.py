@@ -35,7 +35,58 @@ def unloaded_costs(
 ) -> Array:
     """Return −2 ln likelihood of errors of the readings, up to a constant, (spreads, errors).
 
-    The constant is the same for all errors and all spreads of the channels.
+    The constant is the same for all errors and all spreads of the channels. The likelihood is that
+    of `costs_by_scatter`, averaged over the prior of SCATTERS.
+
+    Parameters
+    ----------
+    scene, resting, fit, tried, channels_ohm
+        As those of `costs_by_scatter`.
+
+    Raises
+    ------
+    Errors of `BROKEN`.
+    """
+    each = costs_by_scatter(scene, resting, fit, tried, channels_ohm)
+    # −2 ln Σ_s p(y | e, s) p(s)
+    return np.asarray(-2 * np.logaddexp.reduce(LOG_PRIOR - each / 2, axis=-1))
+
+
+def film_scatter(
+    scene: Scene,
+    resting: Readings,
+    fit: CellsFit | None,
+    error: float,
+    channel_ohm: float = 0.0,
+) -> float:
+    """Return √E[s²] of the scatter s of unloaded cells, given the errors of their readings.
+
+    Parameters
+    ----------
+    scene, resting, fit
+        As those of `costs_by_scatter`.
+    error : float
+        Standard deviation e of each reading's own error.
+    channel_ohm : float
+        Standard deviation of the resistance of each line's channel.
+
+    Raises
+    ------
+    Errors of `BROKEN`.
+    """
+    costs = costs_by_scatter(scene, resting, fit, np.array([error]), (channel_ohm,))[0, 0]
+    weight = np.exp(LOG_PRIOR - (costs - costs.min()) / 2)
+    return float(np.sqrt(np.sum(weight * SCATTERS**2) / np.sum(weight)))
+
+
+def costs_by_scatter(
+    scene: Scene,
+    resting: Readings,
+    fit: CellsFit | None,
+    tried: Array,
+    channels_ohm: Sequence[float] | Array = (0.0,),
+) -> Array:
+    """Return −2 ln likelihood of errors and SCATTERS, (spreads, errors, scatters).
 
     The unloaded cells are log r ~ N(μ, s²). The readings are linearised at the most probable log
     cells u, with t = y − f(u) + J u. Let τ² = σ² + (e y')², where y' is the derivative of a reading
@@ -44,12 +95,11 @@ def unloaded_costs(
         −2 log p(y | e, s) = aᵀV⁻¹a − (aᵀV⁻¹b)²/(bᵀV⁻¹b) + log |V| + log bᵀV⁻¹b + Σ log τ²,
         V = 1 + s² A Aᵀ,
 
-    with a = t/τ and b = A 1. The likelihood is averaged over the prior of SCATTERS. u is
-    first the point of the largest error, then that of the most probable one of a few errors beside
-    the middle spread; all errors and spreads share it. Where the cells are not alike, e is
-    overestimated rather than underestimated. Linear theory lets cells explain readings that no
-    cells give; but no likelihood exceeds that of the best fit, so that −2 log p is at least
-    χ²/max(τ/σ)² + Σ log τ².
+    with a = t/τ and b = A 1. u is first the point of the largest error, then that of the most
+    probable one of a few errors beside the middle spread; all errors and spreads share it. Where
+    the cells are not alike, e is overestimated rather than underestimated. Linear theory lets cells
+    explain readings that no cells give; but no likelihood exceeds that of the best fit, so that −2
+    log p is at least χ²/max(τ/σ)² + Σ log τ².
 
     Parameters
     ----------
@@ -115,9 +165,7 @@ def unloaded_costs(
     first = costs(few, middle, *at_largest)[0]
     row, column = np.unravel_index(np.argmin(first), first.shape)
     _, *at_best = linearised(float(few[row]), float(SCATTERS[column]), cells)
-    # −2 ln Σ_s p(y | e, s) p(s)
-    marginal = -2 * np.logaddexp.reduce(LOG_PRIOR - costs(tried, channels, *at_best) / 2, axis=-1)
-    return np.asarray(marginal)
+    return costs(tried, channels, *at_best)
 
 
 def _of_channels(scene: Scene, resting: Readings, fit: CellsFit | None) -> Array:

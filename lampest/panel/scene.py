@@ -27,7 +27,7 @@ from lampest.panel.readouts.lines import (
 )
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
 from lampest.panel.response import AnyResponse, Film
-from lampest.panel.sizes import Size, Systematic, check_sizes, plain_size
+from lampest.panel.sizes import SIZED, Size, Systematic, check_sizes, plain_size
 
 OF_APPLICATIONS = {"film": "film", "purpose": "recognition"}  # keys that only applications read
 
@@ -176,7 +176,7 @@ class Scene(Configuration):
             check_resistors("series_resistance_ohm", self.series_resistance_ohm, open_end=False)
         if self.known_memory is not None and not 0 <= self.known_memory < 1:
             raise ValueError("converter_memory must be zero or positive, and below 1")
-        check_sizes(self, "gain", "motion", "creep", "ripple")
+        check_sizes(self, *SIZED)
         if self.contact_prior is not None:
             # Lists of the wrong length raise.
             self.contact_prior.mean(self.panel.shape)

@@ -8,21 +8,63 @@ from dataclasses import dataclass, field, fields
 from math import nextafter
 from typing import Any, Final, Literal
 
+import numpy as np
+
 from lampest.files.applications import loaded
 from lampest.files.document import INLINE, MIN_NUMBER
 from lampest.files.typed import Extensible, check_range, check_ranges
+from lampest.panel.panel import as_panels_have
 
 ESTIMATED: Final = "estimated"  # in place of a number: the recording determines it
 Size = float | Literal["estimated"]
 BELOW_ONE = nextafter(1.0, 0.0)
-# Key of a scene -> effect with its limits, unit and prior.
-SIZED = {
-    "converter_memory": "lampest.panel.effects.converter_memory:KeptShare",
-    "gain": "lampest.panel.effects.gain:Gain",
-    "motion": "lampest.panel.effects.motion:LoadMotion",
-    "creep": "lampest.panel.effects.creep:FilmCreep",
-    "ripple": "lampest.panel.effects.ripple:Ripple",
-}
+
+
+@dataclass(frozen=True)
+class Listed:
+    """An effect with a size, by name; its file is loaded where a scene or a simulation has it.
+
+    Attributes
+    ----------
+    path : str
+        Its class, as 'module:class'.
+    key : str
+        Key of a scene; '' for an effect without one.
+    of_frames : tuple of str
+        Attributes of `FrameNoise` with the sizes of the errors that it leaves in a frame.
+    at_converter : tuple of str
+        Entries of `unmodelled` with its sizes, the first of which is absent or 0 without the
+        effect.
+    """
+
+    path: str
+    key: str = ""
+    of_frames: tuple[str, ...] = ()
+    at_converter: tuple[str, ...] = ()
+
+
+# In the order in which effects act at a converter, and of columns of a frame's errors: the first
+# has its column at size 0, too.
+EFFECTS = (
+    Listed("lampest.panel.effects.gain:Gain", "gain", ("gain",), ("gain_spread",)),
+    Listed(
+        "lampest.panel.effects.ripple:Ripple",
+        "ripple",
+        ("common_ripple", "line_ripple"),
+        ("supply_ripple_lsb", "supply_ripple_hz"),
+    ),
+    Listed("lampest.panel.effects.water:MovingWater", of_frames=("motion",)),
+    Listed("lampest.panel.effects.motion:LoadMotion", "motion", ("trembling", "resting")),
+    Listed(
+        "lampest.panel.effects.converter_memory:KeptShare",
+        "converter_memory",
+        of_frames=("memory",),
+    ),
+    Listed("lampest.panel.effects.creep:FilmCreep", "creep"),
+    Listed("lampest.panel.effects.converter_curve:ConverterCurve", at_converter=("inl_lsb",)),
+    Listed("lampest.panel.effects.saturation:Saturation", at_converter=("saturation",)),
+)
+SIZED = {effect.key: effect.path for effect in EFFECTS if effect.key}
 # Key of a size of no effect -> least and largest number that a scene may state. Those of errors
 # that all readings share are in their files, too.
 LIMITS = {
@@ -138,11 +180,15 @@ def check_sizes(owner: Any, *names: str) -> None:
             check_ranges(owner, *limits_of(name), name)
 
 
-def within_limits(name: str, number: float) -> float:
-    """Return the number nearest to one that a recording determined which a scene may state.
+def nearest_allowed(key: str, number: float) -> float:
+    """Return the number nearest to a determined one that a scene may state under a dotted key.
 
-    Numbers below the range of physical quantities are zero, numbers beyond a limit are the limit.
+    Numbers below the range of physical quantities are zero. Numbers beyond the limits of a size are
+    the limit, and without limits infinity beyond that range.
     """
-    low, high = limits_of(name)
-    limited = min(max(number, low), high)
-    return 0.0 if abs(limited) < MIN_NUMBER else limited
+    name = key.rpartition(".")[2]
+    if name in LIMITS or name in SIZED or key.startswith("systematic."):
+        low, high = limits_of(name)
+        number = min(max(number, low), high)
+        return 0.0 if abs(number) < MIN_NUMBER else number
+    return float(as_panels_have(np.asarray(number)))

@@ -1,7 +1,7 @@
 """Random errors that all readings of a frame, or of one of its scanned lines, share, as columns V.
 
 The error of a frame's readings is noise + V·z with standard normal z, independent for each frame.
-Each effect of `OF_FRAMES` has columns of V.
+Each effect of `EFFECTS` with sizes of a frame has columns of V.
 """
 
 from dataclasses import dataclass, field
@@ -10,9 +10,9 @@ import numpy as np
 from scipy import linalg
 
 from lampest.files.applications import loaded
-from lampest.panel.effects import OF_FRAMES
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from lampest.panel.sizes import EFFECTS
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +79,13 @@ class FrameNoise:
         circuit = self.scene.circuit
         volt = circuit.volt_from_recorded(circuit.to_recorded(measured, self.scene))
         parts = list[Array]()
-        for names, path in OF_FRAMES:
-            sizes = [getattr(self, name) for name in names]
+        for listed in EFFECTS:
+            sizes = [getattr(self, name) for name in listed.of_frames]
+            if not sizes:
+                continue
             if parts and not any(np.any(size) for size in sizes if size is not None):
                 continue
-            effect = loaded(path)()
+            effect = loaded(listed.path)()
             if effect.in_volt:
                 columns = self._by_volt(volt, effect.columns(circuit, volt, *sizes))
             else:

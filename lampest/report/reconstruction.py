@@ -21,7 +21,7 @@ from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
 
 if TYPE_CHECKING:
-    from lampest.inference.model_check import ModelCheck
+    from lampest.inference.circuits.model_check import ModelCheck
     from lampest.report.plots.contours import Axes, Figure, Plot
     from lampest.runs.case import CaseResult, DataFrame, Dataset
     from lampest.runs.columns import Column

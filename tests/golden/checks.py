@@ -33,12 +33,12 @@ from lampest.apps.recognition.verdict import Verdict, prior_cost
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import Look, WatchSetup
 from lampest.apps.recognition.window import Window
-from lampest.inference import evidence, noise, outliers
-from lampest.inference.compared_frames import noise_factor
+from lampest.inference import cleaning, evidence, noise
+from lampest.inference.circuits.compared_frames import noise_factor
+from lampest.inference.circuits.explanation import Explanation
+from lampest.inference.circuits.model_check import module_factors
 from lampest.inference.effects.converter_ends import saturated
 from lampest.inference.effects.motion import displacement
-from lampest.inference.explanation import Explanation
-from lampest.inference.model_check import module_factors
 from lampest.inference.nuisances import CircuitEffects
 from lampest.inference.nuisances import candidates as possible_effects
 from lampest.inference.prepared import Prepared
@@ -246,7 +246,7 @@ def outliers_row() -> dict[str, Any]:
     value[3, 1, 2], value[12, 0, 4], value[15, 3, 0] = 1300.0, 600.0, 2000.0
     scale = np.full(value.shape, 9.0)
     scene = lp.Scene(PANEL, TWO)
-    frames = outliers.FramesBefore()
+    frames = cleaning.FramesBefore()
     resting = lp.Readings.of(scene, value[:3]).mean()
     cells = cells_of(PANEL.shape, spread=0.1)
     live = []
@@ -270,7 +270,7 @@ def outliers_row() -> dict[str, Any]:
         apart, np.full(apart.shape, 9.0), np.zeros(apart.shape), np.ones(apart.shape)
     )
     sizes = (pair.sigma, None, 5 * pair.sigma, 0.2 * pair.sigma)
-    corrected = partial(outliers.without_outliers, none[:, 0])
+    corrected = partial(cleaning.without_outliers, none[:, 0])
     panels = [
         [corrected(replace(pair, sigma=size)[:, panel], unloaded) for panel in (0, 1)]
         for size in sizes
@@ -295,16 +295,16 @@ def outliers_row() -> dict[str, Any]:
         scene, lp.two_point_resistance(cells)[None] * np.where(cells == cells.max(), 9.0, 1.0)
     )
     return {
-        "whole": outliers.detect_outliers(value, scale),
-        "few": outliers.detect_outliers(value[:4], scale[:4], 0.1),
+        "whole": cleaning.detect_outliers(value, scale),
+        "few": cleaning.detect_outliers(value[:4], scale[:4], 0.1),
         "scales": flagged[1:],
         "panels": (flagged[0], panels[0][0][1].together(panels[0][1][1], axis=1)),
-        "loaded": outliers.without_outliers(course > 16000, loaded, unloaded),
-        "two frames": outliers.without_outliers(none[:2, 0], loaded[7:9], unloaded[7:9])[0].sum(),
+        "loaded": cleaning.without_outliers(course > 16000, loaded, unloaded),
+        "two frames": cleaning.without_outliers(none[:2, 0], loaded[7:9], unloaded[7:9])[0].sum(),
         "live": live,
-        "impossible": outliers.impossible_readings(scene.circuit, impossible),
-        "median": outliers.median(value)[0],
-        "touch": outliers.detect_outliers(touched, 1e-3 * touched)[0].sum(),
+        "impossible": cleaning.impossible_readings(scene.circuit, impossible),
+        "median": cleaning.median(value)[0],
+        "touch": cleaning.detect_outliers(touched, 1e-3 * touched)[0].sum(),
     }
 
 
@@ -394,8 +394,8 @@ def contacts_row() -> dict[str, Any]:
         "odd modules": [odd_modules(count) for count in (2, 3)],
         "scores": [explanation.score, explanation.beyond_noise],
         "corrections": CircuitEffects(pair=effects).corrections,
-        "usual": outliers.detect_outliers(calm, np.full(calm.shape, 2.0))[0].nonzero(),
-        "wild": outliers.detect_outliers(wild, np.full(wild.shape, 0.3))[0].sum(axis=(1, 2)),
+        "usual": cleaning.detect_outliers(calm, np.full(calm.shape, 2.0))[0].nonzero(),
+        "wild": cleaning.detect_outliers(wild, np.full(wild.shape, 0.3))[0].sum(axis=(1, 2)),
     }
 
 

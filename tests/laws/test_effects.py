@@ -9,8 +9,6 @@ from numpy.testing import assert_allclose
 import lampest
 from lampest.files.applications import loaded
 from lampest.panel.effects import (
-    AT_CONVERTER,
-    OF_FRAMES,
     SharedEffect,
     error_columns,
     shared_effects,
@@ -18,8 +16,10 @@ from lampest.panel.effects import (
 from lampest.panel.effects.line_effect import LineEffect, effect_on_readings, line_effects
 from lampest.panel.effects.loose_contact import LooseContact
 from lampest.panel.estimated import estimated_lines
-from lampest.panel.sizes import SIZED, limits_of
+from lampest.panel.sizes import EFFECTS, SIZED, limits_of
 
+OF_FRAMES = [(each.of_frames, each.path) for each in EFFECTS if each.of_frames]
+AT_CONVERTER = [(each.at_converter, each.path) for each in EFFECTS if each.at_converter]
 SHAPE = (3, 4)
 SCENE = lampest.Scene(lampest.Panel(*SHAPE), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
 CELLS = np.random.default_rng(1).uniform(500.0, 5000.0, SHAPE)

@@ -11,7 +11,7 @@ import lampest
 from lampest import Cells, Panel, Scene, Simulation
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.recognition.detect.pressed import pressed_of
-from lampest.inference.outliers import impossible_readings
+from lampest.inference.cleaning import impossible_readings
 from lampest.inference.prepared import Prepared
 from lampest.panel.readouts.floating import exact_two_point_resistance
 from lampest.panel.response import PUBLISHED

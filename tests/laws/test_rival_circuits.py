@@ -7,11 +7,12 @@ import pytest
 
 import lampest
 from lampest import DrivenReadout, GroundedReadout, LoadedColumnsReadout, Panel, Scene
-from lampest.inference import better_rival, cells_fit, explanation, rival_parameters
+from lampest.inference import cells_fit
 from lampest.inference.cells_fit import LEAST_SQUARES, CellsFit, data_of_cells, fitted
-from lampest.inference.compared_frames import broken_law
+from lampest.inference.circuits import better_rival, explanation, parameters
+from lampest.inference.circuits.compared_frames import broken_law
+from lampest.inference.circuits.rivals import Rival, rivals_of
 from lampest.inference.prepared import Prepared
-from lampest.inference.rivals import Rival, rivals_of
 from lampest.panel.effects.loose_contact import LooseContact
 from lampest.panel.readouts.driven_starts import UNIFORM_KNOTS, uniform_readings
 from lampest.panel.readouts.readout import Readout
@@ -182,14 +183,14 @@ def test_a_search_for_a_resistance_in_series_ends_where_none_can_win(
 ) -> None:
     question = Prepared(pressed).question
     rival = next(rival for rival in rivals_of(question.specified) if "virtual" in rival.name)
-    best = rival_parameters.some_in_series(rival, question)
+    best = parameters.some_in_series(rival, question)
     assert best is not None
     every_resistance = len(rival_fits)
     rival_fits.clear()
-    assert rival_parameters.some_in_series(rival, question, to_beat=best.score) is not None
+    assert parameters.some_in_series(rival, question, to_beat=best.score) is not None
     assert len(rival_fits) == every_resistance
     rival_fits.clear()
-    rival_parameters.some_in_series(rival, question, to_beat=best.score - 1000)
+    parameters.some_in_series(rival, question, to_beat=best.score - 1000)
     assert len(rival_fits) == 1 < every_resistance
 
 
@@ -200,9 +201,9 @@ def test_of_the_right_circuit_the_next_resistances_are_fitted_and_no_memory(
     specified = question.explanation
     assert specified is not None
     rival_fits.clear()
-    assert rival_parameters.with_converter_memory(specified, question) is specified
+    assert parameters.with_converter_memory(specified, question) is specified
     assert not rival_fits
-    assert rival_parameters.with_series(specified, question) is specified
+    assert parameters.with_series(specified, question) is specified
     assert len(rival_fits) <= 2
 
 

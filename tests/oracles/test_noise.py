@@ -22,11 +22,11 @@ from lampest.audit.effects import unnamed_effects
 from lampest.estimate.sequence import reconstruct
 from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, TWO_SIDED, UNUSUAL
 from lampest.inference.cells_fit import CellsFit, fitted
-from lampest.inference.compared_frames import noise_factor
+from lampest.inference.circuits.compared_frames import noise_factor
+from lampest.inference.circuits.parameters import DOUBTFUL_GAIN
+from lampest.inference.cleaning import detect_outliers, frozen_readings
 from lampest.inference.effects import static_errors
-from lampest.inference.outliers import detect_outliers, frozen_readings
 from lampest.inference.prepared import Prepared
-from lampest.inference.rival_parameters import DOUBTFUL_GAIN
 from lampest.inference.unloaded_cells import READING_ERRORS, unloaded_costs
 from lampest.inference.variance_components import Scatter, posterior_size, scatter
 from lampest.panel.panel import Array, Panel

@@ -18,9 +18,9 @@ from lampest import (
     TwoPointReadout,
 )
 from lampest.files.levels import MIN_EVIDENCE_GAIN
+from lampest.inference.circuits.rivals import Rival
 from lampest.inference.effects.converter_memory import estimated_memory, memory_gain
 from lampest.inference.prepared import Prepared
-from lampest.inference.rivals import Rival
 from lampest.panel.readouts.readout import Readout, with_memory
 
 FRAMES = 6  # unloaded ones, and as many loaded ones

@@ -24,7 +24,7 @@ from lampest.audit.finding import with_lines
 from lampest.audit.verdict import verdict
 from lampest.cost.terms import term_kind
 from lampest.estimate.stream import with_needed_priors
-from lampest.inference.model_check import ModelCheck
+from lampest.inference.circuits.model_check import ModelCheck
 from lampest.inference.prepared import Prepared
 
 INPUTS = DrivenReadout(

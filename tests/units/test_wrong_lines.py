@@ -17,7 +17,7 @@ from lampest import (
 )
 from lampest.audit.finding import Finding, with_addition, with_lines
 from lampest.files.document import in_one_line, parse_document
-from lampest.inference.rivals import BY_COLUMNS, Rival, rivals_of
+from lampest.inference.circuits.rivals import BY_COLUMNS, Rival, rivals_of
 
 KIND = {"readout": {"kind": "grounded", "driven": "rows", "sense": "one", "load_ohm": 2000}}
 SERIES = {"series_resistance_ohm": 2140}

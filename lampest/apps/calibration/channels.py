@@ -25,8 +25,8 @@ from lampest.estimate.methods.joint import BELIEVED
 from lampest.estimate.methods.smoother import SmootherMethod
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import BROKEN, InputError
+from lampest.inference.circuits.kinds import RESISTORS
 from lampest.inference.prepared import Prepared
-from lampest.inference.rival_circuits import RESISTORS
 from lampest.panel.effects import systematic_of, usual_sizes
 from lampest.panel.effects.channels import CHANNELS
 from lampest.panel.panel import Array

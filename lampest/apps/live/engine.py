@@ -24,7 +24,7 @@ from lampest.apps.live.watcher import News, Scan, Unloaded, watcher
 from lampest.apps.recognition.detect.answer import Detected
 from lampest.estimate.estimator import Estimator
 from lampest.files.errors import InputError
-from lampest.inference.outliers import (
+from lampest.inference.cleaning import (
     frozen_readings,
     impossible_readings,
     without_outliers,

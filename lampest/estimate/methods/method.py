@@ -143,7 +143,7 @@ class Method(Configuration):
         The panels are found from known panels. The result are the previous cells where none is
         found.
         """
-        from lampest.inference.alike import nearest_panel, noise_share
+        from lampest.inference.circuits.alike import nearest_panel, noise_share
 
         assert state.previous is not None
         known = [state.previous, state.baseline_resistance]
@@ -464,7 +464,7 @@ def _elsewhere(solution: Solution, data: Data, start: Array) -> bool:
     """
     if not (solution.solved and data.readout.several_panels(*start.shape[-2:])):
         return False
-    from lampest.inference.alike import STILL
+    from lampest.inference.circuits.alike import STILL
 
     moved = np.abs(np.log(solution.cell_resistance / start))
     return bool(np.median(moved) > STILL)

@@ -7,25 +7,24 @@ for that potential. Where no cell is open, the most probable voltage of code 0 i
 most cells stand still between the unloaded panel and a loaded frame.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
-from lampest.inference.compared_frames import ComparedFrames
-from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
-from lampest.inference.explanation import Explanation
+from lampest.inference.circuits.compared_frames import ComparedFrames
+from lampest.inference.circuits.explanation import Explanation
+from lampest.inference.circuits.rivals import Rival, with_converter
+from lampest.inference.effects.effect import Determined, Gathered, SceneEffect, Unnamed
 from lampest.inference.noise import NoiseEstimate
-from lampest.inference.rivals import Rival, with_converter
 from lampest.panel.panel import Array
-from lampest.panel.readouts.converter import Characteristic
+from lampest.panel.readouts.converter import MAX_VOLT, Characteristic
 from lampest.panel.readouts.divider import Divider
 from lampest.panel.readouts.driven import DrivenCircuit
-from lampest.panel.scene import specified
+from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED
 from lampest.posterior.interval import binomial_tail
 from lampest.recording.readings import Readings
@@ -286,7 +285,6 @@ def _with_zero(recording: Recording, zero: float) -> Characteristic:
     return replace(readout.converter, zero_volt=zero, full_volt=moved)
 
 
-@lru_cache(maxsize=4)
 def _zero_of_still_cells(recording: Recording) -> tuple[float, float] | None:
     """Return the most probable voltage of code 0 and its standard deviation, by two frames.
 
@@ -335,44 +333,53 @@ def _zero_of_still_cells(recording: Recording) -> tuple[float, float] | None:
     return (zero, sd) if sd < MAX_ZERO_SD * prior else None
 
 
-def with_resolved_ends(
-    noise: NoiseEstimate, recording: Recording, cleaned: Recording
-) -> NoiseEstimate:
-    """Return the noise with the ends of the converter and of the stage before it.
-
-    Parameters
-    ----------
-    noise : NoiseEstimate
-    recording, cleaned : Recording
-        With the scene as specified, and with numbers.
-    """
-    if specified(recording.scene, ZERO) == ESTIMATED:
-        _, zero = with_converter_ends(recording)
-        if zero is None:
-            noise = noise.undetermined(
-                ZERO,
-                "no cells of the unloaded panel are open above the converter's end, and no load "
-                "shows it by cells that stand still: press some cells",
-            )
-        else:
-            noise = noise.determined(ZERO, zero)
-    if specified(recording.scene, PASSES) == ESTIMATED:
-        passes = specified(cleaned.scene, PASSES)
-        if passes is None:
-            noise = noise.undetermined(
-                PASSES, "channels of its frames end at no common voltage: load more cells"
-            )
-        else:
-            noise = noise.determined(PASSES, passes)
-    return noise
-
-
 class ConverterEnds(SceneEffect):
     """Ends of the converter, and of a stage before it that saturates.
 
     The keys are `readout.passes_volt` and `readout.converter.zero_volt`. Both ends are determined
     before any reading is taken.
     """
+
+    def freed(self, recording: Recording) -> tuple[Recording, Mapping[str, Determined]]:
+        """Return the recording with the ends of the converter and of the stage before it."""
+        requested = recording.scene
+        estimates = dict[str, Determined]()
+        recording, zero = with_converter_ends(recording)
+        if specified(requested, ZERO) == ESTIMATED:
+            estimates[ZERO] = zero or (
+                "no cells of the unloaded panel are open above the converter's end, and no load "
+                "shows it by cells that stand still: press some cells"
+            )
+        recording = with_saturated_stage(recording)
+        if specified(requested, PASSES) == ESTIMATED:
+            estimates[PASSES] = specified(recording.scene, PASSES) or (
+                "channels of its frames end at no common voltage: load more cells"
+            )
+        return recording, estimates
+
+    def allowed(self, scene: Scene, key: str, number: float) -> float:
+        """Return the end nearest to a determined one that a scene may state."""
+        number = super().allowed(scene, key, number)
+        if key != ZERO or scene.readout is None:
+            return number
+        # A zero farther off would leave less than half of the range, or a range beyond MAX_VOLT.
+        full_scale = scene.readout.full_scale_volt
+        most = min(full_scale / 2, MAX_VOLT - full_scale)
+        return min(max(number, -most), most)
+
+    def stated(self, scene: Scene, keys: Sequence[str], noise: NoiseEstimate) -> Scene:
+        """Return the scene with the ends, which are those of its readout without a number."""
+        readout: Any = scene.readout
+        if PASSES in keys:
+            passes = noise.estimated.get(PASSES)
+            bounds = None if passes is None else passed_range(passes, readout.range_volt)
+            readout = replace(readout, passes_volt=bounds)
+        if ZERO in keys:
+            ends = readout.converter
+            zero = noise.number(ZERO) or 0.0
+            full = readout.full_scale_volt + zero if ends.full_volt is None else ends.full_volt
+            readout = replace(readout, converter=replace(ends, zero_volt=zero, full_volt=full))
+        return replace(scene, readout=readout)
 
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield advice on a stage before the converter that saturates."""

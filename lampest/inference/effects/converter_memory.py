@@ -7,20 +7,20 @@ before, relative to the misfit of still cells. Nothing is determined where most 
 share then explains them.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from lampest.files.levels import MIN_EVIDENCE_GAIN
-from lampest.inference.compared_frames import ComparedFrames
-from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
+from lampest.inference.circuits.compared_frames import ComparedFrames
+from lampest.inference.circuits.explanation import Explanation
+from lampest.inference.circuits.parameters import MEMORIES as TRIED
+from lampest.inference.circuits.parameters import may_gain_by_memory
+from lampest.inference.effects.effect import Determined, Gathered, SceneEffect, Unnamed
 from lampest.inference.evidence import PARAMETER_COST, mostly_still
-from lampest.inference.explanation import Explanation
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.number import parabola
-from lampest.inference.rival_parameters import MEMORIES as TRIED
-from lampest.inference.rival_parameters import may_gain_by_memory
 from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.effects.converter_memory import KeptShare
 from lampest.panel.panel import Array
@@ -140,53 +140,34 @@ def _cost(explanation: Explanation | None) -> float:
     return explanation.score + count * float(np.log1p(memory**2))
 
 
-def with_estimated_memory(
-    recording: Recording,
-) -> tuple[Recording, tuple[float, float] | str]:
-    """Replace `converter_memory: estimated` by a number.
-
-    Returns
-    -------
-    recording : Recording
-        With the estimated share in its scene, or with none.
-    estimate : (float, float) or str
-        As `estimated_memory` returns it.
-    """
-    estimate = estimated_memory(recording)
-    share = None if isinstance(estimate, str) else estimate[0]
-    return replace(recording, scene=replace(recording.scene, converter_memory=share)), estimate
-
-
-def with_uncertain_memory(
-    noise: NoiseEstimate, recording: Recording, memory: tuple[float, float] | str
-) -> NoiseEstimate:
-    """Return the noise with the memory, whose error bars carry its standard deviation.
-
-    Parameters
-    ----------
-    noise : NoiseEstimate
-    recording : Recording
-    memory : (float, float) or str
-        As `estimated_memory` returns it. Where nothing determines it, it has its prior.
-    """
-    if isinstance(memory, str):
-        noise = noise.undetermined(KEY, memory)
-        deviation = KeptShare.prior
-    else:
-        noise = noise.determined(KEY, memory)
-        deviation = memory[1]
-    if recording.scene.readout is None or not deviation:
-        return noise
-    unloaded = int((recording.role == UNLOADED).sum())
-    frame = noise.frame or FrameNoise(recording.scene, unloaded, 0.0, NO_RIPPLE, NO_RIPPLE)
-    return replace(noise, frame=replace(frame, memory=deviation))
-
-
 class ConverterMemory(SceneEffect):
     """A converter that keeps a share of the channel before: `converter_memory`.
 
     The share is determined before any reading is taken, because readings are freed of it.
     """
+
+    def freed(self, recording: Recording) -> tuple[Recording, Mapping[str, Determined]]:
+        """Return the recording with the share in its scene, or with none."""
+        estimate = estimated_memory(recording)
+        share = None if isinstance(estimate, str) else estimate[0]
+        scene = replace(recording.scene, converter_memory=share)
+        return replace(recording, scene=scene), {KEY: estimate}
+
+    def noted(
+        self, noise: NoiseEstimate, recording: Recording, estimates: Mapping[str, Determined]
+    ) -> NoiseEstimate:
+        """Return the noise with the share, whose standard deviation error bars carry.
+
+        Where nothing determines the share, the deviation is its prior.
+        """
+        noise = super().noted(noise, recording, estimates)
+        memory = estimates[KEY]
+        deviation = KeptShare.prior if isinstance(memory, str) else memory[1]
+        if recording.scene.readout is None or not deviation:
+            return noise
+        unloaded = int((recording.role == UNLOADED).sum())
+        frame = noise.frame or FrameNoise(recording.scene, unloaded, 0.0, NO_RIPPLE, NO_RIPPLE)
+        return replace(noise, frame=replace(frame, memory=deviation))
 
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield advice on a converter that remembers the channel before."""

@@ -1,19 +1,22 @@
 """The base class of effects that a scene may name, and the evidence of their searches."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.inference.model_check import ModelCheck, Question
+from lampest.inference.circuits.model_check import ModelCheck, Question
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides, CircuitEffects
+from lampest.inference.variance_components import Scatter
 from lampest.panel.scene import Scene, specified
-from lampest.panel.sizes import ESTIMATED
+from lampest.panel.sizes import ESTIMATED, nearest_allowed
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
+
+Determined = tuple[float, float] | str  # a number with its standard deviation, or why there is none
 
 
 class PreparedRecording(Protocol):
@@ -114,6 +117,41 @@ class SceneEffect(ABC):
     if_unexplained: ClassVar[str] = ""
     if_unexplained_key: ClassVar[str] = ""
 
+    def freed(self, recording: Recording) -> tuple[Recording, Mapping[str, Determined]]:
+        """Return the recording with a number in place of `estimated`, before readings are taken.
+
+        The method is called for an `Entry` with `before_readings`.
+
+        Returns
+        -------
+        recording : Recording
+            With a scene that does not say `estimated`.
+        estimates : mapping
+            Each key that did → the number with its standard deviation, or the reason why the
+            recording determines none.
+        """
+        return recording, {}
+
+    def in_frames(
+        self, noise: NoiseEstimate, recording: Recording, scatter: Scatter | None
+    ) -> NoiseEstimate:
+        """Return the noise of the frames with the effect, given their scatter if it is known.
+
+        The method is called for an `Entry` with `of_frames`. By default the noise is unchanged.
+        """
+        return noise
+
+    def noted(
+        self, noise: NoiseEstimate, recording: Recording, estimates: Mapping[str, Determined]
+    ) -> NoiseEstimate:
+        """Return the noise of the freed recording with the estimates of `freed`."""
+        for key, estimate in estimates.items():
+            if isinstance(estimate, str):
+                noise = noise.undetermined(key, estimate)
+            else:
+                noise = noise.determined(key, estimate)
+        return noise
+
     def resolve(
         self, noise: NoiseEstimate, recording: Recording, besides: Besides
     ) -> NoiseEstimate:
@@ -132,6 +170,35 @@ class SceneEffect(ABC):
             Returns the effects beside the circuit.
         """
         return noise
+
+    def as_the_whole(
+        self, noise: NoiseEstimate, recording: Recording, whole: NoiseEstimate
+    ) -> NoiseEstimate:
+        """Return the noise of a part of a recording, with the effect as the whole has it.
+
+        By default it is unchanged: numbers and errors that all frames share are taken over anyway.
+        """
+        return noise
+
+    def allowed(self, scene: Scene, key: str, number: float) -> float:
+        """Return the number nearest to a determined one that a scene may state under the key."""
+        return nearest_allowed(key, number)
+
+    def stated(self, scene: Scene, keys: Sequence[str], noise: NoiseEstimate) -> Scene:
+        """Return the scene with numbers in place of `estimated`.
+
+        By default the keys are fields of the scene, which are None without a number.
+
+        Parameters
+        ----------
+        scene : Scene
+        keys : sequence of str
+            Those under which the scene says `estimated`.
+        noise : NoiseEstimate
+            Its numbers are within the limits of their keys.
+        """
+        numbers: dict[str, Any] = {key: noise.number(key) for key in keys}
+        return replace(scene, **numbers)
 
     @abstractmethod
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:

@@ -1,6 +1,7 @@
 """Gain of a frame and ripple along a scan: errors that the readings of a frame share.
 
-The sizes of both are determined with the noise of the frames (`lampest.inference.noise`).
+The unloaded frames determine the sizes of both, with the noise of the frames
+(`lampest.inference.noise`).
 """
 
 from collections.abc import Iterator
@@ -10,14 +11,26 @@ import numpy as np
 
 from lampest.files.levels import SIGNIFICANCE
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
-from lampest.inference.variance_components import unloaded_scatter
+from lampest.inference.noise import MIN_REQUESTED_FRAMES, NoiseEstimate
+from lampest.inference.variance_components import Scatter, unloaded_scatter
 from lampest.panel.effects.gain import Gain
 from lampest.panel.effects.ripple import Ripple
-from lampest.panel.sizes import ESTIMATED
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import ESTIMATED, plain_size
+from lampest.posterior.frame_noise import FrameNoise
+from lampest.recording.recording import UNLOADED, Recording
 
 
 class GainAndRipple(SceneEffect):
     """Errors that the readings of a frame share: `gain`, `ripple`."""
+
+    def in_frames(
+        self, noise: NoiseEstimate, recording: Recording, scatter: Scatter | None
+    ) -> NoiseEstimate:
+        """Return the noise of the frames with the sizes of the scene, or of the unloaded frames."""
+        unloaded = int((recording.role == UNLOADED).sum())
+        noise = _with_specified(noise, recording.scene, unloaded)
+        return noise if scatter is None else _with_estimated(noise, recording, scatter)
 
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield advice on gain and ripple, from the scatter of the unloaded frames."""
@@ -40,3 +53,51 @@ class GainAndRipple(SceneEffect):
             noise_lsb = np.mean(scene.readout.sigma_code())
             size = float(np.sqrt((roots**2).sum() / len(roots)) * noise_lsb)
             yield Unnamed.of(Ripple().sentence(size, 0.0), "ripple")
+
+
+def _with_specified(noise: NoiseEstimate, scene: Scene, unloaded: int) -> NoiseEstimate:
+    """Return the noise with the gain and the ripple that a scene specifies as numbers."""
+    gain, ripple = (plain_size(size) or 0.0 for size in (scene.gain, scene.ripple))
+    if scene.readout is None or not (gain or ripple):
+        return noise
+    # a ripple that all lines share, independent from channel to channel
+    channels = scene.panel.shape[0 if scene.circuit.by_columns else 1]
+    common = (
+        ripple * scene.circuit.lsb_volt * np.eye(channels) if ripple else np.zeros((channels, 0))
+    )
+    return replace(noise, frame=FrameNoise(scene, unloaded, gain, common, np.zeros((channels, 0))))
+
+
+def _with_estimated(noise: NoiseEstimate, recording: Recording, parts: Scatter) -> NoiseEstimate:
+    """Return the noise with the gain and the ripple that the scene calls `estimated`.
+
+    The unloaded frames determine both.
+    """
+    scene = recording.scene
+    unloaded = int((recording.role == UNLOADED).sum())
+    requested = [key for key in ("gain", "ripple") if getattr(scene, key) == ESTIMATED]
+    if not requested or scene.readout is None:
+        return noise
+    if unloaded < MIN_REQUESTED_FRAMES:
+        for key in requested:
+            noise = noise.undetermined(key, "record two or more unloaded frames")
+        return noise
+    volt = float(np.mean(scene.readout.sigma_volt()))
+    frame = noise.frame or FrameNoise(
+        scene, unloaded, 0.0, parts.common_ripple[:, :0], parts.line_ripple[:, :0]
+    )
+    if "gain" in requested:
+        frame = replace(frame, gain=float(np.hypot(parts.gain, parts.gain_sd)))  # √E[s²]
+        noise = noise.determined("gain", (parts.gain, parts.gain_sd))
+    if "ripple" in requested:
+        frame = replace(
+            frame, common_ripple=parts.common_ripple * volt, line_ripple=parts.line_ripple * volt
+        )
+        noise = replace(noise, frame=frame)
+        _, common_lsb, line_lsb = noise.shared_sizes
+        common_sd = parts.ripple_sd * volt / scene.circuit.lsb_volt
+        # relative deviation of a standard deviation with as many degrees of freedom
+        line_sd = line_lsb * (1 / np.sqrt(2 * (unloaded - 1)))
+        size = float(np.hypot(common_lsb, line_lsb))
+        noise = noise.determined("ripple", (size, float(np.hypot(common_sd, line_sd))))
+    return replace(noise, frame=frame)

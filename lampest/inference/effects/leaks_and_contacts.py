@@ -1,18 +1,41 @@
 """Leaks between lines and bad contacts: taken off the readings where still cells show them."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
-from lampest.inference.noise import NoiseEstimate, without_effects
-from lampest.inference.nuisances import Besides
+from lampest.inference.noise import NoiseEstimate
+from lampest.inference.nuisances import (
+    Besides,
+    CircuitEffects,
+    remaining_errors,
+    without_effects_of,
+)
+from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.effects.line_effect import LineEffect
 from lampest.panel.effects.line_leak import LineLeak
 from lampest.panel.effects.loose_contact import LooseContact
 from lampest.panel.scene import specified
 from lampest.panel.sizes import ESTIMATED
-from lampest.recording.recording import Recording
+from lampest.posterior.frame_noise import FrameNoise
+from lampest.recording.recording import UNLOADED, Recording
 
 BESIDES: dict[str, type[LineEffect]] = {kind.key: kind for kind in (LineLeak, LooseContact)}
+
+
+def without_effects(
+    noise: NoiseEstimate, recording: Recording, besides: CircuitEffects | None
+) -> NoiseEstimate:
+    """Return the noise with the effects of leaks and contacts taken off the readings."""
+    if besides is None or besides.pair is None:
+        return noise
+    unloaded = recording.role == UNLOADED
+    frame = noise.frame or FrameNoise(
+        recording.scene, int(unloaded.sum()), 0.0, NO_RIPPLE, NO_RIPPLE
+    )
+    readings = without_effects_of(besides.pair, noise.readings, unloaded)
+    frame = replace(frame, effect_errors=remaining_errors(besides.pair))
+    return replace(noise, readings=readings, frame=frame, corrected_effects=besides)
 
 
 class LeaksAndContacts(SceneEffect):
@@ -42,6 +65,12 @@ class LeaksAndContacts(SceneEffect):
                     name = f"{key} of {effect.where(recording.scene.panel.rows)}"
                     noise = noise.determined(name, (effect.size, float(deviation) * effect.prior))
         return noise
+
+    def as_the_whole(
+        self, noise: NoiseEstimate, recording: Recording, whole: NoiseEstimate
+    ) -> NoiseEstimate:
+        """Take the leaks and contacts of the whole recording off the readings."""
+        return without_effects(noise, recording, whole.corrected_effects)
 
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield the leaks and contacts with which the circuit explains the readings better."""

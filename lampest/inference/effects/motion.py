@@ -562,6 +562,14 @@ class ScanMotion(SceneEffect):
             "motion", (size.mean, size.deviation)
         )
 
+    def as_the_whole(
+        self, noise: NoiseEstimate, recording: Recording, whole: NoiseEstimate
+    ) -> NoiseEstimate:
+        """Interpolate the readings with the share of the whole recording."""
+        if whole.motion is None or noise.readings.sigma is None:
+            return noise
+        return interpolated(noise, recording, whole.motion)
+
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield advice on loads that move while a frame is scanned."""
         readings = evidence.noise.readings

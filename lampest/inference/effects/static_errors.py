@@ -13,22 +13,25 @@ Given e, the still cells determine the posterior of z. Of errors that are too la
 theory only e is estimated.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.errors import BROKEN
 from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANCE
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted
+from lampest.inference.circuits.parameters import DOUBTFUL_GAIN
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.evidence import mostly_still
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides
 from lampest.inference.number import Number, summed_out
-from lampest.inference.rival_parameters import DOUBTFUL_GAIN
 from lampest.inference.shared_changes import (
     CHANNEL_FACTORS,
     FEW_FACTORS,
@@ -41,7 +44,7 @@ from lampest.inference.shared_changes import (
     joint_posterior,
     shared_changes,
 )
-from lampest.inference.unloaded_cells import READING_ERRORS, unloaded_costs
+from lampest.inference.unloaded_cells import READING_ERRORS, film_scatter, unloaded_costs
 from lampest.panel.effects import Possible, estimated_errors, shared_effects, systematic_of
 from lampest.panel.effects.channels import CHANNELS
 from lampest.panel.effects.reading_error import READING_ERROR
@@ -138,6 +141,30 @@ def shared_errors(
     if moves.has_channels:
         spread = _channel_spread(scene, resting, fit, moves, size)
     return _with_common_errors(own, moves, prior, scene, spread)
+
+
+def _with_film_scatter(
+    possible: Possible, scene: Scene, resting: Readings, cells: Array | None
+) -> Possible:
+    """Return the errors with the scatter of the films beside each reading's own error.
+
+    Parameters
+    ----------
+    possible : Possible
+    scene : Scene
+    resting : Readings
+        Mean of the unloaded frames, (rows, columns).
+    cells : array, shape (rows, columns), or None
+        Those of the unloaded panel where several panels give its readings, ohm.
+    """
+    size = READING_ERROR.size(possible.sizes)
+    if not size or resting.sigma is None or resting.value.size > MAX_CELLS:
+        return possible
+    with suppress(*BROKEN):
+        fit = fitted(scene, resting, cells, patient=True)
+        scatter = film_scatter(scene, resting, fit, size, CHANNELS.size(possible.sizes))
+        return replace(possible, film_scatter=scatter)
+    return possible
 
 
 def _error_beside_channels(
@@ -420,7 +447,11 @@ class StaticErrors(SceneEffect):
             size = 0.0 if sizes is None else READING_ERROR.size(sizes)
             if sizes is None or not size:
                 return noise
+            unloaded = np.flatnonzero(recording.role == UNLOADED)
             possible = Possible(sizes, in_sigma=size)
+            if len(unloaded):
+                resting = readings[unloaded].mean()
+                possible = _with_film_scatter(possible, scene, resting, noise.resting_cells)
             return replace(noise, possible_errors=possible).with_reading_error(recording)
         unloaded = np.flatnonzero(recording.role == UNLOADED)
         measured = np.flatnonzero(recording.role == MEASURED)
@@ -435,7 +466,8 @@ class StaticErrors(SceneEffect):
         if len(measured):
             loaded = readings[strongest_frame(readings.plain_values, resting.value, measured)]
         errors = shared_errors(scene, resting, loaded, noise)
-        noise = replace(noise, possible_errors=errors.possible).with_reading_error(recording)
+        possible = _with_film_scatter(errors.possible, scene, resting, noise.resting_cells)
+        noise = replace(noise, possible_errors=possible).with_reading_error(recording)
         for name in requested:
             if name in errors.sizes:
                 noise = noise.determined(f"systematic.{name}", errors.sizes[name])
@@ -443,6 +475,18 @@ class StaticErrors(SceneEffect):
                 reason = errors.undetermined or "no frame shows it; `lampest calibrate` measures it"
                 noise = noise.undetermined(f"systematic.{name}", reason)
         return noise
+
+    def stated(self, scene: Scene, keys: Sequence[str], noise: NoiseEstimate) -> Scene:
+        """Return the scene with the sizes of the posterior, or of the prior where there is none."""
+        systematic = scene.systematic
+        assert isinstance(systematic, Systematic)
+        sizes = noise.possible_errors.sizes if noise.possible_errors else systematic_of(scene)
+        stated = dict[str, Any]()
+        for key in keys:
+            name = key.removeprefix("systematic.")
+            size = None if sizes is None else sizes.entry(name)
+            stated[name] = None if size is None else self.allowed(scene, key, size)
+        return replace(scene, systematic=systematic.with_entries(stated))
 
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield advice on columns, on channels, or on errors of each reading that stay the same."""

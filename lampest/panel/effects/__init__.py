@@ -44,23 +44,6 @@ LINE_EFFECTS = (
     "lampest.panel.effects.line_leak:LineLeak",
     "lampest.panel.effects.loose_contact:LooseContact",
 )
-# Effects at a converter in the order in which they act: entries of `unmodelled` with the sizes, the
-# first of which is absent or 0 without the effect, and its class.
-AT_CONVERTER = (
-    (("gain_spread",), "lampest.panel.effects.gain:Gain"),
-    (("supply_ripple_lsb", "supply_ripple_hz"), "lampest.panel.effects.ripple:Ripple"),
-    (("inl_lsb",), "lampest.panel.effects.converter_curve:ConverterCurve"),
-    (("saturation",), "lampest.panel.effects.saturation:Saturation"),
-)
-# Effects that leave errors in a frame: attributes of `FrameNoise` with the sizes, and class. The
-# first has its column at size 0, too.
-OF_FRAMES = (
-    (("gain",), "lampest.panel.effects.gain:Gain"),
-    (("common_ripple", "line_ripple"), "lampest.panel.effects.ripple:Ripple"),
-    (("motion",), "lampest.panel.effects.water:MovingWater"),
-    (("trembling", "resting"), "lampest.panel.effects.motion:LoadMotion"),
-    (("memory",), "lampest.panel.effects.converter_memory:KeptShare"),
-)
 REFERENCE = "reference_tolerance"
 SERIES = "series_tolerance_ohm"
 LOG_STEP = 1e-6  # of the logarithm of a recorded value, for central differences
@@ -290,12 +273,15 @@ class Possible:
     in_sigma : float
         Size of each reading's own error that σ of the readings includes, and so the choice of
         weights: the median of the posterior (docs/studies/effects.md).
+    film_scatter : float
+        Scatter of log r of the unloaded cells beside each reading's own error; 0 where unknown.
     """
 
     sizes: Systematic
     settings: tuple[str, ...] = ()
     root: Array | None = None
     in_sigma: float = 0.0
+    film_scatter: float = 0.0
 
 
 def systematic_of(scene: Scene) -> Systematic | None:
@@ -399,6 +385,8 @@ class Shared:
         are independent, with their sizes as standard deviations.
     in_sigma : float
         Size of each reading's own error that σ of the readings includes.
+    film_scatter : float
+        Scatter of log r of the unloaded cells beside each reading's own error; 0 where unknown.
     """
 
     systematic: Systematic | None
@@ -407,6 +395,7 @@ class Shared:
     estimated: tuple[str, ...] = ()
     root: Array | None = None
     in_sigma: float = 0.0
+    film_scatter: float = 0.0
 
     @classmethod
     def of(cls, scene: Scene, possible: Possible | None = None) -> "Shared | None":
@@ -421,7 +410,15 @@ class Shared:
         if sizes is None and contacts is None:
             return None
         contact_root = None if contacts is None else np.diag(contacts.deviation(scene.panel.shape))
-        return cls(sizes, scene, contact_root, possible.settings, possible.root, possible.in_sigma)
+        return cls(
+            sizes,
+            scene,
+            contact_root,
+            possible.settings,
+            possible.root,
+            possible.in_sigma,
+            possible.film_scatter,
+        )
 
     def beyond(self, known: "Shared | None") -> "Shared | None":
         """Return the errors that remain if a method has unknowns for the errors `known`.

@@ -16,7 +16,7 @@ much, it is never taken.
 Each driven line has a fold of its own, so that there may be more panels. `every_panel` searches
 beyond the folds of single lines, too, and frames separate them: cells without a load are
 equal in an unloaded and in a loaded frame on the branch that is meant, and on no other
-(`lampest.inference.alike`).
+(`lampest.inference.circuits.alike`).
 """
 
 import math

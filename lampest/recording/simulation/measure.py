@@ -19,7 +19,7 @@ from lampest.files.typed import (
     check_range,
     check_ranges,
 )
-from lampest.panel.effects import AT_CONVERTER, shared_effect_of
+from lampest.panel.effects import shared_effect_of
 from lampest.panel.effects.channels import CHANNELS
 from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.effects.reference import REFERENCE
@@ -29,7 +29,7 @@ from lampest.panel.readouts.lines import of_side
 from lampest.panel.readouts.readout import in_panel_order, with_memory
 from lampest.panel.readouts.wiring import Contacts
 from lampest.panel.scene import Scene
-from lampest.panel.sizes import added_effects
+from lampest.panel.sizes import EFFECTS, added_effects
 
 # limits of true cells: a strip of copper tape, and the insulation between two lines
 SHORT_OHM = 1e-3
@@ -363,10 +363,10 @@ def _disturbed(
 
     The voltages have the shape (frames, rows, columns), in V.
     """
-    for names, path in AT_CONVERTER:
-        sizes = [getattr(unmodelled, name) for name in names]
-        if sizes[0]:
-            effect = loaded(path)()
+    for listed in EFFECTS:
+        sizes = [getattr(unmodelled, name) for name in listed.at_converter]
+        if sizes and sizes[0]:
+            effect = loaded(listed.path)()
             volt = effect.disturbed(
                 readout, volt, random_stream(seed, effect.stream), period_s, *sizes
             )

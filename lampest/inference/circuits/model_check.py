@@ -2,8 +2,8 @@
 
 One frame: are there positive cells that explain the readings within their noise, and do the
 readings satisfy the circuit's inequalities? Two frames: does another circuit, or an effect beside
-the circuit, explain them with a larger evidence (`lampest.inference.better_rival`)? The verdict is
-a sentence. Panels of modules have one from the modules whose readings change most.
+the circuit, explain them with a larger evidence (`lampest.inference.circuits.better_rival`)? The
+verdict is a sentence. Panels of modules have one from the modules whose readings change most.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,10 +15,10 @@ import numpy as np
 
 from lampest.files.applications import applications
 from lampest.files.levels import MAD_TO_SIGMA, MIN_EVIDENCE_GAIN, SIGNIFICANT
-from lampest.inference.better_rival import better_rival
 from lampest.inference.cells_fit import well_determined
-from lampest.inference.compared_frames import ComparedFrames, below_series, broken_law
-from lampest.inference.explanation import Explanation
+from lampest.inference.circuits.better_rival import better_rival
+from lampest.inference.circuits.compared_frames import ComparedFrames, below_series, broken_law
+from lampest.inference.circuits.explanation import Explanation
 from lampest.inference.nuisances import BetterExplanation, CircuitEffects, find_effects
 from lampest.inference.pair import FittedPair
 from lampest.panel.effects.line_effect import LineEffect

@@ -13,9 +13,9 @@ import numpy as np
 
 from lampest.files.errors import BROKEN, InputError
 from lampest.inference.cells_fit import CellsFit, fitted
-from lampest.inference.compared_frames import ComparedFrames
+from lampest.inference.circuits.compared_frames import ComparedFrames
+from lampest.inference.circuits.rivals import Rival
 from lampest.inference.pair import FittedPair
-from lampest.inference.rivals import Rival
 
 FAR = 100.0  # in scores, beyond what channels and the selection of moved cells change
 

@@ -1,7 +1,7 @@
 """Rival circuits of a recording, and the frames that they have to explain.
 
 Rivals are circuits of the one equation with the scene's converter and resistor
-(`lampest.inference.rival_circuits`), and the scene's circuit with readings in another order or with
+(`lampest.inference.circuits.kinds`), and the scene's circuit with readings in another order or with
 another converter. Each has any resistance in series. All rivals share the converter's voltages:
 where the scene's circuit has computed resistances from them, that computation is inverted.
 """
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.files.levels import FALSE_ALARM_RATE, OUTLIER_THRESHOLD
-from lampest.inference.rival_circuits import (
+from lampest.inference.circuits.kinds import (
     circuits_beside,
     entries_in_words,
     entries_of,

@@ -13,10 +13,10 @@ import numpy as np
 from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.cells_fit import CellsFit
-from lampest.inference.compared_frames import ComparedFrames, broken_law
+from lampest.inference.circuits.compared_frames import ComparedFrames, broken_law
+from lampest.inference.circuits.explanation import FAR, Explanation, rival_fits
+from lampest.inference.circuits.rivals import Rival
 from lampest.inference.evidence import PARAMETER_COST
-from lampest.inference.explanation import FAR, Explanation, rival_fits
-from lampest.inference.rivals import Rival
 from lampest.panel.effects.converter_memory import KeptShare
 from lampest.panel.panel import Array
 

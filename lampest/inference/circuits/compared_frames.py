@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import SIGNIFICANCE
-from lampest.inference.alike import PanelChoice
-from lampest.inference.rivals import Rival, standing_frames
+from lampest.inference.circuits.alike import PanelChoice
+from lampest.inference.circuits.rivals import Rival, standing_frames
 from lampest.inference.variance_components import noted_excess
 from lampest.panel.panel import Array
 from lampest.posterior.interval import largest_of

@@ -12,18 +12,16 @@ import numpy as np
 
 from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.cells_fit import SMALL_CHI_SQUARE, CellsFit, well_determined
-from lampest.inference.compared_frames import ComparedFrames, broken_law
-from lampest.inference.evidence import PARAMETER_COST, mostly_still
-from lampest.inference.explanation import Explanation, rival_fits
-from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation
-from lampest.inference.rival_parameters import (
+from lampest.inference.circuits.compared_frames import ComparedFrames, broken_law
+from lampest.inference.circuits.explanation import Explanation, rival_fits
+from lampest.inference.circuits.parameters import (
     DOUBTFUL_GAIN,
     some_in_series,
     with_converter_memory,
     with_series,
     without_series,
 )
-from lampest.inference.rivals import (
+from lampest.inference.circuits.rivals import (
     Rival,
     changes_beyond_noise,
     in_other_scan_order,
@@ -31,6 +29,8 @@ from lampest.inference.rivals import (
     rivals_of,
     rounded_down,
 )
+from lampest.inference.evidence import PARAMETER_COST, mostly_still
+from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation
 from lampest.panel.panel import Array
 from lampest.panel.readouts.presets import VirtualGroundReadout
 

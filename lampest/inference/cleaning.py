@@ -1,4 +1,4 @@
-"""Detection of outliers of a single frame.
+"""Cleaning of a recording: outliers of a single frame, frozen and garbled readings are left out.
 
 A loose contact or a lost bit changes one reading in one frame; a touch changes many readings at
 once. A reading is an outlier if it deviates from the prediction of its neighbouring frames while
@@ -17,8 +17,9 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import largest_normal, largest_of
+from lampest.recording.garbled import GarbledLines, garbled_lines, readings_of
 from lampest.recording.readings import Readings, Sidedness, median
-from lampest.recording.recording import Recording
+from lampest.recording.recording import UNLOADED, Recording
 
 WINDOW = 4  # neighbouring frames that are compared
 # Deviation over the scatter of the neighbours, so that an arriving load is not flagged.
@@ -506,3 +507,45 @@ def _pair_scale(value: Array, sigma: Array) -> float:
     """
     difference = np.abs(np.diff(value, axis=0)) / np.hypot(sigma[1:], sigma[:-1])
     return MAD_TO_SIGMA * float(median(difference.ravel())[0]) if difference.size else np.nan
+
+
+@dataclass(frozen=True, eq=False)
+class Cleaned:
+    """Readings of a single network without outliers.
+
+    Attributes
+    ----------
+    recording : Recording
+        Its scene includes a saturated stage where the readings show one; frozen and garbled
+        readings are missing.
+    frozen : boolean array, shape (rows, columns)
+    garbled : tuple of GarbledLines
+    outliers : boolean array, shape (frames, rows, columns)
+    readings : Readings
+        Unloaded outliers are missing, measured ones are replaced by the prediction of neighbouring
+        frames.
+    """
+
+    recording: Recording
+    frozen: NDArray[np.bool_]
+    garbled: tuple[GarbledLines, ...]
+    outliers: NDArray[np.bool_]
+    readings: Readings
+
+    @classmethod
+    def of(cls, recording: Recording) -> "Cleaned":
+        """Return the readings of a recording without those that do not belong to it.
+
+        All remain where its scene keeps outliers.
+        """
+        if recording.scene.outliers == "keep":
+            frozen = np.zeros(recording.scene.panel.shape, dtype=bool)
+            outliers = np.zeros(recording.recorded.shape, dtype=bool)
+            return cls(recording, frozen, (), outliers, recording.readings())
+        frozen = frozen_readings(recording)
+        garbled = garbled_lines(recording)
+        recording = without_readings(recording, frozen | readings_of(garbled, recording))
+        readings = recording.readings()
+        impossible = impossible_readings(recording.scene.circuit, readings)
+        outliers, readings = without_outliers(impossible, readings, recording.role == UNLOADED)
+        return cls(recording, frozen, garbled, outliers, readings)
