@@ -60,12 +60,13 @@ class PanelChoice:
         if not (resting.plain.any() and loaded.plain.any()):
             return None
         tolerance = max(noise_share(resting), noise_share(loaded))
-        unloaded = _every_panel(scene, resting, tolerance)
-        of_load = _every_panel(scene, loaded, tolerance, unloaded)
-        # Panels of a load are starts of the unloaded one that uniform panels may miss
-        unloaded = _every_panel(scene, resting, tolerance, [*unloaded, *of_load])
-        before = _distinct_fits(scene, resting, unloaded)
-        after = _distinct_fits(scene, loaded, of_load)
+        # Panels of one frame are starts of the other one that uniform panels may miss
+        starts = [
+            *_every_panel(scene, resting, tolerance),
+            *_every_panel(scene, loaded, tolerance),
+        ]
+        before = _distinct_fits(scene, resting, starts)
+        after = _distinct_fits(scene, loaded, starts)
         pairs = []
         for frames in product(before, after):
             with suppress(*BROKEN):
@@ -76,16 +77,17 @@ class PanelChoice:
         pairs.sort(key=itemgetter(0))
         cost, best = pairs[0]
         clear = mostly_still(best.moved)
-        chosen = [frame.cells for frame in best.frames]
+        resting_cells, loaded_cells = (frame.cells for frame in best.frames)
         if len(pairs) == 1:
-            return cls(*chosen, None, clear)
+            return cls(resting_cells, loaded_cells, None, clear)
         second_cost, second = pairs[1]
         other = next(
             frame.cells
             for frame, taken in zip(second.frames, best.frames, strict=True)
             if frame is not taken
         )
-        return cls(*chosen, other, clear and second_cost - cost > CLEAR)
+        clear = clear and second_cost - cost > CLEAR
+        return cls(resting_cells, loaded_cells, other, clear)
 
     @property
     def sentence(self) -> str:
@@ -115,16 +117,14 @@ def nearest_panel(panels: Sequence[Array], baseline: Array) -> Array:
     return min(panels, key=lambda cells: change_cost(cells, baseline))
 
 
-def _every_panel(
-    scene: Scene, readings: Readings, tolerance: float, firsts: Sequence[Array] = ()
-) -> list[Array]:
+def _every_panel(scene: Scene, readings: Readings, tolerance: float) -> list[Array]:
     """Return the panels that give a frame's readings, with cells within the bounds of estimates.
 
     Bounds and readings of broken cells do not count.
     """
     data = data_of_cells(scene, readings)
     limits = (data.lower[0], data.upper[0])
-    return scene.circuit.every_panel(readings.plain_values, limits, tolerance, firsts)
+    return scene.circuit.every_panel(readings.plain_values, limits, tolerance)
 
 
 def _distinct_fits(scene: Scene, readings: Readings, panels: Sequence[Array]) -> list[CellsFit]:
