@@ -131,6 +131,11 @@ class NoiseEstimate:
         return "; ".join(self.warnings)
 
     @property
+    def resting_cells(self) -> Array | None:
+        """Cells of the unloaded panel, where several panels give its readings; else None."""
+        return None if self.panels is None else self.panels.resting
+
+    @property
     def reading_error(self) -> float:
         """Standard deviation of ln of a factor on each reading that is constant in time.
 
@@ -164,11 +169,6 @@ class NoiseEstimate:
             float(np.sqrt((root**2).sum() / len(root))) / lsb_volt for root in roots
         )
         return 100 * self.frame.gain, common_lsb, line_lsb
-
-    @property
-    def resting_cells(self) -> Array | None:
-        """Cells of the unloaded panel, ohm, at which fits begin where several panels read alike."""
-        return None if self.panels is None else self.panels.resting
 
     @property
     def summary(self) -> str:

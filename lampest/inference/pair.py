@@ -276,6 +276,15 @@ class FittedPair:
         # quadratic form of d
         return self.evidence.score - self.frames[1].log_volume + self._volume
 
+    @property
+    def misfits(self) -> float:
+        """The misfit χ² of both frames, and PARAMETER_COST of each bound.
+
+        Thus no circuit gains by bounds.
+        """
+        bounds = (PARAMETER_COST * int(frame.readings.bounds.sum()) for frame in self.frames)
+        return sum(frame.chi_square for frame in self.frames) + sum(bounds)
+
     @cached_property
     def _misfit(self) -> tuple[float, int]:
         """χ² of the changes of the still cells, and the number of these cells."""

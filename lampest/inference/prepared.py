@@ -269,12 +269,8 @@ class Prepared:
             return self._joined(
                 [None if module is None else module.noise for module in self.modules]
             )
-        return resolved(
-            replace(self.frame_noise, panels=self.panels),
-            self.cleaned.recording,
-            self.whole_recording,
-            self.effects_of,
-        )
+        noise = replace(self.frame_noise, panels=self.panels)
+        return resolved(noise, self.cleaned.recording, self.whole_recording, self.effects_of)
 
     @cached_property
     @ONE_BLAS_THREAD
@@ -286,8 +282,7 @@ class Prepared:
         if self.whole_recording is not None:
             return self.whole_recording.panels
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            scene = self.recording.scene
-            if scene.circuit.several_panels(*scene.panel.shape):
+            if self.recording.scene.several_panels:
                 return self.question.panels
         return None
 

@@ -8,7 +8,8 @@ import pytest
 import lampest
 from docs.studies.held_lines import nodal_volts, random_readout
 from docs.studies.model_check import sound
-from lampest import Array, DrivenReadout, Misfit, Panel, Recording, Scene
+from lampest import Array, DrivenReadout, Faults, Misfit, Panel, Recording, Scene
+from lampest.audit.advice import Audit
 from lampest.audit.verdict import verdict
 from lampest.inference.prepared import Prepared
 from tests.netlist import volts
@@ -20,6 +21,23 @@ BEYOND: dict[str, Any] = {"drive_ohm": 320.0, "load_ohm": 17e3, "idle_load_ohm":
 BEFORE: dict[str, Any] = {"drive_ohm": 109.0, "load_ohm": 3576.0, "idle_load_ohm": 0.0}
 
 
+# Idle sensed lines alone are held hard, both sides are, or the idle driven ones
+SENSED: dict[str, Any] = {"drive_ohm": 470.0, "load_ohm": 1e4, "idle_load_ohm": 0.0}
+BOTH: dict[str, Any] = {
+    "drive_ohm": 50.0,
+    "idle_ohm": 50.0,
+    "load_ohm": 1e4,
+    "idle_load_ohm": 50.0,
+}
+DRIVEN: dict[str, Any] = {
+    "drive_ohm": 470.0,
+    "idle_ohm": 50.0,
+    "load_ohm": 3300.0,
+    "idle_load_ohm": float("inf"),
+}
+OPEN = (0, 1)
+
+
 def panels(typical: float, factor: float) -> tuple[Array, Array]:
     resting = typical * np.exp(0.2 * np.random.default_rng(6).standard_normal(SHAPE))
     loaded = resting.copy()
@@ -27,12 +45,15 @@ def panels(typical: float, factor: float) -> tuple[Array, Array]:
     return resting, loaded
 
 
-def recording_of(readout: DrivenReadout, resting: Array, loaded: Array) -> Recording:
+def recording_of(
+    readout: DrivenReadout, resting: Array, loaded: Array, faults: Faults | None = None
+) -> Recording:
     frames = np.stack([volts(resting, readout)] * 6 + [volts(loaded, readout)] * 3)
     step = readout.supply_volt / 2**readout.adc_bits
     draws = np.random.default_rng(7).normal(size=(readout.readings, *frames.shape))
     codes = np.rint(frames / step + 0.7 * draws).mean(axis=0)
-    return Recording.from_array(codes, unit="code", scene=Scene(Panel(*SHAPE), readout), baseline=6)
+    scene = Scene(Panel(*SHAPE), readout, faults=faults)
+    return Recording.from_array(np.maximum(codes, 0.0), unit="code", scene=scene, baseline=6)
 
 
 def held(**keys: Any) -> DrivenReadout:
@@ -50,6 +71,46 @@ def test_the_panel_is_the_one_in_which_most_cells_stand_still(
     assert estimate.baseline_resistance == pytest.approx(resting, rel=0.15)
     for cells in estimate.cell_resistance:
         assert cells[PRESSED] == pytest.approx(loaded[PRESSED], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("keys", "typical", "broken"),
+    [(SENSED, 3000.0, False), (BOTH, 800.0, True), (DRIVEN, 3000.0, True)],
+)
+def test_a_right_circuit_is_not_doubted_where_several_panels_read_alike(
+    keys: dict[str, Any], typical: float, broken: bool
+) -> None:
+    resting, loaded = panels(typical, 0.35)
+    intact = np.ones(SHAPE, dtype=bool)
+    if broken:
+        resting[OPEN] = loaded[OPEN] = 1e12
+        intact[OPEN] = False
+    readout = DrivenReadout(adc_bits=10, readings=4, noise_lsb=0.7, **keys)
+    faults = Faults(open=(OPEN,)) if broken else None
+    audit = Audit(Prepared(recording_of(readout, resting, loaded, faults)))
+    assert audit.verdict.mark == "yes", audit.verdict.sentence
+    assert not audit.advice
+    panels_chosen = audit.prepared.panels
+    assert panels_chosen is not None
+    assert np.median(np.abs(np.log(panels_chosen.resting / resting))[intact]) < 0.05
+
+
+def test_estimates_take_the_panel_where_idle_sensed_lines_alone_are_held() -> None:
+    resting, loaded = panels(3000.0, 0.35)
+    readout = DrivenReadout(adc_bits=10, readings=4, noise_lsb=0.7, **SENSED)
+    estimate = lampest.reconstruct(recording_of(readout, resting, loaded), [Misfit()])
+    assert estimate.baseline_resistance == pytest.approx(resting, rel=0.15)
+    assert estimate.cell_resistance[-1][PRESSED] == pytest.approx(loaded[PRESSED], rel=0.15)
+
+
+def test_several_panels_have_readings_that_rise_and_fall() -> None:
+    assert DrivenReadout(**SENSED).several_panels(*SHAPE)
+    assert DrivenReadout(**BOTH).several_panels(*SHAPE)
+    # Idle lines yield more than the driven one
+    yielding = DrivenReadout(idle_ohm=3300.0, drive_ohm=50.0, load_ohm=1000.0)
+    assert not yielding.several_panels(*SHAPE)
+    assert not DrivenReadout(idle_ohm=0.0, drive_ohm=0.0).several_panels(*SHAPE)
+    assert not lampest.LoadedColumnsReadout(drive_ohm=470.0).several_panels(*SHAPE)
 
 
 def test_panels_that_no_frame_tells_apart_are_both_named() -> None:

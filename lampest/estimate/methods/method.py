@@ -122,13 +122,11 @@ class Method(Configuration):
         if objective.relative:
             background = self._background_with_previous(state, readings)
         data = replace(objective.data(readings.alone(), background), first=state.first)
-        several = state.scene.wiring is None and state.scene.circuit.several_panels(
-            *state.scene.panel.shape
-        )
+        several = state.scene.wiring is None and state.scene.several_panels
         if state.previous is not None:
             start = state.previous
             if several and state.baseline is not None and readings.plain.all():
-                start = self._nearest_panel(state, readings)
+                start = self._nearest_panel(state, data, readings)
             return data, start[None]
         if several and state.panels is not None:
             return data, np.clip(state.panels.resting, data.lower[0], data.upper[0])[None]
@@ -139,7 +137,7 @@ class Method(Configuration):
         # meant.
         return data, np.minimum(panels[0][1], data.upper[0])[None]
 
-    def _nearest_panel(self, state: SequenceState, readings: Readings) -> Array:
+    def _nearest_panel(self, state: SequenceState, data: Data, readings: Readings) -> Array:
         """Return the panel that gives a frame's readings and differs least from the unloaded one.
 
         The panels are found from known panels. The result are the previous cells where none is
@@ -152,7 +150,9 @@ class Method(Configuration):
         if state.panels is not None:
             known.append(state.panels.loaded)
         firsts = [cells for cells in known if np.isfinite(cells).all()]
-        panels = state.scene.circuit.every_panel(readings.value, noise_share(readings), firsts)
+        panels = state.scene.circuit.every_panel(
+            readings.value, (data.lower[0], data.upper[0]), noise_share(readings), firsts
+        )
         if not panels or not np.isfinite(state.baseline_resistance).all():
             return state.previous
         return nearest_panel(panels, state.baseline_resistance)
@@ -420,8 +420,7 @@ class OptimalMethod(Method):
             # From its start IPOPT may end at another panel that reads alike. Along scales that no
             # reading shows, its iterates wander until their limit (docs/studies/speed.md).
             unseen = scene.circuit.unseen_scales(*cost.panel.shape)
-            several = scene.circuit.several_panels(*cost.panel.shape)
-            fast = few and squared and not several and not unseen
+            fast = few and squared and not unseen and not scene.several_panels
             kind = "nodal" if fast and period >= NODAL_PERIOD else "reduced"
         return solver_of(cost, scene.circuit, scene.wiring, kind, settings)
 

@@ -1,33 +1,34 @@
 """Choice among panels that read alike, by an unloaded and a loaded frame together.
 
-Where idle lines hold the driven one harder than its driver does, several panels give the readings
-of a frame (`lampest.panel.readouts.branches`). A load changes some cells, and the others stand
-still: this holds for the pair of panels that is meant. In any other pair nearly all cells change,
-because the potential of a driven line is another one beyond its fold. Pairs are compared by the
-density of the loaded readings given the unloaded ones, with moved cells selected and the Jacobian
-of the readings included (`FittedPair.density`). Another pair is ruled out where −2 ln density is
-larger by CLEAR.
+Where idle lines are held and the driven one has a resistance, several panels give the readings of a
+frame (`lampest.panel.readouts.branches`). A load changes some cells, and the others stand still:
+this holds for the pair of panels that is meant. In any other pair nearly all cells change, because
+the potential of a driven line is another one beyond its fold. Panels of one circuit are therefore
+compared by the evidence that compares circuits (`lampest.inference.pair`), which counts the noise
+that cells have beside each fold. Another pair is ruled out where it has less evidence by CLEAR.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
+from operator import itemgetter
 from typing import Self
 
 import numpy as np
 
-from lampest.inference.cells_fit import CellsFit, fitted
+from lampest.files.errors import BROKEN
+from lampest.inference.cells_fit import CellsFit, data_of_cells, fitted
 from lampest.inference.evidence import mostly_still
 from lampest.inference.pair import FittedPair
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 
-CHANGE = 0.03  # of ln r: cells that change by less stand still within the noise of exact fits
-CLEAR = 20.0  # of −2 ln density: odds of e^10, because linear theory is inexact near a fold
-STILL = 2 * CHANGE  # median difference of ln r on a line of two panels that are different ones
-SAME = 1e-2  # of r: fits that differ by less are one
-NOISE_RANGE = 3.0  # standard deviations of a reading: panels that fit to less are compared
+CLEAR = 20.0  # in −2 ln evidence: odds of e^10
+CHANGE = 0.03  # of ln r: panels of which no cell differs by more than this and noise are one
+STILL = 2 * CHANGE  # median change of ln r by which a solve ends at another panel
+NOISE_RANGE = 3.0  # standard deviations of a reading, and of a cell: panels within noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,36 +53,41 @@ class PanelChoice:
 
     @classmethod
     def of(cls, scene: Scene, resting: Readings, loaded: Readings) -> Self | None:
-        """Return the choice for two frames; None where one has bounds, or no panel is found."""
-        circuit = scene.circuit
-        if not (resting.plain.all() and loaded.plain.all()):
-            return None
-        if not circuit.several_panels(*resting.value.shape):
+        """Return the choice for two frames.
+
+        The result is None where no panel explains a frame.
+        """
+        if not (resting.plain.any() and loaded.plain.any()):
             return None
         tolerance = max(noise_share(resting), noise_share(loaded))
-        unloaded = circuit.every_panel(resting.value, tolerance)
-        of_load = circuit.every_panel(loaded.value, tolerance, unloaded)
-        # Panels of a load are starts of the unloaded one that uniform panels may miss
-        unloaded = circuit.every_panel(resting.value, tolerance, [*unloaded, *of_load])
-        pairs = [
-            FittedPair(frames)
-            for frames in product(_fits(scene, resting, unloaded), _fits(scene, loaded, of_load))
+        # Panels of one frame are starts of the other one that uniform panels may miss
+        starts = [
+            *_every_panel(scene, resting, tolerance),
+            *_every_panel(scene, loaded, tolerance),
         ]
+        before = _distinct_fits(scene, resting, starts)
+        after = _distinct_fits(scene, loaded, starts)
+        pairs = []
+        for frames in product(before, after):
+            with suppress(*BROKEN):
+                pair = FittedPair(frames)
+                pairs.append((pair.density + pair.misfits, pair))
         if not pairs:
             return None
-        best = min(pairs, key=_cost)
-        before, after = (fit.cells for fit in best.frames)
-        still = mostly_still(best.moved)
-        others = [pair for pair in pairs if _different(pair, best)]
-        if not others:
-            return cls(before, after, None, clear=still)
-        second = min(others, key=_cost)
+        pairs.sort(key=itemgetter(0))
+        cost, best = pairs[0]
+        clear = mostly_still(best.moved)
+        resting_cells, loaded_cells = (frame.cells for frame in best.frames)
+        if len(pairs) == 1:
+            return cls(resting_cells, loaded_cells, None, clear)
+        second_cost, second = pairs[1]
         other = next(
-            there.cells
-            for here, there in zip(best.frames, second.frames, strict=True)
-            if _apart(here.cells, there.cells)
+            frame.cells
+            for frame, taken in zip(second.frames, best.frames, strict=True)
+            if frame is not taken
         )
-        return cls(before, after, other, clear=still and _cost(second) - _cost(best) > CLEAR)
+        clear = clear and second_cost - cost > CLEAR
+        return cls(resting_cells, loaded_cells, other, clear)
 
     @property
     def sentence(self) -> str:
@@ -101,33 +107,6 @@ class PanelChoice:
         )
 
 
-def _fits(scene: Scene, readings: Readings, panels: Sequence[Array]) -> list[CellsFit]:
-    """Return the fits of a frame that begin at panels, those within noise if any is."""
-    fits = list[CellsFit]()
-    for cells in panels:
-        fit = fitted(scene, readings, cells, patient=True)
-        if fit is not None and not any(np.allclose(fit.cells, of.cells, SAME) for of in fits):
-            fits.append(fit)
-    return [fit for fit in fits if fit.within_noise] or fits
-
-
-def _cost(pair: FittedPair) -> float:
-    """Return −2 ln density of the loaded frame, and the misfit of both."""
-    return pair.density + sum(fit.chi_square for fit in pair.frames)
-
-
-def _different(pair: FittedPair, other: FittedPair) -> bool:
-    """Return whether two pairs differ in either panel."""
-    frames = zip(pair.frames, other.frames, strict=True)
-    return any(_apart(here.cells, there.cells) for here, there in frames)
-
-
-def _apart(cells: Array, others: Array) -> bool:
-    """Return whether the cells of any line differ."""
-    difference = np.abs(np.log(cells / others))
-    return any(bool((np.median(difference, axis) > STILL).any()) for axis in (0, 1))
-
-
 def change_cost(cells: Array, baseline: Array) -> float:
     """Return Σ ln(1 + (Δ ln r/CHANGE)²) of two panels."""
     return float(np.log1p((np.log(cells / baseline) / CHANGE) ** 2).sum())
@@ -138,8 +117,37 @@ def nearest_panel(panels: Sequence[Array], baseline: Array) -> Array:
     return min(panels, key=lambda cells: change_cost(cells, baseline))
 
 
+def _every_panel(scene: Scene, readings: Readings, tolerance: float) -> list[Array]:
+    """Return the panels that give a frame's readings, with cells within the bounds of estimates.
+
+    Bounds and readings of broken cells do not count.
+    """
+    data = data_of_cells(scene, readings)
+    limits = (data.lower[0], data.upper[0])
+    return scene.circuit.every_panel(readings.plain_values, limits, tolerance)
+
+
+def _distinct_fits(scene: Scene, readings: Readings, panels: Sequence[Array]) -> list[CellsFit]:
+    """Return the fits of a frame that begin at panels and explain it, each once."""
+    distinct: list[CellsFit] = []
+    for panel in panels:
+        fit = fitted(scene, readings, panel)
+        if fit is not None and all(_differ(fit, known) for known in distinct):
+            distinct.append(fit)
+    return distinct
+
+
+def _differ(fit: CellsFit, other: CellsFit) -> bool:
+    """Return whether a cell of two fits differs by more than CHANGE and noise."""
+    variance = np.diag(fit.covariance) + np.diag(other.covariance)
+    change = np.log(fit.cells / other.cells).ravel()
+    return bool((np.abs(change) > np.hypot(CHANGE, NOISE_RANGE * np.sqrt(variance))).any())
+
+
 def noise_share(readings: Readings) -> float:
     """Return the reach of readings' noise over their median; 0 where it is unknown."""
     if readings.sigma is None:
         return 0.0
-    return NOISE_RANGE * float(np.median(readings.sigma) / np.median(readings.value))
+    plain = readings.plain
+    share = np.median(readings.sigma[plain]) / np.median(readings.value[plain])
+    return NOISE_RANGE * float(share)

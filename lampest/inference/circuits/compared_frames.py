@@ -115,11 +115,9 @@ class ComparedFrames:
         The value is None where only one panel does, and without a loaded frame.
         """
         scene = self.specified.scene
-        several = scene.circuit.several_panels(*scene.panel.shape)
-        if not several or scene.wiring is not None or not len(self.standing):
+        if scene.wiring is not None or not len(self.standing) or not scene.several_panels:
             return None
-        resting, loaded = self.readings(self.specified)
-        return PanelChoice.of(scene, resting, loaded)
+        return PanelChoice.of(scene, *self.readings(self.specified))
 
     @cached_property
     def _usable(self) -> Array:

@@ -15,7 +15,6 @@ from lampest.files.errors import BROKEN, InputError
 from lampest.inference.cells_fit import CellsFit, fitted
 from lampest.inference.circuits.compared_frames import ComparedFrames
 from lampest.inference.circuits.rivals import Rival
-from lampest.inference.evidence import PARAMETER_COST
 from lampest.inference.pair import FittedPair
 
 FAR = 100.0  # in scores, beyond what channels and the selection of moved cells change
@@ -120,20 +119,12 @@ class Explanation:
     @cached_property
     def score(self) -> float:
         """−2 ln density of the loaded frame, and the costs of parameters."""
-        return 0.0 if self.pair is None else self.pair.density + _costs(self.fits)
+        return 0.0 if self.pair is None else self.pair.density + self.pair.misfits
 
     @cached_property
     def beyond_noise(self) -> float:
         """−2 ln evidence of the changes beyond that of noise alone, and the costs of parameters."""
-        return 0.0 if self.pair is None else self.pair.beyond_noise + _costs(self.fits)
-
-
-def _costs(fits: Sequence[CellsFit]) -> float:
-    """Return the misfit χ² of each frame, and PARAMETER_COST of each bound.
-
-    Thus no circuit gains by bounds.
-    """
-    return sum(fit.chi_square + PARAMETER_COST * int(fit.readings.bounds.sum()) for fit in fits)
+        return 0.0 if self.pair is None else self.pair.beyond_noise + self.pair.misfits
 
 
 def fits_of(
@@ -197,6 +188,6 @@ def rival_fits(
     """
     if near or specified is None or rival.order is not None:
         return fits_of(rival, frames, near)
-    if rival.scene.circuit.several_panels(*rival.scene.panel.shape):
+    if rival.scene.several_panels:
         return fits_of(rival, frames)
     return fits_of(rival, frames, specified.fits[:1]) or fits_of(rival, frames)

@@ -41,8 +41,9 @@ class CommonCreep(SceneEffect):
         if scene.panel.crossings > MAX_CELLS:
             return noise.undetermined("creep", f"the panel has more than {MAX_CELLS} cells")
         resting = readings[unloaded].mean()
-        base = fitted(scene, resting, noise.resting_cells, patient=True)
-        last = fitted(scene, readings[int(measured[-1])], noise.resting_cells, patient=True)
+        near = noise.resting_cells
+        base = fitted(scene, resting, near, patient=True)
+        last = fitted(scene, readings[int(measured[-1])], near, patient=True)
         if base is None or last is None:
             return noise.undetermined(
                 "creep", "no cells explain the unloaded panel and the last frame"

@@ -23,7 +23,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,7 +150,7 @@ def share_of_motion(
     *,
     least_gain: float = 0.0,
     frame_noise: FrameNoise | None = None,
-    near: Array | None = None,
+    resting_cells: Array | None = None,
 ) -> Share | None:
     """Return the share of the time between frames that a scan takes, and the load's trembling.
 
@@ -177,10 +177,8 @@ def share_of_motion(
         trembling, and no trembling without a share, gains PROMISING of it.
     frame_noise : FrameNoise or None
         Errors that the readings of a frame share, such as a ripple: they, too, move all cells.
-    near : array, shape (rows, columns), optional
-        Cells in ohm at which fits begin.
     """
-    moving = _moving_frames(recording, readings, frame_noise, near)
+    moving = _moving_frames(recording, readings, frame_noise, resting_cells)
     first = errors_tried[0]
     alone = [(first, share, 0.0) for share in shares.tolist()]
     alone += [(first, 0.0, trembling) for trembling in TREMBLINGS[1:].tolist()]
@@ -232,7 +230,10 @@ def share_of_motion(
 
 
 def _moving_frames(
-    recording: Recording, readings: Readings, frame_noise: FrameNoise | None, near: Array | None
+    recording: Recording,
+    readings: Readings,
+    frame_noise: FrameNoise | None,
+    resting_cells: Array | None,
 ) -> "list[_Moving]":
     """Return the frames with the largest motion whose cells are determined well.
 
@@ -248,8 +249,9 @@ def _moving_frames(
         return []
     moved = displacement(scene, readings, measured)
     size = np.sqrt(np.mean((moved.value / readings.known_sigma) ** 2, axis=(1, 2)))
-    base = fitted(scene, resting, near, patient=True)
+    base = fitted(scene, resting, resting_cells, patient=True)
     moving = list[_Moving]()
+    near = resting_cells
     for number in inner[np.argsort(-size[inner])][: 1 + MAX_NEIGHBOURS]:
         fit = fitted(scene, readings[number], near, patient=True)
         if base is None or fit is None:
@@ -545,7 +547,7 @@ class ScanMotion(SceneEffect):
                 READING_ERRORS if unknown_errors else (0.0,),
                 SHARES if known is None else np.array([known]),
                 frame_noise=noise.frame,
-                near=noise.resting_cells,
+                resting_cells=noise.resting_cells,
             )
         if known is not None:
             return interpolated(noise, recording, size or Share(known, 0.0, known))
@@ -576,7 +578,10 @@ class ScanMotion(SceneEffect):
             return
         named = isinstance(specified(evidence.scene, "systematic.reading_error"), float)
         compared = (evidence.recording, readings)
-        known = {"frame_noise": evidence.noise.frame, "near": evidence.noise.resting_cells}
+        known: dict[str, Any] = {
+            "frame_noise": evidence.noise.frame,
+            "resting_cells": evidence.noise.resting_cells,
+        }
         share = share_of_motion(*compared, (0.0,), least_gain=MIN_EVIDENCE_GAIN, **known)
         # Errors of readings explain some of what seems to be motion: they are tried where some is.
         if share is not None and share.gain > MIN_EVIDENCE_GAIN and not named:

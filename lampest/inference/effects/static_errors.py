@@ -51,7 +51,6 @@ from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
-from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -96,11 +95,7 @@ class SharedErrors:
 
 
 def shared_errors(
-    scene: Scene,
-    resting: Readings,
-    loaded: Readings | None,
-    noise: FrameNoise | None,
-    near: Array | None = None,
+    scene: Scene, resting: Readings, loaded: Readings | None, noise: NoiseEstimate
 ) -> SharedErrors:
     """Return the errors that a scene calls `estimated`, from the unloaded panel and a loaded frame.
 
@@ -113,10 +108,8 @@ def shared_errors(
     resting, loaded : Readings
         Mean of the unloaded frames, and a loaded frame or None, (rows, columns) each, with their
         final σ.
-    noise : FrameNoise or None
-        Errors that the readings of a frame share.
-    near : array, shape (rows, columns), optional
-        Cells in ohm at which the fit of the unloaded panel begins.
+    noise : NoiseEstimate
+        Its errors that the readings of a frame share, and its cells of the unloaded panel.
     """
     prior = systematic_of(scene) or Systematic()
     possible = Possible(prior, in_sigma=READING_ERROR.size(prior))
@@ -126,7 +119,7 @@ def shared_errors(
     if resting.value.size > MAX_CELLS:
         reason = f"the panel has more than {MAX_CELLS} cells: estimate them on a part of it"
         return SharedErrors(possible, {}, reason)
-    fit, moves = _fit_and_changes(scene, resting, loaded, noise, near)
+    fit, moves = _fit_and_changes(scene, resting, loaded, noise)
     own = SharedErrors(possible, {})
     if READING_ERROR.setting in estimated_errors(scene):
         if moves is not None and moves.has_channels:
@@ -150,7 +143,9 @@ def shared_errors(
     return _with_common_errors(own, moves, prior, scene, spread)
 
 
-def _with_film_scatter(possible: Possible, scene: Scene, resting: Readings) -> Possible:
+def _with_film_scatter(
+    possible: Possible, scene: Scene, resting: Readings, cells: Array | None
+) -> Possible:
     """Return the errors with the scatter of the films beside each reading's own error.
 
     Parameters
@@ -159,12 +154,14 @@ def _with_film_scatter(possible: Possible, scene: Scene, resting: Readings) -> P
     scene : Scene
     resting : Readings
         Mean of the unloaded frames, (rows, columns).
+    cells : array, shape (rows, columns), or None
+        Those of the unloaded panel where several panels give its readings, ohm.
     """
     size = READING_ERROR.size(possible.sizes)
     if not size or resting.sigma is None or resting.value.size > MAX_CELLS:
         return possible
     with suppress(*BROKEN):
-        fit = fitted(scene, resting, patient=True)
+        fit = fitted(scene, resting, cells, patient=True)
         scatter = film_scatter(scene, resting, fit, size, CHANNELS.size(possible.sizes))
         return replace(possible, film_scatter=scatter)
     return possible
@@ -249,11 +246,7 @@ def _spread_by(
 
 
 def significant_reading_error(
-    scene: Scene,
-    resting: Readings,
-    loaded: Readings | None,
-    noise: FrameNoise | None,
-    near: Array | None = None,
+    scene: Scene, resting: Readings, loaded: Readings | None, noise: NoiseEstimate
 ) -> tuple[float, float] | None:
     """Return the size of each reading's own error; None where it is insignificant.
 
@@ -264,7 +257,7 @@ def significant_reading_error(
     ----------
     scene : Scene
         Calls the error `estimated`.
-    resting, loaded, noise, near
+    resting, loaded, noise
         As those of `shared_errors`.
 
     Returns
@@ -274,7 +267,7 @@ def significant_reading_error(
     """
     if resting.sigma is None or resting.value.size > MAX_CELLS:
         return None
-    fit, moves = _fit_and_changes(scene, resting, loaded, noise, near)
+    fit, moves = _fit_and_changes(scene, resting, loaded, noise)
     if moves is not None and moves.has_channels:
         error = _error_beside_channels(scene, resting, fit, moves)
         return (error.mean, error.deviation) if error.odds[0] < SIGNIFICANCE else None
@@ -288,18 +281,14 @@ def significant_reading_error(
 
 
 def _fit_and_changes(
-    scene: Scene,
-    resting: Readings,
-    loaded: Readings | None,
-    noise: FrameNoise | None,
-    near: Array | None = None,
+    scene: Scene, resting: Readings, loaded: Readings | None, noise: NoiseEstimate
 ) -> "tuple[CellsFit | None, SharedChanges | None]":
     """Return the fit of the unloaded panel, and the changes to the loaded frame; None without."""
-    fit = fitted(scene, resting, near, patient=True)
+    fit = fitted(scene, resting, noise.resting_cells, patient=True)
     if fit is None or loaded is None or not fit.within_noise:
         return fit, None
     prior = systematic_of(scene) or Systematic()
-    return fit, shared_changes(scene, fit, loaded, prior, noise)
+    return fit, shared_changes(scene, fit, loaded, prior, noise.frame)
 
 
 def _undetermined(errors: SharedErrors, reason: str, scene: Scene) -> SharedErrors:
@@ -461,7 +450,8 @@ class StaticErrors(SceneEffect):
             unloaded = np.flatnonzero(recording.role == UNLOADED)
             possible = Possible(sizes, in_sigma=size)
             if len(unloaded):
-                possible = _with_film_scatter(possible, scene, readings[unloaded].mean())
+                resting = readings[unloaded].mean()
+                possible = _with_film_scatter(possible, scene, resting, noise.resting_cells)
             return replace(noise, possible_errors=possible).with_reading_error(recording)
         unloaded = np.flatnonzero(recording.role == UNLOADED)
         measured = np.flatnonzero(recording.role == MEASURED)
@@ -475,8 +465,8 @@ class StaticErrors(SceneEffect):
         loaded = None
         if len(measured):
             loaded = readings[strongest_frame(readings.plain_values, resting.value, measured)]
-        errors = shared_errors(scene, resting, loaded, noise.frame, noise.resting_cells)
-        possible = _with_film_scatter(errors.possible, scene, resting)
+        errors = shared_errors(scene, resting, loaded, noise)
+        possible = _with_film_scatter(errors.possible, scene, resting, noise.resting_cells)
         noise = replace(noise, possible_errors=possible).with_reading_error(recording)
         for name in requested:
             if name in errors.sizes:
@@ -529,9 +519,7 @@ class StaticErrors(SceneEffect):
         if beside_channels:
             sizes = replace(sizes, channel_spread_ohm=ESTIMATED)
         estimating = replace(scene, systematic=sizes)
-        error = significant_reading_error(
-            estimating, *frames, evidence.noise.frame, evidence.noise.resting_cells
-        )
+        error = significant_reading_error(estimating, *frames, evidence.noise)
         # The largest tried error is no finding: it stands for cells that are unlike.
         return error if error is not None and error[0] < MAX_ADVISED * READING_ERRORS[-1] else None
 
@@ -550,9 +538,7 @@ class StaticErrors(SceneEffect):
         estimating = replace(
             scene, systematic=replace(sizes, channel_spread_ohm=ESTIMATED, reading_error=None)
         )
-        fit, moves = _fit_and_changes(
-            estimating, *frames, evidence.noise.frame, evidence.noise.resting_cells
-        )
+        fit, moves = _fit_and_changes(estimating, *frames, evidence.noise)
         if moves is None:
             return
         spread_by = partial(_spread_by, estimating, frames[0], fit, 0.0)
@@ -582,7 +568,7 @@ class StaticErrors(SceneEffect):
         if noise.readings.sigma is None or not unloaded.any():
             return None
         if noise.panels is not None and not noise.panels.clear:
-            return None  # of panels that read alike another one may be meant
+            return None  # another one of the panels that read alike may be meant
         # without the error of the model: the same misses would count for it and for errors of the
         # readings
         readings = replace(noise.readings, sigma=noise.readings.sigma / noise.model_factor)

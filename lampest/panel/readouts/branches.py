@@ -32,7 +32,6 @@ from lampest.panel.readouts.matching import matching_cells
 # ohm: uniform panels that are tried, each twice the one before
 LEVELS = np.geomspace(10.0, 1e8, 24)
 RANGE = 1e3  # cells lie within this factor of the uniform panel's
-MIN_FOLD = 0.01  # of ln y: readings that fall by more, as cells conduct more, have a fold
 MIN_SCATTER = 1e-3  # of log r; cells at their largest resistance are alike
 MAX_MISFIT = 0.03  # of the median reading: panels that read alike to less than that are compared
 LOG_PRIOR = -math.log(SIGNIFICANCE)  # of a panel whose readings rise with its conductance
@@ -48,7 +47,7 @@ def uniform_panels(log_medians: Array, measured: Array) -> list[Array]:
 
     The panels are (rows, columns) ohm each. If there is none, the nearest one is returned.
     """
-    excess = log_medians - np.log(np.median(measured))
+    excess = log_medians - np.log(np.nanmedian(measured))
     crossings = np.flatnonzero(excess[:-1] * excess[1:] <= 0)
     if not crossings.size:
         return [np.full(measured.shape, LEVELS[np.argmin(np.abs(excess))])]
@@ -60,7 +59,8 @@ def uniform_panels(log_medians: Array, measured: Array) -> list[Array]:
 
 def misfit(solved: Network, measured: Array) -> float:
     """Return the root mean square of the differences to the readings, over the median reading."""
-    return float(np.sqrt(np.mean((solved.reading() - measured) ** 2)) / np.median(measured))
+    square = np.nanmean((solved.reading() - measured) ** 2)
+    return float(np.sqrt(square) / np.nanmedian(measured))
 
 
 def panels_alike(
@@ -106,6 +106,7 @@ def every_panel(
     network: Callable[[Array], Network],
     measured: Array,
     firsts: Sequence[Array],
+    limits: tuple[Array, Array],
     tolerance: float,
     driven_axis: int,
 ) -> list[Array]:
@@ -116,7 +117,9 @@ def every_panel(
     Parameters
     ----------
     network, measured, firsts
-        As those of `panels_alike`.
+        As those of `panels_alike`; a reading that is NaN does not count.
+    limits : tuple of two arrays, shape (rows, columns)
+        Smallest and largest resistances, ohm; equal where a cell is known.
     tolerance : float
         Largest `misfit` of a panel.
     driven_axis : int
@@ -126,9 +129,11 @@ def every_panel(
     waiting = list(firsts)
     searches = 0
     while waiting and searches < MAX_SEARCHES:
-        first = waiting.pop(0)
+        first = np.clip(waiting.pop(0), *limits)
         searches = searches + 1
-        cells = matching_cells(network, measured, first, first / RANGE, first * RANGE)
+        least = np.clip(first / RANGE, *limits)
+        most = np.clip(first * RANGE, *limits)
+        cells = matching_cells(network, measured, first, least, most)
         if not misfit(network(cells), measured) <= tolerance:
             continue
         if len(_distinct([*panels, cells])) > len(panels):
@@ -149,10 +154,12 @@ def _beyond_folds(
         of_line = np.moveaxis(np.zeros(cells.shape, dtype=bool), driven_axis, 0)
         of_line[line] = True
         chosen = np.moveaxis(of_line, 0, driven_axis)
+        if not np.isfinite(measured[chosen]).any():
+            continue
         excess = np.empty(len(LINE_FACTORS))
         for number, factor in enumerate(LINE_FACTORS):
             reading = network(np.where(chosen, factor * cells, cells)).reading()
-            excess[number] = np.log(np.median(reading[chosen] / measured[chosen]))
+            excess[number] = np.log(np.nanmedian(reading[chosen] / measured[chosen]))
         for crossing in np.flatnonzero(excess[:-1] * excess[1:] < 0):
             factor = float(np.sqrt(LINE_FACTORS[crossing] * LINE_FACTORS[crossing + 1]))
             if abs(np.log(factor)) > np.log(MIN_FACTOR):

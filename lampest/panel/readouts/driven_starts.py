@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import lru_cache
+from math import inf
 
 import numpy as np
 
@@ -11,7 +12,6 @@ from lampest.panel.readouts.branches import (
     LEVELS,
     MAX_CELLS,
     MAX_MISFIT,
-    MIN_FOLD,
     every_panel,
     misfit,
     panels_alike,
@@ -33,6 +33,7 @@ from lampest.panel.readouts.unseen import Scale, unseen_scales
 LARGEST_OHM = 1e8  # of such cells: insulation beside usual ones
 UNIFORM_LEVELS = 140  # of uniform panels, from 10 ohm to 100 Mohm: 12 % from one to the next
 UNIFORM_KNOTS = 48  # of these levels that networks are solved for; the others are interpolated
+FOLD = 1e-6  # of a log reading: changes of uniform panels beyond rounding
 OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
 
 
@@ -175,26 +176,30 @@ class DrivenStarts(DrivenNetwork):
         return panels[0][1] if panels else np.minimum(self.uniform_start(measured), upper)
 
     def several_panels(self, rows: int, columns: int) -> bool:
-        """Return whether readings rise and fall with the conductance of the cells.
-
-        They do where idle lines hold the driven one harder than its driver does. The readings of
-        uniform panels show it.
-        """
-        if max(as_tuple(self.drive_ohm)) == 0 or self.unseen_scales(rows, columns):
+        """Return whether readings of uniform panels rise with their conductance and then fall."""
+        # Where no idle line is held, or no driven one yields, readings only rise
+        states = (getattr(self, "idle_ohm", inf), getattr(self, "idle_load_ohm", None))
+        held = any(state is not None and min(as_tuple(state)) < inf for state in states)
+        if not held or max(as_tuple(self.drive_ohm)) == 0 or self.unseen_scales(rows, columns):
             return False
-        medians = log_medians(self, rows, columns)
-        return bool(medians.max() - medians[0] > MIN_FOLD)
+        # Medians in the order of growing resistances
+        return bool((np.diff(log_medians(self, rows, columns)) > FOLD).any())
 
     def every_panel(
-        self, measured: Array, tolerance: float, firsts: Sequence[Array] = ()
+        self,
+        measured: Array,
+        limits: tuple[Array, Array],
+        tolerance: float,
+        firsts: Sequence[Array] = (),
     ) -> list[Array]:
-        few = measured.size <= MAX_CELLS
-        if not (few and self.several_panels(*measured.shape)):
+        if measured.size > MAX_CELLS or not self.several_panels(*measured.shape):
             return []
+        positive = np.maximum(measured, OPEN_SHARE * np.nanmax(measured))
         return every_panel(
             lambda cells: self.network(cells, self.ties(measured)),
-            measured,
-            [*firsts, *uniform_panels(log_medians(self, *measured.shape), measured)],
+            positive,
+            [*firsts, *uniform_panels(log_medians(self, *measured.shape), positive)],
+            limits,
             tolerance,
             0 if self.driven == "rows" else 1,
         )

@@ -39,7 +39,7 @@ def matching_cells(
     network : callable
         Solved network of cells (rows, columns) ohm.
     measured : array, shape (rows, columns)
-        Positive readings.
+        Positive readings; on panels of up to MAX_DENSE cells NaN does not count.
     first, least, most : array, shape (rows, columns)
         Cells of the first iteration, and the limits, ohm.
     """
@@ -54,13 +54,14 @@ def _by_matrix(
     network: Callable[[Array], Network], measured: Array, start: Array, lower: Array, upper: Array
 ) -> Array:
     """Return log cells by the Levenberg–Marquardt method."""
+    counted = np.isfinite(measured)
 
     def model(position: Array) -> SumOfSquares:
         solved = network(np.exp(position.reshape(measured.shape)))
         reading = np.maximum(solved.reading(), np.finfo(float).tiny)
-        return SumOfSquares(
-            np.log(reading / measured).ravel(), solved.sensitivity() / reading.reshape(-1, 1)
-        )
+        residual = np.where(counted, np.log(reading / measured), 0.0)
+        weight = np.where(counted, 1 / reading, 0.0)
+        return SumOfSquares(residual.ravel(), solved.sensitivity() * weight.reshape(-1, 1))
 
     position, _ = DAMPED.minimum(model, start.ravel(), (lower.ravel(), upper.ravel()))
     return position.reshape(measured.shape)

@@ -294,12 +294,16 @@ class Readout(Converter, ABC):
         return []
 
     def several_panels(self, rows: int, columns: int) -> bool:
-        """Return whether the readings of usual cells may be those of quite different cells, too."""
+        """Return whether readings of a panel may be those of quite different cells, too."""
         del rows, columns
         return False
 
     def every_panel(
-        self, measured: Array, tolerance: float, firsts: Sequence[Array] = ()
+        self,
+        measured: Array,
+        limits: tuple[Array, Array],
+        tolerance: float,
+        firsts: Sequence[Array] = (),
     ) -> list[Array]:
         """Return panels that give readings, (rows, columns) ohm each.
 
@@ -308,13 +312,15 @@ class Readout(Converter, ABC):
         Parameters
         ----------
         measured : array, shape (rows, columns)
-            Readings.
+            Readings; those that are NaN do not count.
+        limits : tuple of two arrays, shape (rows, columns)
+            Smallest and largest resistances, ohm; equal where a cell is known.
         tolerance : float
             Largest root mean square of the differences to them, over the median reading.
         firsts : sequence of array, shape (rows, columns)
             Cells at which searches begin, in addition to uniform ones, ohm.
         """
-        del measured, tolerance, firsts
+        del measured, limits, tolerance, firsts
         return []
 
     def uniform_start(self, measured: Array) -> Array:
