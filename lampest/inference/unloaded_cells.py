@@ -19,6 +19,11 @@ from lampest.posterior.gaussian import forms_over_scales
 from lampest.recording.readings import Readings
 
 READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))  # tried sizes e
+# Errors beside which the readings are linearised; others share the point of the nearest one.
+LINEARISED_AT = np.append(0.0, READING_ERRORS[1::4])
+MIN_OVER_NOISE = 0.3  # of an error beside which they are linearised, other than none
+MAX_ROUNDS = 3  # of linearisations beside one error, each with the scatter that is likeliest then
+SAME_SCATTER = 2  # steps between scatters that count as one
 # Tried scatters s of unloaded cells, and the logarithms of their prior probabilities. Steps are a
 # tenth, because a hundred cells show their scatter to some percent: where crosstalk is small an
 # error e would fill a gap between two of them.
@@ -95,11 +100,12 @@ def costs_by_scatter(
         −2 log p(y | e, s) = aᵀV⁻¹a − (aᵀV⁻¹b)²/(bᵀV⁻¹b) + log |V| + log bᵀV⁻¹b + Σ log τ²,
         V = 1 + s² A Aᵀ,
 
-    with a = t/τ and b = A 1. u is first the point of the largest error, then that of the most
-    probable one of a few errors beside the middle spread; all errors and spreads share it. Where
-    the cells are not alike, e is overestimated rather than underestimated. Linear theory lets cells
-    explain readings that no cells give; but no likelihood exceeds that of the best fit, so that −2
-    log p is at least χ²/max(τ/σ)² + Σ log τ².
+    with a = t/τ and b = A 1. u is the most probable point beside the nearest of a few errors, and
+    beside the scatter that is likeliest then; all spreads share it. Beside another error the most
+    probable cells are others where cells differ much, and linear theory about them makes cells
+    explain more readings than they can, or fewer. No likelihood exceeds that of the best fit, so
+    that −2 log p is at least χ²/max(τ/σ)² + Σ log τ². Where the cells are not alike, e is
+    overestimated rather than underestimated.
 
     Parameters
     ----------
@@ -126,9 +132,11 @@ def costs_by_scatter(
     most = _most_linear(columns, resting, fit)
     channels = [min(ohm, most) * columns if ohm else columns[:, :0] for ohm in channels_ohm]
     middle = channels[len(channels) // 2 : len(channels) // 2 + 1]
-    several = len(tried) > 1
-    few = READING_ERRORS[1::4] if several else tried
-    widest = READING_ERRORS[-1] if several else tried[0]
+    points = np.asarray(tried)
+    if len(tried) > 1:
+        # errors below the noise leave the most probable cells where they are without any
+        over_noise = LINEARISED_AT * np.median((share / resting.known_sigma)[resting.plain])
+        points = LINEARISED_AT[(over_noise == 0) | (over_noise > MIN_OVER_NOISE)]
 
     def linearised(error: float, scatter: float, near: Array) -> tuple[Array, Array, Array]:
         deviation = np.where(resting.plain, np.hypot(resting.known_sigma, error * share), np.inf)
@@ -157,15 +165,30 @@ def costs_by_scatter(
                 each[number, place] = np.maximum(linear, least / widening**2) + logarithms
         return each
 
-    start = np.log(data.uniform_start[0])
-    if fit is not None and scene.several_panels:
+    nearest = np.abs(np.subtract.outer(_place(tried), _place(points))).argmin(axis=1)
+    each = np.empty((len(channels), len(tried), len(SCATTERS)))
+    near = np.log(data.uniform_start[0])
+    if fit is not None and scene.circuit.several_panels(*scene.panel.shape):
         # On the side of the fold on which the fit is
-        start = np.full(start.shape, np.median(np.log(fit.cells)))
-    cells, *at_largest = linearised(float(widest), float(SCATTERS[0]), start)
-    first = costs(few, middle, *at_largest)[0]
-    row, column = np.unravel_index(np.argmin(first), first.shape)
-    _, *at_best = linearised(float(few[row]), float(SCATTERS[column]), cells)
-    return costs(tried, channels, *at_best)
+        near = np.full(near.shape, np.median(np.log(fit.cells)))
+    likeliest = 0  # of SCATTERS
+    # The fit beside a large error is the start of that beside the next smaller one.
+    for number in np.argsort(-points):
+        for _ in range(MAX_ROUNDS):
+            scatter = likeliest
+            near, *point = linearised(float(points[number]), float(SCATTERS[scatter]), near)
+            of_scatters = costs(points[number : number + 1], middle, *point)[0, 0]
+            likeliest = int(np.argmin(of_scatters - 2 * LOG_PRIOR))
+            if abs(likeliest - scatter) <= SAME_SCATTER:
+                break
+        group = nearest == number
+        each[:, group] = costs(tried[group], channels, *point)
+    return each
+
+
+def _place(errors: Array) -> Array:
+    """Return ln e of errors; none is one step below the smallest tried one."""
+    return np.log(np.maximum(errors, READING_ERRORS[1] ** 2 / READING_ERRORS[2]))
 
 
 def _of_channels(scene: Scene, resting: Readings, fit: CellsFit | None) -> Array:
