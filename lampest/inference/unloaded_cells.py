@@ -185,7 +185,7 @@ def costs_by_scatter(
 
 def _place(errors: Array) -> Array:
     """Return ln e of errors; none is one step below the smallest tried one."""
-    return np.log(np.maximum(errors, READING_ERRORS[1] ** 2 / READING_ERRORS[2]))
+    return np.asarray(np.log(np.maximum(errors, READING_ERRORS[1] ** 2 / READING_ERRORS[2])))
 
 
 def _of_channels(scene: Scene, resting: Readings, fit: CellsFit | None) -> Array:

@@ -324,11 +324,6 @@ class Scene(Configuration):
         return TwoPointReadout() if self.readout is None else self.readout.in_scene(self)
 
     @property
-    def several_panels(self) -> bool:
-        """Whether readings of the panel may be those of quite different cells, too."""
-        return self.circuit.several_panels(*self.panel.shape)
-
-    @property
     def series_ohm(self) -> Array:
         """Resistance in series with every reading in ohm, to be broadcast to (rows, columns)."""
         series = self.series_resistance_ohm

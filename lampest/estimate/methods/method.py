@@ -122,7 +122,9 @@ class Method(Configuration):
         if objective.relative:
             background = self._background_with_previous(state, readings)
         data = replace(objective.data(readings.alone(), background), first=state.first)
-        several = state.scene.wiring is None and state.scene.several_panels
+        several = state.scene.wiring is None and state.scene.circuit.several_panels(
+            *state.scene.panel.shape
+        )
         if state.previous is not None:
             start = state.previous
             if several and state.baseline is not None and readings.plain.all():
@@ -420,7 +422,8 @@ class OptimalMethod(Method):
             # From its start IPOPT may end at another panel that reads alike. Along scales that no
             # reading shows, its iterates wander until their limit (docs/studies/speed.md).
             unseen = scene.circuit.unseen_scales(*cost.panel.shape)
-            fast = few and squared and not unseen and not scene.several_panels
+            several = scene.circuit.several_panels(*cost.panel.shape)
+            fast = few and squared and not several and not unseen
             kind = "nodal" if fast and period >= NODAL_PERIOD else "reduced"
         return solver_of(cost, scene.circuit, scene.wiring, kind, settings)
 

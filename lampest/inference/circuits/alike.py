@@ -1,11 +1,12 @@
 """Choice among panels that read alike, by an unloaded and a loaded frame together.
 
-Where idle lines are held and the driven one has a resistance, several panels give the readings of a
-frame (`lampest.panel.readouts.branches`). A load changes some cells, and the others stand still:
-this holds for the pair of panels that is meant. In any other pair nearly all cells change, because
-the potential of a driven line is another one beyond its fold. Panels of one circuit are therefore
-compared by the evidence that compares circuits (`lampest.inference.pair`), which counts the noise
-that cells have beside each fold. Another pair is ruled out where it has less evidence by CLEAR.
+Where idle lines hold the driven one harder than its driver does, several panels give the readings
+of a frame (`lampest.panel.readouts.branches`). A load changes some cells, and the others stand
+still: this holds for the pair of panels that is meant. In any other pair nearly all cells change,
+because the potential of a driven line is another one beyond its fold. Pairs are compared as
+circuits are, by the density of the loaded readings given the unloaded ones
+(`FittedPair.density`): moved cells are selected, and the noise that cells have beside a fold
+counts. Another pair is ruled out where −2 ln density is larger by CLEAR.
 """
 
 from collections.abc import Sequence

@@ -115,9 +115,11 @@ class ComparedFrames:
         The value is None where only one panel does, and without a loaded frame.
         """
         scene = self.specified.scene
-        if scene.wiring is not None or not len(self.standing) or not scene.several_panels:
+        several = scene.circuit.several_panels(*scene.panel.shape)
+        if not several or scene.wiring is not None or not len(self.standing):
             return None
-        return PanelChoice.of(scene, *self.readings(self.specified))
+        resting, loaded = self.readings(self.specified)
+        return PanelChoice.of(scene, resting, loaded)
 
     @cached_property
     def _usable(self) -> Array:

@@ -40,10 +40,6 @@ SHARED = {
     "wire_ohm_per_cell": "lampest.panel.effects.wire:WirePerCell",
     "reading_error": "lampest.panel.effects.reading_error:ReadingError",
 }
-LINE_EFFECTS = (
-    "lampest.panel.effects.line_leak:LineLeak",
-    "lampest.panel.effects.loose_contact:LooseContact",
-)
 REFERENCE = "reference_tolerance"
 SERIES = "series_tolerance_ohm"
 LOG_STEP = 1e-6  # of the logarithm of a recorded value, for central differences

@@ -12,6 +12,7 @@ from lampest.panel.readouts.branches import (
     LEVELS,
     MAX_CELLS,
     MAX_MISFIT,
+    MIN_FOLD,
     every_panel,
     misfit,
     panels_alike,
@@ -33,7 +34,6 @@ from lampest.panel.readouts.unseen import Scale, unseen_scales
 LARGEST_OHM = 1e8  # of such cells: insulation beside usual ones
 UNIFORM_LEVELS = 140  # of uniform panels, from 10 ohm to 100 Mohm: 12 % from one to the next
 UNIFORM_KNOTS = 48  # of these levels that networks are solved for; the others are interpolated
-FOLD = 1e-6  # of a log reading: changes of uniform panels beyond rounding
 OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
 
 
@@ -176,14 +176,18 @@ class DrivenStarts(DrivenNetwork):
         return panels[0][1] if panels else np.minimum(self.uniform_start(measured), upper)
 
     def several_panels(self, rows: int, columns: int) -> bool:
-        """Return whether readings of uniform panels rise with their conductance and then fall."""
-        # Where no idle line is held, or no driven one yields, readings only rise
+        """Return whether readings rise and fall with the conductance of the cells.
+
+        They do where idle lines hold the driven one harder than its driver does. The readings of
+        uniform panels show it.
+        """
+        # Where no idle line is held, or the driven one has no resistance, readings only rise
         states = (getattr(self, "idle_ohm", inf), getattr(self, "idle_load_ohm", None))
         held = any(state is not None and min(as_tuple(state)) < inf for state in states)
         if not held or max(as_tuple(self.drive_ohm)) == 0 or self.unseen_scales(rows, columns):
             return False
-        # Medians in the order of growing resistances
-        return bool((np.diff(log_medians(self, rows, columns)) > FOLD).any())
+        medians = log_medians(self, rows, columns)
+        return bool(medians.max() - medians[0] > MIN_FOLD)
 
     def every_panel(
         self,

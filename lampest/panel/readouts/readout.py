@@ -294,7 +294,7 @@ class Readout(Converter, ABC):
         return []
 
     def several_panels(self, rows: int, columns: int) -> bool:
-        """Return whether readings of a panel may be those of quite different cells, too."""
+        """Return whether the readings of usual cells may be those of quite different cells, too."""
         del rows, columns
         return False
 
