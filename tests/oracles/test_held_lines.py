@@ -150,6 +150,13 @@ def test_idle_sensed_lines_fold_the_readings_too(seed: int) -> None:
     assert abs(np.median(off)) < 0.1
 
 
+@pytest.mark.parametrize("seed", [94145, 96020])
+def test_near_a_fold_errors_of_readings_and_channels_are_not_advised(seed: int) -> None:
+    """Linear theory does not hold there, and another panel may be meant."""
+    drawn = sound(seed, drifts=False)
+    assert drawn is not None and not Audit(Prepared(drawn[1])).advice
+
+
 def test_readings_of_the_study_are_those_of_netlists() -> None:
     for seed in range(4):
         readout = random_readout(np.random.default_rng(seed))

@@ -268,6 +268,8 @@ def significant_reading_error(
     if resting.sigma is None or resting.value.size > MAX_CELLS:
         return None
     fit, moves = _fit_and_changes(scene, resting, loaded, noise)
+    if not _is_linear(fit):
+        return None
     if moves is not None and moves.has_channels:
         error = _error_beside_channels(scene, resting, fit, moves)
         return (error.mean, error.deviation) if error.odds[0] < SIGNIFICANCE else None
@@ -289,6 +291,16 @@ def _fit_and_changes(
         return fit, None
     prior = systematic_of(scene) or Systematic()
     return fit, shared_changes(scene, fit, loaded, prior, noise.frame)
+
+
+def _is_linear(fit: CellsFit | None) -> bool:
+    """Return whether linear theory holds for most cells, or there is no fit that denies it.
+
+    Near a fold of the readings noise moves cells by more than LINEAR_LIMIT.
+    """
+    if fit is None:
+        return True
+    return bool(np.median(np.sqrt(np.diag(fit.covariance))) < LINEAR_LIMIT)
 
 
 def _undetermined(errors: SharedErrors, reason: str, scene: Scene) -> SharedErrors:
@@ -539,7 +551,7 @@ class StaticErrors(SceneEffect):
             scene, systematic=replace(sizes, channel_spread_ohm=ESTIMATED, reading_error=None)
         )
         fit, moves = _fit_and_changes(estimating, *frames, evidence.noise)
-        if moves is None:
+        if moves is None or not _is_linear(fit):
             return
         spread_by = partial(_spread_by, estimating, frames[0], fit, 0.0)
         # neighbours of a spread that counts gain a quarter of it, as those of an error do
