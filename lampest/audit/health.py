@@ -303,8 +303,11 @@ def _cells(view: _View) -> Iterator[Finding]:
 def _shorted_cells(view: _View) -> Iterator[Finding]:
     """Find cells whose readings are those of a short circuit in every frame.
 
-    A finding requires readings that are far from all others.
+    A finding requires readings that are far from all others. Where readings rise and fall with the
+    conductance, those of a small resistance may be those of a short, and there is none.
     """
+    if view.scene.circuit.several_panels(*view.scene.panel.shape):
+        return
     cells = np.full(view.scene.panel.shape, view.usual_ohm)
     usual = middle(view.resting)
     distance = np.abs(np.nan_to_num(view.resting, nan=usual) - usual)

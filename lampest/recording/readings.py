@@ -195,7 +195,9 @@ class Readings:
         if noise is None:
             return cls(value, None, side, seen)
         filled = _filled(noise, seen)
-        constant = None if sigma is not None else filled * scene.readout.constant_share()
+        constant = None
+        if sigma is None and scene.readout is not None:
+            constant = filled * scene.readout.constant_share()
         return cls(value, filled, side, seen, constant)
 
     def without(self, omitted: NDArray[np.bool_]) -> "Readings":

@@ -10,6 +10,7 @@ from docs.studies.held_lines import nodal_volts, random_readout
 from docs.studies.model_check import sound
 from lampest import Array, DrivenReadout, Faults, Misfit, Panel, Recording, Scene
 from lampest.audit.advice import Audit
+from lampest.audit.health import Health
 from lampest.audit.verdict import verdict
 from lampest.inference.prepared import Prepared
 from tests.netlist import volts
@@ -111,6 +112,14 @@ def test_several_panels_have_readings_that_rise_and_fall() -> None:
     assert not yielding.several_panels(*SHAPE)
     assert not DrivenReadout(idle_ohm=0.0, drive_ohm=0.0).several_panels(*SHAPE)
     assert not lampest.LoadedColumnsReadout(drive_ohm=470.0).several_panels(*SHAPE)
+
+
+def test_a_cell_of_a_tenth_is_no_short_where_readings_rise_and_fall() -> None:
+    cells, _ = panels(8000.0, 1.0)
+    cells[2, 2] = 800.0
+    readout = DrivenReadout(adc_bits=12, readings=4, noise_lsb=0.7, **SENSED)
+    findings = Health.of(recording_of(readout, cells, cells)).findings
+    assert not [finding.what for finding in findings if "shorted" in finding.what]
 
 
 def test_panels_that_no_frame_tells_apart_are_both_named() -> None:
