@@ -112,7 +112,12 @@ class SharedChanges:
 
 
 def shared_changes(
-    scene: Scene, resting: CellsFit, loaded: Readings, sizes: Systematic, noise: FrameNoise | None
+    scene: Scene,
+    resting: CellsFit,
+    loaded: Readings,
+    sizes: Systematic,
+    noise: FrameNoise | None,
+    near: Array | None = None,
 ) -> SharedChanges | None:
     """Return the changes from the unloaded panel to a frame; None where the fit of the frame fails.
 
@@ -127,8 +132,11 @@ def shared_changes(
         Standard deviations of the errors.
     noise : FrameNoise or None
         Errors that the readings of a frame share.
+    near : array, shape (rows, columns), optional
+        Cells of the frame in ohm, where several panels give its readings.
     """
-    fit = fitted(scene, loaded, resting.cells) or fitted(scene, loaded, patient=True)
+    start = resting.cells if near is None else near
+    fit = fitted(scene, loaded, start) or fitted(scene, loaded, near, patient=True)
     if fit is None:
         return None
     requested = estimated_errors(scene)

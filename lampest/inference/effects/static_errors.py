@@ -290,7 +290,8 @@ def _fit_and_changes(
     if fit is None or loaded is None or not fit.within_noise:
         return fit, None
     prior = systematic_of(scene) or Systematic()
-    return fit, shared_changes(scene, fit, loaded, prior, noise.frame)
+    loaded_cells = None if noise.panels is None else noise.panels.loaded
+    return fit, shared_changes(scene, fit, loaded, prior, noise.frame, loaded_cells)
 
 
 def _is_linear(fit: CellsFit | None) -> bool:
@@ -539,7 +540,8 @@ class StaticErrors(SceneEffect):
         """Yield advice on channels of the lines that differ.
 
         Where the largest tried spread explains as much, there is no finding: other errors move
-        still cells then, or the unloaded cells are unlike.
+        still cells then, or the unloaded cells are unlike. Neither is there one where the changes
+        of still cells contradict it.
         """
         scene = evidence.scene
         key = f"systematic.{CHANNELS.setting}"
@@ -566,7 +568,8 @@ class StaticErrors(SceneEffect):
         spread = spread_by(np.append(0.0, CHANNEL_FACTORS), changes)
         likelihood = spread.odds[1:] / np.exp(LOG_PRIOR_OF_FACTORS)
         largest = likelihood[-1] > np.exp(-COARSE_GAIN / 2) * likelihood.max()
-        if spread.gain > DOUBTFUL_GAIN and not largest:
+        contradicted = changes[spread.odds.argmax()] - changes[0] > COARSE_GAIN
+        if spread.gain > DOUBTFUL_GAIN and not (largest or contradicted):
             size = float(f"{CHANNELS.prior * spread.mean:.1g}")
             yield Unnamed.of(f"channels of the lines seem to differ by {size:g} ohm", key)
 
