@@ -382,7 +382,9 @@ def contacts_row() -> dict[str, Any]:
         SimpleNamespace(chi_square=2.0 + k, readings=SimpleNamespace(bounds=np.eye(2 + k)))
         for k in (0, 1)
     ]
-    explanation = Explanation(None, tuple(fits), SimpleNamespace(beyond_noise=30.0, density=70.0))  # type: ignore[arg-type]
+    explanation = Explanation(
+        None, tuple(fits), SimpleNamespace(beyond_noise=30.0, density=70.0, misfits=65.0)
+    )  # type: ignore[arg-type]
     calm = 1000 + np.where(np.arange(60) < 30, 2.0, 30.0)[:, None, None] * rng.standard_normal(
         (60, 3, 4)
     )

@@ -339,21 +339,33 @@ class Converter(Configuration):
     def sigma_code(self, noise_lsb: PerLine | None = None, readings: int | None = None) -> Array:
         """Return σ of the mean of `readings` codes, in LSB.
 
-        σ² = (noise² + 1/12 − b²)/readings + b².
-
-        b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is the part of the quantisation error that averaging
-        cannot remove, because without noise all readings agree. Without noise b² is 1/12; above
-        half an LSB of noise it is negligible. None: the converter's own noise, or number of
-        readings. Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
+        σ² = (noise² + 1/12 − b²)/readings + b², with the variance b² of `rounding_variance`. None:
+        the converter's own noise, or number of readings.
         """
         noise = np.array(self.assumed_noise if noise_lsb is None else noise_lsb)
-        harmonic = np.arange(1, HARMONICS + 1, dtype=float)
+        bias = self.rounding_variance(noise)
+        return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / (readings or self.readings) + bias))
+
+    @staticmethod
+    def rounding_variance(noise: Array) -> Array:
+        """Return the part b² of the quantisation error that averaging cannot remove, LSB².
+
+        b² = Σ_h exp(−4π²h²·noise²)/(2π²h²), because without noise all readings agree. Without noise
+        b² is 1/12; above half an LSB of noise it is negligible. Source: Widrow & Kollár,
+        Quantization Noise, 2008 (dither).
+
+        Parameters
+        ----------
+        noise : array
+            Standard deviation of one reading before quantisation, LSB.
+        """
         # Terms of b², one for each harmonic h of the quantisation error: noise (…, 1), harmonic
         # (HARMONICS,)
+        harmonic = np.arange(1, HARMONICS + 1, dtype=float)
         damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2))
         damped = damped / (2 * np.pi**2 * harmonic**2)
         bias = np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12))
-        return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / (readings or self.readings) + bias))
+        return np.asarray(bias)
 
     def constant_share(self, noise_lsb: PerLine | None = None) -> Array:
         """Return the share of σ that averaging cannot remove, to be broadcast to (rows, columns).
@@ -362,7 +374,8 @@ class Converter(Configuration):
         """
         if noise_lsb is None:
             return self._own_constant_share
-        share = self.sigma_code(noise_lsb, ENDLESS) / self.sigma_code(noise_lsb)
+        rounding = self.rounding_variance(np.array(noise_lsb))
+        share = np.sqrt(rounding) / self.sigma_code(noise_lsb)
         return np.asarray(along(self.noisy_side, share) if share.ndim else share)
 
     @cached_property
