@@ -46,6 +46,9 @@ class Break(NamedTuple):
 
 # By the name of the test, without `test_`.
 BREAKS = {
+    "a_mean_of_frames_keeps_the_rounding_that_noise_does_not_dither": Break(
+        "panel/readouts/converter.py", "Converter.constant_share", "return 0.0 * result"
+    ),
     "wrong_small_cells_are_never_verified": Break(
         "solvers/certificate.py", "Certificate.settled", "return True"
     ),
@@ -74,6 +77,28 @@ BREAKS = {
         "inference/warnings.py",
         "warnings_of",
         "return (*result, f'load of {recording.scene.readout.load_ohm:.0f} ohm')",
+    ),
+    "bars_of_cells_that_an_absolute_loss_holds_are_as_wide_as_their_errors": Break(
+        "posterior/sparse_prior.py", "with_sites", "return errors"
+    ),
+    "a_chosen_weight_says_where_it_smooths_weak_loads": Break(
+        "estimate/estimates.py", "Estimates._smoothed", "return ''"
+    ),
+    "a_change_of_a_cell_below_the_said_threshold_does_not_show": Break(
+        "posterior/sparse_prior.py",
+        "Held.by",
+        "return replace(result, threshold=3 * result.threshold)",
+    ),
+    "a_bar_over_whole_lines_is_no_other_circuit": Break(
+        "inference/evidence.py", "Changes.gain_of_loads", "return 0.0"
+    ),
+    "the_status_says_that_the_unloaded_panel_of_a_comparison_is_not_verified": Break(
+        "estimate/stream.py", "Stream._as_compared", "return step"
+    ),
+    "bars_hold_a_load_that_trembles_within_a_scan": Break(
+        "inference/effects/motion.py",
+        "interpolated",
+        "share = share._replace(trembling=0.0)",
     ),
     "an_effect_without_an_entry_in_the_scene_is_not_estimated": Break(
         "estimate/estimates.py", "Estimates.solved", "self.advice"

@@ -16,7 +16,7 @@ class Assumptions:
     common_step : float
         Change of all cells alike from frame to frame, as by temperature and supply: some percent.
     creep : float
-        Change of each untouched cell since the unloaded frames: creep of a film within seconds.
+        Change of each untouched cell since the unloaded frames, by drift and scatter together.
     skirt : float
         Change in the skirt of a load, or under a load that covers many cells.
     skirt_cells : float

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from lampest.inference.assumptions import ASSUMED
 from lampest.panel.panel import Array
-from lampest.posterior.gaussian import Conditioned
+from lampest.posterior.gaussian import Conditioned, Information
 from lampest.posterior.linear import inverse_and_volume, misfit_and_volume, swept
 
 MOVED_COST = 2.8  # 2 ln 4: −2 ln of the prior odds of one to four that a cell moved
@@ -236,11 +236,9 @@ def _slab_cost(precision: Array, slope: Array, slab: Array) -> float:
     slab : array, shape (moved, moved)
         S.
     """
-    # with S = L Lᵀ: ln |1 + Lᵀ P L| − qᵀ (1 + Lᵀ P L)⁻¹ q, q = Lᵀ s
+    # With S = L Lᵀ the changes are L z, z ~ N(0, 1).
     root = np.linalg.cholesky(slab)
-    pulled = root.T @ slope
-    seen = np.eye(len(slope)) + root.T @ precision @ root
-    return float(np.linalg.slogdet(seen)[1] - pulled @ np.linalg.solve(seen, pulled))
+    return Information(root.T @ precision @ root, root.T @ slope).evidence_cost
 
 
 def usual_starts(change: Array) -> list[Chosen]:

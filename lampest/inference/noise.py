@@ -295,6 +295,10 @@ def estimate_noise(
     elif readout is not None and not specified and unloaded >= enough_frames:
         factor = shown_noise(readout, ratio)[1]
     scaled = replace(cleaned, sigma=factor * cleaned.sigma)
+    if readout is not None and scaled.constant is not None and factor != 1:
+        # noise as large as the shown one dithers the rounding
+        share = readout.constant_share(shown_noise(readout, ratio)[0])
+        scaled = replace(scaled, constant=share * scaled.known_sigma)
     noise = replace(
         unscaled, readings=scaled, factor=ratio, factor_error=ratio / precision, sigma_factor=factor
     )
@@ -325,8 +329,12 @@ def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
     expected = 0.0 if readout is None or recording.sigma is not None else scattering_share(readout)
     if readout is not None and parts.own * MIN_EXCESS < expected:
         below = 1 - chi_square_tail(squares / expected**2, parts.own_freedom)
-        if below < SIGNIFICANCE:
-            return shown_noise(readout, parts.own)[1]
+        noise, factor = shown_noise(readout, parts.own)
+        constant = factor * readout.constant_share(noise) - readout.constant_share()
+        change = max(abs(factor - 1), float(np.abs(constant).mean()))
+        # with less noise than rounding σ is that of the step, whatever the noise is
+        if below < SIGNIFICANCE and change > MIN_EXCESS - 1:
+            return factor
     return noted_excess(squares, parts.own_freedom)
 
 

@@ -209,16 +209,16 @@ class Prepared:
 
     @property
     def _contradicting_scatter(self) -> float:
-        """Scatter of the unloaded frames over what the scene specifies: noise, gain, ripple.
+        """Scatter of the unloaded frames over what the scene specifies.
 
         The value is 1 where nothing contradicts the scene. What it calls `estimated` cannot be
-        contradicted, and a gain and a ripple leave the scatter of each reading.
+        contradicted, and effects that readings of a frame share leave the scatter of each reading.
         """
         scene = self.recording.scene
         noise = self.frame_noise
         if OF_NOISE in noise.estimated:
             return 1.0
-        if scene.gain is None and scene.ripple is None:
+        if not effects_of_frames(scene):
             return self.question.widening
         is_open = scene.readout is not None and not scene.readout.noise_specified
         return 1.0 if is_open else noise.sigma_factor
@@ -284,7 +284,8 @@ class Prepared:
         if self.whole_recording is not None:
             return self.whole_recording.panels
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            if self.recording.scene.circuit.several_panels:
+            scene = self.recording.scene
+            if scene.circuit.several_panels(*scene.panel.shape):
                 return self.question.panels
         return None
 

@@ -22,7 +22,7 @@ from lampest.inference.noise import BROKE_DOWN, NoiseEstimate
 from lampest.panel.effects import SHARED
 from lampest.panel.panel import as_panels_have
 from lampest.panel.scene import Scene, specified
-from lampest.panel.sizes import ESTIMATED, nearest_allowed
+from lampest.panel.sizes import ESTIMATED, LINE_EFFECTS, nearest_allowed
 from lampest.recording.recording import Recording
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ ENTRIES = (
         of_frames=True,
     ),
     Entry(
-        ("leaks", "contacts"),
+        tuple(effect.key for effect in LINE_EFFECTS if effect.key),
         "lampest.inference.effects.leaks_and_contacts:LeaksAndContacts",
         advised=2,
     ),

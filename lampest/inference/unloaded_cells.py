@@ -19,6 +19,11 @@ from lampest.posterior.gaussian import forms_over_scales
 from lampest.recording.readings import Readings
 
 READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))  # tried sizes e
+# Errors beside which the readings are linearised; others share the point of the nearest one.
+LINEARISED_AT = np.append(0.0, READING_ERRORS[1::4])
+MIN_OVER_NOISE = 0.3  # of an error beside which they are linearised, other than none
+MAX_ROUNDS = 3  # of linearisations beside one error, each with the scatter that is likeliest then
+SAME_SCATTER = 2  # steps between scatters that count as one
 # Tried scatters s of unloaded cells, and the logarithms of their prior probabilities. Steps are a
 # tenth, because a hundred cells show their scatter to some percent: where crosstalk is small an
 # error e would fill a gap between two of them.
@@ -35,7 +40,58 @@ def unloaded_costs(
 ) -> Array:
     """Return −2 ln likelihood of errors of the readings, up to a constant, (spreads, errors).
 
-    The constant is the same for all errors and all spreads of the channels.
+    The constant is the same for all errors and all spreads of the channels. The likelihood is that
+    of `costs_by_scatter`, averaged over the prior of SCATTERS.
+
+    Parameters
+    ----------
+    scene, resting, fit, tried, channels_ohm
+        As those of `costs_by_scatter`.
+
+    Raises
+    ------
+    Errors of `BROKEN`.
+    """
+    each = costs_by_scatter(scene, resting, fit, tried, channels_ohm)
+    # −2 ln Σ_s p(y | e, s) p(s)
+    return np.asarray(-2 * np.logaddexp.reduce(LOG_PRIOR - each / 2, axis=-1))
+
+
+def film_scatter(
+    scene: Scene,
+    resting: Readings,
+    fit: CellsFit | None,
+    error: float,
+    channel_ohm: float = 0.0,
+) -> float:
+    """Return √E[s²] of the scatter s of unloaded cells, given the errors of their readings.
+
+    Parameters
+    ----------
+    scene, resting, fit
+        As those of `costs_by_scatter`.
+    error : float
+        Standard deviation e of each reading's own error.
+    channel_ohm : float
+        Standard deviation of the resistance of each line's channel.
+
+    Raises
+    ------
+    Errors of `BROKEN`.
+    """
+    costs = costs_by_scatter(scene, resting, fit, np.array([error]), (channel_ohm,))[0, 0]
+    weight = np.exp(LOG_PRIOR - (costs - costs.min()) / 2)
+    return float(np.sqrt(np.sum(weight * SCATTERS**2) / np.sum(weight)))
+
+
+def costs_by_scatter(
+    scene: Scene,
+    resting: Readings,
+    fit: CellsFit | None,
+    tried: Array,
+    channels_ohm: Sequence[float] | Array = (0.0,),
+) -> Array:
+    """Return −2 ln likelihood of errors and SCATTERS, (spreads, errors, scatters).
 
     The unloaded cells are log r ~ N(μ, s²). The readings are linearised at the most probable log
     cells u, with t = y − f(u) + J u. Let τ² = σ² + (e y')², where y' is the derivative of a reading
@@ -44,12 +100,12 @@ def unloaded_costs(
         −2 log p(y | e, s) = aᵀV⁻¹a − (aᵀV⁻¹b)²/(bᵀV⁻¹b) + log |V| + log bᵀV⁻¹b + Σ log τ²,
         V = 1 + s² A Aᵀ,
 
-    with a = t/τ and b = A 1. The likelihood is averaged over the prior of SCATTERS. u is
-    first the point of the largest error, then that of the most probable one of a few errors beside
-    the middle spread; all errors and spreads share it. Where the cells are not alike, e is
-    overestimated rather than underestimated. Linear theory lets cells explain readings that no
-    cells give; but no likelihood exceeds that of the best fit, so that −2 log p is at least
-    χ²/max(τ/σ)² + Σ log τ².
+    with a = t/τ and b = A 1. u is the most probable point beside the nearest of a few errors, and
+    beside the scatter that is likeliest then; all spreads share it. Beside another error the most
+    probable cells are others where cells differ much, and linear theory about them makes cells
+    explain more readings than they can, or fewer. No likelihood exceeds that of the best fit, so
+    that −2 log p is at least χ²/max(τ/σ)² + Σ log τ². Where the cells are not alike, e is
+    overestimated rather than underestimated.
 
     Parameters
     ----------
@@ -76,9 +132,11 @@ def unloaded_costs(
     most = _most_linear(columns, resting, fit)
     channels = [min(ohm, most) * columns if ohm else columns[:, :0] for ohm in channels_ohm]
     middle = channels[len(channels) // 2 : len(channels) // 2 + 1]
-    several = len(tried) > 1
-    few = READING_ERRORS[1::4] if several else tried
-    widest = READING_ERRORS[-1] if several else tried[0]
+    points = np.asarray(tried)
+    if len(tried) > 1:
+        # errors below the noise leave the most probable cells where they are without any
+        over_noise = LINEARISED_AT * np.median((share / resting.known_sigma)[resting.plain])
+        points = LINEARISED_AT[(over_noise == 0) | (over_noise > MIN_OVER_NOISE)]
 
     def linearised(error: float, scatter: float, near: Array) -> tuple[Array, Array, Array]:
         deviation = np.where(resting.plain, np.hypot(resting.known_sigma, error * share), np.inf)
@@ -107,14 +165,27 @@ def unloaded_costs(
                 each[number, place] = np.maximum(linear, least / widening**2) + logarithms
         return each
 
-    start = np.log(data.uniform_start[0])
-    cells, *at_largest = linearised(float(widest), float(SCATTERS[0]), start)
-    first = costs(few, middle, *at_largest)[0]
-    row, column = np.unravel_index(np.argmin(first), first.shape)
-    _, *at_best = linearised(float(few[row]), float(SCATTERS[column]), cells)
-    # −2 ln Σ_s p(y | e, s) p(s)
-    marginal = -2 * np.logaddexp.reduce(LOG_PRIOR - costs(tried, channels, *at_best) / 2, axis=-1)
-    return np.asarray(marginal)
+    nearest = np.abs(np.subtract.outer(_place(tried), _place(points))).argmin(axis=1)
+    each = np.empty((len(channels), len(tried), len(SCATTERS)))
+    near = np.log(data.uniform_start[0])
+    likeliest = 0  # of SCATTERS
+    # The fit beside a large error is the start of that beside the next smaller one.
+    for number in np.argsort(-points):
+        for _ in range(MAX_ROUNDS):
+            scatter = likeliest
+            near, *point = linearised(float(points[number]), float(SCATTERS[scatter]), near)
+            of_scatters = costs(points[number : number + 1], middle, *point)[0, 0]
+            likeliest = int(np.argmin(of_scatters - 2 * LOG_PRIOR))
+            if abs(likeliest - scatter) <= SAME_SCATTER:
+                break
+        group = nearest == number
+        each[:, group] = costs(tried[group], channels, *point)
+    return each
+
+
+def _place(errors: Array) -> Array:
+    """Return ln e of errors; none is one step below the smallest tried one."""
+    return np.log(np.maximum(errors, READING_ERRORS[1] ** 2 / READING_ERRORS[2]))
 
 
 def _of_channels(scene: Scene, resting: Readings, fit: CellsFit | None) -> Array:

@@ -4,17 +4,15 @@ from collections.abc import Iterable, Mapping
 from math import floor, inf, log10
 
 from lampest.files.applications import loaded
-from lampest.panel.sizes import SIZED
+from lampest.panel.sizes import EFFECTS, LINE_EFFECTS
 
-# End of a key of a scene → unit, other numbers are relative; effects of SIZED have their own.
+# End of a key of a scene → unit; other numbers are relative. Files of effects have their own.
 UNITS = {
     "_lsb": "LSB",
     "_volt": "volt",
     "_ohm": "ohm",
     "_ohm_per_cell": "ohm a cell",
     "model_error": "times the noise",
-    "leaks": "siemens",
-    "contacts": "ohm",
 }
 RANGES = ("readout.passes_volt",)  # keys of which the pair is a range in volt
 MAX_LINES = 12  # a panel of many modules has numbers of each
@@ -49,9 +47,10 @@ def about_recordings(
 
 def unit_of_key(key: str) -> str:
     """Return the unit of a number by its key; '' for a relative one."""
-    if key in SIZED:
-        effect_unit: str = loaded(SIZED[key]).unit
-        return effect_unit
+    for effect in (*EFFECTS, *LINE_EFFECTS):
+        if key == effect.key:
+            effect_unit: str = loaded(effect.path).unit
+            return effect_unit
     return next((unit for end, unit in UNITS.items() if key.endswith(end)), "")
 
 

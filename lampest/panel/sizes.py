@@ -22,7 +22,9 @@ BELOW_ONE = nextafter(1.0, 0.0)
 
 @dataclass(frozen=True)
 class Listed:
-    """An effect with a size, by name; its file is loaded where a scene or a simulation has it.
+    """An effect of a file of `lampest.panel.effects`, by name.
+
+    The file is loaded where a scene or a simulation has the effect.
 
     Attributes
     ----------
@@ -63,6 +65,10 @@ EFFECTS = (
     Listed("lampest.panel.effects.creep:FilmCreep", "creep"),
     Listed("lampest.panel.effects.converter_curve:ConverterCurve", at_converter=("inl_lsb",)),
     Listed("lampest.panel.effects.saturation:Saturation", at_converter=("saturation",)),
+)
+LINE_EFFECTS = (
+    Listed("lampest.panel.effects.line_leak:LineLeak", "leaks"),
+    Listed("lampest.panel.effects.loose_contact:LooseContact", "contacts"),
 )
 SIZED = {effect.key: effect.path for effect in EFFECTS if effect.key}
 # Key of a size of no effect -> least and largest number that a scene may state. Those of errors

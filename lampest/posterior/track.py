@@ -206,6 +206,10 @@ class Track:
         # U of every frame, and its effect on log r; cells at bounds are treated one by one.
         pairs = zip(model.at.networks, measured, strict=True)
         columns = np.concatenate([self.shared.columns(*pair) for pair in pairs])
+        own = columns.shape[1]
+        if self.shared.film_scatter:
+            # one more error for each cell of a frame, which no reading has
+            columns = np.pad(columns, ((0, 0), (0, cells[0].size)))
         previous = self.answers
         if previous is None:
             previous = np.zeros((2, cells[0].size, columns.shape[1]))
@@ -218,6 +222,10 @@ class Track:
             bars = bars.reaching(held, below, above)
         else:
             answer[model.free] = errors.answer(rows, previous)
+        if self.shared.film_scatter and errors.exact:
+            from lampest.posterior.film_scatter import answer_to_scatter  # for errors of readings
+
+            answer[model.free, own:] += answer_to_scatter(errors, self.shared.film_scatter)
         # r ≥ R: the bound has its reading's error
         read = model.at_lower & (model.at.data.lower == measured).ravel()
         answer[read] = columns[read] / measured.ravel()[read, None]

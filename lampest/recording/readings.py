@@ -115,6 +115,9 @@ class Readings:
         0 for a value; 1 or -1 if the truth is at least or at most the reading.
     seen : array
         1, or 0 for a missing reading.
+    constant : array, or None
+        Part of σ that frames have in common, which their mean keeps: the rounding of a converter
+        that noise does not dither. None: none is known.
 
     >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
@@ -128,6 +131,7 @@ class Readings:
     sigma: Array | None
     side: Array
     seen: Array
+    constant: Array | None = None
 
     def __repr__(self) -> str:
         """Return the object in one line, arrays by their shapes."""
@@ -188,7 +192,11 @@ class Readings:
         side = np.where(seen > 0, side, Sidedness.VALUE)
         network = np.where((seen > 0) | scene.panel.present, network, _filled(network, seen))
         value = _standing_in(network, side, np.where(scene.panel.present, seen, 1.0), seen)
-        return cls(value, None if noise is None else _filled(noise, seen), side, seen)
+        if noise is None:
+            return cls(value, None, side, seen)
+        filled = _filled(noise, seen)
+        constant = None if sigma is not None else filled * scene.readout.constant_share()
+        return cls(value, filled, side, seen, constant)
 
     def without(self, omitted: NDArray[np.bool_]) -> "Readings":
         """Return the readings without some of them, which are missing."""
@@ -223,7 +231,8 @@ class Readings:
     def each(self, change: Callable[[Array], Array]) -> "Readings":
         """Return the readings with a function such as `layout.split` applied to all arrays."""
         sigma = None if self.sigma is None else change(self.sigma)
-        return Readings(change(self.value), sigma, change(self.side), change(self.seen))
+        constant = None if self.constant is None else change(self.constant)
+        return Readings(change(self.value), sigma, change(self.side), change(self.seen), constant)
 
     def of_module(self, layout: Modules, number: int) -> "Readings":
         """Return the readings of one module of the image."""
@@ -240,14 +249,14 @@ class Readings:
     def together(self, *frames: "Readings", axis: int = 0) -> "Readings":
         """Return frames (rows, columns) stacked as (frames, rows, columns).
 
-        The stack has no σ if a frame has none.
+        The stack has no σ if a frame has none, and no constant part of it.
         """
 
         def stacked(name: str) -> Any:
             arrays = [getattr(part, name) for part in (self, *frames)]
             return None if any(array is None for array in arrays) else np.stack(arrays, axis)
 
-        return Readings(*map(stacked, ("value", "sigma", "side", "seen")))
+        return Readings(*map(stacked, ("value", "sigma", "side", "seen", "constant")))
 
     def __getitem__(self, frames: Any) -> "Readings":
         """Return the readings at an index of the arrays, such as a range of frames."""
@@ -304,6 +313,13 @@ class Readings:
         return self.sigma
 
     @property
+    def mostly_rounding(self) -> bool:
+        """Whether the constant part makes more than half of the variance."""
+        if self.sigma is None or self.constant is None:
+            return False
+        return bool(np.mean(self.constant**2) > np.mean(self.sigma**2) / 2)
+
+    @property
     def sigma_of_values(self) -> Array | None:
         """Standard deviations, infinite for bounds and missing readings; None if unknown."""
         return None if self.sigma is None else np.where(self.plain, self.sigma, np.inf)
@@ -316,12 +332,12 @@ class Readings:
         """
         value = self.plain
         bound = self.bounds
-        of_values, deviation = _averaged(self.value, self.sigma, value)
+        of_values, deviation = self._averaged(value)
         is_bound = bound.sum(axis=0) > value.sum(axis=0)
         if self.sigma is not None:
             near = bound & (np.abs(self.value - of_values) <= NOISE_REACH * self.sigma)
             is_bound |= near.any(axis=0)
-        of_all, deviation_of_all = _averaged(self.value, self.sigma, value | bound)
+        of_all, deviation_of_all = self._averaged(value | bound)
         side = np.where(
             is_bound, np.sign(np.where(bound, self.side, 0.0).sum(axis=0)), Sidedness.VALUE
         )
@@ -331,7 +347,35 @@ class Readings:
         if deviation is None or deviation_of_all is None:
             return Readings(mean, None, side, seen)
         sigma = np.where(is_bound, deviation_of_all, deviation)
-        return Readings(mean, _filled(sigma, seen), side, seen)
+        constant = None if self.constant is None else self.constant.mean(axis=0)
+        return Readings(mean, _filled(sigma, seen), side, seen, constant)
+
+    def _averaged(self, counted: NDArray[np.bool_]) -> tuple[Array, Array | None]:
+        """Return the mean over the counted frames and its σ, (rows, columns) each; else 1.
+
+        With the constant part k of σ the mean of n frames has σ² = Σ (σ² − k²)/n² + Σ k²/n.
+        """
+        count = np.maximum(counted.sum(axis=0), 1)
+        blank = ~counted.any(axis=0)
+        mean = np.where(counted, self.value, 0.0).sum(axis=0) / count + blank
+        if self.sigma is None:
+            return mean, None
+        variance = np.where(counted, self.sigma**2, 0.0).sum(axis=0) / count**2
+        if self.constant is not None:
+            constant = np.where(counted, np.minimum(self.constant, self.sigma) ** 2, 0.0)
+            variance += constant.sum(axis=0) / count * (1 - 1 / count)
+        return mean, np.sqrt(variance) + blank
+
+    def beside(self, count: int) -> "Readings":
+        """Return these readings as one of `count` of the same values.
+
+        The constant part of σ counts `count` times, so that the mean of all of them has it once.
+        """
+        if self.sigma is None or self.constant is None:
+            return self
+        constant = np.sqrt(count) * self.constant
+        sigma = np.sqrt(self.sigma**2 + (count - 1) * self.constant**2)
+        return replace(self, sigma=sigma, constant=constant)
 
     def alone(self) -> "Readings":
         """Return one frame (rows, columns) as (1, rows, columns)."""
@@ -460,24 +504,6 @@ def _numbered(network: Array, seen: Array) -> tuple[Array, Array]:
     smallest = np.min(network, axis=(-2, -1), keepdims=True, initial=np.inf, where=is_number)
     network = np.where(is_number, network, np.where(network > 0, largest, smallest))
     return network, np.where(is_number.any(axis=(-2, -1), keepdims=True), seen, 0.0)
-
-
-def _averaged(
-    value: Array, sigma: Array | None, counted: NDArray[np.bool_]
-) -> tuple[Array, Array | None]:
-    """Return the mean over the counted frames and its σ, (rows, columns) each.
-
-    1 if no frame counts.
-    """
-    count = np.maximum(counted.sum(axis=0), 1)
-    blank = ~counted.any(axis=0)
-    mean = np.where(counted, value, 0.0).sum(axis=0) / count + blank
-    noise = (
-        None
-        if sigma is None
-        else np.sqrt(np.where(counted, sigma**2, 0.0).sum(axis=0)) / count + blank
-    )
-    return mean, noise
 
 
 def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = None) -> Array:

@@ -119,7 +119,9 @@ def test_fits_of_rivals_begin_at_the_cells_of_a_neighbour(
     monkeypatch.setattr(explanation, "fitted", noted)
     better_rival.better_rival(question, question.explanation)
     assert len(fits) > 10
-    assert not [scene.readout for scene in cold if not scene.circuit.several_panels]
+    assert not [
+        scene.readout for scene in cold if not scene.circuit.several_panels(*scene.panel.shape)
+    ]
 
 
 def test_of_rivals_that_differ_in_names_of_lines_one_is_searched_in_series(

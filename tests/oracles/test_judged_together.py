@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from promises import promise
 
 from docs.studies.effects import LOADS, ROWS, Row, figures, recording
 from lampest import Systematic
@@ -43,6 +44,7 @@ def test_channels_are_told_beside_errors_of_each_reading() -> None:
     assert abs(size - 0.01) < 2 * size_deviation
 
 
+@promise("howto/error_bars: With `motion`, bars also hold loads that tremble within a scan.")
 @pytest.mark.parametrize("motion", ["estimated", 1.0])
 def test_bars_hold_a_load_that_trembles_within_a_scan(motion: str | float) -> None:
     """With the steps between frames alone, 51 to 58 % of the changes were held."""

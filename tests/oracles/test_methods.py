@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from promises import promise
 
 from docs.studies.as_published import Weights, left_by_solver
 from docs.studies.log_r import timed_frames
@@ -149,6 +150,10 @@ def test_ipopt_over_log_r_ends_at_the_minima_of_the_other_solvers() -> None:
     assert max(solve.above for solve in solves) < ROUNDING
 
 
+@promise(
+    "theory/inverse_problem: the frame is compared with an unloaded panel whose own solve was not "
+    "verified."
+)
 def test_the_status_says_that_the_unloaded_panel_of_a_comparison_is_not_verified() -> None:
     cells = resting((4, 5))
     data = recording(cells, cells * 0.9, noise=1e-3)

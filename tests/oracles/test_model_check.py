@@ -112,6 +112,10 @@ def test_a_verdict_says_whether_other_circuits_were_compared() -> None:
     assert alone.explains and not alone.compared
 
 
+@promise(
+    "theory/model_check: Between circuits, moved cells are either single ones or loads, "
+    "with equal probability."
+)
 def test_a_bar_over_whole_lines_is_no_other_circuit() -> None:
     """17 cells that moved alone cost more than two cells under crosstalk of 28 ohm."""
     drawn = sound(91002)

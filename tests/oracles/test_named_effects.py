@@ -410,3 +410,26 @@ def test_bars_hold_channels_that_differ_by_more_than_usual() -> None:
         size, deviation = Prepared(recording).noise.estimated["systematic.channel_spread_ohm"]
         assert abs(size - 10) < 2 * deviation
     assert np.mean(own) > 85
+
+
+def test_bars_hold_scatter_of_films_that_errors_of_readings_hide() -> None:
+    """By the chosen weight alone, which expects smoother films, 50 % of the cells were within."""
+    load = LOADS["small"]
+    row = Row(static=0.05)
+    made = channels_recording(103, load, row, {"systematic": Systematic(reading_error=0.05)})
+    assert figures(made, advised=False).own > 75
+    possible = Prepared(made).noise.possible_errors
+    assert possible is not None and 0.05 < possible.film_scatter < 0.2
+
+
+def test_penalties_that_compare_frames_expect_nothing_of_films() -> None:
+    load = LOADS["small"]
+    scene_keys = {"systematic": Systematic(reading_error=0.02)}
+    made = channels_recording(103, load, Row(static=0.02), scene_keys)
+    terms = [WEIGHTED, LogRatio(weight=1e4)]
+    hidden = lampest.reconstruct(made, terms).cell_resistance_errors
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(static_errors, "film_scatter", lambda *_: 0.0)
+        plain = lampest.reconstruct(made, terms).cell_resistance_errors
+    assert hidden is not None and plain is not None
+    np.testing.assert_allclose(hidden, plain, rtol=1e-9)

@@ -503,6 +503,25 @@ def test_a_spread_of_channels_that_any_larger_one_explains_is_not_advised() -> N
     assert drawn is not None and not lines_of(drawn[1])
 
 
+@pytest.mark.parametrize("seed", [94002, 94147])
+def test_cells_that_differ_by_a_factor_of_ten_are_no_errors_of_readings(seed: int) -> None:
+    """About cells that are likeliest beside another error, linear theory finds one."""
+    drawn = sound(seed)
+    assert drawn is not None and STATIC_LINE not in lines_of(drawn[1])
+
+
+def test_codes_without_noise_show_no_ripple() -> None:
+    """In each frame some ten of 216 readings have another code than in the first one."""
+    drawn = sound(94026)
+    assert drawn is not None and not lines_of(drawn[1])
+
+
+def test_noise_below_the_rounding_is_not_said_to_be_another_one() -> None:
+    """0.017 LSB in place of 0.03 change no sigma."""
+    drawn = sound(94120, drifts=False)
+    assert drawn is not None and Prepared(drawn[1]).noise.sentence == ""
+
+
 def lines_of(recording: Recording) -> set[str]:
     """The lines that advice on effects suggests."""
     return {finding.line for finding in unnamed_effects(Prepared(recording))}
@@ -614,13 +633,14 @@ def test_noisy_cells_are_not_taken_for_a_static_error() -> None:
     """So noisy that a large error of each reading would explain the cells that moved, too."""
     rod = lampest.Rod(centre_mm=(35.0, 35.0), diameter_mm=40.0, mass_g=400.0)
     scene = Scene(Panel(8, 8), TwoPointReadout(readings=1, noise_lsb=2), 140.0, systematic=STATIC)
-    for seed in (7, 8, 13):
-        recording = simulate(Simulation(1, seed, scene, frames=3, loads=(rod,)))
-        noise = Prepared(recording).noise
-        assert (
-            noise.estimated["systematic.reading_error"][0] < 5 * ABSENT
-            and not noise.possible_errors.in_sigma > ABSENT
-        )
+    noises = [
+        Prepared(simulate(Simulation(1, seed, scene, frames=3, loads=(rod,)))).noise
+        for seed in range(7, 15)
+    ]
+    sizes = [noise.estimated["systematic.reading_error"][0] for noise in noises]
+    assert max(sizes) < 5 * ABSENT
+    # by chance one of eight seems likelier than none
+    assert sum(noise.possible_errors.in_sigma > ABSENT for noise in noises) <= 1
 
 
 @pytest.mark.slow

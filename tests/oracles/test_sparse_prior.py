@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from promises import promise
 from scipy.integrate import quad
 
 import lampest
@@ -54,6 +55,10 @@ def ratio_of_bars(load: str, seed: int, penalty: lampest.Term) -> float:
     return float(np.median(estimate.sigma_own) / MAD_TO_SIGMA / np.median(np.abs(own)))
 
 
+@promise(
+    "theory/posterior: For a chosen λ the bars therefore take a scale mixture of normal "
+    "distributions"
+)
 @pytest.mark.parametrize("load", ["still", "palm", "small"])
 def test_bars_of_cells_that_an_absolute_loss_holds_are_as_wide_as_their_errors(load: str) -> None:
     ratio = ratio_of_bars(load, 731, lampest.LogRatio())

@@ -17,9 +17,12 @@ from lampest import (
     Panel,
     Recording,
     Scene,
+    Simulation,
+    TwoPointReadout,
     VirtualGroundReadout,
 )
 from lampest.audit.advice import Audit
+from lampest.files.levels import TWO_SIDED
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.prepared import Prepared
 from lampest.inference.resolve import resolved_scene
@@ -43,6 +46,35 @@ def test_transitions_are_those_of_the_data_sheet() -> None:
     below_and_above = np.array([0.499, 0.501, 2**BITS - 1.501, 2**BITS - 1.499]) * STEP
     assert converter.code_from_volt(below_and_above).tolist() == [0, 1, 2**BITS - 2, 2**BITS - 1]
     assert converter.volt_from_code(np.array([0.0, 512.0])).tolist() == [0.0, 2.5]
+
+
+@promise("howto/error_bars: A mean of frames keeps the rounding of a converter without noise")
+@pytest.mark.parametrize("noise_lsb", [0.02, None])
+def test_a_mean_of_frames_keeps_the_rounding_that_noise_does_not_dither(
+    noise_lsb: float | None,
+) -> None:
+    """As independent errors of six frames, 54 % of the cells are within their intervals."""
+    within = []
+    for seed in range(3):
+        board = TwoPointReadout(adc_bits=8, readings=4, noise_lsb=0.02)
+        quiet = Simulation(1, seed, Scene(Panel(8, 8), board), baseline_frames=6, frames=1)
+        recording = lampest.simulate(quiet)
+        scene = replace(recording.scene, readout=replace(board, noise_lsb=noise_lsb))
+        estimate = lampest.reconstruct(replace(recording, scene=scene), [lampest.Misfit()])
+        assert recording.truth_cell_resistance is not None
+        difference = estimate.baseline_resistance - recording.truth_cell_resistance[0]
+        within.append(np.abs(difference) < TWO_SIDED * estimate.baseline_resistance_errors)
+    assert np.mean(within) > 0.92
+
+
+def test_means_of_parts_have_the_constant_part_of_sigma_once() -> None:
+    board = TwoPointReadout(adc_bits=8, readings=4, noise_lsb=0.1)
+    readings = lampest.simulate(
+        Simulation(1, 1, Scene(Panel(4, 4), board), baseline_frames=6, frames=1)
+    ).readings()[:6]
+    parts = [readings[part].mean().beside(2) for part in (slice(3), slice(3, 6))]
+    of_both = np.hypot(*(part.known_sigma for part in parts)) / 2
+    np.testing.assert_allclose(of_both, readings.mean().known_sigma, rtol=0.01)
 
 
 @promise("howto/readouts: Code c stands for c steps")

@@ -21,13 +21,9 @@ from lampest.apps.recognition import (
 from lampest.estimate import estimator, parts
 from lampest.estimate.methods import method
 from lampest.files import hdf5, levels, process
-from lampest.inference import (
-    model_check,
-    noise,
-    nuisances,
-    rival_parameters,
-    variance_components,
-)
+from lampest.inference import noise, nuisances, variance_components
+from lampest.inference.circuits import model_check
+from lampest.inference.circuits import parameters as rival_parameters
 from lampest.panel import trust_region
 from lampest.posterior import reference, reference_fit, sampled, track
 from lampest.recording import stored

@@ -4,6 +4,9 @@ import json
 import subprocess
 import sys
 
+from lampest.apps.recognition.model_errors import ModelErrors
+from lampest.panel.effects.creep import FilmCreep
+
 # In a fresh process priors have other values before anything reads them.
 CHANGED = """
 import json
@@ -29,6 +32,7 @@ from lampest.panel.effects import converter_memory
 converter_memory.KeptShare.prior = 0.037
 from lampest.panel.effects import creep
 creep.FilmCreep.prior, creep.FilmCreep.of_cell = 0.057, 0.0037
+creep.FilmCreep.of_cell_per_decade, creep.FilmCreep.of_cell_at_once = 0.017, 0.0027
 
 import lampest
 from lampest.apps.calibration import channels as of_channels
@@ -64,6 +68,7 @@ print(json.dumps({
         circuit_fit.E24_TOLERANCE, resistors.E24_TOLERANCE,
     ],
     "recognition": [ModelErrors().channel_ohm, ModelErrors().reference],
+    "recognised creep": [ModelErrors().drift, ModelErrors().settled],
 }))
 """
 
@@ -82,4 +87,9 @@ def test_scenes_calibrations_and_recognition_read_priors_from_the_effects_files(
         "assumed": [0.057, 0.0037],
         "calibrated resistors": [71.0, 171.0, 171.0, 0.07, 0.07],
         "recognition": [7.0, 0.0017],
+        "recognised creep": [0.017, 0.0027],
     }
+
+
+def test_the_creep_of_a_cell_is_one_number_for_recognition_and_inference() -> None:
+    assert abs(ModelErrors().resting_sd(seconds=40.0) / FilmCreep.of_cell - 1) < 0.01

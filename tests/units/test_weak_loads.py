@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from promises import promise
 
 import lampest
 from docs.studies.weak_loads import FRAMES, SIDE, weak_load
@@ -18,6 +19,10 @@ def doubt_of(estimates: lampest.Estimates) -> str:
     return next(doubts, "")
 
 
+@promise(
+    "howto/weights: Under strong noise a chosen weight smooths weak loads. "
+    "`checks` then have a line"
+)
 @pytest.mark.parametrize("penalty", [lampest.LogGradient(), lampest.LogRatio()])
 @pytest.mark.parametrize("noise_lsb", [0.5, 8.0])
 def test_a_chosen_weight_says_where_it_smooths_weak_loads(
@@ -28,6 +33,7 @@ def test_a_chosen_weight_says_where_it_smooths_weak_loads(
     assert bool(doubt_of(estimates)) is (noise_lsb == 8.0)
 
 
+@promise("howto/weights: An absolute loss holds changes instead")
 @pytest.mark.parametrize("penalty", [lampest.LogRatio(), lampest.TotalVariationOfChange()])
 def test_a_change_of_a_cell_below_the_said_threshold_does_not_show(penalty: lampest.Term) -> None:
     """A single cell of a panel at rest changes by 0.7 and by 1.4 times the threshold."""

@@ -41,6 +41,7 @@ from lampest.apps.recognition.verdict import EVIDENCE_SHARE
 from lampest.files.levels import SIGNIFICANT
 from lampest.panel.panel import Array
 from lampest.panel.response import RESPONSE_SD
+from lampest.posterior.gaussian import Information
 
 RATE_STEP = 0.25  # over the duration: distance of the rates that are compared
 LEAKS = 2.0  # over the duration: distance of rates beyond which a tapered wave does not leak
@@ -457,7 +458,8 @@ def _depth(
     noise : float
         Variance of the amplitude in each reading.
     """
-    basis = np.hstack([waves, 12**0.5 * (at[:, None] - 0.5) * waves])
+    # times the standard deviation of the amplitudes' prior
+    basis = BREATH.largest * np.hstack([waves, 12**0.5 * (at[:, None] - 0.5) * waves])
     depth = BREATHING_SD
     film = variance = 0.0
     square = basis.T @ basis
@@ -468,9 +470,9 @@ def _depth(
         freedom = max(len(at) - 8, 1)  # four numbers here, four of trend
         residual = series - basis @ np.linalg.lstsq(basis, series, rcond=None)[0]
         variance_left = max(float(residual @ residual) / freedom, 1e-12)
-        covariance = np.linalg.inv(square / variance_left + np.eye(4) / BREATH.largest**2)
-        coefficients = covariance @ (basis.T @ series) / variance_left
-        variances = np.diag(covariance)
+        known = Information(square / variance_left, basis.T @ series / variance_left)
+        coefficients = BREATH.largest * known.mean
+        variances = BREATH.largest**2 * np.diag(known.covariance)
         # A² from all four coefficients, less the noise of the two of linear change
         depth = max(float(coefficients @ coefficients - variances[2:].sum()), TREMBLE_SD**2) ** 0.5
         film = (

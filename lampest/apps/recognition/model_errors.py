@@ -9,6 +9,7 @@ import numpy as np
 from lampest.apps.recognition.recognition_scene import RecognitionScene
 from lampest.panel.effects import systematic_of
 from lampest.panel.effects.channels import CHANNELS
+from lampest.panel.effects.creep import FilmCreep
 from lampest.panel.effects.reference import REFERENCE
 from lampest.panel.panel import Array
 from lampest.panel.response import RESPONSE_SD
@@ -36,7 +37,8 @@ class ModelErrors:
         are too noisy.
     drift, common_drift : of ln r at rest for each decade of minutes, of each cell and of all alike
         (temperature).
-    settled : of ln r at rest, apart from drift.
+    settled : of ln r at rest, apart from drift. `lampest.inference` has both in one number, because
+        it knows no time since the unloaded frames.
     channel_ohm : of the on-resistance of a multiplexer's channel about its mean, one for each line.
     reference : relative error of the reference resistor: 1 % at most, uniform.
     reading_error : of the logarithm of a factor on each reading, the same in all frames.
@@ -58,9 +60,9 @@ class ModelErrors:
     edge_mm: float = 3.0
     patch: float = 0.13
     cell_spread: float = 0.4
-    drift: float = 0.01
+    drift: float = FilmCreep.of_cell_per_decade
     common_drift: float = 0.02
-    settled: float = 0.002
+    settled: float = FilmCreep.of_cell_at_once
     channel_ohm: float = CHANNELS.prior
     reference: float = REFERENCE.sd_of_one_percent
     reading_error: float = 0.0

@@ -122,7 +122,9 @@ class Method(Configuration):
         if objective.relative:
             background = self._background_with_previous(state, readings)
         data = replace(objective.data(readings.alone(), background), first=state.first)
-        several = state.scene.circuit.several_panels and state.scene.wiring is None
+        several = state.scene.wiring is None and state.scene.circuit.several_panels(
+            *state.scene.panel.shape
+        )
         if state.previous is not None:
             start = state.previous
             if several and state.baseline is not None and readings.plain.all():
@@ -418,7 +420,8 @@ class OptimalMethod(Method):
             # From its start IPOPT may end at another panel that reads alike. Along scales that no
             # reading shows, its iterates wander until their limit (docs/studies/speed.md).
             unseen = scene.circuit.unseen_scales(*cost.panel.shape)
-            fast = few and squared and not scene.circuit.several_panels and not unseen
+            several = scene.circuit.several_panels(*cost.panel.shape)
+            fast = few and squared and not several and not unseen
             kind = "nodal" if fast and period >= NODAL_PERIOD else "reduced"
         return solver_of(cost, scene.circuit, scene.wiring, kind, settings)
 
@@ -460,7 +463,7 @@ def _elsewhere(solution: Solution, data: Data, start: Array) -> bool:
 
     IPOPT moves away from its start, and Newton's method does not.
     """
-    if not (data.readout.several_panels and solution.solved):
+    if not (solution.solved and data.readout.several_panels(*start.shape[-2:])):
         return False
     from lampest.inference.circuits.alike import STILL
 

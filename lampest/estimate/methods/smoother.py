@@ -141,7 +141,7 @@ class SmootherMethod(Method):
         parts = (
             np.array_split(numbers, min(len(numbers), MAX_UNLOADED_PARTS)) if len(numbers) else []
         )
-        groups = [resting[part].mean() for part in parts] or [state.resting]
+        groups = [resting[part].mean().beside(len(parts)) for part in parts] or [state.resting]
         state, steps = self._together(state, groups, read, [], on_frame)
         missing = state.unsolved(Status.UNREAD if rested else Status.UNRESTED)
         solved = iter(steps)

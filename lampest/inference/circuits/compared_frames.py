@@ -115,10 +115,11 @@ class ComparedFrames:
         The value is None where only one panel does, and without a loaded frame.
         """
         scene = self.specified.scene
-        if not scene.circuit.several_panels or scene.wiring is not None or not len(self.standing):
+        several = scene.circuit.several_panels(*scene.panel.shape)
+        if not several or scene.wiring is not None or not len(self.standing):
             return None
         resting, loaded = self.readings(self.specified)
-        return PanelChoice.of(scene.circuit, resting, loaded)
+        return PanelChoice.of(scene, resting, loaded)
 
     @cached_property
     def _usable(self) -> Array:

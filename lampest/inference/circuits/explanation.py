@@ -197,6 +197,6 @@ def rival_fits(
     """
     if near or specified is None or rival.order is not None:
         return fits_of(rival, frames, near)
-    if rival.scene.circuit.several_panels:
+    if rival.scene.circuit.several_panels(*rival.scene.panel.shape):
         return fits_of(rival, frames)
     return fits_of(rival, frames, specified.fits[:1]) or fits_of(rival, frames)

@@ -40,6 +40,8 @@ class GainAndRipple(SceneEffect):
         unknown = scene.readout is None or readings.sigma is None or unloaded.sum() < 2
         if unknown or scene.readout is None or not evidence.names_none("gain", "ripple"):
             return
+        if readings.mostly_rounding:
+            return  # single codes that change from frame to frame have no Gaussian scatter
         estimated = replace(scene, gain=ESTIMATED, ripple=ESTIMATED)
         estimating = replace(evidence.recording, scene=estimated)
         unscaled = replace(readings, sigma=readings.known_sigma / evidence.noise.sigma_factor)

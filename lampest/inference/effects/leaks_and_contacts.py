@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 
+from lampest.files.applications import loaded
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import (
@@ -13,14 +14,14 @@ from lampest.inference.nuisances import (
 )
 from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.effects.line_effect import LineEffect
-from lampest.panel.effects.line_leak import LineLeak
-from lampest.panel.effects.loose_contact import LooseContact
 from lampest.panel.scene import specified
-from lampest.panel.sizes import ESTIMATED
+from lampest.panel.sizes import ESTIMATED, LINE_EFFECTS
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.recording import UNLOADED, Recording
 
-BESIDES: dict[str, type[LineEffect]] = {kind.key: kind for kind in (LineLeak, LooseContact)}
+BESIDES: dict[str, type[LineEffect]] = {
+    effect.key: loaded(effect.path) for effect in LINE_EFFECTS if effect.key
+}
 
 
 def without_effects(
@@ -75,10 +76,6 @@ class LeaksAndContacts(SceneEffect):
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield the leaks and contacts with which the circuit explains the readings better."""
         effects = evidence.prepared.effects
-        if (
-            effects.name
-            and evidence.prepared.check.by_effect
-            and evidence.names_none("leaks", "contacts")
-        ):
+        if effects.name and evidence.prepared.check.by_effect and evidence.names_none(*BESIDES):
             sentence = f"{effects.name} explains the readings better: {effects.reason}"
             yield Unnamed(sentence, effects.addition)

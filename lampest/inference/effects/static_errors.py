@@ -14,6 +14,7 @@ theory only e is estimated.
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -21,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.errors import BROKEN
 from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANCE
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted
@@ -42,7 +44,7 @@ from lampest.inference.shared_changes import (
     joint_posterior,
     shared_changes,
 )
-from lampest.inference.unloaded_cells import READING_ERRORS, unloaded_costs
+from lampest.inference.unloaded_cells import READING_ERRORS, film_scatter, unloaded_costs
 from lampest.panel.effects import Possible, estimated_errors, shared_effects, systematic_of
 from lampest.panel.effects.channels import CHANNELS
 from lampest.panel.effects.reading_error import READING_ERROR
@@ -140,6 +142,26 @@ def shared_errors(
     if moves.has_channels:
         spread = _channel_spread(scene, resting, fit, moves, size)
     return _with_common_errors(own, moves, prior, scene, spread)
+
+
+def _with_film_scatter(possible: Possible, scene: Scene, resting: Readings) -> Possible:
+    """Return the errors with the scatter of the films beside each reading's own error.
+
+    Parameters
+    ----------
+    possible : Possible
+    scene : Scene
+    resting : Readings
+        Mean of the unloaded frames, (rows, columns).
+    """
+    size = READING_ERROR.size(possible.sizes)
+    if not size or resting.sigma is None or resting.value.size > MAX_CELLS:
+        return possible
+    with suppress(*BROKEN):
+        fit = fitted(scene, resting, patient=True)
+        scatter = film_scatter(scene, resting, fit, size, CHANNELS.size(possible.sizes))
+        return replace(possible, film_scatter=scatter)
+    return possible
 
 
 def _error_beside_channels(
@@ -422,7 +444,10 @@ class StaticErrors(SceneEffect):
             size = 0.0 if sizes is None else READING_ERROR.size(sizes)
             if sizes is None or not size:
                 return noise
+            unloaded = np.flatnonzero(recording.role == UNLOADED)
             possible = Possible(sizes, in_sigma=size)
+            if len(unloaded):
+                possible = _with_film_scatter(possible, scene, readings[unloaded].mean())
             return replace(noise, possible_errors=possible).with_reading_error(recording)
         unloaded = np.flatnonzero(recording.role == UNLOADED)
         measured = np.flatnonzero(recording.role == MEASURED)
@@ -437,7 +462,8 @@ class StaticErrors(SceneEffect):
         if len(measured):
             loaded = readings[strongest_frame(readings.plain_values, resting.value, measured)]
         errors = shared_errors(scene, resting, loaded, noise.frame)
-        noise = replace(noise, possible_errors=errors.possible).with_reading_error(recording)
+        possible = _with_film_scatter(errors.possible, scene, resting)
+        noise = replace(noise, possible_errors=possible).with_reading_error(recording)
         for name in requested:
             if name in errors.sizes:
                 noise = noise.determined(f"systematic.{name}", errors.sizes[name])

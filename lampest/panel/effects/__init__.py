@@ -40,10 +40,6 @@ SHARED = {
     "wire_ohm_per_cell": "lampest.panel.effects.wire:WirePerCell",
     "reading_error": "lampest.panel.effects.reading_error:ReadingError",
 }
-LINE_EFFECTS = (
-    "lampest.panel.effects.line_leak:LineLeak",
-    "lampest.panel.effects.loose_contact:LooseContact",
-)
 REFERENCE = "reference_tolerance"
 SERIES = "series_tolerance_ohm"
 LOG_STEP = 1e-6  # of the logarithm of a recorded value, for central differences
@@ -273,12 +269,15 @@ class Possible:
     in_sigma : float
         Size of each reading's own error that σ of the readings includes, and so the choice of
         weights: the median of the posterior (docs/studies/effects.md).
+    film_scatter : float
+        Scatter of log r of the unloaded cells beside each reading's own error; 0 where unknown.
     """
 
     sizes: Systematic
     settings: tuple[str, ...] = ()
     root: Array | None = None
     in_sigma: float = 0.0
+    film_scatter: float = 0.0
 
 
 def systematic_of(scene: Scene) -> Systematic | None:
@@ -382,6 +381,8 @@ class Shared:
         are independent, with their sizes as standard deviations.
     in_sigma : float
         Size of each reading's own error that σ of the readings includes.
+    film_scatter : float
+        Scatter of log r of the unloaded cells beside each reading's own error; 0 where unknown.
     """
 
     systematic: Systematic | None
@@ -390,6 +391,7 @@ class Shared:
     estimated: tuple[str, ...] = ()
     root: Array | None = None
     in_sigma: float = 0.0
+    film_scatter: float = 0.0
 
     @classmethod
     def of(cls, scene: Scene, possible: Possible | None = None) -> "Shared | None":
@@ -404,7 +406,15 @@ class Shared:
         if sizes is None and contacts is None:
             return None
         contact_root = None if contacts is None else np.diag(contacts.deviation(scene.panel.shape))
-        return cls(sizes, scene, contact_root, possible.settings, possible.root, possible.in_sigma)
+        return cls(
+            sizes,
+            scene,
+            contact_root,
+            possible.settings,
+            possible.root,
+            possible.in_sigma,
+            possible.film_scatter,
+        )
 
     def beyond(self, known: "Shared | None") -> "Shared | None":
         """Return the errors that remain if a method has unknowns for the errors `known`.

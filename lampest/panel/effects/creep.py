@@ -8,5 +8,9 @@ class FilmCreep(SizedEffect):
 
     limits = (-1.0, 1.0)
     prior = 0.05  # assumed, as by temperature
-    # Assumed: change of each untouched cell apart from the others, creep of a film within seconds.
+    # Assumed: changes of each untouched cell apart from the others. Films creep by a few percent
+    # for each decade of minutes under load, and by a part of that at rest, with a scatter about it.
+    of_cell_per_decade = 0.01
+    of_cell_at_once = 2e-3
+    # Of both, within the 40 s of a usual recording.
     of_cell = 3e-3

@@ -10,10 +10,11 @@ import numpy as np
 
 from lampest.files.applications import loaded
 from lampest.files.typed import installed
-from lampest.panel.effects import GROUP, LINE_EFFECTS
+from lampest.panel.effects import GROUP
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from lampest.panel.sizes import LINE_EFFECTS
 
 
 @dataclass(frozen=True)
@@ -27,11 +28,13 @@ class LineEffect(ABC):
     since : bool
         Whether it began after the unloaded frames.
     size : float
-        Size in the unit of `prior`.
+        Size in `unit`.
     key : str
         The key of a scene that states it; '' where none does.
     prior : float
         Standard deviation of the size.
+    unit : str
+        Unit of the size.
     positive : bool
         Whether the size is never negative.
 
@@ -53,6 +56,7 @@ class LineEffect(ABC):
     size: float = 0.0
     key: ClassVar[str] = ""
     prior: ClassVar[float]
+    unit: ClassVar[str] = ""
     positive: ClassVar[bool] = False
 
     @classmethod
@@ -89,7 +93,7 @@ class LineEffect(ABC):
 def line_effects() -> tuple[type[LineEffect], ...]:
     """Return all effects at lines that are searched for, those of installed packages included."""
     further = (kind for kind in installed(GROUP, type) if issubclass(kind, LineEffect))
-    return (*map(loaded, LINE_EFFECTS), *further)
+    return (*(loaded(effect.path) for effect in LINE_EFFECTS), *further)
 
 
 def with_effects(

@@ -18,6 +18,7 @@ class LineLeak(LineEffect):
 
     key = "leaks"
     prior = 1 / 10e3
+    unit = "siemens"
     positive = True
 
     @classmethod

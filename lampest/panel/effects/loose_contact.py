@@ -15,6 +15,7 @@ class LooseContact(LineEffect):
 
     key = "contacts"
     prior = 100.0
+    unit = "ohm"
 
     @classmethod
     def places(cls, rows: int, columns: int) -> Iterator[tuple[int, ...]]:

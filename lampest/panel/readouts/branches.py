@@ -32,6 +32,7 @@ from lampest.panel.readouts.matching import matching_cells
 # ohm: uniform panels that are tried, each twice the one before
 LEVELS = np.geomspace(10.0, 1e8, 24)
 RANGE = 1e3  # cells lie within this factor of the uniform panel's
+MIN_FOLD = 0.01  # of ln y: readings that fall by more, as cells conduct more, have a fold
 MIN_SCATTER = 1e-3  # of log r; cells at their largest resistance are alike
 MAX_MISFIT = 0.03  # of the median reading: panels that read alike to less than that are compared
 LOG_PRIOR = -math.log(SIGNIFICANCE)  # of a panel whose readings rise with its conductance

@@ -355,6 +355,20 @@ class Converter(Configuration):
         bias = np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12))
         return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / (readings or self.readings) + bias))
 
+    def constant_share(self, noise_lsb: PerLine | None = None) -> Array:
+        """Return the share of σ that averaging cannot remove, to be broadcast to (rows, columns).
+
+        None: that of the converter's own noise.
+        """
+        if noise_lsb is None:
+            return self._own_constant_share
+        share = self.sigma_code(noise_lsb, ENDLESS) / self.sigma_code(noise_lsb)
+        return np.asarray(along(self.noisy_side, share) if share.ndim else share)
+
+    @cached_property
+    def _own_constant_share(self) -> Array:
+        return self.constant_share(self.assumed_noise)
+
     def averaged_variance(self, noise_lsb: PerLine) -> Array:
         """Return the variance that averaging removes, σ²(readings) − σ²(ENDLESS readings), LSB²."""
         return np.asarray(

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from functools import lru_cache
-from math import inf
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from lampest.panel.readouts.branches import (
     LEVELS,
     MAX_CELLS,
     MAX_MISFIT,
+    MIN_FOLD,
     every_panel,
     misfit,
     panels_alike,
@@ -174,17 +174,22 @@ class DrivenStarts(DrivenNetwork):
         panels = self._panels_from(positive, firsts, upper)
         return panels[0][1] if panels else np.minimum(self.uniform_start(measured), upper)
 
-    @property
-    def several_panels(self) -> bool:
-        """Whether idle lines are held harder than the driven one, and a scale is shown."""
-        idle = as_tuple(getattr(self, "idle_ohm", inf))
-        return min(idle) < max(as_tuple(self.drive_ohm))
+    def several_panels(self, rows: int, columns: int) -> bool:
+        """Return whether readings rise and fall with the conductance of the cells.
+
+        They do where idle lines hold the driven one harder than its driver does. The readings of
+        uniform panels show it.
+        """
+        if max(as_tuple(self.drive_ohm)) == 0 or self.unseen_scales(rows, columns):
+            return False
+        medians = log_medians(self, rows, columns)
+        return bool(medians.max() - medians[0] > MIN_FOLD)
 
     def every_panel(
         self, measured: Array, tolerance: float, firsts: Sequence[Array] = ()
     ) -> list[Array]:
         few = measured.size <= MAX_CELLS
-        if not (self.several_panels and few) or self.unseen_scales(*measured.shape):
+        if not (few and self.several_panels(*measured.shape)):
             return []
         return every_panel(
             lambda cells: self.network(cells, self.ties(measured)),

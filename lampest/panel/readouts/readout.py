@@ -293,9 +293,9 @@ class Readout(Converter, ABC):
         del measured
         return []
 
-    @property
-    def several_panels(self) -> bool:
-        """Whether the readings of usual cells may be those of quite different cells, too."""
+    def several_panels(self, rows: int, columns: int) -> bool:
+        """Return whether the readings of usual cells may be those of quite different cells, too."""
+        del rows, columns
         return False
 
     def every_panel(
