@@ -19,9 +19,10 @@ A load on every second line, such as a comb, has the image of a load on interlea
 such a load has not these odds against it, the recording cannot tell the order.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +35,10 @@ from lampest.recording.readings import median
 from lampest.recording.recording import UNLOADED, Recording
 
 ODDS = 1000.0  # of an order against the scene's
+# By which two exchanged lines or address bits are rarer than other orders. An edge of a load
+# between two lines looks like them: right recordings had odds of 10^8 at most
+# (docs/studies/orders.md).
+RARER = 1e6
 # Loads on every second line, by the steps between rows and between columns.
 COMBS = {"row": (2, 1), "column": (1, 2)}
 MIN_LINES = 4  # of each side: with fewer, another order is smoother by chance
@@ -55,11 +60,14 @@ class Order:
     image : integer array, shape (rows, columns)
         Number of the reading, in the scene's order along the rows, at each place.
     remedy : str
+    rarer : float
+        Factor by which it is less probable than other orders before a recording.
     """
 
     words: str
     image: NDArray[np.intp]
     remedy: str
+    rarer: float = 1.0
 
 
 class SmootherOrder(NamedTuple):
@@ -102,9 +110,11 @@ def orders(rows: int, columns: int) -> Iterator[Order]:
         "reverse them before import",
     )
     for name, count, place in (("rows", rows, 0), ("columns", columns, 1)):
-        for words, order in line_orders(count):
-            remedy = f"the {name} belong in the order {order.tolist()}"
-            yield Order(f"{name} {words}", np.take(numbers, order, axis=place), remedy)
+        for family, rarer in ((line_orders(count), 1.0), (exchanged_lines(count), RARER)):
+            for words, order in family:
+                remedy = f"the {name} belong in the order {order.tolist()}"
+                image = np.take(numbers, order, axis=place)
+                yield Order(f"{name} {words}", image, remedy, rarer)
 
 
 def line_orders(count: int) -> Iterator[tuple[str, NDArray[np.intp]]]:
@@ -130,6 +140,22 @@ def line_orders(count: int) -> Iterator[tuple[str, NDArray[np.intp]]]:
             "with the bits of their addresses reversed",
             np.array([int(f"{n:0{bits}b}"[::-1], 2) for n in lines]),
         )
+
+
+def exchanged_lines(count: int) -> Iterator[tuple[str, NDArray[np.intp]]]:
+    """Generate orders in which two neighbours, or two bits of addresses, are exchanged."""
+    lines = np.arange(count)
+    if count < MIN_LINES:
+        return
+    bits = (count - 1).bit_length()
+    for low, high in combinations(range(bits if 2**bits == count else 0), 2):
+        differ = ((lines >> low) ^ (lines >> high)) & 1
+        words = f"with bits {low} and {high} of their addresses exchanged"
+        yield words, lines ^ (differ << low) ^ (differ << high)
+    for first in range(count - 1):
+        swapped = lines.copy()
+        swapped[[first, first + 1]] = first + 1, first
+        yield f"{first} and {first + 1} swapped", swapped
 
 
 def order_findings(recording: Recording, volts: Array) -> Iterator[Finding]:
@@ -213,11 +239,12 @@ def smoother_order(patterns: Array) -> SmootherOrder | None:
     for values in (flat, scores):
         images = values.reshape(patterns.shape)
         as_specified = smooth_costs(images)
-        gains_each = [as_specified - smooth_costs(values[:, order.image]) for order in tried]
+        gains_each = as_specified - costs_of_orders(values, tried)
         gains.append(np.sum(gains_each, axis=1))
-        strongest.append(np.array(gains_each)[:, 0])
+        strongest.append(gains_each[:, 0])
         combs.append([(as_specified - smooth_costs(images, step)).sum() for step in COMBS.values()])
-    least = np.min(gains, axis=0).round(6)
+    before = -2 * np.log([order.rarer for order in tried])
+    least = (np.min(gains, axis=0) + before).round(6)
     least[np.min(strongest, axis=0) < 0] = -np.inf
     best = int(np.argmax(least))
     gain = float(least[best])
@@ -229,6 +256,25 @@ def smoother_order(patterns: Array) -> SmootherOrder | None:
     comb = int(np.argmin(beyond))
     every_second = list(COMBS)[comb] if beyond[comb] < 2 * np.log(ODDS) else ""
     return SmootherOrder(tried[best], gain, every_second)
+
+
+def costs_of_orders(values: Array, tried: Sequence[Order]) -> Array:
+    """Return −2 ln evidence of patterns in each order, shape (orders, patterns).
+
+    Orders whose images have one shape are evaluated together.
+
+    Parameters
+    ----------
+    values : array, shape (patterns, readings)
+    tried : sequence of Order
+    """
+    costs = np.empty((len(tried), len(values)))
+    shapes = [order.image.shape for order in tried]
+    for shape in set(shapes):
+        numbers = [number for number, of_order in enumerate(shapes) if of_order == shape]
+        images = np.concatenate([values[:, tried[number].image] for number in numbers])
+        costs[numbers] = smooth_costs(images).reshape(len(numbers), -1)
+    return costs
 
 
 def smooth_costs(images: Array, steps: tuple[int, int] = (1, 1)) -> Array:

@@ -25,7 +25,13 @@ from lampest.posterior.interval import LEVEL, student_two_sided
 from lampest.posterior.reference import MAX_CELLS, ErrorScale, references
 from lampest.posterior.reference_fit import MODEL
 from lampest.recording.readings import Readings
-from lampest.recording.recording import UNLOADED, Recording, baseline_readings, deciding_frames
+from lampest.recording.recording import (
+    MEASURED,
+    UNLOADED,
+    Recording,
+    baseline_readings,
+    deciding_frames,
+)
 from lampest.solvers.posed import Bounds, cost_of_solve, data_of_solve
 
 KEY = "systematic.model_error"
@@ -65,6 +71,9 @@ def with_model_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimat
     if scene.panel.crossings > MAX_CELLS:
         reason = f"the panel has more than {MAX_CELLS} cells"
         return noise.undetermined(KEY, reason) if specified == ESTIMATED else noise
+    if not np.any(recording.role == MEASURED):
+        reason = "record a loaded frame"
+        return noise.undetermined(KEY, reason) if specified == ESTIMATED else noise
     factor = broken_laws(noise.readings, recording)
     if specified == ESTIMATED or not np.any(recording.role == UNLOADED):
         factor = max(factor, heavy_tails(noise.readings, recording))
@@ -73,7 +82,9 @@ def with_model_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimat
     noise = scaled(noise, recording, factor).with_warnings(message)
     if specified != ESTIMATED:
         return noise
-    return noise.determined(KEY, (size, size / np.sqrt(2 * scene.requested.sum())))
+    # by one standard deviation of the factor, so that an error of 0 has one, too
+    larger = factor * (1 + 1 / np.sqrt(2 * scene.requested.sum()))
+    return noise.determined(KEY, (size, float(np.sqrt(larger**2 - 1)) - size))
 
 
 def broken_laws(readings: Readings, recording: Recording) -> float:

@@ -27,7 +27,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
-from lampest.posterior.interval import chi_square_tail
+from lampest.posterior.interval import chi_square_tail, normal_quantile
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 
@@ -310,7 +310,9 @@ def estimate_noise(
     noise = noise.with_warnings(message)
     if readout is not None and requested:
         size = shown_noise(readout, ratio)[0]
-        noise = noise.determined("readout.noise_lsb", (size, size / precision))
+        hidden = unseen_noise(parts.own_freedom)
+        deviation = size / precision if size > hidden else hidden
+        noise = noise.determined("readout.noise_lsb", (size, deviation))
     for effect in effects:
         noise = effect.in_frames(noise, recording, parts)
     if not parts.motion.size:
@@ -439,6 +441,14 @@ def shown_noise(readout: Readout, factor: float) -> tuple[float, float]:
     assumed = float(np.mean(readout.sigma_code()))
     noise = readout.noise_of_variance((factor * assumed) ** 2)
     return noise, float(np.mean(readout.sigma_code(noise))) / assumed
+
+
+def unseen_noise(count: float) -> float:
+    """Return the noise in LSB that `count` readings in the middle of a step do not show.
+
+    Half a reading of them lies beyond half a step then.
+    """
+    return float(0.5 / normal_quantile(1 - 1 / (4 * max(count, 1.0))))
 
 
 def _sizes_in_words(possible: Possible) -> str:

@@ -122,6 +122,10 @@ ENTRIES = (
     ),
     Entry(("creep",), "lampest.inference.effects.creep:CommonCreep", advised=3),
 )
+# Why a recording determines nothing whose readings never change.
+UNCHANGED = (
+    "every reading has one value in all frames: record unloaded frames, and press a few cells"
+)
 MODEL_ERROR = "systematic.model_error"
 OF_NOISE = "readout.noise_lsb"
 
@@ -194,12 +198,25 @@ def resolved(
     """
     if whole is not None:
         return _as_the_whole(noise, recording, whole)
+    if never_changes(recording):
+        after = (entry for entry in ENTRIES if not (entry.before_readings or entry.of_frames))
+        for key in chain.from_iterable(entry.requested(recording.scene) for entry in after):
+            noise = noise.undetermined(key, UNCHANGED)
+        if specified(recording.scene, MODEL_ERROR) == ESTIMATED:
+            noise = noise.undetermined(MODEL_ERROR, UNCHANGED)
+        return noise
     for entry in ENTRIES:
         if entry.acts(recording.scene):
             resolve = partial(entry.load().resolve, besides=effects)
             noise = _unless_broken(resolve, noise, recording, entry.keys_of(recording.scene))
     # Without a key evidence decides whether the model has an error.
     return _unless_broken(with_model_error, noise, recording, (MODEL_ERROR,))
+
+
+def never_changes(recording: Recording) -> bool:
+    """Return whether every reading has the same value in two or more frames."""
+    values = recording.recorded
+    return len(values) > 1 and bool(np.all((values == values[0]) | np.isnan(values)))
 
 
 def _unless_broken(

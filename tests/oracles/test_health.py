@@ -165,7 +165,8 @@ def test_lines_in_another_order_are_found_and_the_right_one_is_not_doubted() -> 
             continue
         rows, columns = shown.shape[1:]
         assert smoother_order(shown) is None
-        for order in orders(rows, columns):
+        usual = [order for order in orders(rows, columns) if order.rarer == 1]
+        for order in usual:
             wrong = shown.reshape(len(shown), columns, rows)
             if order.image.shape == (rows, columns):
                 wrong = in_wrong_order(shown, order)
@@ -178,6 +179,25 @@ def test_lines_in_another_order_are_found_and_the_right_one_is_not_doubted() -> 
     shares = {words: np.mean(rights) for words, rights in named.items()}
     assert shares.pop("cut") > MIN_CUT_FOUND
     assert len(shares) == 5 and min(shares.values()) > MIN_ORDER_FOUND, shares
+
+
+@promise("theory/model_check: Two neighbours that are swapped are tried, too")
+def test_two_swapped_lines_and_two_exchanged_bits_are_named() -> None:
+    """Swapped lines are found on slopes of the load."""
+    side = 16
+    rng = np.random.default_rng(79)
+    row, column = np.indices((side, side))
+    far = np.hypot(row - 0.45 * side, column - 0.55 * side)
+    image = np.exp(-((far / (0.4 * side)) ** 2)) + 0.001 * rng.standard_normal(far.shape)
+    assert smoother_order(image[None]) is None
+    slopes = [f"rows {line} and {line + 1} swapped" for line in (5, 6, 9)]
+    bits = [
+        f"columns with bits {pair} of their addresses exchanged" for pair in ("0 and 1", "2 and 3")
+    ]
+    tried = {order.words: order for order in orders(side, side)}
+    for words in (*slopes, *bits):
+        better = smoother_order(in_wrong_order(image[None], tried[words]))
+        assert better is not None and better.order.words == words
 
 
 @promise("theory/model_check: the finding says that the recording cannot tell the order")

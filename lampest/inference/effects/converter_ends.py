@@ -265,6 +265,8 @@ def _zero_of_open_cells(recording: Recording) -> tuple[float, float] | None:
     codes = readout.steps_from_volt(volt)
     channels = codes.mean(axis=0)
     channels = channels[np.isfinite(channels)]
+    if np.nanmin(recording.recorded) == np.nanmax(recording.recorded):
+        return None  # nothing shows that these cells are open
     lowest = channels[channels <= channels.min(initial=np.inf) + TOGETHER]
     if len(lowest) < MIN_OPEN or lowest.mean() < 0.5:  # those at the rail are bounds
         return None

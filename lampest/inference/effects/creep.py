@@ -34,6 +34,7 @@ class CommonCreep(SceneEffect):
             return noise
         unloaded = recording.role == UNLOADED
         measured = np.flatnonzero(recording.role == MEASURED)
+        measured = measured[(readings.seen[measured] > 0).any(axis=(1, 2))]
         if readings.sigma is None or not unloaded.any() or not len(measured):
             return noise.undetermined(
                 "creep", "record unloaded frames, and frames whose load leaves cells free"

@@ -20,6 +20,10 @@ from lampest.panel.sizes import ESTIMATED, plain_size
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.recording import UNLOADED, Recording
 
+# Of the assumed σ: unloaded frames that scatter less are equal but for rounding.
+MIN_SCATTER = 1e-6
+NO_SCATTER = "record two or more unloaded frames that differ by their noise"
+
 
 class GainAndRipple(SceneEffect):
     """Errors that the readings of a frame share: `gain`, `ripple`."""
@@ -30,7 +34,11 @@ class GainAndRipple(SceneEffect):
         """Return the noise of the frames with the sizes of the scene, or of the unloaded frames."""
         unloaded = int((recording.role == UNLOADED).sum())
         noise = _with_specified(noise, recording.scene, unloaded)
-        return noise if scatter is None else _with_estimated(noise, recording, scatter)
+        if scatter is None or scatter.own < MIN_SCATTER:
+            for key in requested_keys(recording.scene):
+                noise = noise.undetermined(key, NO_SCATTER)
+            return noise
+        return _with_estimated(noise, recording, scatter)
 
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield advice on gain and ripple, from the scatter of the unloaded frames."""
@@ -70,6 +78,11 @@ def _with_specified(noise: NoiseEstimate, scene: Scene, unloaded: int) -> NoiseE
     return replace(noise, frame=FrameNoise(scene, unloaded, gain, common, np.zeros((channels, 0))))
 
 
+def requested_keys(scene: Scene) -> list[str]:
+    """Return which of the keys `gain` and `ripple` a scene calls `estimated`."""
+    return [key for key in ("gain", "ripple") if getattr(scene, key) == ESTIMATED]
+
+
 def _with_estimated(noise: NoiseEstimate, recording: Recording, parts: Scatter) -> NoiseEstimate:
     """Return the noise with the gain and the ripple that the scene calls `estimated`.
 
@@ -77,13 +90,17 @@ def _with_estimated(noise: NoiseEstimate, recording: Recording, parts: Scatter) 
     """
     scene = recording.scene
     unloaded = int((recording.role == UNLOADED).sum())
-    requested = [key for key in ("gain", "ripple") if getattr(scene, key) == ESTIMATED]
+    requested = requested_keys(scene)
     if not requested or scene.readout is None:
         return noise
     if unloaded < MIN_REQUESTED_FRAMES:
         for key in requested:
             noise = noise.undetermined(key, "record two or more unloaded frames")
         return noise
+    deviations = {"gain": parts.gain_sd, "ripple": parts.ripple_sd}
+    for key in [key for key in requested if not deviations[key]]:
+        noise = noise.undetermined(key, "the panel has too few lines to tell it from noise")
+        requested.remove(key)
     volt = float(np.mean(scene.readout.sigma_volt()))
     frame = noise.frame or FrameNoise(
         scene, unloaded, 0.0, parts.common_ripple[:, :0], parts.line_ripple[:, :0]

@@ -17,7 +17,7 @@ from lampest.panel.effects.line_effect import LineEffect
 from lampest.panel.scene import specified
 from lampest.panel.sizes import ESTIMATED, LINE_EFFECTS
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 BESIDES: dict[str, type[LineEffect]] = {
     effect.key: loaded(effect.path) for effect in LINE_EFFECTS if effect.key
@@ -53,6 +53,8 @@ class LeaksAndContacts(SceneEffect):
         pair = effects.pair
         if pair is None:
             reason = "untouched cells show none"
+            if not {UNLOADED, MEASURED} <= set(recording.role.tolist()):
+                reason = "record unloaded frames, and a load on a few cells"
             if effects.name:
                 reason = f"{effects.name}, but others explain the readings as well"
             return noise.with_warnings(

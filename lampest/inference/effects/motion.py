@@ -533,6 +533,10 @@ class ScanMotion(SceneEffect):
         measured = np.flatnonzero(recording.role == MEASURED)
         share = scene.motion
         if readings.sigma is None or share is None or len(measured) < 2:
+            if share == ESTIMATED:
+                noise = noise.undetermined(
+                    "motion", "record five unloaded frames, and several of a load that moves"
+                )
             return noise
         known = None if share == ESTIMATED else float(share)
         if known == 0:

@@ -133,7 +133,9 @@ def shared_errors(
         own = SharedErrors(possible, {READING_ERROR.setting: (error.mean, error.deviation)})
     if moves is None:
         reason = "no cells explain the unloaded frames or the loaded ones"
-        return _undetermined(own, "no frame is loaded" if loaded is None else reason, scene)
+        return _undetermined(
+            own, "no frame is loaded: press a few cells" if loaded is None else reason, scene
+        )
     size = READING_ERROR.size(own.possible.sizes)
     if size * moves.reach > LINEAR_LIMIT:
         return _undetermined(own, "errors of the readings are too large", scene)
@@ -338,7 +340,9 @@ def _with_common_errors(
         errors = _with_spread(errors, prior, spread)
     posterior = joint_posterior(scene, moves, size, spread)
     if posterior is None:
-        return _undetermined(errors, "a load covers the panel", scene)
+        return _undetermined(
+            errors, "a load covers the panel: press a few cells, and leave the others free", scene
+        )
     sizes = errors.sizes | _determined_sizes(moves, posterior, prior)
     settings = [error.setting for error in moves.errors]
     # The columns of the root behind those of common errors are the readings' own errors.
@@ -468,6 +472,7 @@ class StaticErrors(SceneEffect):
             return replace(noise, possible_errors=possible).with_reading_error(recording)
         unloaded = np.flatnonzero(recording.role == UNLOADED)
         measured = np.flatnonzero(recording.role == MEASURED)
+        measured = measured[(readings.seen[measured] > 0).any(axis=(1, 2))]
         if not len(unloaded):
             for name in requested:
                 noise = noise.undetermined(
