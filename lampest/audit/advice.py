@@ -18,6 +18,14 @@ from lampest.inference.circuits.model_check import ModelCheck
 from lampest.inference.prepared import Prepared
 from lampest.panel.sizes import ESTIMATED
 
+# Where neither another circuit nor an effect explains the readings.
+UNKNOWN = Finding(
+    "circuit",
+    "no known circuit or effect gives these readings",
+    "",
+    remedy="check the kind and the resistors of the readout, and the lines that the verdict names",
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Audit:
@@ -46,13 +54,17 @@ class Audit:
         """The findings that a user can act on: health, circuit, effects."""
         acted = (finding for finding in self.health.findings if finding.addition or finding.remedy)
         effects = self._effects()
-        return (*acted, *self._circuit(), *self._noise(effects), *effects)
+        findings = (*acted, *self._circuit(), *self._noise(effects), *effects)
+        if findings or self.prepared.check.explains is not False:
+            return findings
+        return (UNKNOWN,)
 
     def _effects(self) -> tuple[Finding, ...]:
         """Return the unnamed effects.
 
         Under a wrong circuit effects mean nothing. If no circuit explains the readings, the first
-        effect counts with which the scene's circuit does, and those that show beside it.
+        effect counts with which the scene's circuit does, and those that show beside it; without
+        one, all that show.
         """
         check = self.prepared.check
         found = unnamed_effects(self.prepared) if check.explains is not None else ()
@@ -65,7 +77,7 @@ class Audit:
                 restored = named(self.prepared, finding)
                 if restored.check.explains:
                     return (finding, *unnamed_effects(restored))
-        return ()
+        return found
 
     def _circuit(self) -> Iterator[Finding]:
         """Yield the circuit that explains the readings better."""

@@ -7,6 +7,8 @@ from promises import promise
 
 from docs.studies.effects import LOADS, ROWS, Row, figures, recording
 from lampest import Systematic
+from lampest.audit import advice
+from lampest.audit.advice import Audit
 from lampest.audit.effects import unnamed_effects
 from lampest.audit.health import Health
 from lampest.files.levels import MIN_EVIDENCE_GAIN
@@ -42,6 +44,18 @@ def test_channels_are_told_beside_errors_of_each_reading() -> None:
     size, size_deviation = noise.estimated["systematic.reading_error"]
     assert abs(spread - 10) < 2 * deviation
     assert abs(size - 0.01) < 2 * size_deviation
+
+
+def test_a_circuit_that_gives_no_readings_always_has_advice(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Errors of a tenth and more explain nothing that the trials know."""
+    prepared = Prepared(recording(100, LOADS["still"], Row(), {}))
+    failed = replace(prepared.check, explains=False, better="")
+    monkeypatch.setitem(vars(prepared), "check", failed)
+    monkeypatch.setattr(advice, "effects_to_try", lambda scene: ())
+    (finding,) = Audit(prepared).advice
+    assert finding.remedy and not finding.addition
 
 
 @promise("howto/error_bars: With `motion`, bars also hold loads that tremble within a scan.")
