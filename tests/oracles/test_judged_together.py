@@ -46,6 +46,16 @@ def test_channels_are_told_beside_errors_of_each_reading() -> None:
     assert abs(size - 0.01) < 2 * size_deviation
 
 
+@pytest.mark.parametrize(
+    "place",
+    ["small", *(pytest.param(place, marks=pytest.mark.slow) for place in ("still", "mouth"))],
+)
+def test_a_large_memory_of_the_converter_is_advised(place: str) -> None:
+    """Linear theory with a usual memory expects no gain by five times as much."""
+    remembering = Prepared(recording(4000, LOADS[place], Row(memory=0.16), {}))
+    assert "converter_memory" in {line.partition(":")[0] for line in lines_of(remembering)}
+
+
 def test_a_circuit_that_gives_no_readings_always_has_advice(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -125,3 +135,8 @@ def test_a_load_that_trembles_tells_no_memory() -> None:
     noise = Prepared(recording(102, LOADS["trembling"], Row(), both)).noise
     assert "converter_memory" not in noise.estimated
     assert "record one that stands" in noise.sentence
+
+
+def lines_of(prepared: Prepared) -> set[str]:
+    """The lines that advice on effects suggests."""
+    return {finding.line for finding in unnamed_effects(prepared)}

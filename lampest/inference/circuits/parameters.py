@@ -212,8 +212,13 @@ def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool
 
     A smaller gain is no doubt.
     """
-    gain = _linear_gain(explanation, _response_to_memory(explanation, frames))
-    return gain > MIN_LINEAR_SHARE * MIN_EVIDENCE_GAIN
+    response = _response_to_memory(explanation, frames)
+    # by a usual memory, and by the largest tried one
+    units = (1.0, MEMORIES[-1] / LINEAR_MEMORY)
+    gains = (
+        _linear_gain(explanation, None if response is None else unit * response) for unit in units
+    )
+    return max(gains) > MIN_LINEAR_SHARE * MIN_EVIDENCE_GAIN
 
 
 def _linear_gain(explanation: Explanation, response: Array | None) -> float:

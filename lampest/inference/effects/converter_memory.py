@@ -96,11 +96,13 @@ def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
         return 0.0
     # Only where noise does not give the misfit without a memory, it counts with one
     patient = not all(fit.within_noise for fit in without.fits)
-    best = min(_explanations(frames, np.array(TRIED), without, patient=patient), key=_cost)
-    if best is None or best.pair is None:
+    tried = _explanations(frames, np.array(TRIED), without, patient=patient)
+    pairs = [of_share.pair for of_share in tried if of_share is not None and of_share.pair]
+    apart = (without.pair.gain_apart(pair) - PARAMETER_COST * pair.excess for pair in pairs)
+    best = min(tried, key=_cost)
+    if best is None or best.pair is None or max(apart) < 0:
         return 0.0
-    shown = without.pair.gain_apart(best.pair) > PARAMETER_COST * best.pair.excess
-    return (_cost(without) - _cost(best)) / best.pair.excess if shown else 0.0
+    return (_cost(without) - _cost(best)) / best.pair.excess
 
 
 def _explanations(
