@@ -28,8 +28,8 @@ from lampest.apps.live.run import from_recording, take_sample
 from lampest.apps.recognition.detect.detection import known_of
 from lampest.cost.terms import Arrival, LogGradient, Misfit, RelativeChange
 from lampest.estimate.sequence import reconstruct
+from lampest.inference import cleaning, warnings
 from lampest.inference import prepared as preparation
-from lampest.inference import warnings
 from lampest.inference.prepared import Prepared
 from lampest.panel.conditions import Water
 from lampest.panel.faults import Faults
@@ -53,7 +53,7 @@ LSM = Estimator((Misfit(),), "reduced")
 RELATIVE = Estimator((Misfit(), RelativeChange(weight=10.0)), "reduced")
 ARRIVAL = Estimator((Misfit(weighting="noise"), Arrival()), "reduced")
 STEPS = {
-    "without_outliers": preparation,
+    "without_outliers": cleaning,
     "estimate_noise": preparation,
     "resolved": preparation,
     "warnings_of": warnings,
