@@ -375,9 +375,8 @@ class Readings:
         """
         if self.sigma is None or self.constant is None:
             return self
-        constant = np.sqrt(count) * self.constant
         sigma = np.sqrt(self.sigma**2 + (count - 1) * self.constant**2)
-        return replace(self, sigma=sigma, constant=constant)
+        return replace(self, sigma=sigma, constant=np.sqrt(count) * self.constant)
 
     def alone(self) -> "Readings":
         """Return one frame (rows, columns) as (1, rows, columns)."""

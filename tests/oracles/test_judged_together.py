@@ -7,8 +7,6 @@ from promises import promise
 
 from docs.studies.effects import LOADS, ROWS, Row, figures, recording
 from lampest import Systematic
-from lampest.audit import advice
-from lampest.audit.advice import Audit
 from lampest.audit.effects import unnamed_effects
 from lampest.audit.health import Health
 from lampest.files.levels import MIN_EVIDENCE_GAIN
@@ -54,18 +52,6 @@ def test_a_large_memory_of_the_converter_is_advised(place: str) -> None:
     """Linear theory with a usual memory expects no gain by five times as much."""
     remembering = Prepared(recording(4000, LOADS[place], Row(memory=0.16), {}))
     assert "converter_memory" in {line.partition(":")[0] for line in lines_of(remembering)}
-
-
-def test_a_circuit_that_gives_no_readings_always_has_advice(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Errors of a tenth and more explain nothing that the trials know."""
-    prepared = Prepared(recording(100, LOADS["still"], Row(), {}))
-    failed = replace(prepared.check, explains=False, better="")
-    monkeypatch.setitem(vars(prepared), "check", failed)
-    monkeypatch.setattr(advice, "effects_to_try", lambda scene: ())
-    (finding,) = Audit(prepared).advice
-    assert finding.remedy and not finding.addition
 
 
 @promise("howto/error_bars: With `motion`, bars also hold loads that tremble within a scan.")

@@ -377,7 +377,9 @@ def test_effects_that_a_scene_cannot_name_leave_advice_as_found(
 
 
 def test_errors_beyond_those_of_parts_are_another_circuit() -> None:
-    assert not advice.Audit(Prepared(with_errors(0.2))).advice
+    """A verdict of "no" comes with advice, here with what to check."""
+    (finding,) = advice.Audit(Prepared(with_errors(0.2))).advice
+    assert finding.remedy and not finding.addition
     named = with_errors(0.2, systematic=Systematic(reading_error="estimated"))
     assert Prepared(named).check.explains is False
 
