@@ -3,8 +3,10 @@
 #   make run       set-up, then two lampreys, with weights that the data choose and with the paper's: table on screen; results, pictures in results/table1/
 #   make install   set-up alone: .venv with the command .venv/bin/lampest
 #   make test      set-up with what tests need, then the tests that guard behaviour, the board's, and a choice of the rest: some minutes
-#   make test-all  all tests: those of `make test`, then the others, which carry the mark `slow`
-#   make quick     the tests that notice most in half a minute: laws, golden results, defaults, import, wrong input; Python alone
+#   make test-all  all tests: those of `make test`, the others, which carry the mark `slow`, and `make rounding` with slow rows
+#   make rounding  golden results again, with readings that are changed by 1e-13, then without NumPy's vector extensions: two minutes or three
+#   make quick     the tests that notice most in a minute: laws, golden results, defaults, import, wrong input; golden results once more
+#                  with readings that are changed by 1e-13; Python alone
 #   make mutants   60 random changes of the package, and which of them no fast test notices: an hour or more
 #   make lint      style and types
 #   make docs      set-up, then the pages as a site: docs/_build/html/index.html; what they show is run for it
@@ -26,6 +28,10 @@ OUT = results/table1
 QUICK = --variants 4 tests/laws tests/golden tests/contracts/test_import.py tests/contracts/test_wrong_input.py \
         tests/apps/film/test_pressure.py
 PYTEST = $(BIN)/python -m pytest -q
+GOLDEN = tests/golden/test_table.py
+# A processor without vector extensions, as far as NumPy's instructions are concerned.
+PLAIN = NPY_DISABLE_CPU_FEATURES="$$($(BIN)/python -m tests.rounding)"
+ROWS = not slow
 SPREAD = --numprocesses auto --maxprocesses 4 --dist worksteal
 
 # What Python compiles is kept, whatever the environment says: each command then starts a second sooner.
@@ -43,9 +49,15 @@ test: $(VENV)/.installed-dev board-packages
 
 test-all: test
 	@$(PYTEST) $(SPREAD) -m slow
+	@$(MAKE) --silent --no-print-directory rounding ROWS='slow or not slow'
+
+rounding: $(VENV)/.installed-dev
+	@$(PYTEST) $(SPREAD) -m '$(ROWS)' --disturbed $(GOLDEN)
+	@$(PLAIN) $(PYTEST) $(SPREAD) -m '$(ROWS)' $(GOLDEN)
 
 quick: $(VENV)/.installed-dev
 	@$(PYTEST) $(SPREAD) -m 'not slow and not long' $(QUICK)
+	@$(PYTEST) $(SPREAD) -m 'not slow and not long' --disturbed $(GOLDEN)
 
 mutants: $(VENV)/.installed-dev
 	@$(BIN)/python -m tests.mutation
@@ -107,4 +119,4 @@ clean:
 	rm -rf $(VENV) build docs/_build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@$(MAKE) --silent --no-print-directory -C firmware clean
 
-.PHONY: install run test test-all quick mutants lint docs studies lock licences audit board-packages clean
+.PHONY: install run test test-all rounding quick mutants lint docs studies lock licences audit board-packages clean

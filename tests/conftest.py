@@ -24,9 +24,12 @@ UNTHINNED = "test_table.py"  # the golden table keeps all of its rows with `--va
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option with which `make quick` thins all tests."""
+    """Add the options with which `make quick` thins tests, and disturbs rounding in all of them."""
     parser.addoption(
         "--variants", type=int, help="run this many variants of every test, spread over them"
+    )
+    parser.addoption(
+        "--disturbed", action="store_true", help="change every reading by a relative 1e-13"
     )
 
 
@@ -66,6 +69,17 @@ def surplus(items: list[pytest.Item], count: int) -> list[pytest.Item]:
             if len(several) > count and number not in chosen
         ]
     return beyond
+
+
+@pytest.fixture(autouse=True, scope="session")
+def rounding(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Change every reading by a relative 1e-13 for all tests, where the option says so."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        if request.config.getoption("disturbed"):
+            from rounding import disturb_readings
+
+            disturb_readings(monkeypatch)
+        yield
 
 
 @pytest.fixture

@@ -20,6 +20,7 @@ from lampest.posterior.certainty import Certainty
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
+from lampest.solvers.bounds import MILLIONTH
 from lampest.solvers.solution import Status
 
 if TYPE_CHECKING:
@@ -122,9 +123,11 @@ def frame_misfit(
     dict of array, shape (frames,)
         NaN where a frame failed. chi_square; degrees_of_freedom = readings − tr A and tail = P(χ² ≥
         chi_square), both NaN without `resolution`; worst_row and worst_column, the lines with the
-        largest parts of χ²; worst_row_share and worst_column_share, these parts.
+        largest parts of χ², the first of equal ones; worst_row_share and worst_column_share, these
+        parts. Deviations below a millionth of σ are rounding, and count as zero.
     """
-    squares = ((model - measured) / sigma) ** 2
+    deviation = (model - measured) / sigma
+    squares = np.where(np.abs(deviation) < MILLIONTH, 0.0, deviation**2)
     squares[np.isinf(sigma) & np.isfinite(model).any(axis=(1, 2), keepdims=True)] = 0.0
     chi_square = squares.sum(axis=(1, 2))
     readings = np.isfinite(sigma).sum(axis=(1, 2))

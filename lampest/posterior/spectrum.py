@@ -181,8 +181,9 @@ class Spectrum:
     @property
     def extent(self) -> tuple[float, float]:
         """Logarithms of the least and the largest λ that affect directions the data determine."""
-        stiffness = self.stiffness[self.determined]
-        effective = stiffness[stiffness > NEGLIGIBLE * stiffness.max()]
+        # Rounding of all stiffnesses is that of the largest one.
+        penalised = self.stiffness > NEGLIGIBLE * self.stiffness.max()
+        effective = self.stiffness[penalised & self.determined]
         smallest = -float(np.log(EXTENT_FACTOR * effective.max()))
         largest = float(np.log(EXTENT_FACTOR / effective.min()))
         return smallest, largest

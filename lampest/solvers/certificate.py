@@ -118,10 +118,12 @@ class Certificate:
         """
         if self.definiteness is not Definiteness.POSITIVE:
             return False
-        return (
-            float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH
-            or self.deviations <= DEVIATION_SHARE
-        )
+        return self.short or self.deviations <= DEVIATION_SHARE
+
+    @property
+    def short(self) -> bool:
+        """Whether the Newton step moves no cell by more than a millionth."""
+        return float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH
 
     def after(self, hessian: Hessian) -> "Certificate":
         """Return the certificate of a nearby point, computed with the factor of this one.
@@ -148,11 +150,10 @@ class Certificate:
         test replaces that of the gradient for penalties that outweigh the data by 10⁸: their
         gradient is rounding, but the Newton step, divided by their curvature, is small.
         """
-        small = float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH
         undetermined = self.definiteness is Definiteness.UNDETERMINED
         flat = undetermined and self.undetermined_slope <= MILLIONTH * cost_scale
         no_descent = self.definiteness is Definiteness.POSITIVE or flat
-        return small and no_descent and self.decrement**2 <= MIN_COST_SHARE * cost_scale
+        return self.short and no_descent and self.decrement**2 <= MIN_COST_SHARE * cost_scale
 
 
 def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) -> Certificate:

@@ -358,12 +358,18 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
     # First order: the cost is not above that of the start, and the KKT residual is small.
     worse = at.objective - start.objective > VERIFIED * start.cost_scale + at.rounding
     stationary = residual <= VERIFIED
-    # Where the KKT residual is too large, the certificate's step can still be within rounding.
+    # A large KKT residual can be rounding: of residuals at the corner of an absolute loss, whose
+    # subgradients then balance the rest, or else of a heavy penalty, whose Newton step is short.
     ended = outcome.status is not Status.TIME and np.all(np.isfinite(gradient))
     if not worse and not stationary and ended and at.dual_gap(dual) <= VERIFIED * at.cost_scale:
         hessian = sharp_hessian(at, dual)
         verdict = outcome.certificate or certificate(hessian, outcome.preconditioner)
-        stationary = verdict.converged(at.cost_scale) and _balanced(hessian)
+        balanced = _balanced_residual(hessian)
+        if balanced is None:
+            stationary = verdict.converged(at.cost_scale)
+        else:
+            residual = balanced
+            stationary = verdict.short and residual <= VERIFIED
         outcome = replace(outcome, certificate=verdict)
     if worse or not stationary:
         fault = Status.WORSE if stationary else Status.UNVERIFIED
@@ -405,18 +411,21 @@ def sharp_hessian(at: Evaluation, dual: Array) -> Hessian:
     return Hessian(at, Smoothing(SMOOTHING_WIDTH * largest, dual))
 
 
-def _balanced(hessian: Hessian) -> bool:
-    """Return whether subgradients |z| ≤ 1 of the absolute losses balance the gradient.
+def _balanced_residual(hessian: Hessian) -> float | None:
+    """Return the projected gradient with the subgradients that balance it best.
 
-    The smoothed loss is stiff at a corner, so that a Newton step is short there even where the cost
-    falls steeply beyond. The subgradients z of residuals x near their corner minimise |g + Aᵀ
-    diag(w) z|², A = ∂x/∂u over the free cells; g has the other residuals. Source: Stark & Parker,
-    Comput. Stat. 10, 1995 (bounded least squares). Panels too large for a matrix are not examined.
+    The subgradients |z| ≤ 1 of residuals x near the corner of an absolute loss minimise
+    |g + Aᵀ diag(w) z|², A = ∂x/∂u over the cells that no bound holds; g has the other residuals.
+    They need no digit of x, which may be rounding there. The smoothed loss is stiff at a corner, so
+    that a Newton step is short there even where the cost falls steeply beyond.
+
+    Returns None where no residual is near its corner, and on panels too large for a matrix.
+    Source: Stark & Parker, Comput. Stat. 10, 1995 (bounded least squares).
     """
     from scipy.optimize import lsq_linear
 
     if not hessian.dense:
-        return True
+        return None
     at = hessian.at
     dual = hessian.smoothing.dual
     cells = at.cell_resistance
@@ -427,17 +436,18 @@ def _balanced(hessian: Hessian) -> bool:
     # A change of log r by a millionth, as the certificate allows, reaches their corner.
     corner = np.abs(at.nonsmooth) <= MILLIONTH * np.abs(by_log).sum(axis=1)
     if not corner.any():
-        return True
+        return None
     weighted = (by_log[corner] * at.cost.slope[corner, None]).T
     subgradient = np.where(corner, 0.0, dual)
     target = -at.log_gradient(subgradient).ravel()
     # A cell at a bound may keep a gradient that points outward; first none is needed.
-    inside = ((cells > at.data.lower) & (cells < at.data.upper)).ravel()
+    lower, upper = at.data.log_bounds
+    inside = ((at.position > lower) & (at.position < upper)).ravel()
+    residuals = []
     for free in (np.ones_like(inside), inside):
         subgradient[corner] = lsq_linear(weighted[free], target[free], (-1.0, 1.0), method="bvls").x
-        if at.projected_gradients(at.log_gradient(subgradient)) <= VERIFIED:
-            return True
-    return False
+        residuals.append(float(at.projected_gradients(at.log_gradient(subgradient))))
+    return min(residuals)
 
 
 def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> Status:

@@ -12,6 +12,7 @@ from unittest.mock import patch
 
 import numpy as np
 from golden.circuits import PANEL, SHAPES, Rows, cells_of
+from golden.content import of_kind
 from golden.estimates import simulated
 
 import lampest as lp
@@ -328,13 +329,21 @@ def scatter_row() -> dict[str, Any]:
     resting = baseline_readings(recording, readings)
     lonely = recording.time == 4
     frame, *neighbours = deciding_frames(recording, readings, resting)
+
+    def components(deviations: lp.Array, level: lp.Array, degrees: int) -> Any:
+        found = scatter(deviations, level, degrees)
+        # Roots of the covariances of ripples are not unique; the covariances are.
+        roots = found.common_ripple, found.line_ripple
+        common, lines = (root @ root.swapaxes(-1, -2) for root in roots)
+        return replace(found, common_ripple=common, line_ripple=lines)
+
     return {
-        "scatter": [scatter(part - part.mean(axis=0), loud, 8) for part in parts.values()],
+        "scatter": [components(part - part.mean(axis=0), loud, 8) for part in parts.values()],
         "few frames": [
-            scatter(part[:4] - part[:4].mean(axis=0), loud, 3) for part in parts.values()
+            components(part[:4] - part[:4].mean(axis=0), loud, 3) for part in parts.values()
         ],
         "single": [
-            scatter(part - part.mean(axis=0), np.full(part[0].shape, 3e3), 5) for part in single
+            components(part - part.mean(axis=0), np.full(part[0].shape, 3e3), 5) for part in single
         ],
         "displacement": displacement(recording.scene, readings, measured),
         "repeated": repeated_scatter(readings[measured]),
@@ -419,7 +428,7 @@ def values_row() -> dict[str, Any]:
     """Numbers and bounds of single values and deviations, with a readout and without."""
     values = np.full((2, 4, 5), 720.0)
     rows = {}
-    values[0].flat[:9] = np.nan, np.inf, 1e9, 100.0, 0.0, -5.0, -np.inf, 140.0, 200.0
+    values[0].flat[:9] = np.nan, np.inf, 1e9, 100.0, 0.0, -5.0, -np.inf, 139.9, 200.0
     sigma = np.full((4, 5), 2.0)
     sigma[3, 1:3] = np.nan, np.inf
     for name, readout in (("readout", TWO), ("none", None)):
@@ -1204,17 +1213,22 @@ def attachments_row() -> Any:
 
 
 def of_recognition() -> Rows:
-    rows: Rows = {f"detected {name}": partial(detected_row, name) for name in ON_FILM}
-    rows |= {f"verdict on {name}": partial(verdict_row, name) for name in ON_FILM}
-    return rows | {
+    searched: Rows = {f"detected {name}": partial(detected_row, name) for name in ON_FILM}
+    searched |= {f"verdict on {name}": partial(verdict_row, name) for name in ON_FILM}
+    searched |= {
         "detected without a readout": bare_row,
         "detected on a mat": partial(detected_row, "block", "mat"),
+        "swings": swings_row,
+        "patterns": patterns_row,
+        "detected on modules": lambda: answer_row(
+            detection.known_of(Prepared(tiled())).answer(frames_of(tiled()))
+        ),
+    }
+    return {name: of_kind("searched", row) for name, row in searched.items()} | {
         "breathing": breathing_row,
         "recognitions": recognised_row,
         "steps": steps_row,
-        "swings": swings_row,
         "outliers": outlying_row,
-        "patterns": patterns_row,
         "errors": lambda: [
             observation.ModelErrors().of_scene(replace(WATCHED, systematic=each), 0.02)
             for each in (
@@ -1229,7 +1243,4 @@ def of_recognition() -> Rows:
         "loads beforehand": prior_row,
         "windows over modules": windows_row,
         "states over modules": opened_row,
-        "detected on modules": lambda: answer_row(
-            detection.known_of(Prepared(tiled())).answer(frames_of(tiled()))
-        ),
     }

@@ -1,8 +1,12 @@
-"""Results as JSON, and their comparison."""
+"""Results as JSON, and their comparison.
+
+A number's tolerance follows from its quantity: from the kind of its row, which the row states where
+it is made, and from its name where the quantity may be zero. docs/reference/tests.md lists both.
+"""
 
 import dataclasses
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import Enum
 from typing import Any
 
@@ -13,11 +17,60 @@ from scipy import sparse
 DIGITS = 9
 MAX_VALUES = 40
 SAMPLE_SIZE = 16
-# of a number, and of the largest of its array
+# Of a number: cells, error bars, costs, and all that follows from them without a search.
 RELATIVE_TOLERANCE = 1e-6
-ABSOLUTE_TOLERANCE = 1e-7
-# Factor on the differences between processors, as others differ from these.
-TOLERANCE_FACTOR = 100.0
+LARGEST_SHARE = 0.1  # of a tolerance, which counts for the largest number of an array
+
+
+@dataclasses.dataclass(frozen=True)
+class Quantity:
+    """Exactness of numbers that are less exact than RELATIVE_TOLERANCE, or may be zero.
+
+    Attributes
+    ----------
+    names : str
+        Regular expression of the names under which they stand: fields, keys, or the kind of a row.
+    relative : float
+        Tolerance of a number.
+    zero : float
+        Size in the unit of the quantity of which RELATIVE_TOLERANCE is zero: below, all that is
+        computed is rounding.
+    """
+
+    names: str
+    relative: float = RELATIVE_TOLERANCE
+    zero: float = 0.0
+
+
+QUANTITIES = (
+    # Kinds of rows, which a row states where it is made (`of_kind`).
+    Quantity("searched", relative=1e-4),  # fits that end once their cost has settled
+    # Conjugate gradients that end at 1e-3 in the norm of a Hessian (SampledErrors), which weakly
+    # determined directions exceed; golden sections that end at 0.005 (spectrum.PRECISION).
+    Quantity("sampled", relative=3e-2),
+    # Fields of results.
+    Quantity("preconditioned", relative=1e-3),  # solves with matrices of condition 1e8 and more
+    Quantity(r"pressure(_\w+)?", zero=1.0),  # kPa
+    Quantity("effects", zero=1.0),  # of lines on readings, ohm
+    Quantity("dual", zero=10.0),  # |z| ≤ 1, from residuals that are rounding at their corner
+    Quantity("verified_difference", zero=1.0),  # of log r, between two solutions
+    # Costs of exact readings: ohm² or −2 log probability.
+    Quantity("costs|objective|gap|misfit|chi_square", zero=1e-6),
+    Quantity(r"growth\.csv", zero=1.0),  # standard errors of exponents that are exact
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class OfKind:
+    """A result whose numbers have the tolerance of a kind."""
+
+    kind: str
+    value: Any
+
+
+def of_kind(kind: str, row: Callable[[], Any]) -> Callable[[], OfKind]:
+    """Return a row whose numbers have the tolerance of a kind, see QUANTITIES."""
+    return lambda: OfKind(kind, row())
 
 
 def content(value: Any) -> Any:
@@ -25,6 +78,8 @@ def content(value: Any) -> Any:
 
     A long array is reduced to some numbers, its mean and the count of values that are not finite.
     """
+    if isinstance(value, OfKind):
+        return {value.kind: content(value.value)}
     if sparse.issparse(value):
         value = value.toarray()
     if isinstance(value, np.ndarray | np.generic | float):
@@ -88,44 +143,68 @@ def shortened(value: Any) -> Any:
     )
 
 
-# place, with [] for any index → share of an array's largest number, or None
-Tolerances = Mapping[str, float | None]
+@dataclasses.dataclass(frozen=True)
+class Tolerance:
+    """Difference that a number may have.
 
-
-def difference(stored: Any, computed: Any, tolerances: Tolerances, place: str = "") -> str:
-    """Return the first place at which two contents differ, and how; '' where there is none.
-
-    What stands at a place whose tolerance is None is not compared.
+    Attributes
+    ----------
+    relative : float
+        Of the number; LARGEST_SHARE of it counts for the largest number of its array.
+    absolute : float
+        In the number's unit.
     """
-    anywhere = re.sub(r"\[\d+\]", "[]", place)
-    if tolerances.get(anywhere, 0.0) is None:
-        return ""
+
+    relative: float = RELATIVE_TOLERANCE
+    absolute: float = 0.0
+
+    def within(self, name: str) -> "Tolerance":
+        """Return the tolerance of what stands under a name."""
+        for quantity in QUANTITIES:
+            if re.fullmatch(quantity.names, name):
+                return Tolerance(
+                    max(self.relative, quantity.relative),
+                    max(self.absolute, RELATIVE_TOLERANCE * quantity.zero),
+                )
+        return self
+
+    def of_array(self, values: np.ndarray[Any, Any]) -> "Tolerance":
+        """Return the tolerance of numbers that follow from an array."""
+        share = LARGEST_SHARE * self.relative * largest(values)
+        return dataclasses.replace(self, absolute=max(self.absolute, share))
+
+    def exceeded(self, stored: np.ndarray[Any, Any], computed: np.ndarray[Any, Any]) -> Any:
+        """Return whether numbers differ by more, boolean in the shape of the arrays."""
+        least = self.of_array(stored).absolute
+        return ~np.isclose(computed, stored, rtol=self.relative, atol=least, equal_nan=True)
+
+
+def difference(
+    stored: Any, computed: Any, place: str = "", tolerance: Tolerance = Tolerance()
+) -> str:
+    """Return the first place at which two contents differ, and how; '' where there is none."""
+    pairs: Iterator[tuple[Any, Any, str, Tolerance]]
+    if isinstance(stored, dict) and "some" in stored:  # a long array, whose mean may cancel
+        tolerance = tolerance.of_array(np.array(stored["some"], dtype=float))
     if isinstance(stored, dict) and isinstance(computed, dict) and stored.keys() == computed.keys():
-        pairs = ((stored[key], computed[key], f"{place}.{key}") for key in stored)
-        return next(
-            filter(None, (difference(*two, tolerances, inner) for *two, inner in pairs)), ""
+        pairs = (
+            (stored[key], computed[key], f"{place}.{key}", tolerance.within(key)) for key in stored
         )
+        return next(filter(None, (difference(*pair) for pair in pairs)), "")
     if isinstance(stored, list) and isinstance(computed, list) and len(stored) == len(computed):
         if not is_numbers(stored + computed):
             pairs = (
-                (*two, f"{place}[{k}]") for k, two in enumerate(zip(stored, computed, strict=True))
+                (*two, f"{place}[{k}]", tolerance)
+                for k, two in enumerate(zip(stored, computed, strict=True))
             )
-            return next(
-                filter(None, (difference(*two, tolerances, inner) for *two, inner in pairs)), ""
-            )
+            return next(filter(None, (difference(*pair) for pair in pairs)), "")
     elif not is_numbers([stored, computed]):
         if shortened(stored) == shortened(computed):
             return ""
         return f"{place}: {stored!r} was stored, {computed!r} is computed"
     reference = np.atleast_1d(np.array(stored, dtype=float))
     current = np.atleast_1d(np.array(computed, dtype=float))
-    far = ~np.isclose(
-        current,
-        reference,
-        rtol=RELATIVE_TOLERANCE,
-        atol=(tolerances.get(anywhere) or ABSOLUTE_TOLERANCE) * largest(reference),
-        equal_nan=True,
-    )
+    far = tolerance.exceeded(reference, current)
     if not far.any():
         return ""
     first = int(np.argmax(far))
@@ -140,30 +219,3 @@ def is_numbers(values: Sequence[Any]) -> bool:
 
 def largest(values: np.ndarray[Any, Any]) -> float:
     return float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
-
-
-def unsteady(stored: Any, computed: Any, place: str = "") -> Iterator[tuple[str, float | None]]:
-    """Yield (place, tolerance) where two computations of the same row differ."""
-    if isinstance(stored, dict) and isinstance(computed, dict) and stored.keys() == computed.keys():
-        for key in stored:
-            yield from unsteady(stored[key], computed[key], f"{place}.{key}")
-        return
-    lists = isinstance(stored, list) and isinstance(computed, list) and len(stored) == len(computed)
-    if lists and not is_numbers(stored + computed):
-        for inner in zip(stored, computed, strict=True):
-            yield from unsteady(*inner, f"{place}[]")
-        return
-    if not difference(stored, computed, {}):
-        return
-    if not lists and not is_numbers([stored, computed]):
-        yield place, None
-        return
-    reference = np.atleast_1d(np.array(stored, dtype=float))
-    current = np.atleast_1d(np.array(computed, dtype=float))
-    share = (
-        TOLERANCE_FACTOR
-        * largest(current - reference)
-        / max(largest(reference), np.finfo(float).tiny)
-    )
-    alike = np.array_equal(np.isfinite(reference), np.isfinite(current))
-    yield place, 10.0 ** np.ceil(np.log10(share)) if alike and share < 0.1 else None

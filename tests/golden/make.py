@@ -5,48 +5,27 @@ python -m tests.golden.make table            # public results of every room, see
 python -m tests.golden.make table report     # those of one room
 python -m tests.golden.make defaults         # defaults of public classes, constants of all modules
 
-Rounding differs from processor to processor. The table is computed on several of them, which this
-one emulates, and numbers that differ take a tolerance. Processors whose instructions this one lacks
-are left out, and their tolerances stay.
-
-Make results anew only where numbers are meant to change, and say in the commit why.
+Rows that agree with the stored ones, by the tolerances of their quantities, stay as they are: the
+last digits of one machine never enter. Make results anew only where numbers are meant to change,
+and say in the commit why.
 """
 
 import dataclasses
 import importlib
 import inspect
 import json
-import os
 import pkgutil
 import re
-import signal
-import subprocess
 import sys
 import warnings
-from concurrent.futures import ThreadPoolExecutor
-from itertools import count
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import lampest
-from tests.golden.content import content, unsteady
 
 GOLDEN_FOLDER = Path(__file__).parent
 DEFAULTS = GOLDEN_FOLDER / "defaults.json"
 DATA = GOLDEN_FOLDER / "data"
 CONSTANTS = GOLDEN_FOLDER / "constants.json"
-TOLERANCES = GOLDEN_FOLDER / "tolerances.json"
-# Other processors, as environment variables: kernels of OpenBLAS, instructions of NumPy, and a
-# second thread
-OLD_PROCESSOR = {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL"}
-PROCESSORS = (
-    *({"OPENBLAS_CORETYPE": kernel} for kernel in ("Prescott", "Nehalem", "SkylakeX")),
-    *(
-        {"OPENBLAS_CORETYPE": kernel} | OLD_PROCESSOR
-        for kernel in ("Sandybridge", "Haswell", "Cooperlake")
-    ),
-    {"OPENBLAS_NUM_THREADS": "2"},
-)
 MAX_LENGTH = 400  # characters of a constant; longer ones are lists whose entries have rows
 
 
@@ -134,92 +113,35 @@ def is_record(value: object) -> bool:
 
 
 def write_table(*rooms: str) -> None:
-    """Write the results of rooms, or of all, a line a row, and tolerances.
-
-    The tolerances are those of the results that other processors change.
-    """
-    tolerances = json.loads(TOLERANCES.read_text()) if TOLERANCES.exists() else {}
-    with TemporaryDirectory() as folder:
-
-        def compute(number: int, variables: dict[str, str]) -> bool:
-            command = [
-                sys.executable,
-                "-m",
-                "tests.golden.make",
-                "rows",
-                f"{folder}/{number}.json",
-                *rooms,
-            ]
-            completed = subprocess.run(
-                command, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"} | variables
-            )
-            if completed.returncode == -signal.SIGILL and variables:
-                return False
-            completed.check_returncode()
-            return True
-
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            computed = list(pool.map(compute, count(), ({}, *PROCESSORS)))
-        stored, *variants = (
-            json.loads(Path(folder, f"{number}.json").read_text())
-            for number, done in enumerate(computed)
-            if done
-        )
-    left_out = [
-        variables for variables, done in zip(PROCESSORS, computed[1:], strict=True) if not done
-    ]
-    if left_out:
-        names = ", ".join(variables["OPENBLAS_CORETYPE"] for variables in left_out)
-        print(
-            f"Left out, because this processor lacks their instructions: {names}. Their tolerances "
-            "stay."
-        )
-    for room, rows in stored.items():
-        lines = (
-            f"{json.dumps(name)}: {json.dumps(row, ensure_ascii=False)}"
-            for name, row in rows.items()
-        )
-        (DATA / f"{room}.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
-        previous = tolerances.get(room, {}) if left_out else {}
-        tolerances[room] = {}
-        for name, row in rows.items():
-            places: dict[str, float | None] = previous.get(name, {})
-            for variant in variants:
-                for place, share in unsteady(row, variant[room][name]):
-                    widest = places.get(place, 0.0)
-                    places[place] = None if share is None or widest is None else max(share, widest)
-            if places:
-                tolerances[room][name] = places
-    TOLERANCES.write_text(json.dumps(tolerances, indent=1) + "\n")
-
-
-def write_rows(path: str, *rooms: str) -> None:
-    """Write the rows of rooms, or of all, as this process computes them."""
+    """Write the results of rooms, or of all, a line a row."""
     sys.path.insert(0, str(GOLDEN_FOLDER.parent))
+    from golden.content import content, difference
     from golden.table import table
 
-    chosen = {room: rows for room, rows in table().items() if room in rooms or not rooms}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        results = {
-            room: {name: content(row()) for name, row in rows.items()}
-            for room, rows in chosen.items()
-        }
-    Path(path).write_text(json.dumps(results))
+    for room, rows in table().items():
+        if rooms and room not in rooms:
+            continue
+        path = DATA / f"{room}.json"
+        stored = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        lines = []
+        for name, row in rows.items():
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                computed = json.loads(json.dumps(content(row())))
+            kept = computed if difference(stored.get(name), computed) else stored[name]
+            lines.append(f"{json.dumps(name)}: {json.dumps(kept, ensure_ascii=False)}")
+        path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
 
 
 def main() -> None:
     """Replace the files of this folder."""
     target, *rooms = sys.argv[1:] or ["all"]
-    if target == "rows":
-        write_rows(*rooms)
-        return
     if target != "table":
         DEFAULTS.write_text(json.dumps(defaults(), indent=1) + "\n")
-        rooms = (
+        lines = (
             f"{json.dumps(room)}: {json.dumps(values)}" for room, values in constants().items()
         )
-        CONSTANTS.write_text("{\n" + ",\n".join(rooms) + "\n}\n")
+        CONSTANTS.write_text("{\n" + ",\n".join(lines) + "\n}\n")
     if target != "defaults":
         write_table(*rooms)
 

@@ -900,14 +900,14 @@ def refusal(made: Callable[..., Any], *known: Any, **changes: Any) -> str:
 
 
 def stored(path: Path) -> dict[str, Any]:
-    """Attributes and values of a file, without versions."""
+    """Attributes and values of a file, without versions and checksums of numbers."""
     held: dict[str, Any] = {}
 
     def noted(name: str, node: Any) -> None:
         held[name] = {
             key: str(value)
             for key, value in sorted(node.attrs.items())
-            if not key.endswith("_version")
+            if not key.endswith(("_version", "_sha256"))
         }
         if hasattr(node, "shape"):
             values = node[()]

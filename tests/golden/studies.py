@@ -300,7 +300,7 @@ def runs_row() -> dict[str, Any]:
             {name: getattr(each, name) for name in names if hasattr(each, name)} for each in frames
         ],
         "steps": steps,
-        "left": [measured.left_out, late.left_out],
+        "left": [measured.left_out, bool(late.left_out)],
         "told": progress,
         "memory": memory,
         "late": [(each.shape, each.recording, each.frame) for each in late.frames],

@@ -1,11 +1,14 @@
-"""The golden table: public results of every room are those that were stored, to eight digits."""
+"""The golden table: public results of every room are those that were stored.
+
+How exactly follows from their quantities, see `golden.content`.
+"""
 
 import json
 import warnings
 
 import pytest
 from golden.content import content, difference
-from golden.make import DATA, TOLERANCES
+from golden.make import DATA
 from golden.table import table
 
 TABLE = {f"{room} {name}": row for room, rows in table().items() for name, row in rows.items()}
@@ -13,11 +16,6 @@ STORED = {
     f"{path.stem} {name}": row
     for path in DATA.glob("*.json")
     for name, row in json.loads(path.read_text()).items()
-}
-TOLERANT = {
-    f"{room} {name}": places
-    for room, rows in json.loads(TOLERANCES.read_text()).items()
-    for name, places in rows.items()
 }
 LONG_ROWS = {  # rows of 0.4 s or more, but those of a scene each
     "checks prepared begins_s",
@@ -101,7 +99,7 @@ ADVICE = "an intended change, or a new row: python -m tests.golden.make table"
 def difference_of(name: str) -> str:
     """Return where a row differs from the stored one; '' where it does not."""
     computed = json.loads(json.dumps(content(TABLE[name]())))
-    return difference(STORED.get(name), computed, TOLERANT.get(name, {}))
+    return difference(STORED.get(name), computed)
 
 
 def agree(names: list[str]) -> bool:

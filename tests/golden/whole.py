@@ -17,6 +17,7 @@ import numpy as np
 from attack.attack import called
 from golden.checks import recorded
 from golden.circuits import PANEL, Rows, cells_of
+from golden.content import of_kind
 from golden.estimates import case_row, simulated
 from golden.numerics import COSTS, TINY, certificate_row, point, solver_row
 from golden.outputs import command, drawn_row, invented
@@ -480,7 +481,7 @@ def files_row() -> dict[str, Any]:
         known = {
             key: str(value)
             for key, value in sorted(node.attrs.items())
-            if "LIST" not in key and "crc" not in key
+            if not any(part in key for part in ("LIST", "crc", "sha256"))
         }
         scales = [[scale.name for scale in axis.values()] for axis in getattr(node, "dims", ())]
         places = node[()] if path[-2:] in ("/x", "/y") else None
@@ -554,7 +555,9 @@ def of_whole() -> Rows:
             for cost in COSTS
         }
         | {
-            f"point large {cost}": partial(as_large, certificate_row, cost, "whole", 0.0)
+            f"point large {cost}": of_kind(
+                "sampled", partial(as_large, certificate_row, cost, "whole", 0.0)
+            )
             for cost in COSTS
         }
         | {

@@ -250,6 +250,24 @@ def test_absolute_losses_end_within_a_hundred_millionth_of_the_least_cost(
     assert misfit[1] < min(misfit[0], misfit[2])
 
 
+@pytest.mark.parametrize("weight", [3e3, 1e4, 3e4, 1e5, 1e6])
+@pytest.mark.parametrize("shape", [(24, 1), (1, 9), (4, 1)])
+def test_cells_that_heavy_losses_hold_at_one_bound_are_verified(
+    shape: tuple[int, int], weight: float
+) -> None:
+    """All cells equal the largest reading, which bounds its own cell.
+
+    Differences of the cells are rounding there, and the derivative of an absolute loss by them is
+    rounding over the width of its smoothing: once the solver broke down.
+    """
+    random = np.random.default_rng(3)
+    measured = 7000 * np.exp(0.3 * random.standard_normal((1, *shape)))
+    terms = (Misfit(weighting="noise"), Gradient(weight=weight, loss=Absolute()))
+    solution, _ = solved(terms, Scene(Panel(*shape)), measured, 4e-3 * measured)
+    assert solution.optimum and solution.kkt_residual < MAX_KKT
+    np.testing.assert_allclose(solution.cell_resistance, measured.max(), rtol=EQUAL)
+
+
 @pytest.mark.parametrize(("side", "loss"), [(20, Squared()), (11, Absolute())])
 def test_absolute_losses_of_a_large_panel_take_no_more_steps(
     side: int, loss: Squared | Absolute

@@ -132,10 +132,13 @@ class Question(ComparedFrames):
     def fault(self) -> str:
         """The reason why the circuit cannot have made the readings, in words.
 
-        The text is '' where no reason is known.
+        The text is '' where no reason is known. A law that readings break comes first: it needs no
+        search, of which rounding may decide whether it ends at a minimum.
         """
-        unexplained = "" if self.explanation is None else _unexplained(self.explanation, self)
-        return unexplained or broken_law(self.specified, self)
+        fault = broken_law(self.specified, self)
+        if fault or self.explanation is None:
+            return fault
+        return _unexplained(self.explanation, self)
 
     @cached_property
     def below(self) -> str:

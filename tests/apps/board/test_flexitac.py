@@ -32,7 +32,7 @@ NEAR_RAIL = 0.5  # relative: an open cell reads a dozen codes of 8 bits
 # Of a pressed cell, relative: codes of 8 bits; measured 0.21, and 0.58 where the scene does not say
 # that the firmware cuts off two bits. The divider without the circuit errs by more than 1.
 MAX_ERROR = 0.25
-MAX_SECONDS = 0.03  # 15 ms on an idle core; the machine of a test may be busy
+MAX_STEPS = 4  # Newton steps of a frame, of which a core takes fifty frames in a second
 
 
 @pytest.fixture
@@ -133,16 +133,14 @@ def test_readings_of_an_open_skin_raise_no_doubt(page: Any) -> None:
         assert any(question in doubt for doubt in doubts) is doubted
 
 
-@pytest.mark.slow
-def test_fifty_frames_a_second_take_one_core(page: Any) -> None:
+def test_a_frame_takes_few_steps(page: Any) -> None:
+    """The time of a frame is its number of steps; seconds are measured by the page's table."""
     cells = np.full(page.scene.panel.shape, OPEN_OHM)
     resting = page.readings([codes(page.scene, cells, seed) for seed in range(8)]).mean()
     cells[PRESSED] = PRESSED_OHM
     stream = lampest.Stream.begin(page.estimator, page.scene, 1.0, resting)
-    frames = [codes(page.scene, cells, seed) for seed in range(12)]
-    spent = []
-    for frame in frames:
-        begin = time.process_time()
-        stream, _ = stream.push(page.readings([frame])[0])
-        spent.append(time.process_time() - begin)
-    assert np.median(spent[2:]) < MAX_SECONDS
+    steps = []
+    for seed in range(6):
+        stream, step = stream.push(page.readings([codes(page.scene, cells, seed)])[0])
+        steps.append(step.solution.iterations)
+    assert max(steps) <= MAX_STEPS, steps
