@@ -41,8 +41,8 @@ from .estimate.methods.method import OptimalMethod as OptimalMethod
 from .estimate.methods.smoother import SmootherMethod as SmootherMethod
 from .estimate.objective import AutoWeight as AutoWeight
 from .estimate.own_program import OwnProgram as OwnProgram
-from .estimate.own_program import OwnSolution as OwnSolution
 from .estimate.own_program import program as program
+from .estimate.own_solution import OwnSolution as OwnSolution
 from .estimate.state import Step as Step
 from .estimate.stream import Stream as Stream
 from .files.errors import InputError as InputError

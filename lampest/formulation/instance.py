@@ -75,6 +75,14 @@ class ProgramResult:
     iterations: int
     corrected: bool = False
 
+    @classmethod
+    def none(cls, instance: "Instance") -> "ProgramResult":
+        """Return the result of an instance that was not solved, NaN."""
+        unknown, equation = (
+            np.full(len(column), np.nan) for column in (instance.start, instance.equations[0])
+        )
+        return cls(unknown, unknown, equation, "", 0)
+
 
 @dataclass(frozen=True, eq=False)
 class Instance:

@@ -31,6 +31,7 @@ COMMON = {
     "print_level": 0,
     "sb": "yes",
 }
+QUIET = {"print_time": False, "show_eval_warnings": False}
 COLD = {"mu_strategy": "adaptive"}
 # The barriers of all cells together stay below a hundredth of the unit of the objective. Otherwise
 # they outweigh the cost of a start near the readings, and the iterates leave it for the middle
@@ -167,8 +168,10 @@ class Interface(CasadiOwner):
             np.asarray(result[name]).ravel() for name in ("x", "lam_x", "lam_g")
         )
         status = str(stats["return_status"])
-        iterations = int(stats["iter_count"])
-        corrected = any(stats["iterations"]["regularization_size"])
+        # Where IPOPT gives up before its first iteration, there is no history.
+        history = stats.get("iterations", {})
+        iterations = int(stats["iter_count"]) if history else 0
+        corrected = any(history.get("regularization_size", ()))
         return ProgramResult(unknown, of_bounds, of_equations, status, iterations, corrected)
 
     @cached_property
@@ -185,5 +188,5 @@ def _solver(program: Program, chosen: dict[str, Any], *, scaled: bool) -> casadi
     scaling = {"nlp_scaling_method": "gradient-based"} if scaled else {}
     order = 0 if program.unknown.column.shape[0] <= MAX_AMD_UNKNOWNS else 5
     ipopt = {**COMMON, "mumps_pivot_order": order, **scaling, **chosen}
-    options: dict[str, Any] = {"ipopt": ipopt, "print_time": False, **program.derivatives}
+    options: dict[str, Any] = {"ipopt": ipopt, **QUIET, **program.derivatives}
     return casadi.nlpsol("ipopt", "ipopt", program.nlp, options)

@@ -80,6 +80,8 @@ class Status(Enum):
     ITERATIONS = "the iteration limit was reached before an optimum"
     TIME = "the time limit was reached before an optimum"
     INFEASIBLE = "the solver found no point that satisfies the constraints"
+    OVERDETERMINED = "the program has more equations than unknowns"
+    UNBOUNDED = "the cost falls without limit along an unknown that no bound and no data hold"
     BREAKDOWN = "the solver broke down numerically"
     UNAVAILABLE = "the solver or its linear solver is not available"
 
@@ -111,6 +113,8 @@ ADVICE = {
     Status.ITERATIONS: "Raise `solver: max_iterations`, or add a penalty.",
     Status.TIME: "Raise `solver: time_limit_s`.",
     Status.INFEASIBLE: "Check `bounds`: they may leave no room.",
+    Status.OVERDETERMINED: "Take out constraints that repeat others.",
+    Status.UNBOUNDED: "Give the unknown a prior or bounds.",
     Status.BREAKDOWN: "Check the weights and the scene's unit; report the frame if both are right.",
     Status.UNAVAILABLE: "Install IPOPT's linear solver, or take `formulation: reduced`.",
 }  # remedy for each status, one sentence
