@@ -31,7 +31,7 @@ from lampest.formulation.program import Program
 from lampest.inference.prepared import Prepared
 from lampest.panel.compiled import CasadiOwner
 from lampest.recording.recording import UNLOADED, Recording
-from lampest.solvers.by_ipopt import limits_of
+from lampest.solvers.by_ipopt import ipopt_limits
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import Settings, Status
@@ -132,7 +132,7 @@ class OwnProgram(CasadiOwner):
         ]
         if unsolved:
             return OwnSolution(instance, ProgramResult.none(instance), unsolved[0])
-        interface = Interface.of(self.symbols, limits_of(self.settings), scaled=True)
+        interface = Interface.of(self.symbols, ipopt_limits(self.settings), scaled=True)
         solution = OwnSolution(instance, interface.minimise(instance))
         if solution.ended and not solution.settled:
             finer = solution.from_here(interface.fine)

@@ -7,8 +7,11 @@ precision holds.
 Source: Wächter & Biegler, Mathematical Programming 106, 2006.
 """
 
+from collections.abc import Mapping
+from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
 from functools import cached_property
+from io import StringIO
 from typing import Any
 
 import casadi
@@ -66,7 +69,7 @@ INTERRUPTED = "NonIpopt_Exception_Thrown"
 
 @dataclass(frozen=True)
 class Limits:
-    """When IPOPT stops.
+    """When IPOPT stops, and further options of a user.
 
     Attributes
     ----------
@@ -75,15 +78,19 @@ class Limits:
     max_iterations : int
     seconds : float
         Wall time of a solve.
+    own : tuple of pairs of str and value
+        Further options of IPOPT, which take the place of all others but those of a fine solve.
     """
 
     tolerance: float = 1e-8
     max_iterations: int = 300
     seconds: float = np.inf
+    own: tuple[tuple[str, Any], ...] = ()
 
     def options(self) -> dict[str, Any]:
         """Return the options of IPOPT."""
-        return {"tol": self.tolerance, "max_iter": self.max_iterations, **self._wall_time()}
+        limits = {"tol": self.tolerance, "max_iter": self.max_iterations}
+        return {**limits, **self._wall_time(), **dict(self.own)}
 
     def fine_options(self) -> dict[str, Any]:
         """Return the options of a fine solve.
@@ -179,8 +186,26 @@ class Interface(CasadiOwner):
         """IPOPT for starts with multipliers; `fine` interfaces have options of their own."""
         chosen = WARM | self.limits.options()
         if self.is_fine:
-            chosen = FINE | self.limits.fine_options()
+            chosen = dict(self.limits.own) | FINE | self.limits.fine_options()
         return _solver(self.program, chosen, scaled=self.scaled)
+
+
+@guarded
+def check_options(options: Mapping[str, Any]) -> None:
+    """Raise ValueError for options that IPOPT does not have, and values that it does not take."""
+    unknown = casadi.SX.sym("x")
+    for name, value in options.items():
+        said = StringIO()
+        problem = {"x": unknown, "f": unknown**2}
+        try:
+            with redirect_stdout(said):
+                casadi.nlpsol("options", "ipopt", problem, {"ipopt": {name: value}})
+        except (RuntimeError, NotImplementedError) as error:
+            if "No such IPOPT option" in str(error):
+                raise ValueError(f"IPOPT has no option {name}") from None
+            # IPOPT's own text: the value, and after the option's description what it may be.
+            allowed = " ".join(said.getvalue().partition("Description: ")[2].split())
+            raise ValueError(f"IPOPT does not take {name}: {value!r}. {allowed}".strip()) from None
 
 
 def _solver(program: Program, chosen: dict[str, Any], *, scaled: bool) -> casadi.Function:

@@ -167,10 +167,11 @@ class Ipopt(Solver):
         )
 
 
-def limits_of(settings: Settings) -> Limits:
+def ipopt_limits(settings: Settings) -> Limits:
     """Return the limits of IPOPT for the settings of a solver."""
     seconds = np.inf if settings.time_limit_s is None else settings.time_limit_s
-    return Limits(ACCURACY * settings.tolerance, settings.max_iterations, seconds)
+    own = () if settings.ipopt is None else settings.ipopt.own
+    return Limits(ACCURACY * settings.tolerance, settings.max_iterations, seconds, own)
 
 
 @lru_cache(maxsize=32)
@@ -188,4 +189,4 @@ def _interface(
 ) -> Interface:
     """Return IPOPT for the program of a cost; each process compiles it once."""
     program = Program.build(cost, readout, _circuits(readout, cost.panel.shape, wiring), patterns)
-    return Interface.of(program, limits_of(settings))
+    return Interface.of(program, ipopt_limits(settings))

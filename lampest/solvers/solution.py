@@ -1,7 +1,7 @@
 """Result of a solve: status, outcome of the solver, and checked solution."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -10,8 +10,15 @@ from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
+from lampest.files.document import INLINE
 from lampest.files.errors import brief
-from lampest.files.typed import Validated, check_positive_fields, check_ranges, typed
+from lampest.files.typed import (
+    Extensible,
+    Validated,
+    check_positive_fields,
+    check_ranges,
+    typed,
+)
 from lampest.panel.panel import Array
 from lampest.solvers.bounds import MILLIONTH, bounds_matter
 from lampest.solvers.certificate import MIN_COST_SHARE, Certificate, Definiteness, certificate
@@ -123,6 +130,41 @@ OPTIMA = (*STRICT, Status.UNCOMPARED, Status.FLAT, Status.FAINT)
 
 
 @dataclass(frozen=True)
+class IpoptOptions(Extensible):
+    """Options of IPOPT by its own names, such as `max_iter` or `linear_solver`.
+
+    They take the place of lampest's in cold and warm solves. The solve that goes on to the digits
+    of double precision keeps its own tolerance, start and pivots. `Settings` checks them.
+
+    >>> lampest.Settings(ipopt={"max_iter": 100}).ipopt.own
+    (('max_iter', 100),)
+    """
+
+    own: tuple[tuple[str, int | float | str], ...] = field(default=(), metadata={INLINE: True})
+
+    @classmethod
+    def gathered(cls, content: Any) -> Any:
+        """Return arguments with all keys in `own`."""
+        return content if content.keys() == {"own"} else {"own": tuple(content.items())}
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        """Return the schema that also takes a mapping. Called by pydantic."""
+
+        def made(content: Any) -> Any:
+            return cls(own=tuple(content.items())) if isinstance(content, dict) else content
+
+        function = {"type": "no-info", "function": made}
+        return {"type": "function-before", "function": function, "schema": handler(source)}
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: Any, handler: Any) -> Any:
+        """Return the JSON schema of any option. Called by pydantic."""
+        values = {"type": ["integer", "number", "string"]}
+        return {"type": "object", "additionalProperties": values}
+
+
+@dataclass(frozen=True)
 class Settings(Validated):
     """Settings of a solver.
 
@@ -140,6 +182,11 @@ class Settings(Validated):
         Number of starts of every frame, of which the lowest minimum is taken. None: one where the
         cost has a single minimum; else up to 3, or up to 40 with losses that are not convex. With
         convex losses, a frame that follows another keeps the first strict minimum.
+    ipopt : IpoptOptions or None
+        Options of IPOPT, by its own names; a mapping in Python, too.
+
+    Raises ValueError for a number out of range, an option that IPOPT does not have, or a value that
+    IPOPT does not take.
 
     >>> lampest.Settings(max_iterations=50).max_iterations
     50
@@ -150,6 +197,7 @@ class Settings(Validated):
     max_iterations: int = 300
     time_limit_s: float | None = None
     starts: int | None = None
+    ipopt: IpoptOptions | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.tolerance < 1:
@@ -157,6 +205,10 @@ class Settings(Validated):
         check_ranges(self, 1, 1_000_000, "max_iterations")
         check_positive_fields(self, "time_limit_s")
         check_ranges(self, 1, MAX_STARTS, "starts")
+        if self.ipopt is not None:
+            from lampest.formulation.ipopt import check_options
+
+            check_options(dict(self.ipopt.own))
 
 
 @dataclass(frozen=True, eq=False)
