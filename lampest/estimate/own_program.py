@@ -11,6 +11,7 @@ IPOPT solves it from the uniform start. `own_solution` checks the result outside
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import casadi
@@ -22,6 +23,7 @@ from lampest.cost.terms import Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.own_solution import OwnSolution
+from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
 from lampest.formulation.circuit import Circuit
 from lampest.formulation.instance import Instance, ProgramResult
@@ -72,6 +74,10 @@ class OwnProgram(CasadiOwner):
     formulation: str = "nodal"
     unread: Mapping[int, Status] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """Return the program as a table of cost, unknowns and constraints, with their sizes."""
+        return f"{self.formulation} {self.symbols!r}"
+
     def cells(self, frame: int = 0) -> casadi.SX:
         """Return the cells of one frame in ohm, (rows, columns) symbols."""
         return self.symbols.cells(frame)
@@ -117,27 +123,64 @@ class OwnProgram(CasadiOwner):
         """
         return replace(self, symbols=self.symbols.subject_to(name, expression, lower, upper))
 
-    def solve(self) -> OwnSolution:
+    def solve(self, start: OwnSolution | None = None) -> OwnSolution:
         """Solve by IPOPT, and check the result; a failed solve does not raise.
 
         Where the result is no strict minimum to the digits of double precision, IPOPT goes on to
         those digits, and the better result is kept. A frame without readings of which no own part
         speaks has no solution.
+
+        Parameters
+        ----------
+        start : OwnSolution, optional
+            Solution of this program, or of one with as many frames and other parts: cells, own
+            unknowns and multipliers begin there. By default cells are equal, and multipliers
+            IPOPT's.
+
+        Raises InputError for a start of another panel, or without numbers.
         """
-        instance = Instance.of(
-            self.symbols, self.circuits, EXCITATIONS[self.formulation], self.evaluations
-        )
+        instance = self._instance(start)
         unsolved = [
             status for frame, status in self.unread.items() if not self.symbols.own_speaks_of(frame)
         ]
         if unsolved:
             return OwnSolution(instance, ProgramResult.none(instance), unsolved[0])
-        interface = Interface.of(self.symbols, ipopt_limits(self.settings), scaled=True)
-        solution = OwnSolution(instance, interface.minimise(instance))
+        interface = self._interface
+        multipliers = None
+        if start is not None:
+            multipliers = start.instance.multipliers_of(start.result)
+            multipliers = multipliers.for_program(start.instance.program, self.symbols)
+            multipliers = multipliers.in_units(self.symbols, instance.scale, instance.cost_scale)
+        solution = OwnSolution(instance, interface.minimise(instance, multipliers))
         if solution.ended and not solution.settled:
             finer = solution.from_here(interface.fine)
             solution = finer if finer.improves(solution) else solution
         return solution
+
+    def _instance(self, start: OwnSolution | None) -> Instance:
+        """Return the program's instance that begins at equal cells, or at a solution."""
+        evaluations = self.evaluations
+        if start is not None:
+            cells = start.instance.cells_of(start.result)
+            shape = (len(evaluations), *self.symbols.shape)
+            if cells.size != np.prod(shape) or not np.all(np.isfinite(cells)):
+                raise InputError(
+                    "start must be a solution with numbers, of as many frames and cells"
+                )
+            frames = cells.reshape(len(evaluations), -1, *self.symbols.shape)
+            evaluations = tuple(
+                evaluated(each.cost, each.data, frame)
+                for each, frame in zip(evaluations, frames, strict=True)
+            )
+        instance = Instance.of(
+            self.symbols, self.circuits, EXCITATIONS[self.formulation], evaluations
+        )
+        return instance if start is None else instance.begun_at(start.instance, start.result)
+
+    @cached_property
+    def _interface(self) -> Interface:
+        """IPOPT's interface to the program."""
+        return Interface.of(self.symbols, ipopt_limits(self.settings), scaled=True)
 
 
 def program(
@@ -155,7 +198,8 @@ def program(
     ----------
     recording : Recording
     terms : sequence of Term
-        Terms with weights. Those that compare frames compare with the mean of the unloaded frames.
+        Those that compare frames compare with the mean of the unloaded frames. A weight 'auto' is
+        the number that `reconstruct` chooses for the recording.
     frames : sequence of int, optional
         Indices into the recording; by default the first measured frame.
     formulation : {'nodal', 'per_pixel'}
@@ -165,8 +209,8 @@ def program(
     Raises
     ------
     InputError
-        If `terms` is no sequence of terms, a weight is open, a frame does not exist, or the
-        formulation has another name.
+        If `terms` is no sequence of terms, a frame does not exist, the formulation has another
+        name, or the panel consists of modules.
 
     Examples
     --------
@@ -181,8 +225,14 @@ def program(
     """
     estimator = _checked_estimator(terms, formulation, bounds or Bounds(), solver or Settings())
     prepared = Prepared.of(recording)
-    scene = prepared.recording.scene
+    scene = prepared.resolved.scene
+    if scene.panel.modules is not None:
+        raise InputError("an own program has one network; take a module: recording.modules[0]")
     readings = prepared.noise.readings
+    if estimator.automatic:
+        estimator = first_stream(prepared.resolved, readings, estimator, prepared.noise).estimator
+    if estimator.automatic:
+        raise InputError("weight: auto needs a measured frame from which it is chosen")
     chosen = _chosen_frames(prepared.recording, frames)
     background = Background(scene)
     enough = readings.enough(scene)
@@ -219,7 +269,7 @@ def _checked_estimator(
 ) -> Estimator:
     """Return the estimator of an own program.
 
-    Raises InputError for another formulation, for terms that are no sequence, and for open weights.
+    Raises InputError for another formulation, and for terms that are no sequence.
     """
     if formulation not in EXCITATIONS:
         raise InputError(
@@ -229,10 +279,7 @@ def _checked_estimator(
     if isinstance(terms, str) or not isinstance(terms, Sequence):
         raise InputError(f"terms must be a sequence of terms, not {terms!r}")
     method = OptimalMethod("per_pixel" if formulation == "per_pixel" else "nodal")
-    estimator = Estimator(tuple(terms), method, solver=solver, bounds=bounds, error_bars=False)
-    if estimator.automatic:
-        raise InputError("an own program needs terms with weights, not weight: auto")
-    return estimator
+    return Estimator(tuple(terms), method, solver=solver, bounds=bounds, error_bars=False)
 
 
 def _chosen_frames(recording: Recording, frames: Sequence[int] | None) -> list[int]:

@@ -22,7 +22,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, counted
 from lampest.formulation.instance import Instance, ProgramResult, on_bounds
 from lampest.formulation.ipopt import Interface
 from lampest.panel.compiled import CasadiOwner, guarded
@@ -91,6 +91,25 @@ class OwnSolution(CasadiOwner):
     instance: Instance
     result: ProgramResult
     unsolved: Status | None = None
+
+    def __repr__(self) -> str:
+        """Return the solution as a table: status, cost, and its unknowns by name."""
+        lines = [f"{self.status}; {counted(self.iterations, 'iteration')} of IPOPT"]
+        if not self.solved:
+            return lines[0]
+        lines[0] += f"; cost {self.objective:.6g}"
+        values = {"cell_resistance [ohm]": (self.cell_resistance, self.cell_resistance_errors)}
+        values |= {name: (self[name], self.errors(name)) for name in self.instance.program.own}
+        for name, (value, error) in values.items():
+            spread = f"{np.median(error):.3g}"
+            text = f"{value.min():.6g} to {value.max():.6g}"
+            text = f"{value.item():.6g}" if value.size == 1 else text
+            lines.append(f"    {name:<24}{value.size:>6}  {text} ± {spread}")
+        for name, multiplier in self.multipliers.items():
+            largest = np.abs(multiplier).max(initial=0.0)
+            line = f"    λ of {name:<19}{multiplier.size:>6}  at most {largest:.4g}"
+            lines += [line] * bool(multiplier.size)
+        return "\n".join(lines)
 
     @cached_property
     def status(self) -> str:
@@ -173,8 +192,7 @@ class OwnSolution(CasadiOwner):
     @property
     def cell_resistance(self) -> Array:
         """Cells, (frames, rows, columns) ohm; NaN where nothing was solved."""
-        cells = self.instance.cells_of(self.result)
-        return cells if self.solved else np.full_like(cells, np.nan)
+        return self._if_solved(self.instance.cells_of(self.result))
 
     def __getitem__(self, name: str) -> Array:
         """Return an own unknown, (size,); NaN where nothing was solved.
@@ -182,8 +200,7 @@ class OwnSolution(CasadiOwner):
         Raises InputError for an unknown name.
         """
         self._check_name(name)
-        values = self.instance.program.unknown.named(self.result.unknown)[name]
-        return values if self.solved else np.full_like(values, np.nan)
+        return self._if_solved(self.instance.program.unknown.named(self.result.unknown)[name])
 
     @property
     def cell_resistance_errors(self) -> Array:
@@ -222,6 +239,221 @@ class OwnSolution(CasadiOwner):
         values = self._equations / size
         kept = np.clip(values + multiplier * size, low, high)
         return float(max(np.abs(x - projected).max(), np.abs(values - kept).max(initial=0.0)))
+
+    @property
+    def history(self) -> dict[str, Array]:
+        """IPOPT's table of iterations by its own names, such as `inf_pr`, `inf_du` and `mu`."""
+        return {name: np.asarray(values) for name, values in self.result.history.items()}
+
+    @property
+    def multipliers(self) -> dict[str, Array]:
+        """Multipliers λ of the constraints by name, (rows,), φ for each unit of the constraint.
+
+        Those of 'balance' are (frames, equations). A limit that is raised by a small amount d
+        changes the least cost by −λ·d: λ is positive at an upper limit. NaN where nothing was
+        solved.
+        """
+        named = self.instance.program.equation.named(
+            self._if_solved(self.result.of_equations * self.instance.cost_scale)
+        )
+        named["balance"] = named["balance"].reshape(self.instance.shape[0], -1)
+        return named
+
+    @property
+    def bound_multipliers(self) -> dict[str, Array]:
+        """Multipliers of the bounds of the unknowns by name, (size,), φ for each unit of `places`.
+
+        They are positive at an upper bound, negative at a lower one.
+        """
+        column = self.result.of_bounds * self.instance.cost_scale / self._units
+        return self.instance.program.unknown.named(self._if_solved(column))
+
+    @cached_property
+    def places(self) -> dict[str, slice]:
+        """Rows of each unknown in `hessian`, by name.
+
+        Conductances are in siemens, frame by frame and row by row; voltages in volt or V/A; own
+        unknowns in their unit.
+        """
+        sizes = self.instance.program.unknown.sizes
+        ends = np.cumsum([*sizes.values()])
+        return {
+            name: slice(int(end) - size, int(end))
+            for (name, size), end in zip(sizes.items(), ends, strict=True)
+        }
+
+    @property
+    def hessian(self) -> scipy.sparse.csc_array:
+        """∇²L of the Lagrangian L = φ + λᵀg by the unknowns in the units of `places`, (n, n)."""
+        units = scipy.sparse.diags_array(1 / self._units)
+        curvature = units @ self._derivatives[2] @ units
+        return scipy.sparse.csc_array(curvature * self.instance.cost_scale)
+
+    def covariance(self, of: str | casadi.SX = "cell_resistance") -> Array:
+        """Return the covariance of unknowns, or of any expression of them, (size, size).
+
+        Rows and columns of what the program leaves undetermined are infinite. The misfit must be
+        weighted by the noise for the numbers to have a meaning.
+
+        Parameters
+        ----------
+        of : str or casadi.SX, shape (size, 1)
+            'cell_resistance' in ohm, 'conductance' in siemens, a voltage, or an own unknown; or an
+            expression of the program's symbols.
+
+        Raises InputError for another name.
+        """
+        outer, _ = self._slopes_of(of)
+        if not self.solved:
+            return np.full((len(outer), len(outer)), np.nan)
+        factor, undetermined = (outer @ part for part in self._spread)
+        free = _reaches(undetermined, np.abs(outer) @ np.abs(self._spread[1]))
+        return np.where(free[:, None] | free, np.inf, factor @ factor.T)
+
+    def sensitivity(self, *, of: str | casadi.SX = "cell_resistance", to: str) -> Array:
+        """Return the derivative of the solution by what was given, (size of `of`, size of `to`).
+
+        Everything else that was given is held: a reading moves neither its standard deviation nor a
+        bound. Constraints and bounds that hold go on to hold. NaN where nothing was solved, and for
+        what the program leaves undetermined.
+
+        Parameters
+        ----------
+        of : str or casadi.SX, shape (size, 1)
+            As in `covariance`.
+        to : str
+            'measured' or another array that the terms read, in its unit, frame by frame and row by
+            row; 'weights' of the terms; 'lower' or 'upper' bounds of the cells, in ohm; or the name
+            of an own constraint, for its limit that holds.
+
+        Raises InputError for another name.
+        """
+        outer, explicit = self._slopes_of(of, to)
+        if not self.solved:
+            return np.full(explicit.shape, np.nan)
+        moved, undetermined = self._moved(to)
+        free = _reaches(outer @ undetermined, np.abs(outer) @ np.abs(undetermined))
+        return np.where(free[:, None], np.nan, outer @ moved + explicit)
+
+    @guarded
+    def _slopes_of(self, of: str | casadi.SX, to: str = "") -> tuple[Array, Array]:
+        """Return the derivatives of an expression by the unknowns, and by a parameter.
+
+        Raises InputError for a name that is no unknown.
+        """
+        program = self.instance.program
+        if isinstance(of, str) and of not in program.quantities:
+            names = ", ".join(program.quantities)
+            raise InputError(f"the program has no unknown {of}; it has {names}")
+        expression = casadi.vec(program.quantities[of] if isinstance(of, str) else casadi.SX(of))
+        program.check_symbols("the expression", expression)
+        given = program.parameter.symbols.get(to, casadi.SX(self._size_of(to), 1))
+        by_given = (
+            casadi.jacobian(expression, given)
+            if to in program.parameter.symbols
+            else (casadi.SX(expression.shape[0], given.shape[0]))
+        )
+        outputs = [
+            casadi.densify(casadi.jacobian(expression, program.unknown.column)),
+            casadi.densify(by_given),
+        ]
+        nlp = program.nlp
+        function = casadi.Function("slopes", [nlp["x"], nlp["p"]], outputs)
+        by_unknown, by_parameter = function(self.result.unknown, self.instance.parameter)
+        return np.asarray(by_unknown), np.asarray(by_parameter)
+
+    def _size_of(self, to: str) -> int:
+        """Return the number of entries of what a sensitivity is taken to; 0 of nothing.
+
+        Raises InputError for another name.
+        """
+        program = self.instance.program
+        sizes = {name: program.parameter.sizes[name] for name, _ in program.given.named()}
+        sizes["weights"] = program.parameter.sizes["weights"]
+        sizes |= dict.fromkeys(("lower", "upper"), program.unknown.sizes["conductance"])
+        sizes |= {name: program.equation.sizes[name] for name in program.own_constraints}
+        if to and to not in sizes:
+            raise InputError(f"there is no sensitivity to {to}; there is one to {', '.join(sizes)}")
+        return sizes.get(to, 0)
+
+    def _moved(self, to: str) -> tuple[Array, Array]:
+        """Return dx/dp of the unknowns, and the directions that no data determine.
+
+        With A dx = b along the active constraints, dx = dx₀ + Z w, where dx₀ is any solution of
+        them, and Zᵀ∇²L Z w = −Zᵀ(∂∇L/∂p + ∇²L dx₀).
+        """
+        modes = self._modes
+        assert modes is not None
+        directions = self._directions
+        _, jacobian, hessian = self._derivatives
+        slopes, limits, moved = self._forces(to)
+        balance = self.instance.program.equation.sizes["balance"]
+        follows = directions.follows
+        by_voltage = scipy.sparse.linalg.splu(jacobian[:balance, follows])
+        moved[follows] = by_voltage.solve((limits - jacobian @ moved)[:balance])
+        own = balance + np.flatnonzero(directions.active[balance:])
+        if len(own):
+            missing = (limits - jacobian @ moved)[own]
+            moved += directions.leading @ np.linalg.lstsq(directions.rows, missing)[0]
+        basis = directions.basis
+        force = basis.T @ (slopes + hessian @ moved)
+        return moved + basis @ modes.step(force), self._spread[1]
+
+    @guarded
+    def _forces(self, to: str) -> tuple[Array, Array, Array]:
+        """Return ∂(∇L)/∂p, the change of the constraints' right sides, and of held unknowns.
+
+        Returns
+        -------
+        slopes : array, shape (unknowns, parameters)
+        limits : array, shape (constraints, parameters)
+        moved : array, shape (unknowns, parameters)
+        """
+        instance = self.instance
+        program = instance.program
+        nlp = program.nlp
+        count = self._size_of(to)
+        slopes, moved = (np.zeros((len(self.result.unknown), count)) for _ in range(2))
+        limits = np.zeros((len(self.result.of_equations), count))
+        if to in program.parameter.symbols:
+            symbol = program.parameter.symbols[to]
+            multiplier = casadi.SX.sym("multiplier", nlp["g"].shape[0])
+            lagrangian = nlp["f"] + casadi.dot(multiplier, nlp["g"])
+            outputs = [
+                casadi.densify(casadi.jacobian(casadi.gradient(lagrangian, nlp["x"]), symbol)),
+                casadi.densify(casadi.jacobian(nlp["g"], symbol)),
+            ]
+            forces = casadi.Function("forces", [nlp["x"], nlp["p"], multiplier], outputs)
+            by_gradient, by_equation = forces(
+                self.result.unknown, instance.parameter, self.result.of_equations
+            )
+            return np.asarray(by_gradient), -np.asarray(by_equation), moved
+        if to in program.own_constraints:
+            rows = program.equation.named(np.arange(len(limits), dtype=float))[to].astype(int)
+            limits[rows, np.arange(count)] = 1.0
+            return slopes, limits, moved
+        # g = s/r at the bound that holds it
+        place = self.places["conductance"]
+        limit = (instance.upper if to == "lower" else instance.lower)[place]
+        other = (instance.lower if to == "lower" else instance.upper)[place]
+        value = self.result.unknown[place]
+        at_limit = self._directions.held[place] & (np.abs(value - limit) < np.abs(value - other))
+        moved[place] = np.diag(np.where(at_limit, -(limit**2) / instance.scale, 0.0))
+        return slopes, limits, moved
+
+    def _if_solved(self, values: Array) -> Array:
+        """Return values, NaN where nothing was solved."""
+        return values if self.solved else np.full_like(values, np.nan)
+
+    @cached_property
+    @guarded
+    def _units(self) -> Array:
+        """Unit of each unknown of the program in those of `places`, (unknowns,)."""
+        program = self.instance.program
+        natural = casadi.vertcat(*(program.quantities[name] for name in program.unknown.sizes))
+        ones = casadi.substitute(natural, program.unknown.column, casadi.DM.ones(natural.shape))
+        units = casadi.Function("units", [program.parameter.column], [ones])
+        return np.asarray(units(self.instance.parameter)).ravel()
 
     def _check_name(self, name: str) -> None:
         """Raise InputError unless the program has an own unknown of this name."""
@@ -374,21 +606,18 @@ class OwnSolution(CasadiOwner):
 
     def _deviations(self, name: str) -> Array:
         """Return the standard deviations of one block of unknowns, in the program's unit."""
-        places = self.instance.program.unknown.named(
-            np.arange(len(self.result.unknown), dtype=float)
-        )
-        chosen = places[name].astype(int)
+        chosen = self.places[name]
         if not self.solved:
-            return np.full(len(chosen), np.nan)
-        factor, undetermined = (part[chosen] for part in self._spread)
-        deviations = np.sqrt(np.sum(factor**2, axis=1))
-        return np.where(_reaches(undetermined, self._spread[1]), np.inf, deviations)
+            return np.full(chosen.stop - chosen.start, np.nan)
+        factor, undetermined = self._spread
+        deviations = np.sqrt(np.sum(factor[chosen] ** 2, axis=1))
+        return np.where(_reaches(undetermined[chosen], np.abs(undetermined)), np.inf, deviations)
 
 
-def _reaches(chosen: Array, directions: Array) -> NDArray[np.bool_]:
-    """Return which rows, (rows, m), move along any of m directions, (unknowns, m)."""
-    size = np.abs(directions).max(axis=0, initial=0.0)
-    return np.asarray(np.any(np.abs(chosen) > VERIFIED * size, axis=1))
+def _reaches(chosen: Array, size: Array) -> NDArray[np.bool_]:
+    """Return which rows of moves, (rows, m), are no rounding of moves of a size, (…, m)."""
+    largest = size.max(axis=0, initial=0.0)
+    return np.asarray(np.any(np.abs(chosen) > VERIFIED * largest, axis=1))
 
 
 def _held(value: Array, multiplier: Array, limits: tuple[Array, Array]) -> NDArray[np.bool_]:

@@ -179,7 +179,9 @@ class Interface(CasadiOwner):
         history = stats.get("iterations", {})
         iterations = int(stats["iter_count"]) if history else 0
         corrected = any(history.get("regularization_size", ()))
-        return ProgramResult(unknown, of_bounds, of_equations, status, iterations, corrected)
+        return ProgramResult(
+            unknown, of_bounds, of_equations, status, iterations, corrected, history
+        )
 
     @cached_property
     def _warm(self) -> casadi.Function:

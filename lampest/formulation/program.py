@@ -29,10 +29,16 @@ from numpy.typing import ArrayLike
 from lampest.cost.cost import Cost, Summand, Symbols, lowered, program_groups, summands
 from lampest.cost.given import Given
 from lampest.cost.losses import Lowered
-from lampest.files.errors import InputError, first_and_more, in_words
+from lampest.cost.terms import term_kind
+from lampest.files.errors import InputError, counted, first_and_more, in_words
 from lampest.files.typed import real_array
 from lampest.formulation.circuit import Circuit, ConductanceSymbols
-from lampest.formulation.patterns import Excitation, NetworkSymbols, joined_addresses
+from lampest.formulation.patterns import (
+    END_VOLTAGE,
+    Excitation,
+    NetworkSymbols,
+    joined_addresses,
+)
 from lampest.formulation.values import Values, unit_of
 from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.panel.panel import Array
@@ -274,6 +280,33 @@ class Program(CasadiOwner):
             split_scale,
         )
 
+    def __repr__(self) -> str:
+        """Return the program as a table of cost, unknowns and constraints, with their sizes."""
+        frames = counted(self.conductance.shape[1], "frame")
+        rows, columns = self.shape
+        lines = [f"program of {frames} of {rows} × {columns} cells", "minimise"]
+        sizes = dict.fromkeys(range(len(self.cost.terms)), 0)
+        for group in self.groups:
+            for part in group:
+                sizes[part.term] += part.rows
+        lines += [
+            f"    {term_kind(term):<24}{counted(sizes[number], 'residual'):>16}  {term.loss.kind}"
+            for number, term in enumerate(self.cost.terms)
+        ]
+        if not self.own_cost.is_zero():
+            lines.append(f"    {'own cost':<24}{'1 number':>16}")
+        lines.append("over")
+        for name, unknown in self.statement.unknowns.items():
+            size = unknown.symbol.shape[0]
+            limits = _in_words(unknown.lower, unknown.upper)
+            lines += [f"    {name:<24}{counted(size, 'unknown'):>16}{limits}"] * bool(size)
+        lines.append("subject to")
+        for name, constraint in self.statement.constraints.items():
+            size = constraint.expression.shape[0]
+            limits = _in_words(constraint.lower, constraint.upper)
+            lines += [f"    {name:<24}{counted(size, 'row'):>16}{limits}"] * bool(size)
+        return "\n".join(lines)
+
     @property
     def cell_resistance(self) -> casadi.SX:
         """Cells r in ohm, (cells, frames)."""
@@ -406,12 +439,16 @@ class Program(CasadiOwner):
         constraint = Constraint(expression, low.ravel(), high.ravel())
         return replace(self, own_constraints={**self.own_constraints, name: constraint})
 
-    @guarded
     def _check(self, name: str, value: casadi.SX, shape: tuple[int, int]) -> None:
         """Raise InputError unless a value has a shape, and no symbols but the program's."""
         if value.shape != shape:
             actual, required = (" × ".join(map(str, size)) for size in (value.shape, shape))
             raise InputError(f"{name} is {actual}; it must be {required}")
+        self.check_symbols(name, value)
+
+    @guarded
+    def check_symbols(self, name: str, value: casadi.SX) -> None:
+        """Raise InputError if a value depends on symbols that are not the program's."""
         arguments = [self.unknown.column, self.parameter.column]
         free = casadi.Function("value", arguments, [value], {"allow_free": True}).free_sx()
         if free:
@@ -505,6 +542,21 @@ class Program(CasadiOwner):
         )
 
     @cached_property
+    def quantities(self) -> dict[str, casadi.SX]:
+        """Unknowns by name, in units that do not depend on the data, and the cells in ohm.
+
+        Conductances are in siemens, voltages in volt or V/A, parts of residuals in their own unit.
+        """
+        units = {"conductance": 1 / self.scale, "split": self.split_scale}
+        for name in self.networks[0].voltages:
+            unit = casadi.vertcat(*(network.units[name] for network in self.networks))
+            units[name] = unit if name == END_VOLTAGE else unit * self.scale
+        natural = {
+            name: symbol * units.get(name, 1) for name, symbol in self.unknown.symbols.items()
+        }
+        return {**natural, "cell_resistance": casadi.vec(self.cell_resistance)}
+
+    @cached_property
     def equation(self) -> Blocks:
         """Constraints by name: 'balance' of the currents, 'split' (p − q = x), and own ones."""
         return Blocks({name: each.expression for name, each in self.statement.constraints.items()})
@@ -568,3 +620,13 @@ class Program(CasadiOwner):
         return casadi.Function(
             "nlp_hess_l", arguments, [casadi.triu(full) + upper], names, ["hess_gamma_x_x"]
         )
+
+
+def _in_words(lower: Any, upper: Any) -> str:
+    """Return limits in words, such as '  = 0' or '  0 to 30'."""
+    if callable(lower) or callable(upper):
+        return "  within the bounds of the cells"
+    low, high = np.min(lower), np.max(upper)
+    if np.array_equal(lower, upper):
+        return f"  = {low:g}" if low == high else "  equations"
+    return "" if np.isinf(low) and np.isinf(high) else f"  {low:g} to {high:g}"

@@ -299,10 +299,12 @@ class Modes:
         return Definiteness.POSITIVE if self.solid.all() else Definiteness.UNDETERMINED
 
     def step(self, slope: Array) -> Array:
-        """Return −H⁺ g over the solid modes, (n,), s = −D⁻¹ V λ⁻¹ Vᵀ D⁻¹ g; `slope` is g."""
-        vectors = self.vectors[:, self.solid]
-        part = vectors.T @ (slope / self.size)
-        return np.asarray(-vectors @ (part / self.values[self.solid]) / self.size)
+        """Return −H⁺ g over the solid modes, s = −D⁻¹ V λ⁻¹ Vᵀ D⁻¹ g.
+
+        `slope` is g, (n,), or several, (n, m).
+        """
+        vectors = self.vectors[:, self.solid] / self.size[:, None]
+        return np.asarray(-vectors @ ((vectors.T @ slope).T / self.values[self.solid]).T)
 
     def undetermined(self, slope: Array) -> Array:
         """Return the part of a gradient along the other modes, (n,)."""
