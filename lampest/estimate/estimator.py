@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ from lampest.panel.trust_region import MATRIX_CELLS
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import Settings, Solver
+
+if TYPE_CHECKING:
+    from lampest.formulation.constraints import ProgramPart
 
 # Cells up to which `strongest` is verified: beyond, the witness takes longer than all solves of a
 # short recording (docs/studies/speed.md).
@@ -144,6 +147,8 @@ class Estimator(Objective):
         When to set the zero of pressures anew because nothing touches the panel; None: never.
     verify : Verify
         Frames that IPOPT solves again on the nodal program, from another start.
+    constraints : tuple of ProgramPart, or None
+        Own parts of the program of every frame; weights are chosen without them.
     weight_sigma : tuple of float
         Standard deviations of ln λ of chosen weights.
 
@@ -156,6 +161,7 @@ class Estimator(Objective):
     error_bars: Literal["auto"] | bool = "auto"
     tare: Tare | None = None
     verify: Verify = Verify()
+    constraints: "tuple[ProgramPart, ...] | None" = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", checked_terms(self.terms))  # a list cannot be hashed
@@ -188,8 +194,13 @@ class Estimator(Objective):
 
     @cached_property
     def method(self) -> Method:
-        """The method of the formulation."""
-        return named_method(self.formulation)
+        """The method of the formulation, subject to the constraints."""
+        method = named_method(self.formulation)
+        if not self.constraints:
+            return method
+        from lampest.estimate.methods.constrained import ConstrainedMethod
+
+        return ConstrainedMethod.of(method, self.constraints)
 
     @property
     def joint_start(self) -> bool:

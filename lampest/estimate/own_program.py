@@ -11,7 +11,7 @@ IPOPT solves it from the uniform start. `own_solution` checks the result outside
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import lru_cache
 from typing import Any
 
 import casadi
@@ -31,7 +31,7 @@ from lampest.formulation.ipopt import Interface
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
 from lampest.inference.prepared import Prepared
-from lampest.panel.compiled import CasadiOwner
+from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.solvers.by_ipopt import ipopt_limits
 from lampest.solvers.multistart import evaluated
@@ -145,7 +145,7 @@ class OwnProgram(CasadiOwner):
         ]
         if unsolved:
             return OwnSolution(instance, ProgramResult.none(instance), unsolved[0])
-        interface = self._interface
+        interface = _interface(self.symbols, self.settings)
         multipliers = None
         if start is not None:
             multipliers = start.instance.multipliers_of(start.result)
@@ -177,10 +177,12 @@ class OwnProgram(CasadiOwner):
         )
         return instance if start is None else instance.begun_at(start.instance, start.result)
 
-    @cached_property
-    def _interface(self) -> Interface:
-        """IPOPT's interface to the program."""
-        return Interface.of(self.symbols, ipopt_limits(self.settings), scaled=True)
+
+@guarded
+@lru_cache(maxsize=8)
+def _interface(program: Program, settings: Settings) -> Interface:
+    """Return IPOPT's interface to a program with own parts, which is built once."""
+    return Interface.of(program, ipopt_limits(settings), scaled=True)
 
 
 def program(

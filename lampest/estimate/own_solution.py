@@ -11,9 +11,8 @@ A is the Jacobian of the active constraints. Source: Nocedal & Wright, Numerical
 sections 12.5 and 16.2; Fiacco, Introduction to Sensitivity and Stability Analysis, 1983.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import casadi
 import numpy as np
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError, counted
 from lampest.formulation.instance import Instance, ProgramResult, on_bounds
 from lampest.formulation.ipopt import Interface
+from lampest.formulation.program import Program
 from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.panel.panel import Array
 from lampest.solvers.by_ipopt import STATUS
@@ -114,10 +114,10 @@ class OwnSolution(CasadiOwner):
     @cached_property
     def status(self) -> str:
         """Outcome in a sentence, as `Status` has them."""
-        return self._status.value
+        return self.verdict.value
 
     @cached_property
-    def _status(self) -> Status:
+    def verdict(self) -> Status:
         """Status by the first order, then by the second along the active constraints."""
         if self.unsolved is not None:
             return self.unsolved
@@ -154,7 +154,7 @@ class OwnSolution(CasadiOwner):
     @property
     def solved(self) -> bool:
         """Whether this is an optimum."""
-        return self._status in OPTIMA
+        return self.verdict in OPTIMA
 
     @property
     def ended(self) -> bool:
@@ -164,7 +164,7 @@ class OwnSolution(CasadiOwner):
     @property
     def settled(self) -> bool:
         """Whether this is a strict minimum to the digits of double precision."""
-        return self._status is Status.OPTIMUM
+        return self.verdict is Status.OPTIMUM
 
     def from_here(self, interface: Interface) -> "OwnSolution":
         """Return the solution of an interface that begins at this one, with its multipliers."""
@@ -212,6 +212,16 @@ class OwnSolution(CasadiOwner):
         conductance = self.instance.scale / self.instance.cells_of(self.result)
         relative = self._deviations("conductance").reshape(self.instance.shape) / conductance
         return np.asarray(self.cell_resistance * relative)
+
+    def value(self, of: str | casadi.SX) -> Array:
+        """Return the value of an expression of the program's symbols, or of a name, of its shape.
+
+        Values are NaN where nothing was solved. The names are those of `covariance`.
+        Raises InputError for another name, and for symbols of another program.
+        """
+        with_value = self._function(of, "")
+        (values, *_) = self._evaluated(with_value)
+        return self._if_solved(values)
 
     def errors(self, name: str) -> Array:
         """Return the standard deviations of an own unknown, (size,); infinite if undetermined.
@@ -298,8 +308,9 @@ class OwnSolution(CasadiOwner):
         Parameters
         ----------
         of : str or casadi.SX, shape (size, 1)
-            'cell_resistance' in ohm, 'conductance' in siemens, a voltage, or an own unknown; or an
-            expression of the program's symbols.
+            'cell_resistance' in ohm, its logarithm 'log_cell_resistance', 'conductance' in siemens,
+            the modelled 'reading', a voltage, or an own unknown; or an expression of the program's
+            symbols.
 
         Raises InputError for another name.
         """
@@ -335,32 +346,36 @@ class OwnSolution(CasadiOwner):
         free = _reaches(outer @ undetermined, np.abs(outer) @ np.abs(undetermined))
         return np.where(free[:, None], np.nan, outer @ moved + explicit)
 
-    @guarded
     def _slopes_of(self, of: str | casadi.SX, to: str = "") -> tuple[Array, Array]:
-        """Return the derivatives of an expression by the unknowns, and by a parameter.
+        """Return the derivatives of an expression by the unknowns, and by what was given.
+
+        Raises InputError for a name that is no unknown.
+        """
+        _, by_unknown, by_given = self._evaluated(self._function(of, to))
+        if to not in self.instance.program.parameter.symbols:
+            by_given = np.zeros((len(by_unknown), self._size_of(to)))
+        return by_unknown, by_given
+
+    @guarded
+    def _function(self, of: str | casadi.SX, to: str) -> casadi.Function:
+        """Return the function (x, p) → value, slopes by x, and by a parameter.
 
         Raises InputError for a name that is no unknown.
         """
         program = self.instance.program
-        if isinstance(of, str) and of not in program.quantities:
+        if not isinstance(of, str):
+            return _with_slopes(program, casadi.SX(of), to)
+        if of not in program.quantities:
             names = ", ".join(program.quantities)
             raise InputError(f"the program has no unknown {of}; it has {names}")
-        expression = casadi.vec(program.quantities[of] if isinstance(of, str) else casadi.SX(of))
-        program.check_symbols("the expression", expression)
-        given = program.parameter.symbols.get(to, casadi.SX(self._size_of(to), 1))
-        by_given = (
-            casadi.jacobian(expression, given)
-            if to in program.parameter.symbols
-            else (casadi.SX(expression.shape[0], given.shape[0]))
-        )
-        outputs = [
-            casadi.densify(casadi.jacobian(expression, program.unknown.column)),
-            casadi.densify(by_given),
-        ]
-        nlp = program.nlp
-        function = casadi.Function("slopes", [nlp["x"], nlp["p"]], outputs)
-        by_unknown, by_parameter = function(self.result.unknown, self.instance.parameter)
-        return np.asarray(by_unknown), np.asarray(by_parameter)
+        return _slopes_by_name(program, of, to)
+
+    @guarded
+    def _evaluated(self, function: casadi.Function, *more: Array) -> list[Array]:
+        """Return the results of a function of x, p and further arguments, as arrays."""
+        results = function(self.result.unknown, self.instance.parameter, *more)
+        several = results if isinstance(results, tuple) else (results,)
+        return [np.asarray(result, dtype=float) for result in several]
 
     def _size_of(self, to: str) -> int:
         """Return the number of entries of what a sensitivity is taken to; 0 of nothing.
@@ -399,7 +414,6 @@ class OwnSolution(CasadiOwner):
         force = basis.T @ (slopes + hessian @ moved)
         return moved + basis @ modes.step(force), self._spread[1]
 
-    @guarded
     def _forces(self, to: str) -> tuple[Array, Array, Array]:
         """Return ∂(∇L)/∂p, the change of the constraints' right sides, and of held unknowns.
 
@@ -411,23 +425,13 @@ class OwnSolution(CasadiOwner):
         """
         instance = self.instance
         program = instance.program
-        nlp = program.nlp
         count = self._size_of(to)
         slopes, moved = (np.zeros((len(self.result.unknown), count)) for _ in range(2))
         limits = np.zeros((len(self.result.of_equations), count))
         if to in program.parameter.symbols:
-            symbol = program.parameter.symbols[to]
-            multiplier = casadi.SX.sym("multiplier", nlp["g"].shape[0])
-            lagrangian = nlp["f"] + casadi.dot(multiplier, nlp["g"])
-            outputs = [
-                casadi.densify(casadi.jacobian(casadi.gradient(lagrangian, nlp["x"]), symbol)),
-                casadi.densify(casadi.jacobian(nlp["g"], symbol)),
-            ]
-            forces = casadi.Function("forces", [nlp["x"], nlp["p"], multiplier], outputs)
-            by_gradient, by_equation = forces(
-                self.result.unknown, instance.parameter, self.result.of_equations
-            )
-            return np.asarray(by_gradient), -np.asarray(by_equation), moved
+            forces = _forces_by(program, to)
+            by_gradient, by_equation = self._evaluated(forces, self.result.of_equations)
+            return by_gradient, -by_equation, moved
         if to in program.own_constraints:
             rows = program.equation.named(np.arange(len(limits), dtype=float))[to].astype(int)
             limits[rows, np.arange(count)] = 1.0
@@ -463,19 +467,14 @@ class OwnSolution(CasadiOwner):
                 f"the program has no own unknown {name}; it has {', '.join(own) or 'none'}"
             )
 
-    @cached_property
     @guarded
-    def _values(self) -> Callable[[Array], tuple[float, Array]]:
-        """Function x → cost φ/cost_scale, and constraints (constraints,)."""
-        nlp = self.instance.program.nlp
-        function = casadi.Function("values", [nlp["x"], nlp["p"]], [nlp["f"], nlp["g"]])
-
-        @guarded
-        def values(unknown: Array) -> tuple[float, Array]:
-            cost, equations = function(unknown, self.instance.parameter)
-            return float(cost), np.asarray(equations).ravel()
-
-        return values
+    def _values(self, unknown: Array) -> tuple[float, Array]:
+        """Return the cost φ/cost_scale, and the constraints (constraints,), at unknowns x."""
+        derivatives = self.instance.program.derivatives
+        arguments = unknown, self.instance.parameter
+        cost, _ = derivatives["grad_f"](*arguments)
+        equations, _ = derivatives["jac_g"](*arguments)
+        return float(cost), np.asarray(equations).ravel()
 
     @property
     def _cost(self) -> float:
@@ -491,15 +490,12 @@ class OwnSolution(CasadiOwner):
     @guarded
     def _derivatives(self) -> tuple[Array, scipy.sparse.csc_array, scipy.sparse.csc_array]:
         """∇f (unknowns,), J (constraints, unknowns), and ∇²L (unknowns, unknowns)."""
-        program = self.instance.program
-        x = self.result.unknown
-        p = self.instance.parameter
-        nlp = program.nlp
-        at = [nlp["x"], nlp["p"]]
-        outputs = [casadi.gradient(nlp["f"], nlp["x"]), casadi.jacobian(nlp["g"], nlp["x"])]
-        gradient, jacobian = casadi.Function("first", at, outputs)(x, p)
+        derivatives = self.instance.program.derivatives
+        arguments = self.result.unknown, self.instance.parameter
+        _, gradient = derivatives["grad_f"](*arguments)
+        _, jacobian = derivatives["jac_g"](*arguments)
         upper = scipy.sparse.csc_array(
-            program.hessian()(x, p, 1.0, self.result.of_equations).sparse()
+            derivatives["hess_lag"](*arguments, 1.0, self.result.of_equations).sparse()
         )
         hessian = upper + scipy.sparse.triu(upper, 1).T
         return (
@@ -612,6 +608,37 @@ class OwnSolution(CasadiOwner):
         factor, undetermined = self._spread
         deviations = np.sqrt(np.sum(factor[chosen] ** 2, axis=1))
         return np.where(_reaches(undetermined[chosen], np.abs(undetermined)), np.inf, deviations)
+
+
+def _with_slopes(program: Program, expression: casadi.SX, to: str) -> casadi.Function:
+    """Return the function (x, p) → expression, and its derivatives by x and by a parameter."""
+    program.check_symbols("the expression", expression)
+    nlp = program.nlp
+    given = program.parameter.symbols.get(to, casadi.SX(0, 1))
+    outputs = [
+        expression,
+        *(casadi.jacobian(casadi.vec(expression), by) for by in (nlp["x"], given)),
+    ]
+    return casadi.Function("slopes", [nlp["x"], nlp["p"]], list(map(casadi.densify, outputs)))
+
+
+@lru_cache(maxsize=32)
+def _slopes_by_name(program: Program, of: str, to: str) -> casadi.Function:
+    """Return `_with_slopes` of a quantity; it is built once for the frames of a recording."""
+    return _with_slopes(program, program.quantities[of], to)
+
+
+@guarded
+@lru_cache(maxsize=32)
+def _forces_by(program: Program, to: str) -> casadi.Function:
+    """Return the function (x, p, λ) → ∂(∇L)/∂q and ∂g/∂q, by a parameter q."""
+    nlp = program.nlp
+    symbol = program.parameter.symbols[to]
+    multiplier = casadi.SX.sym("multiplier", nlp["g"].shape[0])
+    lagrangian = nlp["f"] + casadi.dot(multiplier, nlp["g"])
+    slopes = casadi.gradient(lagrangian, nlp["x"])
+    outputs = [casadi.densify(casadi.jacobian(value, symbol)) for value in (slopes, nlp["g"])]
+    return casadi.Function("forces", [nlp["x"], nlp["p"], multiplier], outputs)
 
 
 def _reaches(chosen: Array, size: Array) -> NDArray[np.bool_]:

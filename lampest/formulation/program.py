@@ -349,9 +349,9 @@ class Program(CasadiOwner):
         """
         if not isinstance(name, str):
             raise InputError(f"the name of an unknown is a text, not {in_words(name)}")
-        if name in self.unknown.symbols:
+        if name in self.quantities:
             raise InputError(
-                f"the program has an unknown {name} already: {', '.join(self.unknown.symbols)}"
+                f"the program has an unknown {name} already: {', '.join(self.quantities)}"
             )
         if not (isinstance(size, int | np.integer) and size >= 1):
             raise InputError(f"unknown {name} needs a size of 1 or more, not {size!r}")
@@ -543,7 +543,7 @@ class Program(CasadiOwner):
 
     @cached_property
     def quantities(self) -> dict[str, casadi.SX]:
-        """Unknowns by name, in units that do not depend on the data, and the cells in ohm.
+        """Unknowns by name, in units that do not depend on the data, and functions of them.
 
         Conductances are in siemens, voltages in volt or V/A, parts of residuals in their own unit.
         """
@@ -554,7 +554,13 @@ class Program(CasadiOwner):
         natural = {
             name: symbol * units.get(name, 1) for name, symbol in self.unknown.symbols.items()
         }
-        return {**natural, "cell_resistance": casadi.vec(self.cell_resistance)}
+        cells = casadi.vec(self.cell_resistance)
+        return {
+            **natural,
+            "cell_resistance": cells,
+            "log_cell_resistance": casadi.log(cells),
+            "reading": casadi.vec(self.reading),
+        }
 
     @cached_property
     def equation(self) -> Blocks:

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,6 @@ from lampest.solvers.certificate import MIN_COST_SHARE, Certificate, Definitenes
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Preconditioner
 from lampest.solvers.smoothing import Smoothing
-
-if TYPE_CHECKING:
-    from lampest.formulation.instance import Multipliers
 
 # KKT residual, relative to the cost's scale, up to which an optimum counts as verified.
 VERIFIED = MILLIONTH
@@ -225,8 +222,8 @@ class Outcome:
     iterations : int
     certificate : Certificate or None
         Certificate of these cells.
-    carried : Preconditioner, Multipliers or None
-        What the solver of the next frame can begin with.
+    carried : object
+        What the solver of the next frame can begin with: a Preconditioner, Multipliers, or None.
     convex : bool
         Whether no direction of negative curvature was met.
     at : Evaluation or None
@@ -248,7 +245,7 @@ class Outcome:
     status: Status
     iterations: int
     certificate: Certificate | None = None
-    carried: "Preconditioner | Multipliers | None" = None
+    carried: object = None
     convex: bool = False
     at: Evaluation | None = None
 
@@ -282,7 +279,7 @@ class Solution:
     at : Evaluation or None
         Evaluation at the cells; None where nothing was solved.
     dual : array or None
-    carried : Preconditioner, Multipliers or None
+    carried : object
     convex : bool
         See `Outcome`.
     starts : int
@@ -310,7 +307,7 @@ class Solution:
     iterations: int
     at: Evaluation | None = None
     dual: Array | None = None
-    carried: "Preconditioner | Multipliers | None" = None
+    carried: object = None
     convex: bool = False
     starts: int = 1
     solver: str = ""
