@@ -51,6 +51,9 @@ WARM = {
 }
 # Readings of shorts are decades below the others, and so are their parts of the optimality
 # conditions: IPOPT goes on below its usual tolerance, with pivots that keep digits.
+# A warm solve ends where the slopes are below a hundred tolerances, at bounds that are met to one:
+# by then Newton's steps are quadratic, and the next one moves cells by some 1e-9.
+WARM_SLOPES = 100.0
 FINE = {
     **GIVEN_MULTIPLIERS,
     "warm_start_bound_push": 1e-20,
@@ -186,7 +189,13 @@ class Interface(CasadiOwner):
     @cached_property
     def _warm(self) -> casadi.Function:
         """IPOPT for starts with multipliers; `fine` interfaces have options of their own."""
-        chosen = WARM | self.limits.options()
+        tolerance = self.limits.tolerance
+        nearly = {
+            "acceptable_tol": WARM_SLOPES * tolerance,
+            "acceptable_compl_inf_tol": tolerance,
+            "acceptable_iter": 1,
+        }
+        chosen = WARM | nearly | self.limits.options()
         if self.is_fine:
             chosen = dict(self.limits.own) | FINE | self.limits.fine_options()
         return _solver(self.program, chosen, scaled=self.scaled)

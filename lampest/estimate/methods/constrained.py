@@ -106,8 +106,8 @@ class ConstrainedMethod(Method):
     """The optimum of the cells and own unknowns, subject to own constraints.
 
     They hold for every solve, that of the unloaded panel included. Error bars are those of noise
-    along the constraints; errors that the scene names beside noise are not part of them, and
-    changes from the unloaded panel have none.
+    along the constraints, independent between frames; errors that the scene names beside noise are
+    not part of them.
 
     Attributes
     ----------
@@ -172,13 +172,22 @@ class ConstrainedMethod(Method):
         """Return the solution where the next frame begins."""
         return solution.carried if solution.solved else prepared
 
+    def begin(self, state: AnyState) -> AnyState:
+        """Return the state with its baseline, and the error bars of that."""
+        state = super().begin(state)
+        assert state.baseline is not None
+        bars = _bars(state.baseline)
+        if state.track is None or bars is None:
+            return state
+        return replace(state, track=replace(state.track, baseline=bars.frame))
+
     def after(self, state: AnyState, step: Step, readings: Readings) -> tuple[AnyState, Step]:
         """Update the state by a solved frame, with error bars along the constraints."""
-        solved = step.solution.carried
-        at = step.solution.at
-        if state.track is not None and at is not None and isinstance(solved, OwnSolution):
-            step = replace(step, bars=_bars(solved, at))
-        return super().after(state, step, readings)
+        bars = None if state.track is None else _bars(step)
+        if bars is not None and state.track is not None and state.track.baseline is not None:
+            independent = np.zeros(bars.frame.deviation.shape)
+            bars = replace(bars, change=bars.frame.less(state.track.baseline, independent))
+        return super().after(state, replace(step, bars=bars), readings)
 
     def verified(
         self, state: AnyState, readings: Readings, after: AnyState, step: Step
@@ -187,23 +196,26 @@ class ConstrainedMethod(Method):
         return after, step
 
 
-def _bars(solved: OwnSolution, at: Evaluation) -> Bars:
-    """Return the error bars of a solution along its constraints."""
+def _bars(step: Step) -> Bars | None:
+    """Return the error bars of a solve along its constraints; None where nothing was solved."""
+    solved = step.solution.carried
+    at = step.solution.at
+    if at is None or not isinstance(solved, OwnSolution):
+        return None
     shape = at.cell_resistance.shape[1:]
     deviation, of_reading = (
         np.sqrt(np.diag(solved.covariance(name))).reshape(shape)
         for name in ("log_cell_resistance", "reading")
     )
     # Averaging kernel: the estimate's derivative by the cells that are read
-    kernel = (
-        solved.sensitivity(of="log_cell_resistance", to="measured") @ at.networks[0].sensitivity()
-    )
+    by_reading = solved.sensitivity(of="log_cell_resistance", to="measured")
+    kernel = by_reading @ at.networks[0].sensitivity()
     certainty = Certainty(
         deviation,
-        TWO_SIDED * deviation,
-        TWO_SIDED * deviation,
-        np.diag(kernel).reshape(shape),
-        kernel.sum(axis=1).reshape(shape),
-        np.zeros(shape),
+        below=TWO_SIDED * deviation,
+        above=TWO_SIDED * deviation,
+        resolution=np.diag(kernel).reshape(shape),
+        data_share=kernel.sum(axis=1).reshape(shape),
+        common=np.zeros(shape),
     )
     return Bars(certainty, None, of_reading)
