@@ -45,19 +45,23 @@ WARM = {
     **GIVEN_MULTIPLIERS,
     "warm_start_bound_push": PUSH,
     "warm_start_bound_frac": PUSH,
+    "warm_start_slack_bound_push": PUSH,
+    "warm_start_slack_bound_frac": PUSH,
     "warm_start_mult_bound_push": PUSH,
     "mu_init": 1e-6,
     "mu_max": 1e-4,
 }
-# Readings of shorts are decades below the others, and so are their parts of the optimality
-# conditions: IPOPT goes on below its usual tolerance, with pivots that keep digits.
 # A warm solve ends where the slopes are below a hundred tolerances, at bounds that are met to one:
 # by then Newton's steps are quadratic, and the next one moves cells by some 1e-9.
 WARM_SLOPES = 100.0
+# Readings of shorts are decades below the others, and so are their parts of the optimality
+# conditions: IPOPT goes on below its usual tolerance, with pivots that keep digits.
 FINE = {
     **GIVEN_MULTIPLIERS,
     "warm_start_bound_push": 1e-20,
     "warm_start_bound_frac": 1e-20,
+    "warm_start_slack_bound_push": 1e-20,
+    "warm_start_slack_bound_frac": 1e-20,
     "warm_start_mult_bound_push": 1e-30,
     "mu_init": 1e-16,
     "mumps_pivtol": 0.1,
