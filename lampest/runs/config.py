@@ -43,7 +43,7 @@ FORBID: dict[str, Any] = {"extra": "forbid"}
 
 def by_kind_class(name: str, kinds: Mapping[str, type[Any]], *bases: type[Any]) -> type[Any]:
     """Return a dataclass with a field for every kind of a registered class, None by default."""
-    summary = f"The {name} of an estimator, by kind."
+    summary = f"The {name.lower()} of an estimator, by kind."
     space = {"__pydantic_config__": FORBID, "__module__": __name__, "__doc__": summary}
     members = [(kind, member | None, field(default=None)) for kind, member in kinds.items()]
     return make_dataclass(name, members, bases=bases, frozen=True, namespace=space)
