@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,10 @@ from lampest.cost.terms import Term, term_kind
 from lampest.estimate.methods import MethodName, named_method
 from lampest.estimate.methods.method import Method
 from lampest.estimate.objective import AutoWeight, Objective
-from lampest.files.applications import applications
+from lampest.files.applications import applications, loaded
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import Configuration, check_range
+from lampest.formulation.constraints import AnyPart
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MATRIX_CELLS
@@ -22,12 +23,10 @@ from lampest.recording.readings import Readings, strongest_frame
 from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import Settings, Solver
 
-if TYPE_CHECKING:
-    from lampest.formulation.constraints import ProgramPart
-
 # Cells up to which `strongest` is verified: beyond, the witness takes longer than all solves of a
 # short recording (docs/studies/speed.md).
 MAX_VERIFIED_CELLS = 144
+CONSTRAINED = "lampest.estimate.methods.constrained:ConstrainedMethod"
 
 
 @dataclass(frozen=True)
@@ -161,7 +160,7 @@ class Estimator(Objective):
     error_bars: Literal["auto"] | bool = "auto"
     tare: Tare | None = None
     verify: Verify = Verify()
-    constraints: "tuple[ProgramPart, ...] | None" = None
+    constraints: tuple[AnyPart, ...] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", checked_terms(self.terms))  # a list cannot be hashed
@@ -198,9 +197,8 @@ class Estimator(Objective):
         method = named_method(self.formulation)
         if not self.constraints:
             return method
-        from lampest.estimate.methods.constrained import ConstrainedMethod
-
-        return ConstrainedMethod.of(method, self.constraints)
+        constrained: Method = loaded(CONSTRAINED).of(method, self.constraints)
+        return constrained
 
     @property
     def joint_start(self) -> bool:

@@ -56,7 +56,7 @@ class KnownCells(ProgramPart):
 
     def add_to(self, program: Program) -> Program:
         """Return the program with r/kΩ = ohm/1000 for each cell."""
-        return program.subject_to(self.kind, chosen(program, self.cells), self.ohm / KILO)
+        return program.subject_to(self.kind, _chosen(program, self.cells), self.ohm / KILO)
 
 
 @dataclass(frozen=True)
@@ -83,14 +83,14 @@ class EqualCells(ProgramPart):
 
     def add_to(self, program: Program) -> Program:
         """Return the program with r_k − r_0 = 0, in kΩ, for each cell k but the first."""
-        cells = chosen(program, self.cells)
+        cells = _chosen(program, self.cells)
         return program.subject_to(self.kind, cells[1:] - cells[0])
 
 
 AnyPart = Annotated[KnownCells | EqualCells, ByKind("lampest.constraints")]
 
 
-def chosen(program: Program, cells: Cells) -> Any:
+def _chosen(program: Program, cells: Cells) -> Any:
     """Return some cells of a program in kΩ, (cells, 1).
 
     Raises InputError for a cell that the panel does not have, or that is named twice.

@@ -205,22 +205,35 @@ class Interface(CasadiOwner):
         return _solver(self.program, chosen, scaled=self.scaled)
 
 
-@guarded
+def is_option(name: str) -> bool:
+    """Return whether IPOPT has an option of this name."""
+    return "No such IPOPT option" not in _objection(name, 0)[0]
+
+
 def check_options(options: Mapping[str, Any]) -> None:
     """Raise ValueError for options that IPOPT does not have, and values that it does not take."""
-    unknown = casadi.SX.sym("x")
     for name, value in options.items():
-        said = StringIO()
-        problem = {"x": unknown, "f": unknown**2}
-        try:
-            with redirect_stdout(said):
-                casadi.nlpsol("options", "ipopt", problem, {"ipopt": {name: value}})
-        except (RuntimeError, NotImplementedError) as error:
-            if "No such IPOPT option" in str(error):
-                raise ValueError(f"IPOPT has no option {name}") from None
+        objection, said = _objection(name, value)
+        if objection and not is_option(name):
+            raise ValueError(f"IPOPT has no option {name}")
+        if objection:
             # IPOPT's own text: the value, and after the option's description what it may be.
-            allowed = " ".join(said.getvalue().partition("Description: ")[2].split())
-            raise ValueError(f"IPOPT does not take {name}: {value!r}. {allowed}".strip()) from None
+            allowed = " ".join(said.partition("Description: ")[2].split())
+            raise ValueError(f"IPOPT does not take {name}: {value!r}. {allowed}".strip())
+
+
+@guarded
+def _objection(name: str, value: Any) -> tuple[str, str]:
+    """Return CasADi's objection to an option of IPOPT, '' for none, and what IPOPT prints."""
+    unknown = casadi.SX.sym("x")
+    said = StringIO()
+    problem = {"x": unknown, "f": unknown**2}
+    try:
+        with redirect_stdout(said):
+            casadi.nlpsol("options", "ipopt", problem, {"ipopt": {name: value}})
+    except (RuntimeError, NotImplementedError) as error:
+        return str(error), said.getvalue()
+    return "", ""
 
 
 def _solver(program: Program, chosen: dict[str, Any], *, scaled: bool) -> casadi.Function:

@@ -76,7 +76,7 @@ Terms = by_kind_class("Terms", _shipped_kinds(AnyTerm), _extended(term_types))
 Constraints = by_kind_class("Constraints", _shipped_kinds(AnyPart), _extended(part_types))
 
 
-def members_of(chosen: Any, kinds: Iterable[str]) -> tuple[Any, ...]:
+def named_members(chosen: Any, kinds: Iterable[str]) -> tuple[Any, ...]:
     """Return the objects that a run file names, in the order of their kinds."""
     return tuple(member for kind in kinds if (member := getattr(chosen, kind, None)) is not None)
 
@@ -390,8 +390,8 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
     try:
         check_name(name, "estimator")
         return Estimator(
-            members_of(entry.terms, term_types()),
-            constraints=members_of(entry.constraints, part_types()) or None,
+            named_members(entry.terms, term_types()),
+            constraints=named_members(entry.constraints, part_types()) or None,
             **{item.name: getattr(entry, item.name) for item in fields(Choices)},
         )
     except ValueError as error:

@@ -141,18 +141,31 @@ class IpoptOptions(Extensible):
 
     @classmethod
     def gathered(cls, content: Any) -> Any:
-        """Return arguments with all keys in `own`."""
-        return content if content.keys() == {"own"} else {"own": tuple(content.items())}
+        """Return arguments, or the content of a file, with IPOPT's options in `own`."""
+        if not isinstance(content, dict) or content.keys() == {"own"}:
+            return content
+        from lampest.formulation.ipopt import is_option
+
+        own = {key: value for key, value in content.items() if is_option(key)}
+        unknown = {key: value for key, value in content.items() if key not in own}
+        return {**unknown, "own": tuple(own.items())}
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
-        """Return the schema that also takes a mapping. Called by pydantic."""
+        """Return the schema that takes a mapping in Python, too. Called by pydantic."""
 
         def made(content: Any) -> Any:
             return cls(own=tuple(content.items())) if isinstance(content, dict) else content
 
-        function = {"type": "no-info", "function": made}
-        return {"type": "function-before", "function": function, "schema": handler(source)}
+        json, python = (
+            {
+                "type": "function-before",
+                "function": {"type": "no-info", "function": function},
+                "schema": handler(source),
+            }
+            for function in (cls.gathered, made)
+        )
+        return {"type": "json-or-python", "json_schema": json, "python_schema": python}
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: Any, handler: Any) -> Any:

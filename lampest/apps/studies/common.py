@@ -34,7 +34,7 @@ from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.shapes import AnyShape, OralDisc
 from lampest.recording.simulation.simulation import Simulation, read_simulations
 from lampest.recording.stored import joined
-from lampest.runs.config import Terms, members_of
+from lampest.runs.config import Terms, named_members
 from lampest.runs.executors import Processes
 from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import STRICT, Settings
@@ -59,7 +59,7 @@ class StudyMethod(Configuration):
     @property
     def parts(self) -> tuple[Term, ...]:
         """Terms in order."""
-        return members_of(self.terms, term_types())
+        return named_members(self.terms, term_types())
 
     def estimator(
         self, formulation: MethodName | Method, solver: Settings, **options: Any

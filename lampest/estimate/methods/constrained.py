@@ -16,7 +16,7 @@ from lampest.estimate.state import AnyState, Step
 from lampest.files.errors import InputError
 from lampest.files.levels import TWO_SIDED
 from lampest.formulation.circuit import Circuit
-from lampest.formulation.constraints import ProgramPart
+from lampest.formulation.constraints import AnyPart, ProgramPart
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
 from lampest.panel.compiled import guarded
@@ -117,10 +117,10 @@ class ConstrainedMethod(Method):
 
     optimum: ClassVar[bool] = True
     kind: Literal["nodal", "per_pixel"] = "nodal"
-    parts: tuple[ProgramPart, ...] = ()
+    parts: tuple[AnyPart, ...] = ()
 
     @classmethod
-    def of(cls, method: Method, parts: tuple[ProgramPart, ...]) -> "ConstrainedMethod":
+    def of(cls, method: Method, parts: tuple[AnyPart, ...]) -> "ConstrainedMethod":
         """Return the method for the parts of an estimator.
 
         Raises InputError where the formulation has no program.
