@@ -6,13 +6,15 @@ Installed packages add theirs by the entry point group `lampest.constraints`.
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import casadi
 
 from lampest.files.errors import InputError
 from lampest.files.typed import ByKind, Configuration, check_positive_fields, members_by_kind
-from lampest.formulation.program import Program
+
+if TYPE_CHECKING:  # estimates without own parts load no program
+    from lampest.formulation.program import Program
 
 Cells = tuple[tuple[int, int], ...]
 KILO = 1000.0  # ohm: rows of constraints are of order one
@@ -27,7 +29,7 @@ class ProgramPart(Configuration):
     """
 
     @abstractmethod
-    def add_to(self, program: Program) -> Program:
+    def add_to(self, program: "Program") -> "Program":
         """Return the program with this part, by `subject_to`, `with_unknown` and `with_cost`."""
 
 
@@ -54,7 +56,7 @@ class KnownCells(ProgramPart):
     def __post_init__(self) -> None:
         check_positive_fields(self, "ohm")
 
-    def add_to(self, program: Program) -> Program:
+    def add_to(self, program: "Program") -> "Program":
         """Return the program with r/kΩ = ohm/1000 for each cell."""
         return program.subject_to(self.kind, _chosen(program, self.cells), self.ohm / KILO)
 
@@ -81,7 +83,7 @@ class EqualCells(ProgramPart):
         if len(self.cells) < 2:
             raise ValueError("cells must name two or more that are equal")
 
-    def add_to(self, program: Program) -> Program:
+    def add_to(self, program: "Program") -> "Program":
         """Return the program with r_k − r_0 = 0, in kΩ, for each cell k but the first."""
         cells = _chosen(program, self.cells)
         return program.subject_to(self.kind, cells[1:] - cells[0])
@@ -90,7 +92,7 @@ class EqualCells(ProgramPart):
 AnyPart = Annotated[KnownCells | EqualCells, ByKind("lampest.constraints")]
 
 
-def _chosen(program: Program, cells: Cells) -> Any:
+def _chosen(program: "Program", cells: Cells) -> Any:
     """Return some cells of a program in kΩ, (cells, 1).
 
     Raises InputError for a cell that the panel does not have, or that is named twice.
