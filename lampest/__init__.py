@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from lampest.estimate.methods import MethodName
     from lampest.estimate.methods.method import Method
     from lampest.estimate.objective import AutoWeight
+    from lampest.formulation.constraints import ProgramPart
     from lampest.recording.recording import Recording
     from lampest.report.reconstruction import Reconstruction
     from lampest.solvers.posed import Bounds
@@ -75,6 +76,7 @@ def reconstruct(
     auto_weight: AutoWeight | None = None,
     tare: Tare | None = None,
     verify: Verify | None = None,
+    constraints: Sequence[ProgramPart] | None = None,
     progress: bool | Callable[[int, int], None] = False,
 ) -> Reconstruction:
     """Estimate the cells of every measured frame.
@@ -106,6 +108,9 @@ def reconstruct(
     verify : Verify, or None
         Frames that IPOPT solves again on the nodal program, from another start. None stands for
         Verify(): none.
+    constraints : sequence of ProgramPart, or None
+        Own parts of the program of every frame, such as EqualCells(cells=[[0, 0], [0, 1]]); they
+        need the formulation nodal, per_pixel or auto.
     progress : bool or callable
         True draws a bar with the numbers of finished and of all frames and the remaining time. A
         function is called after every frame with both numbers.
@@ -141,6 +146,7 @@ def reconstruct(
         "auto_weight": auto_weight,
         "tare": tare,
         "verify": verify,
+        "constraints": None if constraints is None else tuple(constraints),
     }
     estimator = Estimator(
         default_terms(recording) if terms is None else checked_terms(terms),

@@ -41,11 +41,15 @@ from .estimate.methods.method import OptimalMethod as OptimalMethod
 from .estimate.methods.smoother import SmootherMethod as SmootherMethod
 from .estimate.objective import AutoWeight as AutoWeight
 from .estimate.own_program import OwnProgram as OwnProgram
-from .estimate.own_program import OwnSolution as OwnSolution
 from .estimate.own_program import program as program
+from .estimate.own_solution import OwnSolution as OwnSolution
 from .estimate.state import Step as Step
 from .estimate.stream import Stream as Stream
 from .files.errors import InputError as InputError
+from .formulation.constraints import EqualCells as EqualCells
+from .formulation.constraints import KnownCells as KnownCells
+from .formulation.constraints import ProgramPart as ProgramPart
+from .formulation.constraints import part_types as part_types
 from .inference.circuits.model_check import ModelCheck as ModelCheck
 from .panel.conditions import Experiment as Experiment
 from .panel.conditions import MeasuredSubject as MeasuredSubject
@@ -135,5 +139,6 @@ def reconstruct(
     auto_weight: AutoWeight | None = None,
     tare: Tare | None = None,
     verify: Verify | None = None,
+    constraints: collections.abc.Sequence[ProgramPart] | None = None,
     progress: bool | collections.abc.Callable[[int, int], None] = False,
 ) -> Reconstruction: ...

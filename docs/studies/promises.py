@@ -65,7 +65,7 @@ BREAKS = {
         "formulation/instance.py", "Instance.cells_of", "return 1.001 * result"
     ),
     "an_end_at_a_saddle_is_no_optimum": Break(
-        "estimate/own_program.py", "OwnSolution._definiteness", "return Definiteness.POSITIVE"
+        "solvers/certificate.py", "Modes.definiteness", "return Definiteness.POSITIVE"
     ),
     "three_commands_lead_from_the_wheel_to_a_picture": Break(
         "report/plots/__init__.py", "plot_results", "return ()"

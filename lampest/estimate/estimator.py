@@ -12,9 +12,10 @@ from lampest.cost.terms import Term, term_kind
 from lampest.estimate.methods import MethodName, named_method
 from lampest.estimate.methods.method import Method
 from lampest.estimate.objective import AutoWeight, Objective
-from lampest.files.applications import applications
+from lampest.files.applications import applications, loaded
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import Configuration, check_range
+from lampest.formulation.constraints import AnyPart
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MATRIX_CELLS
@@ -25,6 +26,7 @@ from lampest.solvers.solution import Settings, Solver
 # Cells up to which `strongest` is verified: beyond, the witness takes longer than all solves of a
 # short recording (docs/studies/speed.md).
 MAX_VERIFIED_CELLS = 144
+CONSTRAINED = "lampest.estimate.methods.constrained:ConstrainedMethod"
 
 
 @dataclass(frozen=True)
@@ -144,6 +146,8 @@ class Estimator(Objective):
         When to set the zero of pressures anew because nothing touches the panel; None: never.
     verify : Verify
         Frames that IPOPT solves again on the nodal program, from another start.
+    constraints : tuple of ProgramPart, or None
+        Own parts of the program of every frame; weights are chosen without them.
     weight_sigma : tuple of float
         Standard deviations of ln λ of chosen weights.
 
@@ -156,6 +160,7 @@ class Estimator(Objective):
     error_bars: Literal["auto"] | bool = "auto"
     tare: Tare | None = None
     verify: Verify = Verify()
+    constraints: tuple[AnyPart, ...] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", checked_terms(self.terms))  # a list cannot be hashed
@@ -188,8 +193,12 @@ class Estimator(Objective):
 
     @cached_property
     def method(self) -> Method:
-        """The method of the formulation."""
-        return named_method(self.formulation)
+        """The method of the formulation, subject to the constraints."""
+        method = named_method(self.formulation)
+        if not self.constraints:
+            return method
+        constrained: Method = loaded(CONSTRAINED).of(method, self.constraints)
+        return constrained
 
     @property
     def joint_start(self) -> bool:

@@ -1,7 +1,7 @@
 """A program with the numbers of given data, and what IPOPT returns for it."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -29,6 +29,24 @@ class Multipliers:
     of_equations: Array
     scale: float
     cost_scale: float
+
+    def for_program(self, own: Program, other: Program) -> "Multipliers":
+        """Return the multipliers of a program as those of another one, by name.
+
+        Bounds and constraints that it has beside have zero.
+        """
+        columns = []
+        for one, two, values in (
+            (own.unknown, other.unknown, self.of_bounds),
+            (own.equation, other.equation, self.of_equations),
+        ):
+            named = one.named(values)
+            shared = {
+                name: named[name] if name in named and len(named[name]) == size else np.zeros(size)
+                for name, size in two.sizes.items()
+            }
+            columns.append(two.stacked(shared))
+        return replace(self, of_bounds=columns[0], of_equations=columns[1])
 
     def in_units(self, program: Program, scale: float, cost_scale: float) -> "Multipliers":
         """Return the multipliers in other units.
@@ -66,6 +84,8 @@ class ProgramResult:
     corrected : bool
         Whether IPOPT corrected the inertia in any iteration: there was negative curvature along the
         equations.
+    history : mapping of str to list of float
+        IPOPT's table of iterations: `obj`, `inf_pr`, `inf_du`, `mu`, `d_norm`, step lengths.
     """
 
     unknown: Array
@@ -74,6 +94,15 @@ class ProgramResult:
     status: str
     iterations: int
     corrected: bool = False
+    history: Mapping[str, list[float]] = field(default_factory=dict)
+
+    @classmethod
+    def none(cls, instance: "Instance") -> "ProgramResult":
+        """Return the result of an instance that was not solved, NaN."""
+        unknown, equation = (
+            np.full(len(column), np.nan) for column in (instance.start, instance.equations[0])
+        )
+        return cls(unknown, unknown, equation, "", 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +202,16 @@ class Instance:
         """
         weights = np.maximum(slope * self.split_scale / self.cost_scale, np.finfo(float).tiny)
         return np.asarray(self.program.equation.named(result.of_equations)["split"] / weights)
+
+    def begun_at(self, other: "Instance", result: ProgramResult) -> "Instance":
+        """Return the instance that begins at the own unknowns of another one's result, by name."""
+        named = other.program.unknown.named(result.unknown)
+        start = self.program.unknown.named(self.start)
+        for name in self.program.own:
+            if name in named and len(named[name]) == len(start[name]):
+                start[name] = named[name]
+        column = np.clip(self.program.unknown.stacked(start), self.lower, self.upper)
+        return replace(self, start=column)
 
     def multipliers_of(self, result: ProgramResult) -> Multipliers:
         """Return the multipliers of a result, with the units of the program."""

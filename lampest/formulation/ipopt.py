@@ -7,8 +7,11 @@ precision holds.
 Source: Wächter & Biegler, Mathematical Programming 106, 2006.
 """
 
+from collections.abc import Mapping
+from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
 from functools import cached_property
+from io import StringIO
 from typing import Any
 
 import casadi
@@ -31,6 +34,7 @@ COMMON = {
     "print_level": 0,
     "sb": "yes",
 }
+QUIET = {"print_time": False, "show_eval_warnings": False}
 COLD = {"mu_strategy": "adaptive"}
 # The barriers of all cells together stay below a hundredth of the unit of the objective. Otherwise
 # they outweigh the cost of a start near the readings, and the iterates leave it for the middle
@@ -41,16 +45,23 @@ WARM = {
     **GIVEN_MULTIPLIERS,
     "warm_start_bound_push": PUSH,
     "warm_start_bound_frac": PUSH,
+    "warm_start_slack_bound_push": PUSH,
+    "warm_start_slack_bound_frac": PUSH,
     "warm_start_mult_bound_push": PUSH,
     "mu_init": 1e-6,
     "mu_max": 1e-4,
 }
+# A warm solve ends where the slopes are below a hundred tolerances, at bounds that are met to one:
+# by then Newton's steps are quadratic, and the next one moves cells by some 1e-9.
+WARM_SLOPES = 100.0
 # Readings of shorts are decades below the others, and so are their parts of the optimality
 # conditions: IPOPT goes on below its usual tolerance, with pivots that keep digits.
 FINE = {
     **GIVEN_MULTIPLIERS,
     "warm_start_bound_push": 1e-20,
     "warm_start_bound_frac": 1e-20,
+    "warm_start_slack_bound_push": 1e-20,
+    "warm_start_slack_bound_frac": 1e-20,
     "warm_start_mult_bound_push": 1e-30,
     "mu_init": 1e-16,
     "mumps_pivtol": 0.1,
@@ -65,7 +76,7 @@ INTERRUPTED = "NonIpopt_Exception_Thrown"
 
 @dataclass(frozen=True)
 class Limits:
-    """When IPOPT stops.
+    """When IPOPT stops, and further options of a user.
 
     Attributes
     ----------
@@ -74,15 +85,19 @@ class Limits:
     max_iterations : int
     seconds : float
         Wall time of a solve.
+    own : tuple of pairs of str and value
+        Further options of IPOPT, which take the place of all others but those of a fine solve.
     """
 
     tolerance: float = 1e-8
     max_iterations: int = 300
     seconds: float = np.inf
+    own: tuple[tuple[str, Any], ...] = ()
 
     def options(self) -> dict[str, Any]:
         """Return the options of IPOPT."""
-        return {"tol": self.tolerance, "max_iter": self.max_iterations, **self._wall_time()}
+        limits = {"tol": self.tolerance, "max_iter": self.max_iterations}
+        return {**limits, **self._wall_time(), **dict(self.own)}
 
     def fine_options(self) -> dict[str, Any]:
         """Return the options of a fine solve.
@@ -167,17 +182,58 @@ class Interface(CasadiOwner):
             np.asarray(result[name]).ravel() for name in ("x", "lam_x", "lam_g")
         )
         status = str(stats["return_status"])
-        iterations = int(stats["iter_count"])
-        corrected = any(stats["iterations"]["regularization_size"])
-        return ProgramResult(unknown, of_bounds, of_equations, status, iterations, corrected)
+        # Where IPOPT gives up before its first iteration, there is no history.
+        history = stats.get("iterations", {})
+        iterations = int(stats["iter_count"]) if history else 0
+        corrected = any(history.get("regularization_size", ()))
+        return ProgramResult(
+            unknown, of_bounds, of_equations, status, iterations, corrected, history
+        )
 
     @cached_property
     def _warm(self) -> casadi.Function:
         """IPOPT for starts with multipliers; `fine` interfaces have options of their own."""
-        chosen = WARM | self.limits.options()
+        tolerance = self.limits.tolerance
+        nearly = {
+            "acceptable_tol": WARM_SLOPES * tolerance,
+            "acceptable_compl_inf_tol": tolerance,
+            "acceptable_iter": 1,
+        }
+        chosen = WARM | nearly | self.limits.options()
         if self.is_fine:
-            chosen = FINE | self.limits.fine_options()
+            chosen = dict(self.limits.own) | FINE | self.limits.fine_options()
         return _solver(self.program, chosen, scaled=self.scaled)
+
+
+def is_option(name: str) -> bool:
+    """Return whether IPOPT has an option of this name."""
+    return "No such IPOPT option" not in _objection(name, 0)[0]
+
+
+def check_options(options: Mapping[str, Any]) -> None:
+    """Raise ValueError for options that IPOPT does not have, and values that it does not take."""
+    for name, value in options.items():
+        objection, said = _objection(name, value)
+        if objection and not is_option(name):
+            raise ValueError(f"IPOPT has no option {name}")
+        if objection:
+            # IPOPT's own text: the value, and after the option's description what it may be.
+            allowed = " ".join(said.partition("Description: ")[2].split())
+            raise ValueError(f"IPOPT does not take {name}: {value!r}. {allowed}".strip())
+
+
+@guarded
+def _objection(name: str, value: Any) -> tuple[str, str]:
+    """Return CasADi's objection to an option of IPOPT, '' for none, and what IPOPT prints."""
+    unknown = casadi.SX.sym("x")
+    said = StringIO()
+    problem = {"x": unknown, "f": unknown**2}
+    try:
+        with redirect_stdout(said):
+            casadi.nlpsol("options", "ipopt", problem, {"ipopt": {name: value}})
+    except (RuntimeError, NotImplementedError) as error:
+        return str(error), said.getvalue()
+    return "", ""
 
 
 def _solver(program: Program, chosen: dict[str, Any], *, scaled: bool) -> casadi.Function:
@@ -185,5 +241,5 @@ def _solver(program: Program, chosen: dict[str, Any], *, scaled: bool) -> casadi
     scaling = {"nlp_scaling_method": "gradient-based"} if scaled else {}
     order = 0 if program.unknown.column.shape[0] <= MAX_AMD_UNKNOWNS else 5
     ipopt = {**COMMON, "mumps_pivot_order": order, **scaling, **chosen}
-    options: dict[str, Any] = {"ipopt": ipopt, "print_time": False, **program.derivatives}
+    options: dict[str, Any] = {"ipopt": ipopt, **QUIET, **program.derivatives}
     return casadi.nlpsol("ipopt", "ipopt", program.nlp, options)

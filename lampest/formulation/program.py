@@ -29,9 +29,16 @@ from numpy.typing import ArrayLike
 from lampest.cost.cost import Cost, Summand, Symbols, lowered, program_groups, summands
 from lampest.cost.given import Given
 from lampest.cost.losses import Lowered
-from lampest.files.errors import InputError
+from lampest.cost.terms import term_kind
+from lampest.files.errors import InputError, counted, first_and_more, in_words
+from lampest.files.typed import real_array
 from lampest.formulation.circuit import Circuit, ConductanceSymbols
-from lampest.formulation.patterns import Excitation, NetworkSymbols, joined_addresses
+from lampest.formulation.patterns import (
+    END_VOLTAGE,
+    Excitation,
+    NetworkSymbols,
+    joined_addresses,
+)
 from lampest.formulation.values import Values, unit_of
 from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.panel.panel import Array
@@ -109,12 +116,12 @@ class Constraint(CasadiOwner):
     Attributes
     ----------
     expression : casadi.SX, shape (rows, 1)
-    lower, upper : float
+    lower, upper : float or array, shape (rows,)
     """
 
     expression: casadi.SX
-    lower: float = 0.0
-    upper: float = 0.0
+    lower: float | Array = 0.0
+    upper: float | Array = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,6 +280,33 @@ class Program(CasadiOwner):
             split_scale,
         )
 
+    def __repr__(self) -> str:
+        """Return the program as a table of cost, unknowns and constraints, with their sizes."""
+        frames = counted(self.conductance.shape[1], "frame")
+        rows, columns = self.shape
+        lines = [f"program of {frames} of {rows} × {columns} cells", "minimise"]
+        sizes = dict.fromkeys(range(len(self.cost.terms)), 0)
+        for group in self.groups:
+            for part in group:
+                sizes[part.term] += part.rows
+        lines += [
+            f"    {term_kind(term):<24}{counted(sizes[number], 'residual'):>16}  {term.loss.kind}"
+            for number, term in enumerate(self.cost.terms)
+        ]
+        if not self.own_cost.is_zero():
+            lines.append(f"    {'own cost':<24}{'1 number':>16}")
+        lines.append("over")
+        for name, unknown in self.statement.unknowns.items():
+            size = unknown.symbol.shape[0]
+            limits = _in_words(unknown.lower, unknown.upper)
+            lines += [f"    {name:<24}{counted(size, 'unknown'):>16}{limits}"] * bool(size)
+        lines.append("subject to")
+        for name, constraint in self.statement.constraints.items():
+            size = constraint.expression.shape[0]
+            limits = _in_words(constraint.lower, constraint.upper)
+            lines += [f"    {name:<24}{counted(size, 'row'):>16}{limits}"] * bool(size)
+        return "\n".join(lines)
+
     @property
     def cell_resistance(self) -> casadi.SX:
         """Cells r in ohm, (cells, frames)."""
@@ -313,19 +347,23 @@ class Program(CasadiOwner):
         InputError
             If the name is taken, or a number is out of range.
         """
-        if name in self.unknown.symbols:
+        if not isinstance(name, str):
+            raise InputError(f"the name of an unknown is a text, not {in_words(name)}")
+        if name in self.quantities:
             raise InputError(
-                f"the program has an unknown {name} already: {', '.join(self.unknown.symbols)}"
+                f"the program has an unknown {name} already: {', '.join(self.quantities)}"
             )
-        if not (lower < upper and sd > 0):
+        if not (isinstance(size, int | np.integer) and size >= 1):
+            raise InputError(f"unknown {name} needs a size of 1 or more, not {size!r}")
+        begin = np.clip(mean, lower, upper) if start is None else start
+        if not (lower < upper and sd > 0 and lower <= begin <= upper and np.isfinite(mean + begin)):
             raise InputError(
-                f"unknown {name} needs lower < upper and sd > 0, "
-                f"not {lower:g}, {upper:g} and {sd:g}"
+                f"unknown {name} needs lower < upper and sd > 0, and a finite mean, and a start "
+                f"within the bounds, not {lower:g}, {upper:g}, {sd:g}, {mean:g} and {begin:g}"
             )
-        symbol = casadi.SX.sym(name, size)
-        begin = float(np.clip(mean, lower, upper)) if start is None else start
+        symbol = casadi.SX.sym(name, int(size))
         prior = casadi.sumsqr((symbol - mean) / sd) if np.isfinite(sd) else 0
-        own = {**self.own, name: ProgramUnknown(symbol, begin, lower, upper)}
+        own = {**self.own, name: ProgramUnknown(symbol, float(begin), lower, upper)}
         return replace(self, own=own, own_cost=self.own_cost + prior), symbol
 
     def with_reading(self, changed: Callable[[casadi.SX], Any]) -> "Program":
@@ -336,31 +374,37 @@ class Program(CasadiOwner):
         Raises
         ------
         InputError
-            If the result has another shape.
+            If the result has another shape, or depends on other symbols than the program's.
         """
         reading = casadi.SX(changed(self.reading))
-        _check_shape("the changed reading", reading, self.reading.shape)
+        self._check("the changed reading", reading, self.reading.shape)
         return replace(self, reading=reading)
 
     def with_cost(self, added: casadi.SX) -> "Program":
         """Return the program with a further cost, one number in the unit of φ.
 
-        Raises InputError for another shape.
+        Raises InputError for another shape, and for symbols that are not the program's.
         """
-        _check_shape("an own cost", casadi.SX(added), (1, 1))
+        self._check("an own cost", casadi.SX(added), (1, 1))
         return replace(self, own_cost=self.own_cost + added)
 
     def subject_to(
-        self, name: str, expression: casadi.SX, lower: float = 0.0, upper: float | None = None
+        self,
+        name: str,
+        expression: casadi.SX,
+        lower: ArrayLike = 0.0,
+        upper: ArrayLike | None = None,
     ) -> "Program":
         """Return the program with a constraint lower ≤ expression ≤ upper.
 
-        The constraint is an equation if there is no upper limit.
+        The constraint is an equation if there is no upper limit. A limit is a number, or one for
+        each row.
 
         Raises
         ------
         InputError
-            If the name is taken, or the expression is no column, or no function of the unknowns.
+            If the name is taken, or the expression is no column, or no function of the unknowns
+            alone, or no number lies between the limits.
         """
         if name in self.statement.constraints:
             names = ", ".join(self.statement.constraints)
@@ -372,13 +416,51 @@ class Program(CasadiOwner):
                 f"constraint {name} is {rows} × {columns}, not a column (rows, 1); "
                 "casadi.vec makes one of a matrix"
             )
+        self._check(f"constraint {name}", expression, expression.shape)
         if not casadi.depends_on(expression, self.unknown.column):
             raise InputError(
                 f"constraint {name} depends on none of the unknowns "
                 f"{', '.join(self.unknown.symbols)}"
             )
-        constraint = Constraint(expression, lower, lower if upper is None else upper)
+        limits = [
+            real_array(limit, f"limits of constraint {name}")
+            for limit in (lower, upper)
+            if limit is not None
+        ]
+        low, high = limits[0], limits[-1]
+        rows = expression.shape[0]
+        if any(limit.size not in (1, rows) for limit in limits):
+            raise InputError(f"constraint {name} has {rows} rows; its limits have another number")
+        if not np.all((low <= high) & (low < np.inf) & (high > -np.inf)):
+            raise InputError(
+                f"constraint {name} needs lower <= upper, and an equation a finite number, "
+                f"not {lower!s} and {upper!s}"
+            )
+        constraint = Constraint(expression, low.ravel(), high.ravel())
         return replace(self, own_constraints={**self.own_constraints, name: constraint})
+
+    def _check(self, name: str, value: casadi.SX, shape: tuple[int, int]) -> None:
+        """Raise InputError unless a value has a shape, and no symbols but the program's."""
+        if value.shape != shape:
+            actual, required = (" × ".join(map(str, size)) for size in (value.shape, shape))
+            raise InputError(f"{name} is {actual}; it must be {required}")
+        self.check_symbols(name, value)
+
+    @guarded
+    def check_symbols(self, name: str, value: casadi.SX) -> None:
+        """Raise InputError if a value depends on symbols that are not the program's."""
+        arguments = [self.unknown.column, self.parameter.column]
+        free = casadi.Function("value", arguments, [value], {"allow_free": True}).free_sx()
+        if free:
+            raise InputError(
+                f"{name} depends on {first_and_more(free)}, which is no symbol of this program; "
+                "with_unknown adds one"
+            )
+
+    def own_speaks_of(self, frame: int) -> bool:
+        """Return whether an own cost or an own constraint depends on the cells of a frame."""
+        parts = [self.own_cost, *(each.expression for each in self.own_constraints.values())]
+        return bool(casadi.depends_on(casadi.vertcat(*parts), self.conductance[:, frame]))
 
     @cached_property
     def groups(self) -> list[list[Summand]]:
@@ -460,6 +542,27 @@ class Program(CasadiOwner):
         )
 
     @cached_property
+    def quantities(self) -> dict[str, casadi.SX]:
+        """Unknowns by name, in units that do not depend on the data, and functions of them.
+
+        Conductances are in siemens, voltages in volt or V/A, parts of residuals in their own unit.
+        """
+        units = {"conductance": 1 / self.scale, "split": self.split_scale}
+        for name in self.networks[0].voltages:
+            unit = casadi.vertcat(*(network.units[name] for network in self.networks))
+            units[name] = unit if name == END_VOLTAGE else unit * self.scale
+        natural = {
+            name: symbol * units.get(name, 1) for name, symbol in self.unknown.symbols.items()
+        }
+        cells = casadi.vec(self.cell_resistance)
+        return {
+            **natural,
+            "cell_resistance": cells,
+            "log_cell_resistance": casadi.log(cells),
+            "reading": casadi.vec(self.reading),
+        }
+
+    @cached_property
     def equation(self) -> Blocks:
         """Constraints by name: 'balance' of the currents, 'split' (p − q = x), and own ones."""
         return Blocks({name: each.expression for name, each in self.statement.constraints.items()})
@@ -525,8 +628,11 @@ class Program(CasadiOwner):
         )
 
 
-def _check_shape(name: str, value: casadi.SX, shape: tuple[int, int]) -> None:
-    """Raise InputError unless a value has the shape."""
-    if value.shape != shape:
-        actual, required = (" × ".join(map(str, size)) for size in (value.shape, shape))
-        raise InputError(f"{name} is {actual}; it must be {required}")
+def _in_words(lower: Any, upper: Any) -> str:
+    """Return limits in words, such as '  = 0' or '  0 to 30'."""
+    if callable(lower) or callable(upper):
+        return "  within the bounds of the cells"
+    low, high = np.min(lower), np.max(upper)
+    if np.array_equal(lower, upper):
+        return f"  = {low:g}" if low == high else "  equations"
+    return "" if np.isinf(low) and np.isinf(high) else f"  {low:g} to {high:g}"

@@ -250,7 +250,7 @@ def figures_of(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
 
 
 def _solver_of(case: CaseResult, good: NDArray[np.bool_]) -> str:
-    """Return the solver of the solved frames, or each of several with its number of frames."""
+    """Return the solver of the solved frames, or each of several with its share of them."""
     names = (
         ()
         if case.solver is None
@@ -258,7 +258,8 @@ def _solver_of(case: CaseResult, good: NDArray[np.bool_]) -> str:
     )
     counts = {name: names.count(name) for name in dict.fromkeys(names) if name}
     return ", ".join(
-        name if len(counts) == 1 else f"{name} ({count})" for name, count in counts.items()
+        name if len(counts) == 1 else f"{name} ({100 * count / sum(counts.values()):.0f} %)"
+        for name, count in counts.items()
     )
 
 

@@ -3,14 +3,14 @@
 import hashlib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, make_dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from lampest.cost.given import Background
-from lampest.cost.terms import AnyTerm, Term, term_types
+from lampest.cost.terms import AnyTerm, term_types
 from lampest.estimate.estimator import Estimator, Tare, Verify
 from lampest.estimate.methods import AnyMethod, MethodName
 from lampest.estimate.objective import AutoWeight
@@ -27,6 +27,7 @@ from lampest.files.document import (
 from lampest.files.errors import InputError, meant
 from lampest.files.typed import kinds_of, shipped, typed
 from lampest.files.whole import note_read
+from lampest.formulation.constraints import AnyPart, part_types
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.stored import StoredRecording, opened
@@ -40,36 +41,44 @@ from lampest.solvers.solution import Settings
 FORBID: dict[str, Any] = {"extra": "forbid"}
 
 
-def terms_class(kinds: Mapping[str, type[Term]], *bases: type[Any]) -> type[Any]:
-    """Return a dataclass with a field for every kind of term, None by default."""
-    summary = "The cost terms of an estimator, by kind."
+def by_kind_class(name: str, kinds: Mapping[str, type[Any]], *bases: type[Any]) -> type[Any]:
+    """Return a dataclass with a field for every kind of a registered class, None by default."""
+    summary = f"The {name.lower()} of an estimator, by kind."
     space = {"__pydantic_config__": FORBID, "__module__": __name__, "__doc__": summary}
-    terms = [(kind, term | None, field(default=None)) for kind, term in kinds.items()]
-    return make_dataclass("Terms", terms, bases=bases, frozen=True, namespace=space)
+    members = [(kind, member | None, field(default=None)) for kind, member in kinds.items()]
+    return make_dataclass(name, members, bases=bases, frozen=True, namespace=space)
 
 
-class _WithInstalled:
-    """Base class whose validation also accepts terms of installed packages."""
+def _extended(known: Callable[[], Mapping[str, type[Any]]]) -> type[Any]:
+    """Return a base class whose validation also accepts kinds of installed packages."""
 
-    @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
-        """Return the schema of a class with fields for these terms; called by pydantic."""
-        further = {
-            kind: term
-            for kind, term in term_types().items()
-            if kind not in source.__dataclass_fields__
-        }
-        return handler.generate_schema(terms_class(further, source)) if further else handler(source)
+    class WithInstalled:
+        @classmethod
+        def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+            """Return the schema of a class with fields for these kinds; called by pydantic."""
+            further = {
+                kind: member
+                for kind, member in known().items()
+                if kind not in source.__dataclass_fields__
+            }
+            if not further:
+                return handler(source)
+            return handler.generate_schema(by_kind_class(source.__name__, further, source))
+
+    return WithInstalled
 
 
-Terms = terms_class(
-    {kind: term for term in shipped(AnyTerm) for kind in kinds_of(term)}, _WithInstalled
-)
+def _shipped_kinds(union: Any) -> dict[str, type[Any]]:
+    return {kind: member for member in shipped(union) for kind in kinds_of(member)}
 
 
-def terms_of(terms: Any) -> tuple[Term, ...]:
-    """Return the terms of an object of `Terms`, in order."""
-    return tuple(term for kind in term_types() if (term := getattr(terms, kind, None)) is not None)
+Terms = by_kind_class("Terms", _shipped_kinds(AnyTerm), _extended(term_types))
+Constraints = by_kind_class("Constraints", _shipped_kinds(AnyPart), _extended(part_types))
+
+
+def named_members(chosen: Any, kinds: Iterable[str]) -> tuple[Any, ...]:
+    """Return the objects that a run file names, in the order of their kinds."""
+    return tuple(member for kind in kinds if (member := getattr(chosen, kind, None)) is not None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +103,7 @@ class EstimatorEntry(Choices):
     """An estimator in a run file."""
 
     terms: Terms  # type: ignore[valid-type]
+    constraints: Constraints | None = None  # type: ignore[valid-type]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -380,7 +390,8 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
     try:
         check_name(name, "estimator")
         return Estimator(
-            terms_of(entry.terms),
+            named_members(entry.terms, term_types()),
+            constraints=named_members(entry.constraints, part_types()) or None,
             **{item.name: getattr(entry, item.name) for item in fields(Choices)},
         )
     except ValueError as error:

@@ -32,6 +32,8 @@ STATUS = {
     "Maximum_Iterations_Exceeded": Status.ITERATIONS,
     "Maximum_WallTime_Exceeded": Status.TIME,
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
+    "Not_Enough_Degrees_Of_Freedom": Status.OVERDETERMINED,
+    "Diverging_Iterates": Status.UNBOUNDED,
     "Invalid_Option": Status.UNAVAILABLE,
 }
 # The unit of the objective is the cost of a cell at readings of zero; that of an optimum is decades
@@ -165,6 +167,13 @@ class Ipopt(Solver):
         )
 
 
+def ipopt_limits(settings: Settings) -> Limits:
+    """Return the limits of IPOPT for the settings of a solver."""
+    seconds = np.inf if settings.time_limit_s is None else settings.time_limit_s
+    own = () if settings.ipopt is None else settings.ipopt.own
+    return Limits(ACCURACY * settings.tolerance, settings.max_iterations, seconds, own)
+
+
 @lru_cache(maxsize=32)
 def _circuits(
     readout: Readout, shape: tuple[int, int], wiring: Wiring | None
@@ -180,6 +189,4 @@ def _interface(
 ) -> Interface:
     """Return IPOPT for the program of a cost; each process compiles it once."""
     program = Program.build(cost, readout, _circuits(readout, cost.panel.shape, wiring), patterns)
-    seconds = np.inf if settings.time_limit_s is None else settings.time_limit_s
-    limits = Limits(ACCURACY * settings.tolerance, settings.max_iterations, seconds)
-    return Interface.of(program, limits)
+    return Interface.of(program, ipopt_limits(settings))

@@ -256,6 +256,62 @@ def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Eigenvectors of a Hessian H = D B D, scaled to a unit diagonal of B = V diag(λ) Vᵀ.
+
+    Attributes
+    ----------
+    size : array, shape (n,)
+        D, the square roots of the diagonal.
+    values : array, shape (n,)
+        λ, ascending.
+    vectors : array, shape (n, n)
+        V.
+    """
+
+    size: Array
+    values: Array
+    vectors: Array
+
+    @classmethod
+    def of(cls, matrix: Array, least: Array) -> "Modes | None":
+        """Return the modes of a Hessian, (n, n), or None where it is beyond double precision.
+
+        `least`, (n,), are the smallest diagonal entries that are above rounding.
+        """
+        size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), least))
+        unit = matrix / size[:, None] / size
+        if not np.all(np.isfinite(unit)):
+            return None
+        return cls(size, *np.linalg.eigh(unit))
+
+    @property
+    def solid(self) -> NDArray[np.bool_]:
+        """Whether an eigenvalue is positive beyond rounding, (n,)."""
+        return self.values > ROUNDING
+
+    @property
+    def definiteness(self) -> Definiteness:
+        """Definiteness of the Hessian; positive where there is no direction."""
+        if np.any(self.values < -ROUNDING):
+            return Definiteness.INDEFINITE
+        return Definiteness.POSITIVE if self.solid.all() else Definiteness.UNDETERMINED
+
+    def step(self, slope: Array) -> Array:
+        """Return −H⁺ g over the solid modes, s = −D⁻¹ V λ⁻¹ Vᵀ D⁻¹ g.
+
+        `slope` is g, (n,), or several, (n, m).
+        """
+        vectors = self.vectors[:, self.solid] / self.size[:, None]
+        return np.asarray(-vectors @ ((vectors.T @ slope).T / self.values[self.solid]).T)
+
+    def undetermined(self, slope: Array) -> Array:
+        """Return the part of a gradient along the other modes, (n,)."""
+        vectors = self.vectors[:, ~self.solid]
+        return np.asarray(self.size * (vectors @ (vectors.T @ (slope / self.size))))
+
+
 def newton_step(
     matrix: Array, slope: Array, least: Array
 ) -> tuple[Definiteness, Array, float, Array]:
@@ -279,21 +335,12 @@ def newton_step(
     lowest : array, shape (cells,)
         Eigenvector of the lowest eigenvalue, in u.
     """
-    size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), least))
-    # H = D B D with a unit diagonal of B = V diag(λ) Vᵀ
-    unit = matrix / size[:, None] / size
-    if not np.all(np.isfinite(unit)):
+    modes = Modes.of(matrix, least)
+    if modes is None:
         return Definiteness.UNDETERMINED, np.full(len(slope), np.inf), np.inf, slope
-    values, vectors = np.linalg.eigh(unit)
-    solid = values > ROUNDING
-    part = vectors.T @ (slope / size)
-    # s = −D⁻¹ V λ⁻¹ Vᵀ D⁻¹ g over λ > ROUNDING
-    step = -vectors[:, solid] @ (part[solid] / values[solid]) / size
-    undetermined_slope = float(np.abs(size * (vectors[:, ~solid] @ part[~solid])).max(initial=0.0))
-    definiteness = Definiteness.POSITIVE if solid.all() else Definiteness.UNDETERMINED
-    if values[0] < -ROUNDING:
-        definiteness = Definiteness.INDEFINITE
-    return definiteness, step, undetermined_slope, vectors[:, 0] / size
+    undetermined_slope = float(np.abs(modes.undetermined(slope)).max(initial=0.0))
+    lowest = modes.vectors[:, 0] / modes.size
+    return modes.definiteness, modes.step(slope), undetermined_slope, lowest
 
 
 def clear_of_rounding(triangle: Array, norm: float) -> bool:

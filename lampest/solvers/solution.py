@@ -1,26 +1,30 @@
 """Result of a solve: status, outcome of the solver, and checked solution."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
+from lampest.files.document import INLINE
 from lampest.files.errors import brief
-from lampest.files.typed import Validated, check_positive_fields, check_ranges, typed
+from lampest.files.typed import (
+    Extensible,
+    Validated,
+    check_positive_fields,
+    check_ranges,
+    typed,
+)
 from lampest.panel.panel import Array
 from lampest.solvers.bounds import MILLIONTH, bounds_matter
 from lampest.solvers.certificate import MIN_COST_SHARE, Certificate, Definiteness, certificate
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Preconditioner
 from lampest.solvers.smoothing import Smoothing
-
-if TYPE_CHECKING:
-    from lampest.formulation.instance import Multipliers
 
 # KKT residual, relative to the cost's scale, up to which an optimum counts as verified.
 VERIFIED = MILLIONTH
@@ -80,6 +84,8 @@ class Status(Enum):
     ITERATIONS = "the iteration limit was reached before an optimum"
     TIME = "the time limit was reached before an optimum"
     INFEASIBLE = "the solver found no point that satisfies the constraints"
+    OVERDETERMINED = "the program has more equations than unknowns"
+    UNBOUNDED = "the cost falls without limit along an unknown that no bound and no data hold"
     BREAKDOWN = "the solver broke down numerically"
     UNAVAILABLE = "the solver or its linear solver is not available"
 
@@ -111,11 +117,61 @@ ADVICE = {
     Status.ITERATIONS: "Raise `solver: max_iterations`, or add a penalty.",
     Status.TIME: "Raise `solver: time_limit_s`.",
     Status.INFEASIBLE: "Check `bounds`: they may leave no room.",
+    Status.OVERDETERMINED: "Take out constraints that repeat others.",
+    Status.UNBOUNDED: "Give the unknown a prior or bounds.",
     Status.BREAKDOWN: "Check the weights and the scene's unit; report the frame if both are right.",
     Status.UNAVAILABLE: "Install IPOPT's linear solver, or take `formulation: reduced`.",
 }  # remedy for each status, one sentence
 STRICT = (Status.OPTIMUM, Status.HELD, Status.MISSED)  # certified strict minima
 OPTIMA = (*STRICT, Status.UNCOMPARED, Status.FLAT, Status.FAINT)
+
+
+@dataclass(frozen=True)
+class IpoptOptions(Extensible):
+    """Options of IPOPT by its own names, such as `max_iter` or `linear_solver`.
+
+    They take the place of lampest's in cold and warm solves. The solve that goes on to the digits
+    of double precision keeps its own tolerance, start and pivots. `Settings` checks them.
+
+    >>> lampest.Settings(ipopt={"max_iter": 100}).ipopt.own
+    (('max_iter', 100),)
+    """
+
+    own: tuple[tuple[str, int | float | str], ...] = field(default=(), metadata={INLINE: True})
+
+    @classmethod
+    def gathered(cls, content: Any) -> Any:
+        """Return arguments, or the content of a file, with IPOPT's options in `own`."""
+        if not isinstance(content, dict) or content.keys() == {"own"}:
+            return content
+        from lampest.formulation.ipopt import is_option
+
+        own = {key: value for key, value in content.items() if is_option(key)}
+        unknown = {key: value for key, value in content.items() if key not in own}
+        return {**unknown, "own": tuple(own.items())}
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        """Return the schema that takes a mapping in Python, too. Called by pydantic."""
+
+        def made(content: Any) -> Any:
+            return cls(own=tuple(content.items())) if isinstance(content, dict) else content
+
+        json, python = (
+            {
+                "type": "function-before",
+                "function": {"type": "no-info", "function": function},
+                "schema": handler(source),
+            }
+            for function in (cls.gathered, made)
+        )
+        return {"type": "json-or-python", "json_schema": json, "python_schema": python}
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: Any, handler: Any) -> Any:
+        """Return the JSON schema of any option. Called by pydantic."""
+        values = {"type": ["integer", "number", "string"]}
+        return {"type": "object", "additionalProperties": values}
 
 
 @dataclass(frozen=True)
@@ -136,6 +192,11 @@ class Settings(Validated):
         Number of starts of every frame, of which the lowest minimum is taken. None: one where the
         cost has a single minimum; else up to 3, or up to 40 with losses that are not convex. With
         convex losses, a frame that follows another keeps the first strict minimum.
+    ipopt : IpoptOptions or None
+        Options of IPOPT, by its own names; a mapping in Python, too.
+
+    Raises ValueError for a number out of range, an option that IPOPT does not have, or a value that
+    IPOPT does not take.
 
     >>> lampest.Settings(max_iterations=50).max_iterations
     50
@@ -146,6 +207,7 @@ class Settings(Validated):
     max_iterations: int = 300
     time_limit_s: float | None = None
     starts: int | None = None
+    ipopt: IpoptOptions | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.tolerance < 1:
@@ -153,6 +215,10 @@ class Settings(Validated):
         check_ranges(self, 1, 1_000_000, "max_iterations")
         check_positive_fields(self, "time_limit_s")
         check_ranges(self, 1, MAX_STARTS, "starts")
+        if self.ipopt is not None:
+            from lampest.formulation.ipopt import check_options
+
+            check_options(dict(self.ipopt.own))
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,8 +235,8 @@ class Outcome:
     iterations : int
     certificate : Certificate or None
         Certificate of these cells.
-    carried : Preconditioner, Multipliers or None
-        What the solver of the next frame can begin with.
+    carried : object
+        What the solver of the next frame can begin with: a Preconditioner, Multipliers, or None.
     convex : bool
         Whether no direction of negative curvature was met.
     at : Evaluation or None
@@ -192,7 +258,7 @@ class Outcome:
     status: Status
     iterations: int
     certificate: Certificate | None = None
-    carried: "Preconditioner | Multipliers | None" = None
+    carried: object = None
     convex: bool = False
     at: Evaluation | None = None
 
@@ -226,7 +292,7 @@ class Solution:
     at : Evaluation or None
         Evaluation at the cells; None where nothing was solved.
     dual : array or None
-    carried : Preconditioner, Multipliers or None
+    carried : object
     convex : bool
         See `Outcome`.
     starts : int
@@ -254,7 +320,7 @@ class Solution:
     iterations: int
     at: Evaluation | None = None
     dual: Array | None = None
-    carried: "Preconditioner | Multipliers | None" = None
+    carried: object = None
     convex: bool = False
     starts: int = 1
     solver: str = ""

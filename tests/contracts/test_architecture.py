@@ -49,6 +49,7 @@ DOORS: dict[str, tuple[str, ...]] = {
         "cost",
         "formulation",
         "estimate.own_program",
+        "estimate.own_solution",
     ),
     "scipy": (
         "files.process",
@@ -60,7 +61,7 @@ DOORS: dict[str, tuple[str, ...]] = {
         "cost.problem",
         "recording.readings",
         "apps.calibration",
-        "estimate.own_program",
+        "estimate.own_solution",
         "formulation",
         "solvers",
         "posterior",

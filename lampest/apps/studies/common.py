@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from lampest.apps.studies.study import column, named_values
-from lampest.cost.terms import Term
+from lampest.cost.terms import Term, term_types
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.methods.method import Method
@@ -34,7 +34,7 @@ from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.shapes import AnyShape, OralDisc
 from lampest.recording.simulation.simulation import Simulation, read_simulations
 from lampest.recording.stored import joined
-from lampest.runs.config import Terms, terms_of
+from lampest.runs.config import Terms, named_members
 from lampest.runs.executors import Processes
 from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import STRICT, Settings
@@ -59,7 +59,7 @@ class StudyMethod(Configuration):
     @property
     def parts(self) -> tuple[Term, ...]:
         """Terms in order."""
-        return terms_of(self.terms)
+        return named_members(self.terms, term_types())
 
     def estimator(
         self, formulation: MethodName | Method, solver: Settings, **options: Any

@@ -1,0 +1,654 @@
+"""Solution of an own program: its status, error bars, multipliers and sensitivities.
+
+A check outside of IPOPT recomputes the conditions of an optimum. Unknowns move along the active
+constraints, in the directions Z that these leave. With the Lagrangian L = φ + λᵀg,
+
+    Zᵀ ∇²L Z > 0                          a minimum, and no saddle
+    cov(x) = Z (½ Zᵀ ∇²L Z)⁻¹ Zᵀ          the covariance, where φ = −2 ln p
+    Zᵀ ∇²L dx = −Zᵀ ∂(∇L)/∂p dp           sensitivities to p, with A dx = −∂g/∂p dp
+
+A is the Jacobian of the active constraints. Source: Nocedal & Wright, Numerical Optimization, 2006,
+sections 12.5 and 16.2; Fiacco, Introduction to Sensitivity and Stability Analysis, 1983.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import casadi
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+import scipy.sparse.linalg
+from numpy.typing import NDArray
+
+from lampest.files.errors import InputError, counted
+from lampest.formulation.instance import Instance, ProgramResult, on_bounds
+from lampest.formulation.ipopt import Interface
+from lampest.formulation.program import Program
+from lampest.panel.compiled import CasadiOwner, guarded
+from lampest.panel.panel import Array
+from lampest.solvers.by_ipopt import STATUS
+from lampest.solvers.certificate import ROUNDING, Definiteness, Modes
+from lampest.solvers.solution import OPTIMA, VERIFIED, Status
+
+SLOPE_ROUNDING = 1e-10  # of the unit of costs: a slope that may be the rounding of its parts
+# Lengths, in units of the program, at which the cost beside a flat point is looked at.
+PROBES = (1.0, 0.1, 0.01)
+# Of the multiplier that the curvature alone would make: a larger one holds its unknown at a bound.
+CLEAR = 10.0
+SAME_PLACE = 1e-9  # violation of the equations that a probe may cause
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Directions in which the active constraints leave the unknowns.
+
+    Attributes
+    ----------
+    held : boolean array, shape (unknowns,)
+        Unknowns that a bound holds.
+    follows : boolean array, shape (unknowns,)
+        Voltages, which follow the other unknowns by the balance of currents.
+    active : boolean array, shape (constraints,)
+        Equations, and inequalities at a limit.
+    leading : array, shape (unknowns, m)
+        A column for each unknown that neither is held nor follows, with the voltages that follow.
+    rows : array, shape (active constraints beside the balance, m)
+        Jacobian of the other active constraints by the leading unknowns.
+    basis : array, shape (unknowns, n)
+        Z.
+    """
+
+    held: NDArray[np.bool_]
+    follows: NDArray[np.bool_]
+    active: NDArray[np.bool_]
+    leading: Array
+    rows: Array
+    basis: Array
+
+
+@dataclass(frozen=True, eq=False)
+class OwnSolution(CasadiOwner):
+    """Solution of an own program; NaN where it is no optimum.
+
+    Attributes
+    ----------
+    instance : Instance
+    result : ProgramResult
+    unsolved : Status or None
+        Why nothing was solved.
+
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> terms = [lampest.Misfit(), lampest.Gradient(weight=1e-3)]
+    >>> solved = lampest.program(recording, terms).solve()
+    >>> solved.status
+    'local optimum verified'
+    """
+
+    instance: Instance
+    result: ProgramResult
+    unsolved: Status | None = None
+
+    def __repr__(self) -> str:
+        """Return the solution as a table: status, cost, and its unknowns by name."""
+        lines = [f"{self.status}; {counted(self.iterations, 'iteration')} of IPOPT"]
+        if not self.solved:
+            return lines[0]
+        lines[0] += f"; cost {self.objective:.6g}"
+        values = {"cell_resistance [ohm]": (self.cell_resistance, self.cell_resistance_errors)}
+        values |= {name: (self[name], self.errors(name)) for name in self.instance.program.own}
+        for name, (value, error) in values.items():
+            spread = f"{np.median(error):.3g}"
+            text = f"{value.min():.6g} to {value.max():.6g}"
+            text = f"{value.item():.6g}" if value.size == 1 else text
+            lines.append(f"    {name:<24}{value.size:>6}  {text} ± {spread}")
+        for name, multiplier in self.multipliers.items():
+            largest = np.abs(multiplier).max(initial=0.0)
+            line = f"    λ of {name:<19}{multiplier.size:>6}  at most {largest:.4g}"
+            lines += [line] * bool(multiplier.size)
+        return "\n".join(lines)
+
+    @cached_property
+    def status(self) -> str:
+        """Outcome in a sentence, as `Status` has them."""
+        return self.verdict.value
+
+    @cached_property
+    def verdict(self) -> Status:
+        """Status by the first order, then by the second along the active constraints."""
+        if self.unsolved is not None:
+            return self.unsolved
+        ended = STATUS.get(self.result.status, Status.BREAKDOWN)
+        if ended is not Status.OPTIMUM:
+            return ended
+        if not self.optimality_error <= VERIFIED:
+            return Status.UNVERIFIED
+        modes = self._modes
+        if modes is None:
+            return Status.ROUNDED
+        if modes.definiteness is Definiteness.INDEFINITE:
+            return Status.SADDLE
+        if modes.definiteness is Definiteness.UNDETERMINED:
+            return self._status_of_plateau(modes)
+        step = np.abs(self._directions.basis @ modes.step(self._slope))
+        short = np.all(step <= VERIFIED * np.maximum(np.abs(self.result.unknown), 1.0))
+        return Status.OPTIMUM if short else Status.FAINT
+
+    def _status_of_plateau(self, modes: Modes) -> Status:
+        """Return the status of a point with directions of no curvature.
+
+        No cost falls along a plateau. A slope counts beyond the millionth part of the slopes that
+        cancel in it.
+        """
+        gradient, jacobian, _ = self._derivatives
+        basis = self._directions.basis
+        slopes = np.abs(gradient) + abs(jacobian).T @ np.abs(self.result.of_equations)
+        limit = SLOPE_ROUNDING + VERIFIED * (np.abs(basis).T @ slopes)
+        if np.any(np.abs(modes.undetermined(self._slope)) > limit):
+            return Status.UNBOUNDED
+        return Status.SADDLE if self._falls(modes) else Status.FLAT
+
+    @property
+    def solved(self) -> bool:
+        """Whether this is an optimum."""
+        return self.verdict in OPTIMA
+
+    @property
+    def ended(self) -> bool:
+        """Whether IPOPT ended at what it takes for an optimum."""
+        return self.unsolved is None and STATUS.get(self.result.status) is Status.OPTIMUM
+
+    @property
+    def settled(self) -> bool:
+        """Whether this is a strict minimum to the digits of double precision."""
+        return self.verdict is Status.OPTIMUM
+
+    def from_here(self, interface: Interface) -> "OwnSolution":
+        """Return the solution of an interface that begins at this one, with its multipliers."""
+        instance = replace(self.instance, start=self.result.unknown)
+        result = interface.minimise(instance, instance.multipliers_of(self.result))
+        iterations = self.iterations + result.iterations
+        return replace(self, result=replace(result, iterations=iterations))
+
+    def improves(self, other: "OwnSolution") -> bool:
+        """Return whether this solution fulfils the conditions of an optimum better than another."""
+        if self.settled or not self.ended:
+            return self.settled
+        return self.optimality_error < other.optimality_error
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of IPOPT."""
+        return self.result.iterations
+
+    @property
+    def objective(self) -> float:
+        """Cost φ, own costs included; NaN where nothing was solved."""
+        return self._cost * self.instance.cost_scale if self.solved else float("nan")
+
+    @property
+    def cell_resistance(self) -> Array:
+        """Cells, (frames, rows, columns) ohm; NaN where nothing was solved."""
+        return self._if_solved(self.instance.cells_of(self.result))
+
+    def __getitem__(self, name: str) -> Array:
+        """Return an own unknown, (size,); NaN where nothing was solved.
+
+        Raises InputError for an unknown name.
+        """
+        self._check_name(name)
+        return self._if_solved(self.instance.program.unknown.named(self.result.unknown)[name])
+
+    @property
+    def cell_resistance_errors(self) -> Array:
+        """Standard deviations of the cells, (frames, rows, columns) ohm.
+
+        A cell at a bound has zero, an undetermined one infinity. The misfit must be weighted by the
+        noise for these numbers to have a meaning.
+        """
+        conductance = self.instance.scale / self.instance.cells_of(self.result)
+        relative = self._deviations("conductance").reshape(self.instance.shape) / conductance
+        return np.asarray(self.cell_resistance * relative)
+
+    def value(self, of: str | casadi.SX) -> Array:
+        """Return the value of an expression of the program's symbols, or of a name, of its shape.
+
+        Values are NaN where nothing was solved. The names are those of `covariance`.
+        Raises InputError for another name, and for symbols of another program.
+        """
+        with_value = self._function(of, "")
+        (values, *_) = self._evaluated(with_value)
+        return self._if_solved(values)
+
+    def errors(self, name: str) -> Array:
+        """Return the standard deviations of an own unknown, (size,); infinite if undetermined.
+
+        Raises InputError for an unknown name.
+        """
+        self._check_name(name)
+        return self._deviations(name)
+
+    @cached_property
+    def optimality_error(self) -> float:
+        """Largest deviation from the conditions of the first order, in units of the program.
+
+        These are x = Π(x − ∇L) over the bounds of the unknowns, and g = Π(g + λ) over the limits of
+        the constraints, with λ in the units of the Jacobian's rows. All derivatives are evaluated
+        anew, outside of IPOPT.
+        """
+        gradient, jacobian, _ = self._derivatives
+        multiplier = self.result.of_equations
+        x = self.result.unknown
+        instance = self.instance
+        projected = np.clip(x - gradient - jacobian.T @ multiplier, instance.lower, instance.upper)
+        size = np.maximum(np.abs(jacobian).max(axis=1).toarray().ravel(), 1.0)
+        low, high = (limit / size for limit in instance.equations)
+        values = self._equations / size
+        kept = np.clip(values + multiplier * size, low, high)
+        return float(max(np.abs(x - projected).max(), np.abs(values - kept).max(initial=0.0)))
+
+    @property
+    def history(self) -> dict[str, Array]:
+        """IPOPT's table of iterations by its own names, such as `inf_pr`, `inf_du` and `mu`."""
+        return {name: np.asarray(values) for name, values in self.result.history.items()}
+
+    @property
+    def multipliers(self) -> dict[str, Array]:
+        """Multipliers λ of the constraints by name, (rows,), φ for each unit of the constraint.
+
+        Those of 'balance' are (frames, equations). A limit that is raised by a small amount d
+        changes the least cost by −λ·d: λ is positive at an upper limit. NaN where nothing was
+        solved.
+        """
+        named = self.instance.program.equation.named(
+            self._if_solved(self.result.of_equations * self.instance.cost_scale)
+        )
+        named["balance"] = named["balance"].reshape(self.instance.shape[0], -1)
+        return named
+
+    @property
+    def bound_multipliers(self) -> dict[str, Array]:
+        """Multipliers of the bounds of the unknowns by name, (size,), φ for each unit of `places`.
+
+        They are positive at an upper bound, negative at a lower one.
+        """
+        column = self.result.of_bounds * self.instance.cost_scale / self._units
+        return self.instance.program.unknown.named(self._if_solved(column))
+
+    @cached_property
+    def places(self) -> dict[str, slice]:
+        """Rows of each unknown in `hessian`, by name.
+
+        Conductances are in siemens, frame by frame and row by row; voltages in volt or V/A; own
+        unknowns in their unit.
+        """
+        sizes = self.instance.program.unknown.sizes
+        ends = np.cumsum([*sizes.values()])
+        return {
+            name: slice(int(end) - size, int(end))
+            for (name, size), end in zip(sizes.items(), ends, strict=True)
+        }
+
+    @property
+    def hessian(self) -> scipy.sparse.csc_array:
+        """∇²L of the Lagrangian L = φ + λᵀg by the unknowns in the units of `places`, (n, n)."""
+        units = scipy.sparse.diags_array(1 / self._units)
+        curvature = units @ self._derivatives[2] @ units
+        return scipy.sparse.csc_array(curvature * self.instance.cost_scale)
+
+    def covariance(self, of: str | casadi.SX = "cell_resistance") -> Array:
+        """Return the covariance of unknowns, or of any expression of them, (size, size).
+
+        Rows and columns of what the program leaves undetermined are infinite. The misfit must be
+        weighted by the noise for the numbers to have a meaning.
+
+        Parameters
+        ----------
+        of : str or casadi.SX, shape (size, 1)
+            'cell_resistance' in ohm, its logarithm 'log_cell_resistance', 'conductance' in siemens,
+            the modelled 'reading', a voltage, or an own unknown; or an expression of the program's
+            symbols.
+
+        Raises InputError for another name.
+        """
+        outer, _ = self._slopes_of(of)
+        if not self.solved:
+            return np.full((len(outer), len(outer)), np.nan)
+        factor, undetermined = (outer @ part for part in self._spread)
+        free = _reaches(undetermined, np.abs(outer) @ np.abs(self._spread[1]))
+        return np.where(free[:, None] | free, np.inf, factor @ factor.T)
+
+    def sensitivity(self, *, of: str | casadi.SX = "cell_resistance", to: str) -> Array:
+        """Return the derivative of the solution by what was given, (size of `of`, size of `to`).
+
+        Everything else that was given is held: a reading moves neither its standard deviation nor a
+        bound. Constraints and bounds that hold go on to hold. NaN where nothing was solved, and for
+        what the program leaves undetermined.
+
+        Parameters
+        ----------
+        of : str or casadi.SX, shape (size, 1)
+            As in `covariance`.
+        to : str
+            'measured' or another array that the terms read, in its unit, frame by frame and row by
+            row; 'weights' of the terms; 'lower' or 'upper' bounds of the cells, in ohm; or the name
+            of an own constraint, for its limit that holds.
+
+        Raises InputError for another name.
+        """
+        outer, explicit = self._slopes_of(of, to)
+        if not self.solved:
+            return np.full(explicit.shape, np.nan)
+        moved, undetermined = self._moved(to)
+        free = _reaches(outer @ undetermined, np.abs(outer) @ np.abs(undetermined))
+        return np.where(free[:, None], np.nan, outer @ moved + explicit)
+
+    def _slopes_of(self, of: str | casadi.SX, to: str = "") -> tuple[Array, Array]:
+        """Return the derivatives of an expression by the unknowns, and by what was given.
+
+        Raises InputError for a name that is no unknown.
+        """
+        _, by_unknown, by_given = self._evaluated(self._function(of, to))
+        if to not in self.instance.program.parameter.symbols:
+            by_given = np.zeros((len(by_unknown), self._size_of(to)))
+        return by_unknown, by_given
+
+    @guarded
+    def _function(self, of: str | casadi.SX, to: str) -> casadi.Function:
+        """Return the function (x, p) → value, slopes by x, and by a parameter.
+
+        Raises InputError for a name that is no unknown.
+        """
+        program = self.instance.program
+        if not isinstance(of, str):
+            return _with_slopes(program, casadi.SX(of), to)
+        if of not in program.quantities:
+            names = ", ".join(program.quantities)
+            raise InputError(f"the program has no unknown {of}; it has {names}")
+        return _slopes_by_name(program, of, to)
+
+    @guarded
+    def _evaluated(self, function: casadi.Function, *more: Array) -> list[Array]:
+        """Return the results of a function of x, p and further arguments, as arrays."""
+        results = function(self.result.unknown, self.instance.parameter, *more)
+        several = results if isinstance(results, tuple) else (results,)
+        return [np.asarray(result, dtype=float) for result in several]
+
+    def _size_of(self, to: str) -> int:
+        """Return the number of entries of what a sensitivity is taken to; 0 of nothing.
+
+        Raises InputError for another name.
+        """
+        program = self.instance.program
+        sizes = {name: program.parameter.sizes[name] for name, _ in program.given.named()}
+        sizes["weights"] = program.parameter.sizes["weights"]
+        sizes |= dict.fromkeys(("lower", "upper"), program.unknown.sizes["conductance"])
+        sizes |= {name: program.equation.sizes[name] for name in program.own_constraints}
+        if to and to not in sizes:
+            raise InputError(f"there is no sensitivity to {to}; there is one to {', '.join(sizes)}")
+        return sizes.get(to, 0)
+
+    def _moved(self, to: str) -> tuple[Array, Array]:
+        """Return dx/dp of the unknowns, and the directions that no data determine.
+
+        With A dx = b along the active constraints, dx = dx₀ + Z w, where dx₀ is any solution of
+        them, and Zᵀ∇²L Z w = −Zᵀ(∂∇L/∂p + ∇²L dx₀).
+        """
+        modes = self._modes
+        assert modes is not None
+        directions = self._directions
+        _, jacobian, hessian = self._derivatives
+        slopes, limits, moved = self._forces(to)
+        balance = self.instance.program.equation.sizes["balance"]
+        follows = directions.follows
+        by_voltage = scipy.sparse.linalg.splu(jacobian[:balance, follows])
+        moved[follows] = by_voltage.solve((limits - jacobian @ moved)[:balance])
+        own = balance + np.flatnonzero(directions.active[balance:])
+        if len(own):
+            missing = (limits - jacobian @ moved)[own]
+            moved += directions.leading @ np.linalg.lstsq(directions.rows, missing)[0]
+        basis = directions.basis
+        force = basis.T @ (slopes + hessian @ moved)
+        return moved + basis @ modes.step(force), self._spread[1]
+
+    def _forces(self, to: str) -> tuple[Array, Array, Array]:
+        """Return ∂(∇L)/∂p, the change of the constraints' right sides, and of held unknowns.
+
+        Returns
+        -------
+        slopes : array, shape (unknowns, parameters)
+        limits : array, shape (constraints, parameters)
+        moved : array, shape (unknowns, parameters)
+        """
+        instance = self.instance
+        program = instance.program
+        count = self._size_of(to)
+        slopes, moved = (np.zeros((len(self.result.unknown), count)) for _ in range(2))
+        limits = np.zeros((len(self.result.of_equations), count))
+        if to in program.parameter.symbols:
+            forces = _forces_by(program, to)
+            by_gradient, by_equation = self._evaluated(forces, self.result.of_equations)
+            return by_gradient, -by_equation, moved
+        if to in program.own_constraints:
+            rows = program.equation.named(np.arange(len(limits), dtype=float))[to].astype(int)
+            limits[rows, np.arange(count)] = 1.0
+            return slopes, limits, moved
+        # g = s/r at the bound that holds it
+        place = self.places["conductance"]
+        limit = (instance.upper if to == "lower" else instance.lower)[place]
+        other = (instance.lower if to == "lower" else instance.upper)[place]
+        value = self.result.unknown[place]
+        at_limit = self._directions.held[place] & (np.abs(value - limit) < np.abs(value - other))
+        moved[place] = np.diag(np.where(at_limit, -(limit**2) / instance.scale, 0.0))
+        return slopes, limits, moved
+
+    def _if_solved(self, values: Array) -> Array:
+        """Return values, NaN where nothing was solved."""
+        return values if self.solved else np.full_like(values, np.nan)
+
+    @cached_property
+    @guarded
+    def _units(self) -> Array:
+        """Unit of each unknown of the program in those of `places`, (unknowns,)."""
+        program = self.instance.program
+        natural = casadi.vertcat(*(program.quantities[name] for name in program.unknown.sizes))
+        ones = casadi.substitute(natural, program.unknown.column, casadi.DM.ones(natural.shape))
+        units = casadi.Function("units", [program.parameter.column], [ones])
+        return np.asarray(units(self.instance.parameter)).ravel()
+
+    def _check_name(self, name: str) -> None:
+        """Raise InputError unless the program has an own unknown of this name."""
+        own = self.instance.program.own
+        if name not in own:
+            raise InputError(
+                f"the program has no own unknown {name}; it has {', '.join(own) or 'none'}"
+            )
+
+    @guarded
+    def _values(self, unknown: Array) -> tuple[float, Array]:
+        """Return the cost φ/cost_scale, and the constraints (constraints,), at unknowns x."""
+        derivatives = self.instance.program.derivatives
+        arguments = unknown, self.instance.parameter
+        cost, _ = derivatives["grad_f"](*arguments)
+        equations, _ = derivatives["jac_g"](*arguments)
+        return float(cost), np.asarray(equations).ravel()
+
+    @property
+    def _cost(self) -> float:
+        """φ/cost_scale."""
+        return self._values(self.result.unknown)[0]
+
+    @property
+    def _equations(self) -> Array:
+        """Values of all constraints, (constraints,)."""
+        return self._values(self.result.unknown)[1]
+
+    @cached_property
+    @guarded
+    def _derivatives(self) -> tuple[Array, scipy.sparse.csc_array, scipy.sparse.csc_array]:
+        """∇f (unknowns,), J (constraints, unknowns), and ∇²L (unknowns, unknowns)."""
+        derivatives = self.instance.program.derivatives
+        arguments = self.result.unknown, self.instance.parameter
+        _, gradient = derivatives["grad_f"](*arguments)
+        _, jacobian = derivatives["jac_g"](*arguments)
+        upper = scipy.sparse.csc_array(
+            derivatives["hess_lag"](*arguments, 1.0, self.result.of_equations).sparse()
+        )
+        hessian = upper + scipy.sparse.triu(upper, 1).T
+        return (
+            np.asarray(gradient).ravel(),
+            scipy.sparse.csc_array(jacobian.sparse()),
+            scipy.sparse.csc_array(hessian),
+        )
+
+    @cached_property
+    def _directions(self) -> Directions:
+        """Directions along the active constraints.
+
+        Unknowns at a bound stay, voltages follow the cells by the balance of currents, and the
+        other active constraints leave the null space of their rows.
+        """
+        _, jacobian, hessian = self._derivatives
+        instance = self.instance
+        program = instance.program
+        x = self.result.unknown
+        names = np.repeat([*program.unknown.sizes], [*program.unknown.sizes.values()])
+        follows = np.isin(names, [*program.networks[0].voltages])
+        balance = program.equation.sizes["balance"]
+        by_voltage = scipy.sparse.linalg.splu(jacobian[:balance, follows])
+        leads = np.flatnonzero(~follows)
+        leading = np.zeros((len(x), len(leads)))
+        leading[leads, np.arange(len(leads))] = 1.0
+        leading[follows] = -by_voltage.solve(jacobian[:balance, leads].toarray())
+        # A multiplier that a move off the bound by its distance would make holds nothing.
+        curvature = np.zeros(len(x))
+        curvature[leads] = np.sum(leading * (hessian @ leading), axis=0)
+        held = _held(
+            x,
+            self.result.of_bounds / np.maximum(CLEAR * np.abs(curvature), SLOPE_ROUNDING),
+            (instance.lower, instance.upper),
+        )
+        # Of p and q, the smaller one is at its bound: their sum costs.
+        place = int(np.argmax(names == "split"))
+        for part in program.lowered:
+            for side in part.split[:1]:
+                first = place + np.arange(side.shape[0])
+                second = first + side.shape[0]
+                held[np.where(x[first] < x[second], first, second)] = True
+                place += 2 * side.shape[0]
+        leading = leading[:, ~held[leads]]
+        active = _held(self._equations, self.result.of_equations, instance.equations)
+        rows = jacobian[balance + np.flatnonzero(active[balance:])] @ leading
+        size = np.linalg.norm(rows, axis=1, keepdims=True)
+        basis = leading
+        if len(rows):
+            basis = leading @ scipy.linalg.null_space(rows / np.where(size > 0, size, 1.0))
+        return Directions(held, follows, active, leading, rows, basis)
+
+    @cached_property
+    def _slope(self) -> Array:
+        """Gradient Zᵀ ∇L along the constraints, (n,)."""
+        gradient, jacobian, _ = self._derivatives
+        basis = self._directions.basis
+        return np.asarray(basis.T @ (gradient + jacobian.T @ self.result.of_equations))
+
+    @cached_property
+    def _modes(self) -> Modes | None:
+        """Modes of the curvature Zᵀ ∇²L Z; None where it is beyond double precision."""
+        _, _, hessian = self._derivatives
+        basis = self._directions.basis
+        size = np.abs(basis)
+        # Diagonal entries of which the rounding errors of the sums are a share of ROUNDING
+        least = np.finfo(float).eps / ROUNDING * np.sum(size * (abs(hessian) @ size), axis=0)
+        least = np.maximum(least, np.finfo(float).tiny)
+        return Modes.of(basis.T @ (hessian @ basis), least)
+
+    def _falls(self, modes: Modes) -> bool:
+        """Return whether the cost falls along a direction of no curvature.
+
+        Only points within the constraints count, to first order.
+        """
+        x = self.result.unknown
+        cost, equations = self._values(x)
+        flat = self._directions.basis @ (modes.vectors[:, ~modes.solid] / modes.size[:, None])
+        for along in flat.T / np.abs(flat).max(axis=0)[:, None]:
+            for length in PROBES:
+                for step in (length * along, -length * along):
+                    inside = np.clip(x + step, self.instance.lower, self.instance.upper)
+                    lower, moved = self._values(inside)
+                    near = np.abs(moved - equations).max(initial=0.0) <= SAME_PLACE
+                    if near and lower < cost - SLOPE_ROUNDING:
+                        return True
+        return False
+
+    @cached_property
+    def _spread(self) -> tuple[Array, Array]:
+        """Factor W of the covariance, cov(x) = W Wᵀ, and the undetermined directions.
+
+        Returns
+        -------
+        factor : array, shape (unknowns, n)
+        undetermined : array, shape (unknowns, m)
+        """
+        modes = self._modes
+        assert modes is not None
+        directions = self._directions.basis @ (modes.vectors / modes.size[:, None])
+        # f = φ/cost_scale, and φ = χ²: the posterior is exp(−φ/2)
+        curvature = modes.values[modes.solid] * (self.instance.cost_scale / 2)
+        return directions[:, modes.solid] / np.sqrt(curvature), directions[:, ~modes.solid]
+
+    def _deviations(self, name: str) -> Array:
+        """Return the standard deviations of one block of unknowns, in the program's unit."""
+        chosen = self.places[name]
+        if not self.solved:
+            return np.full(chosen.stop - chosen.start, np.nan)
+        factor, undetermined = self._spread
+        deviations = np.sqrt(np.sum(factor[chosen] ** 2, axis=1))
+        return np.where(_reaches(undetermined[chosen], np.abs(undetermined)), np.inf, deviations)
+
+
+def _with_slopes(program: Program, expression: casadi.SX, to: str) -> casadi.Function:
+    """Return the function (x, p) → expression, and its derivatives by x and by a parameter."""
+    program.check_symbols("the expression", expression)
+    nlp = program.nlp
+    given = program.parameter.symbols.get(to, casadi.SX(0, 1))
+    outputs = [
+        expression,
+        *(casadi.jacobian(casadi.vec(expression), by) for by in (nlp["x"], given)),
+    ]
+    return casadi.Function("slopes", [nlp["x"], nlp["p"]], list(map(casadi.densify, outputs)))
+
+
+@lru_cache(maxsize=32)
+def _slopes_by_name(program: Program, of: str, to: str) -> casadi.Function:
+    """Return `_with_slopes` of a quantity; it is built once for the frames of a recording."""
+    return _with_slopes(program, program.quantities[of], to)
+
+
+@guarded
+@lru_cache(maxsize=32)
+def _forces_by(program: Program, to: str) -> casadi.Function:
+    """Return the function (x, p, λ) → ∂(∇L)/∂q and ∂g/∂q, by a parameter q."""
+    nlp = program.nlp
+    symbol = program.parameter.symbols[to]
+    multiplier = casadi.SX.sym("multiplier", nlp["g"].shape[0])
+    lagrangian = nlp["f"] + casadi.dot(multiplier, nlp["g"])
+    slopes = casadi.gradient(lagrangian, nlp["x"])
+    outputs = [casadi.densify(casadi.jacobian(value, symbol)) for value in (slopes, nlp["g"])]
+    return casadi.Function("forces", [nlp["x"], nlp["p"], multiplier], outputs)
+
+
+def _reaches(chosen: Array, size: Array) -> NDArray[np.bool_]:
+    """Return which rows of moves, (rows, m), are no rounding of moves of a size, (…, m)."""
+    largest = size.max(axis=0, initial=0.0)
+    return np.asarray(np.any(np.abs(chosen) > VERIFIED * largest, axis=1))
+
+
+def _held(value: Array, multiplier: Array, limits: tuple[Array, Array]) -> NDArray[np.bool_]:
+    """Return which values a limit holds, see `on_bounds`; equal limits hold always."""
+    low, high = limits
+    at_limit = on_bounds(value, multiplier, low, high)
+    return np.asarray((low == high) | (at_limit == low) | (at_limit == high))
