@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from lampest.apps.microcontroller.drift import frames_to_follow
 from lampest.files.document import parse_document
 from lampest.files.errors import InputError
+from lampest.panel.circuit import equation_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.driven import DrivenCircuit
-from lampest.panel.readouts.equation import equation_of
 from lampest.panel.readouts.lines import Side
 from lampest.panel.scene import Scene
 from lampest.runs.case import CaseResult
@@ -440,15 +440,18 @@ def check_scene(scene: Scene) -> None:
             max(rows, columns) > MAX_LINES,
             f"has up to {MAX_LINES} lines a side, not {rows} × {columns}",
         ),
-        (scene.wiring is not None, "has no line resistance, contacts or touching lines"),
+        (scene.wiring is not None, "has no line resistance, contacts, touching lines or leaks"),
         (scene.converter_memory is not None, "has no converter memory"),
         (scene.faults is not None, "has no faults: list the panel's sound cells under panel.cells"),
     ):
         if is_lacking:
             raise InputError(f"the C library {sentence}")
     readout = scene.circuit
-    if readout.characteristic.curve is not None or readout.code_sign < 0:
-        raise InputError("the C library has converters with a straight, rising line only")
+    characteristic = readout.characteristic
+    if characteristic.curve is not None or characteristic.signed or readout.code_sign < 0:
+        raise InputError(
+            "the C library has converters of codes from 0 and a straight, rising line only"
+        )
     keys = ("idle_volt", "load_volt", "idle_load_volt", "driven_groups")
     named = [key for key in keys if getattr(readout, key, None) is not None]
     if named:

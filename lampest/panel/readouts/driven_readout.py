@@ -6,9 +6,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from lampest.panel.circuit import FOLLOWS, Terminations, scanned
 from lampest.panel.readouts.diode import Diode
-from lampest.panel.readouts.driven import SourcedCircuit
-from lampest.panel.readouts.equation import LineStates
+from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.readouts.lines import (
     Groups,
     PerLine,
@@ -16,18 +16,17 @@ from lampest.panel.readouts.lines import (
     as_tuple,
     lines_text,
     opposite,
-    parallel,
     per_line,
 )
 
 
 @dataclass(frozen=True, kw_only=True)
-class DrivenReadout(SourcedCircuit):
+class DrivenReadout(DrivenCircuit):
     """Circuit with driven and sensed lines, named by the resistances of its lines.
 
     Each resistance holds while a line is used, or while it is idle. Loaded columns, grounded lines
     and virtual grounds are presets of this circuit. The equation stands in
-    `lampest.panel.readouts.driven_network`.
+    `lampest.panel.circuit`.
 
     Attributes
     ----------
@@ -42,6 +41,9 @@ class DrivenReadout(SourcedCircuit):
     idle_ohm : PerLine
         Rp in ohm, between an idle driven line and ground: a resistor, an output at LOW, 0 if it is
         held without any resistance, infinite if it floats.
+    idle_stays : bool
+        Whether the resistors idle_ohm stay at their lines while these are driven, as pull-downs
+        behind a multiplexer do. With `driven_groups` every line has one.
     load_ohm : PerLine
         Rs in ohm, between a sensed line and ground while it is read, behind its channel; infinite:
         none.
@@ -62,6 +64,8 @@ class DrivenReadout(SourcedCircuit):
     load_volt, idle_load_volt : float, or None
         Potential in which a load ends, and an idle sensed line, in volt. None: ground, or the
         supply with polarity: down, and load_volt.
+    offset_volt : PerLine, or None
+        Voltage that the amplifier of each sensed line adds to what is recorded.
     diode : Diode, or None
         Diode in series with Rd.
     drive_volt, converter_volt : float, or None
@@ -87,6 +91,7 @@ class DrivenReadout(SourcedCircuit):
     polarity: Literal["up", "down"] = "up"
     drive_ohm: PerLine = 0.0
     idle_ohm: PerLine = inf
+    idle_stays: bool = False
     load_ohm: PerLine = 10_000.0
     sense_ohm: PerLine = 0.0
     idle_load_ohm: PerLine | None = None
@@ -95,12 +100,15 @@ class DrivenReadout(SourcedCircuit):
     idle_volt: float | Literal["follows"] | None = None
     load_volt: float | None = None
     idle_load_volt: float | None = None
+    offset_volt: PerLine | None = None
     diode: Diode | None = None
     drive_volt: float | None = None
     converter_volt: float | None = None
     input_ohm: float | None = None
 
     def __post_init__(self) -> None:
+        if self.idle_stays:
+            self._check_stays()
         super().__post_init__()
         if self.polarity == "down" and (
             self.drive_volt is not None or self.converter_volt is not None
@@ -109,9 +117,11 @@ class DrivenReadout(SourcedCircuit):
                 "drive_volt and converter_volt have no place with polarity: down, "
                 "where the driven line is at ground"
             )
-        if self.driven_groups is not None and min(as_tuple(self.idle_ohm)) < inf:
+        pulled = min(as_tuple(self.idle_ohm)) < inf and not self.idle_stays
+        if self.driven_groups is not None and pulled:
             raise ValueError(
-                "idle_ohm has no place with driven_groups, whose other lines float: leave it out"
+                "idle_ohm has no place with driven_groups, whose other lines float: leave it out, "
+                "or say that resistors stay at all lines (idle_stays: true)"
             )
         to_ground = [
             *(as_tuple(self.idle_ohm) if self.driven_groups is None else as_tuple(self.drive_ohm)),
@@ -132,6 +142,18 @@ class DrivenReadout(SourcedCircuit):
                 "readings then depend on ratios of cells alone"
             )
 
+    def _check_stays(self) -> None:
+        """Raise ValueError if the resistors that stay contradict the circuit."""
+        ohm = as_tuple(self.idle_ohm) or (inf,)
+        if max(ohm) == inf:
+            raise ValueError("idle_stays: idle_ohm names no resistor that could stay")
+        if min(ohm) == 0:
+            raise ValueError("idle_stays: a line that 0 ohm hold cannot be driven; see idle_ohm")
+        if self.idle_volt == FOLLOWS:
+            raise ValueError("idle_stays has no place with idle_volt: follows")
+        if self.diode is not None:
+            raise ValueError("idle_stays: a diode beside resistors that stay is not in this model")
+
     def description(self) -> str:
         diode = "" if self.diode is None else f", {self.diode.description()}"
         channel = f", sense channels {lines_text(self.sense_ohm)}" if self.sense_ohm else ""
@@ -146,34 +168,32 @@ class DrivenReadout(SourcedCircuit):
         return (
             f"{self.driven} driven {self.polarity}{source} "
             f"one after the other through {lines_text(self.drive_ohm)}, "
-            f"idle ones {_state(self.idle_ohm)}, "
+            f"idle ones {_state(self.idle_ohm)}{' all the time' if self.idle_stays else ''}, "
             f"load {lines_text(self.load_ohm)}{channel}, {load}, "
             f"{self.supply_volt:g} V{diode}{self._end_text}"
         )
 
-    @property
-    def idle_connected(self) -> bool:
-        return self.driven_groups is not None or min(as_tuple(self.idle_ohm)) < inf
-
-    @property
-    def loads_connected(self) -> tuple[bool, bool]:
-        loads = min(as_tuple(self.load_ohm)) < inf or self.input_ohm is not None
-        if self.idle_load_ohm is None:
-            return loads, False
-        return loads, min(as_tuple(self.idle_load_ohm)) < inf
-
-    def states(self, driven: int, sensed: int) -> LineStates:
-        load = parallel(per_line("load_ohm", self.load_ohm, sensed), self.input_ohm)
-        total = load + per_line("sense_ohm", self.sense_ohm, sensed)
-        if self.idle_load_ohm is not None:
-            idle_load = per_line("idle_load_ohm", self.idle_load_ohm, sensed)
-        else:
-            idle_load = total if self.groups is None else np.full(sensed, inf)
+    def terminations(self, driven: int, sensed: int) -> Terminations:
+        """Return the ends that the keys state."""
+        drive = self.driven_ends(driven)
+        together = self.idle_ends(drive.ohm)
+        idle = self.idle_ends(per_line("idle_ohm", self.idle_ohm, driven))
+        if self.idle_stays:
+            drive = drive.beside(idle)
+            together = together.beside(idle)
+        load = self.load_ends(sensed)
+        total = load.behind(per_line("sense_ohm", self.sense_ohm, sensed))
+        stays = self.idle_load_ohm is None and self.groups is None
+        idle_load = total if stays else self.idle_load_ends(sensed)
         with np.errstate(invalid="ignore"):
-            gain = np.where(np.isinf(load), 1.0, load / total)
-        drive, idle = (per_line(name, getattr(self, name), driven) for name in self.of_driven)
-        share = self.load_shares(sensed)
-        return LineStates(drive, idle, total, idle_load, gain, share)
+            gain = np.where(np.isinf(load.ohm), 1.0, load.ohm / total.ohm)
+        return Terminations(
+            self.driven,
+            scanned(drive, idle, self.driven_groups, together),
+            scanned(total, idle_load, self.groups),
+            gain,
+            diode=self.diode,
+        )
 
 
 def _state(ohm: PerLine) -> str:
