@@ -145,16 +145,41 @@ def field_lines(
 
 
 def lines_of_text(path: Path) -> FieldLines:
-    """Return the lines of a text file; the separator of fields is the sign that gives most numbers.
+    """Return the lines of a text file; see `field_lines_of`.
 
-    Raises InputError with the line if the file is no text or too large, or if a quotation mark is
-    not closed.
+    Raises InputError with the line if the file is no text or too large.
     """
     text, notes = _decoded(path)
+    texts = re.split(r"\r\n|\r|\n", text)
+    lines = field_lines_of(texts, str(path), notes)
+    number = len(lines.lines)
+    if number > 1 and texts[-1] and lines.counts[-1] < np.median(lines.counts):
+        lines.fields[-1, lines.counts[-1] - 1] = ""  # the file ends within a line
+        note = f"the last number of line {lines.lines[-1].number} is cut off and missing"
+        return replace(lines, notes=(*lines.notes, note))
+    return lines
+
+
+def field_lines_of(texts: Iterable[str], source: str, notes: Iterable[str] = ()) -> FieldLines:
+    """Return lines of text as fields; their separator is the sign that gives most numbers.
+
+    Raises InputError with the line if it is too long, or if a quotation mark is not closed.
+
+    Parameters
+    ----------
+    texts : iterable of str
+        Lines without their ends.
+    source : str
+        Name of the file or port.
+    notes : iterable of str
+        Sentences on the interpretation of the text, to which those on its fields are added.
+    """
     read: list[FieldLine] = []
-    for number, line in enumerate(re.split(r"\r\n|\r|\n", text), 1):
+    for number, line in enumerate(texts, 1):
         if len(line) > 1_000_000:
-            raise InputError(f"{path}:{number}: longer than 1000000 characters, which no table is")
+            raise InputError(
+                f"{source}:{number}: longer than 1000000 characters, which no table is"
+            )
         stamped = STAMPED.match(line)
         content = _plain_content(line[stamped.end() :] if stamped else line.strip(" "))
         if content.strip().strip(" \t;,"):
@@ -163,7 +188,7 @@ def lines_of_text(path: Path) -> FieldLines:
     records = sum(content.lstrip().startswith('{"') for content in contents)
     if 2 * records > len(contents):
         stamps = ", without the terminal's times" if any(line.stamp for line in read) else ""
-        raise InputError(f"{path}:{read[0].number}: lines of JSON; save them as .jsonl{stamps}")
+        raise InputError(f"{source}:{read[0].number}: lines of JSON; save them as .jsonl{stamps}")
     delimiter = _delimiter(contents)
     # Lines may agree in their number of fields only if consecutive tabs are one.
     single = Counter(line.count("\t") for line in contents[:SAMPLED_LINES])
@@ -174,29 +199,21 @@ def lines_of_text(path: Path) -> FieldLines:
         read = [
             line._replace(texts=[re.sub(r"\t+", "\t", line.texts[0]).strip("\t")]) for line in read
         ]
+    remarks = list(notes)
     if any(delimiter in content.strip() for content in contents):
-        notes.insert(
+        remarks.insert(
             0, f"fields separated by {'one or more tabs' if aligned else DELIMITERS[delimiter]}"
         )
-    notes += ["a terminal's time before the lines"] if any(line.stamp for line in read) else []
+    remarks += ["a terminal's time before the lines"] if any(line.stamp for line in read) else []
 
     def at(number: int, field: int | None) -> str:
-        return f"{path}:{number}" + ("" if field is None else f":{field + 1}")
+        return f"{source}:{number}" + ("" if field is None else f":{field + 1}")
 
     split = (
         line._replace(texts=_split(at(line.number, None), line.texts[0], delimiter))
         for line in read
     )
-    lines = field_lines(str(path), "line", at, notes, split)
-    if (
-        len(read) > 1
-        and not text.endswith(("\r", "\n"))
-        and lines.counts[-1] < np.median(lines.counts)
-    ):
-        lines.fields[-1, lines.counts[-1] - 1] = ""  # the file ends within a line
-        note = f"the last number of line {read[-1].number} is cut off and missing"
-        return replace(lines, notes=(*lines.notes, note))
-    return lines
+    return field_lines(source, "line", at, remarks, split)
 
 
 def _plain_content(content: str) -> str:
