@@ -20,8 +20,8 @@ from lampest.apps.foreign.arrays import (
     frames_of_arrays,
     joined_frames,
 )
+from lampest.apps.foreign.division import frames_of
 from lampest.apps.foreign.labelled import named_units, panel_of
-from lampest.apps.foreign.layouts import frames_of
 from lampest.apps.foreign.lines import FieldLines, lines_of_sheets, lines_of_text
 from lampest.apps.foreign.own_layouts import LAYOUTS
 from lampest.apps.foreign.records import READERS as RECORDS

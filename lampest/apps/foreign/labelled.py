@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from lampest.apps.foreign.arrays import Frames, Shape
-from lampest.apps.foreign.layouts import frames_of
+from lampest.apps.foreign.division import frames_of
 from lampest.apps.foreign.lines import FieldLine, field_lines
 from lampest.apps.foreign.records import text_of_value
 from lampest.apps.foreign.table import readings_table

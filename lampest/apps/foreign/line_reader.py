@@ -4,7 +4,7 @@ import re
 from typing import NamedTuple
 
 from lampest.apps.foreign.arrays import Frames, Shape
-from lampest.apps.foreign.layouts import frames_of
+from lampest.apps.foreign.division import frames_of
 from lampest.apps.foreign.lines import field_lines_of
 from lampest.apps.foreign.table import readings_table
 from lampest.files.errors import InputError

@@ -318,6 +318,16 @@ def is_stamp(text: str) -> bool:
     return STAMP.fullmatch(text.strip()) is not None
 
 
+def seconds_of(text: str, *, comma: bool) -> float:
+    """Return a number as it is, and a time of day in s; NaN for another text."""
+    number = number_of(text, comma=comma)
+    match = STAMP.fullmatch(text.strip()) if number is None else None
+    if match is None or not match[5]:
+        return np.nan if number is None else number
+    fraction = float(f"0.{match[8]}") if match[8] else 0.0
+    return 3600 * int(match[5]) + 60 * int(match[6]) + int(match[7] or 0) + fraction
+
+
 def clock_of(
     texts: Sequence[str], name: str, where: Where, *, comma: bool, unit: str | None
 ) -> Clock:
