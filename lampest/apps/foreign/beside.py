@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 from lampest.apps.foreign.arrays import Shape
 from lampest.apps.foreign.table import ReadingsTable
 from lampest.apps.foreign.words import EPOCH as LEAST_EPOCH
-from lampest.apps.foreign.words import PART_OF_CLOCK, grows, is_stamp, line_of, parted, unwrapped
+from lampest.apps.foreign.words import (
+    MAX_CUT,
+    PART_OF_CLOCK,
+    grows,
+    is_stamp,
+    line_of,
+    parted,
+    unwrapped,
+)
 from lampest.panel.panel import Array
 
 MAX_BESIDE = 8  # fields beside the readings of a line that names none
@@ -73,11 +81,13 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
     the fields cannot be distinguished, and where there is a single leading one, the table is
     returned unchanged.
     """
+    same = np.append(False, np.all(table.fields[1:] == table.fields[:-1], axis=1))
+    clear = table.only(~same & np.any(table.fields != "", axis=1))  # not doubled, nor damaged
     # Or it would with rows and columns exchanged.
     fits = table.width in (shape[0] * shape[1], *shape)
     if any(table.names) or len(table.lines) < MIN_LINES or fits:
         return table
-    marks = np.array([np.all(column == column[0]) and column[0] != "" for column in table.fields.T])
+    marks = np.array([np.all(column == column[0]) and column[0] != "" for column in clear.fields.T])
     for needed, rows in ((shape[0] * shape[1], 1), (shape[1], shape[0])):
         extra = table.width - needed
         if not 1 <= extra <= MAX_BESIDE:
@@ -85,7 +95,7 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
         for trailing in range(extra + 1):
             lead = range(extra - trailing)
             end = range(table.width - trailing, table.width)
-            names = _names_beside(table, [*lead, *end], len(lead), rows, marks)
+            names = _names_beside(clear, [*lead, *end], len(lead), rows, marks)
             if names is None:
                 continue
             alone = len(names) == 1 and names != [SKIPPED] and not trailing
@@ -171,10 +181,12 @@ def _name_of(table: ReadingsTable, field: int, rows: int, *, mark: bool) -> str 
         return SKIPPED
     with np.errstate(invalid="ignore"):  # of two infinite numbers: no step that grows
         steps = np.diff(values)
-    if rows > 1 and np.all(steps >= 0):
-        return "frame" if set(steps) <= {0.0, 1.0} and not np.all(steps == 1) else "time"
+    rising = np.mean(steps >= 0) >= 1 - MAX_CUT  # but for lines that are lost or swapped
+    counts = np.mean((steps == 0) | (steps == 1)) >= 1 - MAX_CUT
+    if rows > 1 and rising:
+        return "frame" if counts and np.any(steps == 0) else "time"
     if grows(values):
-        return "frame" if np.all(steps == 1) else "time"
+        return "frame" if counts else "time"
     return SKIPPED if np.all(steps >= 0) else None
 
 
@@ -185,8 +197,8 @@ def _counting(values: Array) -> Array:
     if not np.any(falls) or not np.all(np.isfinite(values) & (values == np.round(values))):
         return values
     size = float(values.max()) + 1
-    wraps = values[:-1][falls] - values[1:][falls] >= MIN_WRAP * size
-    return values + size * np.cumsum(np.append(0, falls)) if np.all(wraps) else values
+    wraps = values[:-1] - values[1:] >= MIN_WRAP * size
+    return np.asarray(values + size * np.cumsum(np.append(0, wraps)))
 
 
 def _is_row(texts: NDArray[np.object_], rows: int) -> bool:
@@ -197,7 +209,8 @@ def _is_row(texts: NDArray[np.object_], rows: int) -> bool:
     numbers = np.array([(line_of(text) or ("", -1))[1] for text in texts])
     first = int(numbers.min())
     follows = (np.diff(numbers) == 1) | (numbers[1:] < numbers[:-1])
-    return first in (0, 1) and int(numbers.max()) - first == rows - 1 and bool(np.all(follows))
+    counted = first in (0, 1) and int(numbers.max()) - first == rows - 1
+    return counted and bool(np.mean(follows) >= 1 - MAX_CUT)
 
 
 def _is_clock(values: Array) -> bool:

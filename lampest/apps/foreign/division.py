@@ -64,7 +64,8 @@ class Marks:
         texts = _key_texts(table, arrangement)
         shared: list[Hashable] = [None] * count
         if self.keys:
-            shared = list(zip(*(texts[key] for key in self.keys), strict=True))
+            of_lines = zip(*(texts[key] for key in self.keys), strict=True)
+            shared = [line if all(line) else None for line in of_lines]
         seconds = (
             [seconds_of(text, comma=table.comma) for text in texts["time"]]
             if self.timed
@@ -84,6 +85,7 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
     """
     table, arrangement = arranged(table, shape)
     table = _without_doubled(_with_merged_keys(table, arrangement), arrangement)
+    table = _without_swapped(table, arrangement)
     grouped = _grouped_by_name(table, arrangement)
     marks = learned_marks(table, arrangement) if grouped is None else Marks(FrameEnds(1))
     groups, notes = grouped or _divided(table, arrangement, marks)
@@ -392,6 +394,23 @@ def _without_doubled(table: ReadingsTable, arrangement: Arrangement) -> Readings
     places = [table.source.called(int(line)) for line in table.lines[same]]
     note = f"left out: {first_and_more(places)}, which repeat the line before"
     return replace(table.only(~same), notes=(*table.notes, note))
+
+
+def _without_swapped(table: ReadingsTable, arrangement: Arrangement) -> ReadingsTable:
+    """Return a table of frames in lines without a few that came too late.
+
+    Their number or time puts them before the previous line.
+    """
+    swapped = np.zeros(len(table.lines), dtype=bool)
+    for texts in _key_texts(table, arrangement).values() if arrangement.lines == 1 else ():
+        values = np.array([seconds_of(text, comma=table.comma) for text in texts])
+        before, last, this, after = values[:-3], values[1:-2], values[2:-1], values[3:]
+        swapped[2:-1] |= (before < this) & (this < last) & (last < after)
+    if not 0 < swapped.sum() <= MAX_CUT * len(swapped):
+        return table
+    places = [table.source.called(int(line)) for line in table.lines[swapped]]
+    note = f"left out: {first_and_more(places)}, which belong before the previous line"
+    return replace(table.only(~swapped), notes=(*table.notes, note))
 
 
 def _grouped_by_name(

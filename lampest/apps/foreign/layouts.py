@@ -96,6 +96,8 @@ def arranged(table: ReadingsTable, shape: Shape) -> tuple[ReadingsTable, Arrange
         return table, Arrangement(shape, cells, {0: (0, 0)}, note)
     named = _cells_by_name(table.source.source, names, shape) or _cells_by_number(names, shape)
     extra = sum(role_of(name) in ("time", "date", "frame", "row") for name in names)
+    if names.count("") in (cells, shape[1]):  # the values of a list, beside named fields
+        extra = table.width - names.count("")
     if named is not None or table.width in (cells, cells + 1, cells + extra):
         return table, _frames_in_lines(table, shape, named)
     if table.width in (shape[1], shape[1] + 1, shape[1] + extra):
@@ -363,7 +365,10 @@ def _rows_in_lines(table: ReadingsTable, shape: Shape) -> Arrangement:
     given = [role_of(name) for name in table.names[:extra]]
     times = [at for at, role in enumerate(given) if role in ("time", "date")]
     roles = {"frame": given.index("frame")} if "frame" in given else {}
-    labelled = [at for at, role in enumerate(given) if role not in ("time", "date", "frame")]
+    labelled = [at for at, role in enumerate(given) if role == "row"]
+    labelled = labelled or [
+        at for at, role in enumerate(given) if role not in ("time", "date", "frame")
+    ]
     first = 0
     if labelled:
         numbers = _line_numbers(table, labelled[-1])

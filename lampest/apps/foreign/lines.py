@@ -164,6 +164,8 @@ def lines_of_text(path: Path, skip: int = 0) -> FieldLines:
 
 def _is_cut(lines: FieldLines) -> bool:
     """Return whether the last line may be cut: shorter than usual, or its last field is."""
+    if lines.lines[0].number == 0 and np.any(lines.fields[-1] == ""):  # names beside the values
+        return True
     count = int(lines.counts[-1])
     usual = Counter(lines.counts.tolist()).most_common(1)[0][0]
     if count < usual:

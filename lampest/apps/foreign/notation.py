@@ -4,7 +4,7 @@ import csv
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -90,7 +90,9 @@ class Notation:
         sample = contents[:SAMPLED_LINES]
         named = [values for values in map(named_values, sample) if values]
         if 2 * len(named) > len(sample):
-            return cls(",", names=tuple(dict.fromkeys(name for line in named for name in line)))
+            usual = Counter(map(tuple, named)).most_common(1)[0][0]
+            others = dict.fromkeys(name for line in named for name in line if "\0" not in name)
+            return cls(",", names=tuple(dict.fromkeys([*usual, *others])))
         sample = [_plain(content) for content in sample]
         delimiter = _delimiter(sample)
         # Lines may agree in their number of fields only if consecutive tabs are one.
@@ -120,7 +122,11 @@ class Notation:
         """
         if self.names:
             values = named_values(content)
-            return [content] if values is None else [values.get(name, "") for name in self.names]
+            if values is None:
+                return [content]
+            if _lengths(values) != _lengths(self.names):  # which value of a list is lost is unknown
+                values = {name: value for name, value in values.items() if "\0" not in name}
+            return [values.get(name, "") for name in self.names]
         content = _plain(content)
         if self.joined:
             content = re.sub(r"\t+", "\t", content).strip("\t")
@@ -199,6 +205,11 @@ def _values_of_list(values: list[Any]) -> Iterator[str]:
             yield from _values_of_list(value)
         else:
             yield _text_of_json(value)
+
+
+def _lengths(names: Iterable[str]) -> Counter[str]:
+    """Return the number of values of each list among names."""
+    return Counter(name.partition("\0")[0] for name in names if "\0" in name)
 
 
 def _text_of_json(value: Any) -> str:

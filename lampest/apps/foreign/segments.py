@@ -35,7 +35,7 @@ class LineKeys(NamedTuple):
     Attributes
     ----------
     shared : hashable
-        Number and time that all lines of a frame share; None without them.
+        Number and time that all lines of a frame share; None where they are missing.
     position : int
         Row, or cell, of the line; -1 without one.
     marked : bool
@@ -109,12 +109,14 @@ class Segmenter:
         self._keys: list[LineKeys] = []
         self._positions: set[int] = set()
         self._rank = -1  # of the last position
+        self._shared: Hashable = None  # last known
 
     def feed(self, line: int, keys: LineKeys) -> Segment | None:
         """Take a line, and return the lines of the frame that ended before it, if one did."""
         ended = self.close() if self._lines and self._begins(keys) else None
         self._lines.append(line)
         self._keys.append(keys)
+        self._shared = self._shared if keys.shared is None else keys.shared
         if keys.position in self.ends.ranks:
             self._positions.add(keys.position)
             self._rank = self.ends.ranks[keys.position]
@@ -140,7 +142,8 @@ class Segmenter:
         """Return whether a line does not continue the frame of the previous ones."""
         ends = self.ends
         last = self._keys[-1]
-        if keys.marked or keys.shared != last.shared or keys.seconds - last.seconds > ends.max_step:
+        changed = keys.shared is not None and keys.shared != self._shared
+        if changed or keys.marked or keys.seconds - last.seconds > ends.max_step:
             return True
         if not ends.ranks:
             return ends.counted and len(self._lines) == ends.lines

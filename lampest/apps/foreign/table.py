@@ -17,6 +17,7 @@ from lampest.apps.foreign.lines import DAMAGED, FieldLines
 from lampest.apps.foreign.notation import SAMPLED
 from lampest.apps.foreign.words import (
     MAX_CUT,
+    cell_of,
     clock_of,
     has_decimal_comma,
     is_stamp,
@@ -471,7 +472,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     fields = parsed.texts
     complete = source.counts == usual
     width = _width(fields[data & complete], usual)
-    header = _header_line(fields, data, width)
+    header = _header_line(fields, data, width, source.lines[0].number)
     form = Form(comma, usual, width, alone, names=("",) * width)
     first = 0
     note = ""
@@ -572,7 +573,9 @@ def _data_lines(
     words = parsed.words
     filled = fields != ""
     strange = {
-        text for text in set(fields[words].tolist()) if not is_stamp(text) and line_of(text) is None
+        text
+        for text in set(fields[words].tolist())
+        if not (is_stamp(text) or line_of(text) or cell_of(text))
     }
     foreign = np.zeros(len(fields), dtype=int)
     total = filled.sum(axis=1)
@@ -586,11 +589,16 @@ def _data_lines(
     return np.asarray(few & ~source.comment & (filled & ~words).any(axis=1))
 
 
-def _header_line(fields: NDArray[Any], data: NDArray[np.bool_], width: int) -> int | None:
+def _header_line(
+    fields: NDArray[Any], data: NDArray[np.bool_], width: int, first_number: int
+) -> int | None:
     """Return the number of the header's line; None without a header.
 
-    The header is the first data line or the line before, and names or counts the fields.
+    The header is the first data line or the line before, and names or counts the fields. Names of
+    records have the number 0.
     """
+    if first_number == 0:  # of records
+        return 0
     first = int(np.argmax(data))
     following = fields[first + 1, 0] if first + 1 < len(fields) else ""
     if (

@@ -27,7 +27,8 @@ ROLE_OF_WORD = _by_word(
     cell="cell taxel pixel index sensor",
     value="value values reading measured resistance ohm kohm volt voltage code adc raw counts "
     "mv r v wert widerstand spannung",
-    frame="frame frames scan step sample frame_id frame_nr frame_no scan_nr nr messung bild",
+    frame="frame frames scan step sample seq counter frame_id frame_nr frame_no scan_nr nr messung "
+    "bild",
     date="date datum day tag",
     time="time times t timestamp timestamps time_stamp datetime date_time zeit uhrzeit zeitstempel "
     "elapsed clock ts millis micros ms us µs s sec second seconds unix epoch",
@@ -358,6 +359,9 @@ def clock_of(
         raise InputError(
             f"{where(0)}: {texts[0][:40]!r} is no number, so that it has no time unit {unit}"
         )
+    read = [text for text in texts if is_stamp(text)]
+    if len(texts) > len(read) >= (1 - MAX_CUT) * len(texts):
+        return _clock_of_some(texts, name, where, comma=comma)
     dated = any(match[1] for match in map(STAMP.fullmatch, map(str.strip, texts)) if match)
     ways: dict[str, list[str]] = {}
     for way in DATES if dated else ("time of day",):
@@ -386,6 +390,18 @@ def clock_of(
         )
     seconds, cut = _growing(seconds, where)
     return Clock(seconds, stamps[0] if dated else None, f"{sentence}{cut}")
+
+
+def _clock_of_some(texts: Sequence[str], name: str, where: Where, *, comma: bool) -> Clock:
+    """Return times of frames of which a few have no stamp; these are interpolated."""
+    stamped = [at for at, text in enumerate(texts) if is_stamp(text)]
+    clock = clock_of(
+        [texts[at] for at in stamped], name, lambda at: where(stamped[at]), comma=comma, unit=None
+    )
+    seconds = np.full(len(texts), np.nan)
+    seconds[stamped] = clock.seconds
+    seconds, cut = _growing(seconds, where)
+    return Clock(seconds, clock.start, f"{clock.sentence}{cut}")
 
 
 def _iso(text: str, way: str) -> str:
