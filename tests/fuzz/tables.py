@@ -74,7 +74,7 @@ def _joined(values: Array, sign: str) -> str:
 
 def frame_lines(values: Array, rng: Rng) -> Iterator[Line]:
     sign = str(rng.choice([",", ";", "\t", " "]))
-    before = str(rng.choice(["", "number", "time", "both", "iso", "bracket"]))
+    before = str(rng.choice(["number", "time", "both", "iso"]))
     for number, frame in enumerate(values):
         keys = {
             "number": f"{number + 1}{sign}",
@@ -82,8 +82,13 @@ def frame_lines(values: Array, rng: Rng) -> Iterator[Line]:
             "both": f"{number % 256}{sign}{40 * number + 17}{sign}",
             "iso": f"2025-03-01T12:00:{number / 25:09.6f}{sign}",
         }
-        text = keys.get(before, "") + _joined(frame, sign)
-        yield Line(f"[{text}]" if before == "bracket" else text, number)
+        yield Line(keys[before] + _joined(frame, sign), number)
+
+
+def bare_frames(values: Array, rng: Rng) -> Iterator[Line]:
+    form = str(rng.choice(["{}", "[{}]", "{},"]))
+    for number, frame in enumerate(values):
+        yield Line(form.format(_joined(frame, ",")), number)
 
 
 def json_lines(values: Array, rng: Rng) -> Iterator[Line]:
@@ -194,6 +199,7 @@ LAYOUTS: dict[str, Callable[[Array, Rng], Iterator[Line]]] = {
     layout.__name__: layout
     for layout in (
         frame_lines,
+        bare_frames,
         json_lines,
         plotter_lines,
         esp_lines,
@@ -289,7 +295,7 @@ DAMAGES = {
 
 
 # Of swapped rows without names, and of frames without numbers and times, nothing tells the order.
-SILENT = [(layout, "swapped_lines") for layout in (*UNNAMED, "plotter_lines")]
+SILENT = [(layout, "swapped_lines") for layout in (*UNNAMED, "plotter_lines", "bare_frames")]
 
 
 def table(rng: Rng, layouts: Sequence[str] = tuple(LAYOUTS)) -> Table:

@@ -98,7 +98,8 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
             names = _names_beside(clear, [*lead, *end], len(lead), rows, marks)
             if names is None:
                 continue
-            alone = len(names) == 1 and names != [SKIPPED] and not trailing
+            alone = names == ["row"] or (len(names) == 1 and rows == 1 and names != [SKIPPED])
+            alone = alone and not trailing
             return table if alone else _named(table, names, len(lead))
         if extra == 1:
             return table

@@ -61,7 +61,7 @@ class Marks:
         """Return the keys of each line of a table."""
         count = len(table.lines)
         positions = arrangement.positions(table)
-        texts = _key_texts(table, arrangement)
+        texts = {"time": [""] * count, **_key_texts(table, arrangement)}
         shared: list[Hashable] = [None] * count
         if self.keys:
             of_lines = zip(*(texts[key] for key in self.keys), strict=True)

@@ -1,17 +1,27 @@
 """Frames of a board that prints text, line after line, as the import understands a file of them."""
 
-import re
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from lampest.apps.foreign.arrays import Frames, Shape
-from lampest.apps.foreign.division import frames_of
-from lampest.apps.foreign.lines import field_lines_of
-from lampest.apps.foreign.table import readings_table
+import numpy as np
+
+from lampest.apps.foreign.arrays import Shape
+from lampest.apps.foreign.division import ANY, Marks, cells_of, learned_marks
+from lampest.apps.foreign.layouts import Arrangement, arranged
+from lampest.apps.foreign.lines import field_lines_in, notation_of
+from lampest.apps.foreign.notation import Notation
+from lampest.apps.foreign.segments import Placed, Segment, Segmenter, placed
+from lampest.apps.foreign.table import ReadingsTable, readings_table
+from lampest.apps.foreign.words import clock_of
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 
-MIN_FRAMES = 3  # from which the layout is understood: the first one may be cut
+MIN_FRAMES = 3  # whole ones, from which the layout is understood
 MAX_LINES = 5000  # that are kept until the layout is understood
+FIRST_TRY = 8  # lines; each later try has a quarter more
+MAX_BETWEEN = 100  # titles that are kept before a line of readings
 
 
 class TextFrame(NamedTuple):
@@ -23,7 +33,7 @@ class TextFrame(NamedTuple):
         Numbers as printed; NaN where a reading is missing.
     seconds : float or None
         Time since the first frame in s by the board's own stamps, or by a terminal's; None where
-        the lines carry none, and at the first frame after the board began again.
+        the lines carry none, and where the board's clock began again.
     number : int or None
         The board's own number of the frame, as printed; None without one.
     remarks : tuple of str
@@ -34,6 +44,61 @@ class TextFrame(NamedTuple):
     seconds: float | None
     number: int | None
     remarks: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Understanding:
+    """Layout of lines, settled on the first ones.
+
+    Attributes
+    ----------
+    notation : Notation
+    table : ReadingsTable
+        The first lines.
+    arrangement : Arrangement
+    marks : Marks
+    name : str
+        Name of the times, which may contain their unit.
+    unit : str or None
+        Unit of times that are numbers.
+    """
+
+    notation: Notation
+    table: ReadingsTable
+    arrangement: Arrangement
+    marks: Marks
+    name: str = ""
+    unit: str | None = None
+
+    def stamp(self, table: ReadingsTable) -> tuple[str, str]:
+        """Return the time of the first line of a table as text, and its name; '' without one."""
+        texts, name, _, _ = table.stamps(self.arrangement.times)
+        if texts[0]:
+            return texts[0], name
+        title = next(iter(self.marks.titles), None)
+        stamps = table.title_stamps([0], None if title == ANY else title)
+        return ("", "") if stamps is None else (stamps[0][0], stamps[1])
+
+    def with_times(self) -> "Understanding":
+        """Return the understanding with the unit of the times."""
+        lines = range(1, len(self.table.lines))
+        read = [self.stamp(self.table.only([line])) for line in lines]
+        texts = list(dict.fromkeys(text for text, _ in read if text))
+        if not texts:
+            return self
+        name = next(name for text, name in read if text)
+        with suppress(InputError):
+            clock = clock_of(texts, name, str, comma=self.table.comma, unit=None)
+            return replace(self, name=name, unit=clock.unit)
+        return self
+
+    def step(self, last: str, stamp: str) -> float | None:
+        """Return the time in s from a stamp to a later one; None if it is none, or falls."""
+        try:
+            clock = clock_of([last, stamp], self.name, str, comma=self.table.comma, unit=self.unit)
+        except InputError:
+            return None
+        return float(clock.seconds[1] - clock.seconds[0])
 
 
 class LineReader:
@@ -53,7 +118,7 @@ class LineReader:
             ...
 
     `words` are the names of columns, which may contain the unit of the numbers:
-    `understood_unit(values, named_units(reader, source), scene, source)` decides it.
+    `understood_unit(values, named_units(reader.words, source), scene, source)` decides it.
 
     Parameters
     ----------
@@ -83,8 +148,16 @@ class LineReader:
         self._layout = layout
         self._skip = skip_lines
         self._source = source
-        self._lines: list[str] = []
-        self._returned = 0
+        self._count = 0  # of lines
+        self._kept: list[str] = []  # before the layout is understood, then titles between readings
+        self._next_try = FIRST_TRY
+        self._understanding: Understanding | None = None
+        self._segmenter: Segmenter | None = None
+        self._tables: dict[int, ReadingsTable] = {}  # of the lines since the last frame
+        self._last: list[str] = []
+        self._first = True
+        self._stamp = ""
+        self._seconds = 0.0
         self.sentences: tuple[str, ...] = ()
         self.words: tuple[str, ...] = ()
         self.refusal = ""
@@ -94,36 +167,118 @@ class LineReader:
 
         Raises InputError if the layout is not understood after MAX_LINES lines.
         """
-        self._lines.append(line)
-        return self._new_frames(pending=1)
+        self._count += 1
+        if self._count <= self._skip:
+            return ()
+        self._kept.append(line)
+        if self._understanding is None:
+            return self._frames_at_last() if len(self._kept) >= self._next_try else ()
+        return tuple(self._frames_of_lines())
 
     def close(self) -> tuple[TextFrame, ...]:
         """Return the frames that were waiting for a line that shows their end."""
-        return self._new_frames(pending=0)
+        early = () if self._understanding else self._frames_at_last(least=1)
+        if self._segmenter is None or self._understanding is None:
+            return early
+        segment = self._segmenter.close()
+        whole = segment is not None and len(segment.lines) >= self._understanding.marks.ends.lines
+        return (*early, *(self._frames_of(segment) if segment is not None and whole else ()))
 
-    def _new_frames(self, pending: int) -> tuple[TextFrame, ...]:
+    def _frames_at_last(self, least: int = MIN_FRAMES) -> tuple[TextFrame, ...]:
+        """Return the frames of the first lines once they show the layout."""
+        self._next_try = len(self._kept) + max(1, len(self._kept) // 4)
         try:
-            frames = self._frames()
+            notation = notation_of(self._kept)
+            lines = field_lines_in(notation, self._kept, self._source)
+            raw = readings_table(lines, self._layout)
+            table, arrangement = arranged(raw, self._shape)
+            marks = learned_marks(table, arrangement)
         except InputError as error:
             self.refusal = str(error)
-            if not self.sentences and len(self._lines) > MAX_LINES:
+            if len(self._kept) > MAX_LINES:
                 raise
             return ()
-        count = len(frames.number) - pending
-        if not self.sentences and count < MIN_FRAMES:
+        if len(table.lines) < (least + 1) * marks.ends.lines:
             return ()
         self.refusal = ""
-        self.sentences = self.sentences or frames.notes
-        self.words = frames.words
-        new = range(self._returned, max(count, self._returned))
-        self._returned += len(new)
-        seconds = frames.timing(None).seconds if frames.timing is not None and new else None
-        return tuple(
-            TextFrame(frames.values[at], None if seconds is None else float(seconds[at]), None, ())
-            for at in new
-        )
+        self.sentences = (*table.notes, arrangement.note)
+        self.words = tuple(table.names)
+        self._understanding = Understanding(notation, table, arrangement, marks).with_times()
+        self._segmenter = Segmenter(marks.ends)
+        kept = self._kept
+        self._kept = []
+        self._count -= len(kept)
+        frames = list[TextFrame]()
+        for line in kept:
+            self._count += 1
+            self._kept.append(line)
+            frames += self._frames_of_lines()
+        return tuple(frames)
 
-    def _frames(self) -> Frames:
-        text = "\n".join(self._lines[self._skip :])
-        lines = field_lines_of(re.split(r"\r\n|\r|\n", text), self._source)
-        return frames_of(readings_table(lines, self._layout), self._shape)
+    def _frames_of_lines(self) -> Iterator[TextFrame]:
+        """Yield the frames that the last line completes; a line without readings is a title."""
+        assert self._understanding is not None and self._segmenter is not None
+        known = self._understanding
+        self._kept = self._kept[-MAX_BETWEEN:]
+        lines = field_lines_in(
+            known.notation,
+            self._kept,
+            self._source,
+            self._count - len(self._kept),
+            header=False,
+        )
+        table = known.table.of_later(lines)
+        if not len(table.lines):
+            return
+        self._kept = []
+        fields = table.fields[0].tolist()
+        if known.arrangement.used > set(known.arrangement.cells) and fields == self._last:
+            return  # a line that came twice, its keys included
+        self._last = fields
+        for keys in known.marks.line_keys(table, known.arrangement):
+            segment = self._segmenter.feed(self._count, keys)
+            if segment is not None:
+                yield from self._frames_of(segment)
+            self._tables[self._count] = table
+            if self._segmenter.complete:
+                whole = self._segmenter.close()
+                assert whole is not None
+                yield from self._frames_of(whole)
+
+    def _frames_of(self, segment: Segment) -> Iterator[TextFrame]:
+        """Yield the frames of lines; the first ones may be cut, and are left out then."""
+        assert self._understanding is not None
+        for group in placed(segment, self._understanding.marks.ends):
+            cut = self._first and group.remark
+            self._first = False
+            if not cut:
+                yield self._frame(group)
+        for line in segment.lines:
+            self._tables.pop(line, None)
+
+    def _frame(self, group: Placed) -> TextFrame:
+        """Return the readings of lines at their places, with the time of the first one."""
+        assert self._understanding is not None
+        arrangement = self._understanding.arrangement
+        values = np.full(arrangement.shape, np.nan)
+        for line, position in zip(group.lines, group.positions, strict=True):
+            table = self._tables[line]
+            number = cells_of([Placed(0, (0,), (position,), "")], arrangement, table.width)[0]
+            values[number >= 0] = table.values.ravel()[number[number >= 0]]
+        begin = self._tables[group.begin]
+        printed = begin.values[0, arrangement.roles["frame"]] if "frame" in arrangement.roles else 0
+        numbered = "frame" in arrangement.roles and np.isfinite(printed)
+        remarks = (f"the frame {group.remark}",) if group.remark else ()
+        return TextFrame(values, self._time(begin), int(printed) if numbered else None, remarks)
+
+    def _time(self, table: ReadingsTable) -> float | None:
+        """Return the time of a line since the first frame by its stamp."""
+        assert self._understanding is not None
+        stamp, _ = self._understanding.stamp(table)
+        if not stamp:
+            return None
+        last = self._stamp
+        self._stamp = stamp
+        step = self._understanding.step(last, stamp) if last else 0.0
+        self._seconds += step or 0.0
+        return None if step is None else self._seconds

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.apps.foreign.arrays import Index, check_archive, reading
-from lampest.apps.foreign.notation import MAX_LINE, Notation, stamp_and_content
+from lampest.apps.foreign.notation import MAX_LINE, SAMPLED_LINES, Notation, stamp_and_content
 from lampest.apps.foreign.words import is_stamp, line_of
 from lampest.files.errors import InputError, counted, extra
 
@@ -124,8 +125,9 @@ def field_lines(
     at: Callable[[int, int | None], str],
     notes: Iterable[str],
     lines: Iterable[FieldLine],
+    before: int = 0,
 ) -> FieldLines:
-    """Return lines as a table. Raises InputError if it is too large."""
+    """Return lines behind those `before` as a table. Raises InputError if it is too large."""
     read = list[FieldLine]()
     total = 0
     width = 0
@@ -142,7 +144,7 @@ def field_lines(
         fields[number, : len(line.texts)] = line.texts
     counts = np.array([len(line.texts) for line in read], dtype=np.intp)
     comment = np.array([COMMENT.match(line.texts[0]) is not None for line in read], dtype=bool)
-    blank = np.diff(np.array([0, *(line.number for line in read)])) > 1
+    blank = np.diff(np.array([before, *(line.number for line in read)])) > 1
     return FieldLines(source, word, at, tuple(notes), read, fields, counts, comment, blank)
 
 
@@ -195,29 +197,53 @@ def field_lines_of(
     skip : int
         Lines at the beginning that are left out.
     """
-    read: list[FieldLine] = []
-    for number, line in enumerate(texts[skip:], skip + 1):
-        if len(line) > MAX_LINE:
-            raise InputError(
-                f"{source}:{number}: longer than {MAX_LINE} characters, which no table is"
-            )
-        stamp, content = stamp_and_content(line)
-        if content.strip().strip(" \t;,"):
-            read.append(FieldLine(number, [content], stamp))
-    contents = [line.texts[0] for line in read if not COMMENT.match(line.texts[0])]
-    notation = Notation.of(contents)
+    notation = notation_of(texts[skip:])
     remarks = [notation.sentence, *notes]
-    remarks += ["a terminal's time before the lines"] if any(line.stamp for line in read) else []
     remarks += [f"the first {counted(skip, 'line')} skipped"] if skip else []
+    lines = field_lines_in(notation, texts[skip:], source, skip)
+    stamped = any(line.stamp for line in lines.lines)
+    remarks += ["a terminal's time before the lines"] if stamped else []
+    return replace(lines, notes=tuple(filter(None, remarks)))
+
+
+def notation_of(texts: Iterable[str]) -> Notation:
+    """Return the notation of lines."""
+    contents = (stamp_and_content(line)[1] for line in texts if len(line) <= MAX_LINE)
+    readings = (line for line in contents if _has_content(line) and not COMMENT.match(line))
+    return Notation.of(list(islice(readings, SAMPLED_LINES)))
+
+
+def _has_content(content: str) -> bool:
+    return content.strip(" \t;,") != ""
+
+
+def field_lines_in(
+    notation: Notation, texts: Sequence[str], source: str, before: int = 0, *, header: bool = True
+) -> FieldLines:
+    """Return lines in a known notation as fields, numbered from the lines before them on.
+
+    A `header` has the names that stand beside the values.
+
+    Raises InputError with the line if it is too long, or if a quotation mark is not closed.
+    """
 
     def at(number: int, field: int | None) -> str:
         return f"{source}:{number}" + ("" if field is None else f":{field + 1}")
 
-    split = (
-        line._replace(texts=notation.fields(at(line.number, None), line.texts[0])) for line in read
-    )
-    header = [FieldLine(0, notation.shown)] if notation.names else []
-    return field_lines(source, "line", at, filter(None, remarks), (*header, *split))
+    def read() -> Iterator[FieldLine]:
+        if notation.names and header:
+            yield FieldLine(0, notation.shown)
+        for number, line in enumerate(texts, before + 1):
+            if len(line) > MAX_LINE:
+                raise InputError(
+                    f"{at(number, None)}: longer than {MAX_LINE} characters, which no table is"
+                )
+            stamp, content = stamp_and_content(line)
+            if _has_content(content):
+                fields = notation.fields(at(number, None), content)
+                yield FieldLine(number, fields, stamp)
+
+    return field_lines(source, "line", at, (), read(), before)
 
 
 def _decoded(path: Path) -> tuple[str, list[str]]:

@@ -234,6 +234,19 @@ class ReadingsTable:
 
         The result is None if a block has none.
         """
+        stamps = self.title_stamps(begins, title)
+        if stamps is None:
+            return None
+        texts, name, comma = stamps
+        return self._timing(texts, name, begins, None, "before each block in ", comma=comma)
+
+    def title_stamps(
+        self, begins: Sequence[int], title: str | None
+    ) -> tuple[list[str], str, bool] | None:
+        """Return the times in titles of a kind before lines, and their name.
+
+        With them comes whether a comma is their decimal sign. None if a line has none.
+        """
         before = [self.before[line] for line in begins]
         time_texts = [
             " ".join(text for text in passed if title in (None, kind_of(text))) for passed in before
@@ -243,13 +256,22 @@ class ReadingsTable:
             for text, passed in zip(time_texts, before, strict=True)
         ]
         texts = [match["stamp"] or match["value"].rstrip(".,") for match in matches if match]
-        if len(texts) < len(begins) or not matches[0]:
+        if len(texts) < len(begins) or not matches or not matches[0]:
             return None
         name = matches[0]["inner"] or matches[0]["unit"] or matches[0]["word"] or ""
         # Titles may have a decimal comma where readings are whole numbers; '0,120' is no 120.
         comma = any(text.startswith("0,") or number_of(text, comma=False) is None for text in texts)
-        comma = comma and not any(map(is_stamp, texts))
-        return self._timing(texts, name, begins, None, "before each block in ", comma=comma)
+        return texts, name, comma and not any(map(is_stamp, texts))
+
+    def of_later(self, source: FieldLines) -> "ReadingsTable":
+        """Return later lines of the same source with the columns of this table."""
+        width = max(source.fields.shape[1], self.form.usual)
+        fields = np.full((len(source.lines), width), "", dtype=object)
+        fields[:, : source.fields.shape[1]] = source.fields
+        source = dataclasses.replace(source, fields=fields)
+        table = self.form.table(source, Parsed.of(fields, comma=self.comma))
+        table = table.only(columns=np.searchsorted(table.columns, self.columns))
+        return replace(table, names=self.names, clock=self.clock)
 
     def _timing(
         self,
@@ -385,8 +407,10 @@ class Form:
     header: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
 
-    def table(self, source: FieldLines, parsed: Parsed, since: int = 0) -> ReadingsTable:
+    def table(self, source: FieldLines, parsed: Parsed, since: int | None = None) -> ReadingsTable:
         """Return the readings of lines from one on, and notes on omitted lines.
+
+        `since` is the first line with readings; None: of later lines, which are not checked.
 
         The values of a line that is shorter or longer than the others are missing: which of its
         fields was lost is unknown.
@@ -394,7 +418,7 @@ class Form:
         Raises InputError if more than a few lines are longer than the others.
         """
         data = _data_lines(source, parsed, self.usual, alone=self.alone)
-        data[:since] = False
+        data[: since or 0] = False
         complete = source.counts == self.usual
         # A damaged byte in a line with one field less was a separator: the fields on both sides of
         # it are missing.
@@ -411,7 +435,7 @@ class Form:
         filled = np.arange(fields.shape[1]) < source.counts[:, None]
         long = data & np.any(filled[:, self.width :] & (fields[:, self.width :] != ""), axis=1)
         short = data & (source.counts < self.width) & ~separated & (not source.padded)
-        if long.sum() > MAX_CUT * data.sum():
+        if since is not None and long.sum() > MAX_CUT * data.sum():
             line = int(np.argmax(long))
             usual_line = int(np.argmax(data & ~long))
             mismatch = (
@@ -421,7 +445,7 @@ class Form:
         doubtful = short | long
         parsed = parsed.without(doubtful)
         excluded = ~data & ~titles & ~source.comment & np.any(fields != "", axis=1)
-        excluded &= [line.number > 0 for line in source.lines]
+        excluded &= np.array([line.number > 0 for line in source.lines], dtype=bool)
         notes = (
             _line_note(source, data & damaged, "bytes that are no text: their fields {} missing"),
             _line_note(
