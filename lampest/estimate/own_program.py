@@ -40,7 +40,7 @@ from lampest.formulation.ipopt import Interface, Limits
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
 from lampest.inference.prepared import Prepared
-from lampest.panel.compiled import CasadiOwner, guarded
+from lampest.panel.compiled import SymbolsOwner, guarded
 from lampest.panel.panel import Array
 from lampest.posterior.linear import positive_inverse
 from lampest.recording.recording import UNLOADED, Recording
@@ -52,7 +52,7 @@ from lampest.solvers.solution import OPTIMA, VERIFIED, Settings, Status
 
 
 @dataclass(frozen=True, eq=False)
-class OwnProgram(CasadiOwner):
+class OwnProgram(SymbolsOwner):
     """Program of some frames of a recording.
 
     `with_…` and `subject_to` return a program with one more part.
@@ -141,7 +141,7 @@ class OwnProgram(CasadiOwner):
 
 
 @dataclass(frozen=True, eq=False)
-class OwnSolution(CasadiOwner):
+class OwnSolution(SymbolsOwner):
     """Solution of an own program; NaN where it is no optimum.
 
     Attributes

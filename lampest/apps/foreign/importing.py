@@ -239,7 +239,8 @@ def _check_unprocessed(
     readout = scene.readout
     if readout is None or unit in RESISTANCES or readout.floor_code is not None:
         return
-    reason = processing_of(values, role == UNLOADED, scene.panel.present)
+    lowest = -np.inf if readout.characteristic.signed else 0.0
+    reason = processing_of(values, role == UNLOADED, scene.panel.present, lowest)
     if not reason and unit == "volt":
         reason = normalised(values, readout.full_scale_volt)
     if reason:
