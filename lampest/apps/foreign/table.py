@@ -434,7 +434,9 @@ class Form:
         data &= ~titles  # a restarted board repeats the header
         filled = np.arange(fields.shape[1]) < source.counts[:, None]
         long = data & np.any(filled[:, self.width :] & (fields[:, self.width :] != ""), axis=1)
-        short = data & (source.counts < self.width) & ~separated & (not source.padded)
+        # Only the empty fields at the end may be left out.
+        ended = (source.counts >= self.width) & (fields[:, self.width - 1] != "")
+        short = data & (source.counts < self.usual) & ~ended & ~separated & (not source.padded)
         if since is not None and long.sum() > MAX_CUT * data.sum():
             line = int(np.argmax(long))
             usual_line = int(np.argmax(data & ~long))
