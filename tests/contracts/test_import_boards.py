@@ -20,8 +20,17 @@ from contracts.imports import (
     lines,
 )
 
-from lampest import Characteristic, LoadedColumnsReadout, Panel, Scene, import_file
+from lampest import (
+    Characteristic,
+    InputError,
+    LoadedColumnsReadout,
+    Panel,
+    Scene,
+    import_file,
+    read_scene,
+)
 
+MODULES = "{modules: {rows: 100, columns: 100, each: {rows: 100, columns: 100}}}"
 FOUR = range(4)
 SECONDS = np.arange(4)
 FILES: dict[str, SimpleNamespace] = {}
@@ -176,3 +185,13 @@ def test_signed_codes_are_what_they_are(tmp_path: Path) -> None:
     scene = Scene(Panel(ROWS, COLUMNS), readout)
     recorded = import_file(tmp_path / "m.csv", scene=scene)[0].recorded
     np.testing.assert_allclose(recorded, values * 4.096 / 2**15)
+
+
+@pytest.mark.parametrize("panel", ["{rows: 100000000, columns: 3}", MODULES])
+def test_a_panel_of_more_than_a_million_cells_is_refused_at_once(
+    tmp_path: Path, panel: str
+) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(f"panel: {panel}\n")
+    with pytest.raises(InputError, match=r"more than 1000000, the most that are accepted; lampest"):
+        read_scene(path)
