@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lampest.apps.foreign.arrays import Frames, Index, Shape, check_count
 from lampest.apps.foreign.breaks import whole_parts
-from lampest.apps.foreign.layouts import Arrangement, arranged
+from lampest.apps.foreign.layouts import TableLayout, arranged
 from lampest.apps.foreign.segments import (
     MIN_SHARE,
     Changes,
@@ -39,7 +39,7 @@ ANY = "any"  # title, in place of titles of one kind
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """What says in a table where frames end.
+    """Marks by which the frames of a table end.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Marks:
     titles: frozenset[str] = frozenset()
     timed: bool = False
 
-    def line_keys(self, table: ReadingsTable, arrangement: Arrangement) -> list[LineKeys]:
+    def line_keys(self, table: ReadingsTable, arrangement: TableLayout) -> list[LineKeys]:
         """Return the keys of each line of a table."""
         count = len(table.lines)
         positions = arrangement.positions(table)
@@ -106,7 +106,7 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
     )
 
 
-def cells_of(groups: Sequence[Placed], arrangement: Arrangement, width: int) -> Index:
+def cells_of(groups: Sequence[Placed], arrangement: TableLayout, width: int) -> Index:
     """Return line · width + field of each reading, (frames, rows, columns); -1 where missing."""
     rows, columns = arrangement.shape
     number = np.full((len(groups), rows * columns), -1)
@@ -119,7 +119,7 @@ def cells_of(groups: Sequence[Placed], arrangement: Arrangement, width: int) -> 
     return number.reshape(-1, rows, columns)
 
 
-def learned_marks(table: ReadingsTable, arrangement: Arrangement) -> Marks:
+def learned_marks(table: ReadingsTable, arrangement: TableLayout) -> Marks:
     """Return what says in a table where frames end.
 
     A number, a time or a title counts if most of its runs are whole frames, or if it changes where
@@ -177,7 +177,7 @@ def learned_marks(table: ReadingsTable, arrangement: Arrangement) -> Marks:
     return Marks(ends, keys, titles, timed=bool(step < np.inf))
 
 
-def _key_texts(table: ReadingsTable, arrangement: Arrangement) -> dict[str, Sequence[str]]:
+def _key_texts(table: ReadingsTable, arrangement: TableLayout) -> dict[str, Sequence[str]]:
     """Return the texts of the frame's number and of the time of each line, where they have them."""
     texts: dict[str, Sequence[str]] = {}
     if "frame" in arrangement.roles:
@@ -267,7 +267,7 @@ def _titles_of_blocks(
 
 
 def _divided(
-    table: ReadingsTable, arrangement: Arrangement, marks: Marks
+    table: ReadingsTable, arrangement: TableLayout, marks: Marks
 ) -> tuple[list[Placed], list[str]]:
     """Return the frames of a table and notes on those that are missing or left out.
 
@@ -306,12 +306,12 @@ def _divided(
     return groups, notes
 
 
-def _position_word(arrangement: Arrangement) -> str:
+def _position_word(arrangement: TableLayout) -> str:
     return "cell" if len(arrangement.cells) == 1 else "row"
 
 
 def _parts_by_readings(
-    table: ReadingsTable, arrangement: Arrangement
+    table: ReadingsTable, arrangement: TableLayout
 ) -> tuple[list[range], list[str]]:
     """Return the parts of whole frames in lines without marks, by their readings, and notes."""
     lines = arrangement.lines
@@ -368,7 +368,7 @@ def _called(table: ReadingsTable, group: Placed) -> str:
     return table.source.called(int(table.lines[group.begin]))
 
 
-def _with_merged_keys(table: ReadingsTable, arrangement: Arrangement) -> ReadingsTable:
+def _with_merged_keys(table: ReadingsTable, arrangement: TableLayout) -> ReadingsTable:
     """Return the table with the frame's number and time of merged cells in all their lines."""
     fields = table.fields
     for at in (*arrangement.times, arrangement.roles.get("frame")):
@@ -383,7 +383,7 @@ def _with_merged_keys(table: ReadingsTable, arrangement: Arrangement) -> Reading
     return table if fields is table.fields else replace(table, fields=fields)
 
 
-def _without_doubled(table: ReadingsTable, arrangement: Arrangement) -> ReadingsTable:
+def _without_doubled(table: ReadingsTable, arrangement: TableLayout) -> ReadingsTable:
     """Return the table without a few lines that repeat the previous one, keys included."""
     if not (arrangement.roles or arrangement.times or table.clock):
         return table
@@ -396,7 +396,7 @@ def _without_doubled(table: ReadingsTable, arrangement: Arrangement) -> Readings
     return replace(table.only(~same), notes=(*table.notes, note))
 
 
-def _without_swapped(table: ReadingsTable, arrangement: Arrangement) -> ReadingsTable:
+def _without_swapped(table: ReadingsTable, arrangement: TableLayout) -> ReadingsTable:
     """Return a table of frames in lines without a few that came too late.
 
     Their number or time puts them before the previous line.
@@ -414,7 +414,7 @@ def _without_swapped(table: ReadingsTable, arrangement: Arrangement) -> Readings
 
 
 def _grouped_by_name(
-    table: ReadingsTable, arrangement: Arrangement
+    table: ReadingsTable, arrangement: TableLayout
 ) -> tuple[list[Placed], list[str]] | None:
     """Return the frames of lines that are in no order; None where they follow each other.
 
@@ -445,7 +445,7 @@ def _grouped_by_name(
     return groups, [f"lines in no order: frames by their {key}"]
 
 
-def _categories(table: ReadingsTable, arrangement: Arrangement) -> Iterator[tuple[int, list[str]]]:
+def _categories(table: ReadingsTable, arrangement: TableLayout) -> Iterator[tuple[int, list[str]]]:
     """Yield the fields that nothing uses and that take a few values, with these."""
     for at in set(range(table.width)) - arrangement.used:
         values = few_values(table.fields[:, at].tolist())
@@ -454,7 +454,7 @@ def _categories(table: ReadingsTable, arrangement: Arrangement) -> Iterator[tupl
 
 
 def _refuse_two_sources(
-    table: ReadingsTable, arrangement: Arrangement, groups: Sequence[Placed]
+    table: ReadingsTable, arrangement: TableLayout, groups: Sequence[Placed]
 ) -> None:
     """Raise InputError if a field that nothing uses tells lines of several boards apart.
 

@@ -149,7 +149,7 @@ def import_file(  # noqa: PLR0913 # the options of a command
 
 
 class Chosen(NamedTuple):
-    """What the user chose of a file: an array or sheet, its layout, and lines left out."""
+    """Choices of the user on a file: an array or sheet, its layout, and lines left out."""
 
     variable: str | None
     layout: str | Layout | None

@@ -1,6 +1,6 @@
 """Layouts of panels in tables: which fields of a line hold the readings of which cells.
 
-A layout is data, an `Arrangement`; `lampest.apps.foreign.division` divides the lines into frames.
+A layout is data, an `TableLayout`; `lampest.apps.foreign.division` divides the lines into frames.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ Cells = dict[int, tuple[int, int]]
 
 
 @dataclass(frozen=True, eq=False)
-class Arrangement:
+class TableLayout:
     """Where the lines of a table hold readings, and what else they say.
 
     The reading of a field belongs to the cell (row, column) of the field, counted from the cell at
@@ -73,7 +73,7 @@ class Arrangement:
         return frozenset((*self.cells, *self.roles.values(), *self.times))
 
 
-def arranged(table: ReadingsTable, shape: Shape) -> tuple[ReadingsTable, Arrangement]:
+def arranged(table: ReadingsTable, shape: Shape) -> tuple[ReadingsTable, TableLayout]:
     """Return a table's columns of use, and its layout by its header and the fields of its lines.
 
     Raises InputError if these do not determine the layout, or if the table does not fit the panel.
@@ -93,7 +93,7 @@ def arranged(table: ReadingsTable, shape: Shape) -> tuple[ReadingsTable, Arrange
     names = table.names
     if table.width == 1 and shape[1] > 1 and len(table.lines) >= cells:
         note = f"one number a line, {cells} lines a frame; row by row"
-        return table, Arrangement(shape, cells, {0: (0, 0)}, note)
+        return table, TableLayout(shape, cells, {0: (0, 0)}, note)
     named = _cells_by_name(table.source.source, names, shape) or _cells_by_number(names, shape)
     extra = sum(role_of(name) in ("time", "date", "frame", "row") for name in names)
     if names.count("") in (cells, shape[1]):  # the values of a list, beside named fields
@@ -183,7 +183,7 @@ def _cells_by_number(names: Sequence[str], shape: Shape) -> tuple[Cells, str] | 
 
 def _frames_in_lines(
     table: ReadingsTable, shape: Shape, named: tuple[Cells, str] | None
-) -> Arrangement:
+) -> TableLayout:
     """Return the layout of a table with one frame a line.
 
     `named` contains the cells by column, and a sentence. None: cells row by row in the order of the
@@ -213,7 +213,7 @@ def _frames_in_lines(
     )
     note = f"one frame a line, {named[1]}{omitted}"
     frame = {"frame": roles.index("frame")} if "frame" in roles else {}
-    return Arrangement(shape, 1, named[0], note, frame, tuple(times))
+    return TableLayout(shape, 1, named[0], note, frame, tuple(times))
 
 
 def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
@@ -303,7 +303,7 @@ def _indices(table: ReadingsTable, column: int) -> Array:
     return np.where(bad, np.nan, values)
 
 
-def _values_in_lines(table: ReadingsTable, shape: Shape, order: dict[str, int]) -> Arrangement:
+def _values_in_lines(table: ReadingsTable, shape: Shape, order: dict[str, int]) -> TableLayout:
     """Return the layout of a table of single values, with the fields `order` by role."""
     if {"row", "column"} <= set(order):
         order = {role: at for role, at in order.items() if role != "cell"}
@@ -313,7 +313,7 @@ def _values_in_lines(table: ReadingsTable, shape: Shape, order: dict[str, int]) 
     times = tuple(order[role] for role in ("date", "time") if role in order)
     note = f"one value a line as {listed}; indices count from {first}"
     cells = {order["value"]: (0, 0)}
-    return Arrangement(shape, shape[0] * shape[1], cells, note, roles, times, first)
+    return TableLayout(shape, shape[0] * shape[1], cells, note, roles, times, first)
 
 
 def _first_of(table: ReadingsTable, roles: Mapping[str, int], shape: Shape) -> int:
@@ -356,7 +356,7 @@ def _places(
     return np.stack([rows, columns], axis=1), ["row", "column"]
 
 
-def _rows_in_lines(table: ReadingsTable, shape: Shape) -> Arrangement:
+def _rows_in_lines(table: ReadingsTable, shape: Shape) -> TableLayout:
     """Return the layout of a table with one row of the panel a line.
 
     Further fields before it are the row's name, the frame's number or the time.
@@ -381,7 +381,7 @@ def _rows_in_lines(table: ReadingsTable, shape: Shape) -> Arrangement:
     cells = {extra + at: (0, column) for at, column in enumerate(columns)}
     named = "rows by their names" if "row" in roles else "rows from top to bottom"
     note = f"one row a line, {shape[0]} lines a frame; {named}, {order}"
-    return Arrangement(shape, shape[0], cells, note, roles, tuple(times), first)
+    return TableLayout(shape, shape[0], cells, note, roles, tuple(times), first)
 
 
 def _first_of_rows(table: ReadingsTable, column: int, rows: int) -> int:

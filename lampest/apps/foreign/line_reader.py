@@ -9,7 +9,7 @@ import numpy as np
 
 from lampest.apps.foreign.arrays import Shape
 from lampest.apps.foreign.division import ANY, Marks, cells_of, learned_marks
-from lampest.apps.foreign.layouts import Arrangement, arranged
+from lampest.apps.foreign.layouts import TableLayout, arranged
 from lampest.apps.foreign.lines import field_lines_in, notation_of
 from lampest.apps.foreign.notation import Notation
 from lampest.apps.foreign.segments import Placed, Segment, Segmenter, placed
@@ -55,7 +55,7 @@ class Understanding:
     notation : Notation
     table : ReadingsTable
         The first lines.
-    arrangement : Arrangement
+    arrangement : TableLayout
     marks : Marks
     name : str
         Name of the times, which may contain their unit.
@@ -65,7 +65,7 @@ class Understanding:
 
     notation: Notation
     table: ReadingsTable
-    arrangement: Arrangement
+    arrangement: TableLayout
     marks: Marks
     name: str = ""
     unit: str | None = None

@@ -88,7 +88,7 @@ class Notation:
         The delimiter is the sign that gives most numbers.
         """
         sample = contents[:SAMPLED_LINES]
-        named = [values for values in map(named_values, sample) if values]
+        named = [values for values in map(values_beside_names, sample) if values]
         if 2 * len(named) > len(sample):
             usual = Counter(map(tuple, named)).most_common(1)[0][0]
             others = dict.fromkeys(name for line in named for name in line if "\0" not in name)
@@ -121,7 +121,7 @@ class Notation:
         Raises InputError with the place for a misplaced quotation mark.
         """
         if self.names:
-            values = named_values(content)
+            values = values_beside_names(content)
             if values is None:
                 return [content]
             if _lengths(values) != _lengths(self.names):  # which value of a list is lost is unknown
@@ -145,7 +145,7 @@ class Notation:
         return [text.strip() for text in fields]
 
 
-def named_values(content: str) -> dict[str, str] | None:
+def values_beside_names(content: str) -> dict[str, str] | None:
     """Return the values of a line by the names beside them; None for another line.
 
     Such lines are an object of JSON, pairs of the Serial Plotter, a value of Teleplot, or a

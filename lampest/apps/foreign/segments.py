@@ -30,7 +30,7 @@ MIN_SHARE = 0.75  # of the runs of a key that must be whole frames; the others l
 
 
 class LineKeys(NamedTuple):
-    """What a line of readings says about its frame.
+    """Keys of a line of readings, which tell its frame.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class LineKeys(NamedTuple):
 
 @dataclass(frozen=True)
 class FrameEnds:
-    """What ends a frame in a file or on a line.
+    """Rules by which a frame ends in a file or on a line.
 
     Attributes
     ----------
