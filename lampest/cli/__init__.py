@@ -21,7 +21,7 @@ from lampest.cli.screen import (  # noqa: E402
     warn,
 )
 from lampest.files.applications import applications  # noqa: E402
-from lampest.files.errors import InputError, extra  # noqa: E402
+from lampest.files.errors import InputError, extra, printable  # noqa: E402
 from lampest.files.process import (  # noqa: E402
     ONE_THREAD,
     ending_signals,
@@ -58,9 +58,12 @@ def main() -> None:
         warn(as_options(str(error)))
         sys.exit(WRONG_INPUT)
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
+        if error.filename is not None:  # moved, removed or covered meanwhile, or no possible name
+            warn(f"{printable(str(error.filename))}: cannot be used ({error.strerror})")
+        elif error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
+            warn(end_of_output(error))
+        else:
             raise
-        warn(end_of_output(error))
         sys.exit(WRONG_INPUT)
     except MemoryError as error:
         message = " ".join(str(error).split()) or "no details"

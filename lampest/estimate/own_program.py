@@ -31,7 +31,7 @@ from lampest.formulation.ipopt import Interface
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
 from lampest.inference.prepared import Prepared
-from lampest.panel.compiled import CasadiOwner, guarded
+from lampest.panel.compiled import SymbolsOwner
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.solvers.by_ipopt import ipopt_limits
 from lampest.solvers.multistart import evaluated
@@ -40,7 +40,7 @@ from lampest.solvers.solution import Settings, Status
 
 
 @dataclass(frozen=True, eq=False)
-class OwnProgram(CasadiOwner):
+class OwnProgram(SymbolsOwner):
     """Program of some frames of a recording.
 
     `with_…` and `subject_to` return a program with one more part.

@@ -25,7 +25,7 @@ from lampest.files.errors import InputError, counted
 from lampest.formulation.instance import Instance, ProgramResult, on_bounds
 from lampest.formulation.ipopt import Interface
 from lampest.formulation.program import Program
-from lampest.panel.compiled import CasadiOwner, guarded
+from lampest.panel.compiled import SymbolsOwner, guarded
 from lampest.panel.panel import Array
 from lampest.solvers.by_ipopt import STATUS
 from lampest.solvers.certificate import ROUNDING, Definiteness, Modes
@@ -68,7 +68,7 @@ class Directions:
 
 
 @dataclass(frozen=True, eq=False)
-class OwnSolution(CasadiOwner):
+class OwnSolution(SymbolsOwner):
     """Solution of an own program; NaN where it is no optimum.
 
     Attributes

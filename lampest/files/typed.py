@@ -189,6 +189,15 @@ def real_array(values: Any, label: str) -> NDArray[Any]:
     return as_double(array)
 
 
+def freeze_arrays(owner: Any) -> None:
+    """Make the arrays of a frozen object read-only in it; other names of them stay as they are."""
+    for name, value in vars(owner).items():
+        if isinstance(value, np.ndarray) and value.flags.writeable:
+            view = value.view()
+            view.flags.writeable = False
+            object.__setattr__(owner, name, view)
+
+
 def as_double(array: NDArray[Any]) -> NDArray[Any]:
     """Return an array without extended precision (`longdouble`).
 

@@ -8,11 +8,12 @@ Python 3.11 locks cached properties as well, so that two threads could wait for 
 """
 
 import os
+import pickle
 import sys
 from collections import deque
 from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property, partial, wraps
 from threading import RLock
 from traceback import clear_frames
@@ -85,6 +86,34 @@ class CasadiOwner:
     """
 
     __del__ = property(partial(partial, _DROPPED.append))  # self.__del__() is _DROPPED.append(self)
+
+    def __getstate__(self) -> Any:
+        """Return the fields, without what follows from them."""
+        return _fields_of(self)
+
+
+class SymbolsOwner(CasadiOwner):
+    """Base of objects that CasADi pickles as a whole, so that their symbols stay the same."""
+
+    @guarded
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return the class and its fields; what follows from these is computed again."""
+        import casadi
+
+        with casadi.global_pickle_context():
+            return _with_symbols, (type(self), pickle.dumps(_fields_of(self)))
+
+
+def _with_symbols(owner: type[Any], state: bytes) -> Any:
+    """Return the object of a pickle's fields."""
+    import casadi
+
+    with _LOCK, casadi.global_unpickle_context():
+        return owner(**pickle.loads(state))  # a part of a pickle that is loaded
+
+
+def _fields_of(owner: Any) -> dict[str, Any]:
+    return {field.name: getattr(owner, field.name) for field in fields(owner)}
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from lampest.files.typed import Configuration, check_positive_fields, check_rang
 
 Array = NDArray[np.floating[Any]]
 MAX_PITCH_MM = 1e6  # mm: a kilometre, beyond any panel
+MAX_CELLS = 1_000_000  # of a panel, or of the image of its modules (tests/units/test_claims.py)
 # lines: matrices over fewer lines fit into 100 MB, and memory is not checked
 MAX_UNCHECKED_LINES = 2000
 PLACE_TOLERANCE = 1.01  # factor on squared distances: positions are written with three digits
@@ -153,6 +154,12 @@ class Panel(Configuration):
                 raise ValueError("cells: of modules every crossing has a cell")
         if self.rows < 1 or self.columns < 1:
             raise ValueError("a panel needs at least one row and one column")
+        if self.crossings > MAX_CELLS:
+            raise ValueError(
+                f"{self.rows} × {self.columns} cells are more than {MAX_CELLS}, the most that are "
+                "accepted; lampest solves a frame of 10 × 10 cells in milliseconds, "
+                "of 64 × 64 cells in up to some tenths of a second, of 100 × 100 cells in seconds"
+            )
         check_positive_fields(self, "pitch_mm")
         # a transistor's width, a street's length
         check_ranges(self, 1e-3, MAX_PITCH_MM, "pitch_mm")

@@ -23,7 +23,9 @@ OPEN_CELLS = (
 )
 
 
-def processing_of(codes: Array, resting: NDArray[np.bool_], present: NDArray[np.bool_]) -> str:
+def processing_of(
+    codes: Array, resting: NDArray[np.bool_], present: NDArray[np.bool_], lowest: float = 0.0
+) -> str:
     """Return a sentence on the processing of readings by firmware, and on the remedy.
 
     The sentence is '' if no processing is evident.
@@ -37,14 +39,16 @@ def processing_of(codes: Array, resting: NDArray[np.bool_], present: NDArray[np.
         Unloaded frames.
     present : boolean array, shape (rows, columns)
         Crossings with a cell.
+    lowest : float
+        Lowest code that the converter gives.
     """
     read = codes[:, present]
     known = np.isfinite(read)
     if known.sum() < MIN_READINGS:
         return ""
-    if np.sum(read < 0) > NEGATIVE_SHARE * known.sum():
+    if np.sum(read < lowest) > NEGATIVE_SHARE * known.sum():
         return (
-            f"codes below 0, down to {np.nanmin(read):g}: "
+            f"codes below {lowest:g}, down to {np.nanmin(read):g}: "
             f"the firmware subtracts a resting frame; {AS_CONVERTED}"
         )
     zero = read == 0

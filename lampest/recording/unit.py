@@ -66,11 +66,12 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source
         refuse(values < 0, "must be a positive resistance in ohm")
         recorded = scaled
     elif unit == "code":
-        refuse(
-            (finite < readout.codes[0]) | (finite > readout.codes[1]),
-            f"is no code of a {readout.adc_bits}-bit converter",
-        )
-        floored = finite <= (readout.floor_code or -1)
+        no_code = f"is no code of a {readout.adc_bits}-bit converter"
+        refuse(finite > readout.codes[1], no_code)
+        signed = "" if readout.characteristic.signed else "; of a signed one, say converter: "
+        refuse(finite < readout.codes[0], f"{no_code}{signed and signed + '{signed: true}'}")
+        least_code = readout.codes[0] - 1
+        floored = finite <= (least_code if readout.floor_code is None else readout.floor_code)
         recorded = readout.recorded_from_volt(
             np.where(floored, readout.zero_volt, readout.volt_from_code(finite))
         )

@@ -243,6 +243,11 @@ def run_batch(
                         unfinished = sum(check is None for check in checked.values())
                         on_checks(len(to_check) - unfinished, len(to_check))
                     elif isinstance(outcome, BaseException):
+                        if not (folder / CASES).is_dir():
+                            raise InputError(
+                                f"{folder}: was moved, removed or covered while the run went on; "
+                                "results that were finished are where it is now"
+                            ) from outcome
                         name = f"{task.case.recording} × {task.case.name}"
                         failed.append((name, logged_reason(outcome, name)))
                     else:

@@ -1,6 +1,8 @@
 """Results and streams leave their process, and go on where they arrive: pools, caches, copies."""
 
+import contextlib
 import copy
+import inspect
 import pickle
 from collections.abc import Callable
 from typing import Any
@@ -9,7 +11,16 @@ import numpy as np
 import pytest
 
 import lampest
-from lampest import Estimator, LogGradient, Misfit, Panel, Recording, Scene, TwoPointReadout
+from lampest import (
+    Estimator,
+    InputError,
+    LogGradient,
+    Misfit,
+    Panel,
+    Recording,
+    Scene,
+    TwoPointReadout,
+)
 
 WAYS = {
     "pickle": lambda result: pickle.loads(pickle.dumps(result)),
@@ -24,6 +35,55 @@ def small_recording(frames: int = 4) -> Recording:
     read = np.stack([lampest.two_point_resistance(frame) for frame in cells])
     scene = Scene(Panel(3, 4), TwoPointReadout())
     return Recording.from_array(read, baseline=1, scene=scene)
+
+
+NEEDS_ARGUMENTS: dict[str, Callable[[], Any]] = {
+    "Panel": lambda: Panel(3, 4),
+    "Recording": small_recording,
+    "Scene": lambda: Scene(Panel(3, 4), TwoPointReadout()),
+    "Estimator": lambda: Estimator(TERMS, "reduced"),
+    "Readings": lambda: small_recording().readings(),
+    "Estimates": lambda: lampest.reconstruct(small_recording(), TERMS, formulation="reduced"),
+    "Step": lambda: lampest.reconstruct(small_recording(), TERMS, formulation="reduced").steps[0],
+    "OwnProgram": lambda: lampest.program(small_recording(), [Misfit()]),
+    "OwnSolution": lambda: lampest.program(small_recording(), [Misfit()]).solve(),
+}
+
+
+def test_every_public_object_is_pickled() -> None:
+    """A walk over the public names: classes, functions, objects without arguments, and results."""
+    pickled = 0
+    for name in lampest.__all__:
+        public = getattr(lampest, name)
+        objects = [] if inspect.ismodule(public) else [public]
+        if inspect.isclass(public) and not inspect.isabstract(public):
+            make = NEEDS_ARGUMENTS.get(name, public)
+            with contextlib.suppress(TypeError, ValueError, InputError):
+                objects.append(make())
+        if hasattr(public, "__origin__") or getattr(public, "__module__", "") == "typing":
+            continue
+        for value in objects:
+            arrived = pickle.loads(pickle.dumps(value))
+            assert type(arrived) is type(value), name
+            pickled += 1
+    assert pickled > len(lampest.__all__) // 2
+
+
+def test_an_own_solution_arrives_with_its_numbers() -> None:
+    solution = lampest.program(small_recording(), TERMS).solve()
+    arrived = pickle.loads(pickle.dumps(solution))
+    assert arrived.status == solution.status
+    np.testing.assert_array_equal(arrived.cell_resistance, solution.cell_resistance)
+    np.testing.assert_array_equal(arrived.cell_resistance_errors, solution.cell_resistance_errors)
+
+
+def test_arrays_of_a_recording_are_read_only() -> None:
+    values = np.full((2, 3, 4), 500.0)
+    recording = Recording.from_array(values)
+    for array in (recording.recorded, recording.time, recording.role):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+    values[0] = 1.0  # the caller's own array stays the caller's
 
 
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)

@@ -18,5 +18,6 @@ APPLICATION = Application(
     answers={
         "a table": "lampest.apps.foreign.labelled:understood_table",
         "a labelled array": "lampest.apps.foreign.labelled:labelled_array",
+        "lines as they come": "lampest.apps.foreign.line_reader:LineReader",
     },
 )

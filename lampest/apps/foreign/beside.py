@@ -3,7 +3,7 @@
 Such fields are clocks of several columns, numbers of frames and rows, and constant marks.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,73 +11,66 @@ from numpy.typing import NDArray
 
 from lampest.apps.foreign.arrays import Shape
 from lampest.apps.foreign.table import ReadingsTable
-from lampest.apps.foreign.words import PART_OF_CLOCK, grows, is_stamp, line_of, parted, unwrapped
+from lampest.apps.foreign.words import EPOCH as LEAST_EPOCH
+from lampest.apps.foreign.words import (
+    MAX_CUT,
+    PART_OF_CLOCK,
+    grows,
+    is_stamp,
+    line_of,
+    parted,
+    unwrapped,
+)
 from lampest.panel.panel import Array
 
 MAX_BESIDE = 8  # fields beside the readings of a line that names none
+MIN_WRAP = 0.9  # of a counter's range that its number falls by where it wraps
 MIN_LINES = 3  # a field is a mark only if it is the same in as many lines
 SKIPPED = "-"
 CLOCK = ("hour", "minute", "second")
+EPOCH = ("epoch", "nanosecond")  # of ROS
+PART_OF_EPOCH = {
+    "sec": "epoch",
+    "secs": "epoch",
+    "nsec": "nanosecond",
+    "nsecs": "nanosecond",
+    "nanosec": "nanosecond",
+    "nanosecs": "nanosecond",
+}
 DATE = ("year", "month", "day")
 
 
 def with_one_clock(table: ReadingsTable) -> ReadingsTable:
-    """Return the table with one column for its clock, and one for a date's parts.
+    """Return the table with the columns of a clock's parts as one time.
 
-    The clock is the hour, minute and second that the table names.
+    The parts are the year, month and day, the hour, minute and second, or the seconds since 1970
+    and nanoseconds, that the table names.
     """
     words = [parted(name)[0] for name in table.names]
-    parts = [PART_OF_CLOCK.get(word) or (word if word in DATE else None) for word in words]
-    if all(part in parts for part in DATE):
-        fields = [parts.index(part) for part in DATE]
-        year, month, day = table.values[:, fields].T
-        dates = [
-            _written("{:04.0f}-{:02.0f}-{:02.0f}", *date)
-            for date in zip(year, month, day, strict=True)
-        ]
-        return with_one_clock(_joined(table, fields, dates, "date"))
-    if not all(part in parts for part in CLOCK):
-        return table
-    fields = [parts.index(part) for part in CLOCK]
-    after = fields[-1] + 1
-    thousandths = after if parts[after : after + 1] == ["millisecond"] else None
-    texts = _clock_texts(table, fields, thousandths)
-    return _joined(table, fields if thousandths is None else [*fields, after], texts, "time")
-
-
-def _clock_texts(
-    table: ReadingsTable, fields: Sequence[int], thousandths: int | None = None
-) -> list[str]:
-    """Return the times of lines by fields of hour, minute, second and, if any, thousandths."""
-    hour, minute, second = table.values[:, fields].T
-    second = second if thousandths is None else second + table.values[:, thousandths] / 1000
-    return [
-        _written("{:02.0f}:{:02.0f}:{:09.6f}", *part)
-        for part in zip(hour, minute, second, strict=True)
+    parts = [
+        PART_OF_CLOCK.get(word) or PART_OF_EPOCH.get(word.rpartition("_")[2]) or word
+        for word in words
     ]
+    for needed in (DATE, CLOCK, EPOCH):
+        if not all(part in parts for part in needed):
+            continue
+        fields = [parts.index(part) for part in needed]
+        after = fields[-1] + 1
+        if needed == CLOCK and parts[after : after + 1] == ["millisecond"]:
+            fields.append(after)
+        table = _clocked(table, {parts[at]: at for at in fields})
+        parts = [part for at, part in enumerate(parts) if at not in fields]
+    return table
 
 
-def _written(form: str, *parts: float) -> str:
-    return form.format(*parts) if np.all(np.isfinite(parts)) else ""
-
-
-def _joined(
-    table: ReadingsTable, fields: Sequence[int], texts: Sequence[str], name: str
-) -> ReadingsTable:
-    """Return the table with texts in the first of the fields, and without the others."""
-    first = fields[0]
-    columns = [field for field in range(table.width) if field not in fields[1:]]
-    joined = table.fields.copy()
-    values = table.values.copy()
-    joined[:, first] = texts
-    values[:, first] = np.nan
-    names = list(table.names)
-    names[first] = name
-    parts = ", ".join(table.names[field] or f"field {field + 1}" for field in fields)
-    notes = (*table.notes, f"{parts} are one {name}")
-    return replace(table, fields=joined, values=values, names=tuple(names), notes=notes).only(
-        columns=columns
-    )
+def _clocked(table: ReadingsTable, fields: Mapping[str, int]) -> ReadingsTable:
+    """Return the table without the fields of a clock's parts, which are its clock."""
+    clock = {part: int(table.columns[at]) for part, at in fields.items()}
+    others = [at for at in range(table.width) if at not in fields.values()]
+    parts = ", ".join(table.names[at] or f"field {at + 1}" for at in fields.values())
+    whole = "date" if "year" in fields else "time"
+    notes = (*table.notes, f"{parts} are one {whole}")
+    return replace(table.only(columns=others), clock={**table.clock, **clock}, notes=notes)
 
 
 def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
@@ -88,11 +81,13 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
     the fields cannot be distinguished, and where there is a single leading one, the table is
     returned unchanged.
     """
+    same = np.append(False, np.all(table.fields[1:] == table.fields[:-1], axis=1))
+    clear = table.only(~same & np.any(table.fields != "", axis=1))  # not doubled, nor damaged
     # Or it would with rows and columns exchanged.
     fits = table.width in (shape[0] * shape[1], *shape)
     if any(table.names) or len(table.lines) < MIN_LINES or fits:
         return table
-    marks = np.array([np.all(column == column[0]) and column[0] != "" for column in table.fields.T])
+    marks = np.array([np.all(column == column[0]) and column[0] != "" for column in clear.fields.T])
     for needed, rows in ((shape[0] * shape[1], 1), (shape[1], shape[0])):
         extra = table.width - needed
         if not 1 <= extra <= MAX_BESIDE:
@@ -100,10 +95,11 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
         for trailing in range(extra + 1):
             lead = range(extra - trailing)
             end = range(table.width - trailing, table.width)
-            names = _names_beside(table, [*lead, *end], len(lead), rows, marks)
+            names = _names_beside(clear, [*lead, *end], len(lead), rows, marks)
             if names is None:
                 continue
-            alone = len(names) == 1 and names != [SKIPPED] and not trailing
+            alone = names == ["row"] or (len(names) == 1 and rows == 1 and names != [SKIPPED])
+            alone = alone and not trailing
             return table if alone else _named(table, names, len(lead))
         if extra == 1:
             return table
@@ -130,10 +126,13 @@ def _named(table: ReadingsTable, names: Sequence[str], lead: int) -> ReadingsTab
         notes.append(f"{', '.join(marks)} left out: beside the readings, and no time")
     every = (*names, *[""] * (table.width - len(names)))
     table = replace(table.only(columns=order), names=every, notes=(*table.notes, *notes))
-    clock = [field for field, name in enumerate(names) if name in CLOCK]
-    if clock:
-        table = _joined(table, clock, _clock_texts(table, clock), "time")
-    return table.only(columns=[field for field, name in enumerate(table.names) if name != SKIPPED])
+    parts = {name: at for at, name in enumerate(names) if name in (*CLOCK, *EPOCH)}
+    if parts:
+        kept = table.notes
+        table = replace(_clocked(table, parts), notes=kept)
+        note = f"{', '.join(parts)} are one time"
+        table = replace(table, notes=(*kept, note))
+    return table.only(columns=[at for at, name in enumerate(table.names) if name != SKIPPED])
 
 
 def _names_beside(
@@ -150,9 +149,12 @@ def _names_beside(
         else _name_of(table, field, rows, mark=bool(marks[field]))
         for at, field in enumerate(fields)
     ]
-    for at in range(lead - 2):
-        if _is_clock(table.values[:, fields[at : at + 3]]):
+    for at in range(lead - 1):
+        if _is_clock(table.values[:, fields[:lead][at : at + 3]]):
             names[at : at + 3] = CLOCK
+            break
+        if _is_epoch(table.values[:, fields[:lead][at : at + 2]]):
+            names[at : at + 2] = EPOCH
             break
     if None in names:
         return None
@@ -162,7 +164,7 @@ def _names_beside(
         return None
     complete = [name or SKIPPED for name in names]
     # A file has one clock: that of hour, minute and second, or its first time.
-    if "hour" in complete:
+    if "hour" in complete or "epoch" in complete:
         return [SKIPPED if name == "time" else name for name in complete]
     first = complete.index("time") if "time" in complete else len(complete)
     return [SKIPPED if name == "time" and at > first else name for at, name in enumerate(complete)]
@@ -172,6 +174,7 @@ def _name_of(table: ReadingsTable, field: int, rows: int, *, mark: bool) -> str 
     """Return the role of an additional field: 'time', 'frame', or '-' for a mark; else None."""
     texts = table.fields[:, field]
     values = unwrapped(table.values[:, field])
+    values = _counting(values)
     words = table.words[:, field]
     if all(is_stamp(text) for text in set(texts[words])) and words.all():
         return "time"
@@ -179,11 +182,24 @@ def _name_of(table: ReadingsTable, field: int, rows: int, *, mark: bool) -> str 
         return SKIPPED
     with np.errstate(invalid="ignore"):  # of two infinite numbers: no step that grows
         steps = np.diff(values)
-    if rows > 1 and np.all(steps >= 0):
-        return "frame" if set(steps) <= {0.0, 1.0} and not np.all(steps == 1) else "time"
+    rising = np.mean(steps >= 0) >= 1 - MAX_CUT  # but for lines that are lost or swapped
+    counts = np.mean((steps == 0) | (steps == 1)) >= 1 - MAX_CUT
+    if rows > 1 and rising:
+        return "frame" if counts and np.any(steps == 0) else "time"
     if grows(values):
-        return "frame" if np.all(steps == 1) else "time"
+        return "frame" if counts else "time"
     return SKIPPED if np.all(steps >= 0) else None
+
+
+def _counting(values: Array) -> Array:
+    """Return whole numbers that go on where a frame's number wraps, such as from 255 to 0."""
+    with np.errstate(invalid="ignore"):  # of two infinite numbers
+        falls = np.diff(values) < 0
+    if not np.any(falls) or not np.all(np.isfinite(values) & (values == np.round(values))):
+        return values
+    size = float(values.max()) + 1
+    wraps = values[:-1] - values[1:] >= MIN_WRAP * size
+    return np.asarray(values + size * np.cumsum(np.append(0, wraps)))
 
 
 def _is_row(texts: NDArray[np.object_], rows: int) -> bool:
@@ -194,13 +210,25 @@ def _is_row(texts: NDArray[np.object_], rows: int) -> bool:
     numbers = np.array([(line_of(text) or ("", -1))[1] for text in texts])
     first = int(numbers.min())
     follows = (np.diff(numbers) == 1) | (numbers[1:] < numbers[:-1])
-    return first in (0, 1) and int(numbers.max()) - first == rows - 1 and bool(np.all(follows))
+    counted = first in (0, 1) and int(numbers.max()) - first == rows - 1
+    return counted and bool(np.mean(follows) >= 1 - MAX_CUT)
 
 
 def _is_clock(values: Array) -> bool:
     """Return whether three columns are hour, minute and second that do not run backwards."""
+    if values.shape[1] != 3:
+        return False
     hour, minute, second = values.T
     whole = np.all(values[:, :2] == np.round(values[:, :2]))
     within = np.all((values >= 0) & (values < [24, 60, 61]))
     total = 3600 * hour + 60 * minute + second
     return bool(whole and within and np.all(np.diff(total) >= 0) and total[-1] > total[0])
+
+
+def _is_epoch(values: Array) -> bool:
+    """Return whether two columns are seconds since 1970 and nanoseconds."""
+    seconds, nanoseconds = values.T
+    whole = np.all(np.isfinite(values) & (values == np.round(values)))
+    since = whole and np.all(np.diff(seconds) >= 0) and seconds[0] >= LEAST_EPOCH
+    within = np.all((nanoseconds >= 0) & (nanoseconds < 1e9))
+    return bool(whole and since and within and np.ptp(nanoseconds) > 0)

@@ -42,6 +42,7 @@ def whole_parts(values: Array, rows: int) -> tuple[WholeFrames, ...] | None:
     The last part may end with a cut frame. None if the lines are no whole number of frames, and the
     readings do not show why.
     """
+    values = np.where(np.isinf(values), np.nan, values)
     surplus = len(values) % rows
     breaks = _breaks(values, rows)
     if sum(found.shift for found in breaks) % rows != surplus:  # they do not account for all lines

@@ -24,6 +24,7 @@ def import_(
     variable: str | None = None,
     layout: str | None = None,
     resting: Path | None = None,
+    skip_lines: Annotated[int, screen.option(min=0)] = 0,
 ) -> None:
     """Convert measurements of another program to a recording, and report how they were interpreted.
 
@@ -57,6 +58,8 @@ def import_(
         A table's columns, such as time,row,column,value, or an installed layout.
     resting
         The resting frame that firmware subtracted, for baseline: subtracted.
+    skip_lines
+        Lines at the beginning of a text file to leave out, such as 2.
     """
     from lampest.apps.foreign.importing import import_file
     from lampest.audit.health import Health
@@ -70,6 +73,7 @@ def import_(
         "missing": missing,
         "layout": layout,
         "resting": resting,
+        "skip_lines": skip_lines,
     }
     replaced = out.is_file()
     with screen.progress("reading"):

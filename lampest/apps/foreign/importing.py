@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,8 @@ from lampest.apps.foreign.arrays import (
     frames_of_arrays,
     joined_frames,
 )
+from lampest.apps.foreign.division import frames_of
 from lampest.apps.foreign.labelled import named_units, panel_of
-from lampest.apps.foreign.layouts import frames_of
 from lampest.apps.foreign.lines import FieldLines, lines_of_sheets, lines_of_text
 from lampest.apps.foreign.own_layouts import LAYOUTS
 from lampest.apps.foreign.records import READERS as RECORDS
@@ -71,6 +71,7 @@ def import_file(  # noqa: PLR0913 # the options of a command
     layout: str | Layout | None = None,
     time_unit: Literal["s", "ms", "us"] | None = None,
     resting: str | Path | None = None,
+    skip_lines: int = 0,
 ) -> tuple[Recording, tuple[str, ...]]:
     r"""Import a file as a recording of rows × columns cells.
 
@@ -105,6 +106,9 @@ def import_file(  # noqa: PLR0913 # the options of a command
     resting : str, Path, or None
         File with the resting frame that the firmware subtracted, for scenes with `baseline:
         subtracted`: it is added again, and becomes the only unloaded frame.
+    skip_lines : int
+        Lines at the beginning of a text file that are left out: a greeting, or rows before the
+        first whole frame.
 
     Returns
     -------
@@ -131,14 +135,25 @@ def import_file(  # noqa: PLR0913 # the options of a command
     panel = panel_of(rows, columns, scene)
     check_unit(unit, scene, path)
     layout = _layout_of(path, layout)
-    frames = _frames(path, panel, transpose=transpose, variable=variable, layout=layout)
+    if skip_lines < 0:
+        raise InputError(f"`skip_lines` is {skip_lines}; it must be 0 or more")
+    chosen = Chosen(variable, layout, skip_lines)
+    frames = _frames(path, panel, chosen, transpose=transpose)
     subtracted = None
     if resting is not None:
         file = Path(resting)
-        subtracted = (file, _frames(file, panel, transpose=False, variable=None, layout=layout))
+        subtracted = (file, _frames(file, panel, Chosen(None, layout, 0), transpose=False))
     return _recording(
         path, frames, panel, scene, unit, baseline_frames, missing, period, time_unit, subtracted
     )
+
+
+class Chosen(NamedTuple):
+    """Choices of the user on a file: an array or sheet, its layout, and lines left out."""
+
+    variable: str | None
+    layout: str | Layout | None
+    skip_lines: int
 
 
 def _layout_of(path: Path, layout: str | Layout | None) -> str | Layout | None:
@@ -190,7 +205,7 @@ def _recording(  # noqa: PLR0913 # the options of an import
     kind = unit
     reason = f"unit {unit}, as specified"
     if kind is None:
-        kind, reason = understood_unit(values, named_units(frames, path), scene, path)
+        kind, reason = understood_unit(values, named_units(frames.words, path), scene, path)
     scene_specified = scene is not None
     scene = scene or Scene(panel)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
@@ -224,7 +239,8 @@ def _check_unprocessed(
     readout = scene.readout
     if readout is None or unit in RESISTANCES or readout.floor_code is not None:
         return
-    reason = processing_of(values, role == UNLOADED, scene.panel.present)
+    lowest = -np.inf if readout.characteristic.signed else 0.0
+    reason = processing_of(values, role == UNLOADED, scene.panel.present, lowest)
     if not reason and unit == "volt":
         reason = normalised(values, readout.full_scale_volt)
     if reason:
@@ -268,24 +284,20 @@ def _restored(
     return raw, replace(scene, baseline="raw")
 
 
-def _frames(
-    path: Path, panel: Panel, *, transpose: bool, variable: str | None, layout: str | Layout | None
-) -> Frames:
+def _frames(path: Path, panel: Panel, chosen: Chosen, *, transpose: bool) -> Frames:
     """Return the file's frames over the panel, or with one value for each listed cell."""
     try:
-        frames = _read_frames(
-            path, panel.shape[::-1] if transpose else panel.shape, variable, layout
-        )
+        frames = _read_frames(path, panel.shape[::-1] if transpose else panel.shape, chosen)
     except InputError as error:
         cells = [cell[:2] for cell in panel.cells or ()]
         if cells and not transpose:
             with suppress(InputError):
-                frames = _read_frames(path, (1, len(cells)), variable, layout)
+                frames = _read_frames(path, (1, len(cells)), chosen)
                 number = np.full((len(frames.number), *panel.shape), -1)
                 number[:, *np.transpose(cells)] = frames.number[:, 0]
                 note = f"{len(cells)} values are the cells in the order of the scene's list"
                 return frames.arranged(number, note)
-        if not transpose and _fits_turned(path, panel.shape[::-1], variable, layout):
+        if not transpose and _fits_turned(path, panel.shape[::-1], chosen):
             raise InputError(f"{error}; with `transpose` it would fit") from error
         raise
     if transpose:
@@ -295,34 +307,31 @@ def _frames(
     return frames
 
 
-def _fits_turned(
-    path: Path, shape: Shape, variable: str | None, layout: str | Layout | None
-) -> bool:
+def _fits_turned(path: Path, shape: Shape, chosen: Chosen) -> bool:
     """Return whether a file gives frames of a panel with rows and columns exchanged.
 
     The frames are with their times.
     """
     try:
-        frames = _read_frames(path, shape, variable, layout)
+        frames = _read_frames(path, shape, chosen)
         _clock(frames, None, None, path)
     except InputError:
         return False
     return shape[0] != shape[1]
 
 
-def _read_frames(
-    path: Path, shape: Shape, variable: str | None, layout: str | Layout | None
-) -> Frames:
+def _read_frames(path: Path, shape: Shape, chosen: Chosen) -> Frames:
     """Read the frames of a file by its suffix.
 
     Raises InputError if it is unreadable, too large, or does not fit.
     """
     kind = path.suffix.lower()
+    variable, layout, skip = chosen
     try:
         note_read(path)
         size = path.stat().st_size
         if path.is_dir():
-            return _of_folder(path, shape, variable, layout)
+            return _of_folder(path, shape, chosen)
         if not path.is_file():
             raise InputError(f"{path}: no file")
         if size > MAX_BYTES:
@@ -333,6 +342,8 @@ def _read_frames(
             raise InputError(f"{path}: {kind} files are not read; {NOT_READ[kind]}")
         if variable is not None and kind not in NAMED:
             raise InputError(f"{path}: holds nothing by name; `variable` is for {', '.join(NAMED)}")
+        if skip and kind in (*READERS, *RECORDS, *SHEETS):
+            raise InputError(f"{path}: has no lines of text; `skip_lines` is for text tables")
         if layout is not None and kind in READERS:
             raise InputError(f"{path}: holds arrays; `layout` is for tables")
         if kind in READERS:
@@ -346,16 +357,14 @@ def _read_frames(
             return replace(frames, notes=(*frames.notes, *notes))
         if kind in SHEETS:
             return _of_sheets(path, shape, variable, layout)
-        return frames_of(readings_table(lines_of_text(path), layout), shape)
+        return frames_of(readings_table(lines_of_text(path, skip), layout), shape)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     except MemoryError as error:
         raise InputError(f"{path}: claims more data than the memory holds") from error
 
 
-def _of_folder(
-    path: Path, shape: Shape, variable: str | None, layout: str | Layout | None
-) -> Frames:
+def _of_folder(path: Path, shape: Shape, chosen: Chosen) -> Frames:
     """Return the frames of all files in a folder, in the order of the numbers in their names."""
     # Hidden files, and those of a desktop that shows the folder, are none of the recording's.
     files = [
@@ -376,7 +385,7 @@ def _of_folder(
         raise InputError(f"{path}: {len(files)} files, more than {MAX_FILES} are not imported")
     if sum(file.stat().st_size for file in files) > MAX_BYTES:
         raise InputError(f"{path}: more than {MAX_BYTES} bytes are not imported")
-    parts = [_read_frames(file, shape, variable, layout) for file in files]
+    parts = [_read_frames(file, shape, chosen) for file in files]
     total = sum(len(part.number) for part in parts)
     unused = "; times within them are not used" if any(part.timing for part in parts) else ""
     order = f"in the order of their names, from {files[0].name} to {files[-1].name}"

@@ -1,11 +1,12 @@
 """Data frames and labelled arrays of other libraries as frames."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from lampest.apps.foreign.arrays import Frames, Shape
-from lampest.apps.foreign.layouts import frames_of
+from lampest.apps.foreign.division import frames_of
 from lampest.apps.foreign.lines import FieldLine, field_lines
 from lampest.apps.foreign.records import text_of_value
 from lampest.apps.foreign.table import readings_table
@@ -35,7 +36,7 @@ def understood_table(
     check_unit(unit, scene, "table")
     frames = frames_of_table(table, panel.shape)
     values = np.where(panel.present, frames.values, np.nan)
-    named = unit or understood_unit(values, named_units(frames, "table"), scene, "table")[0]
+    named = unit or understood_unit(values, named_units(frames.words, "table"), scene, "table")[0]
     return values, named, panel, None if frames.timing is None else frames.timing(None)
 
 
@@ -94,13 +95,13 @@ def labelled_array(data: Any) -> tuple[Array, Array | None, str | None]:
     return values, seconds, None if units is None else str(units)
 
 
-def named_units(frames: Frames, source: object) -> tuple[str, ...]:
+def named_units(words: Sequence[str], source: object) -> tuple[str, ...]:
     """Return the units that the file's own words permit.
 
     Raises InputError with the file if they are not imported.
     """
     try:
-        return units_of(frames.words)
+        return units_of(words)
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
 

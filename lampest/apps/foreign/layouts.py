@@ -1,29 +1,80 @@
-"""Layouts of panels in tables: assignment of the numbers of a file to frames and cells."""
+"""Layouts of panels in tables: which fields of a line hold the readings of which cells.
 
+A layout is data, an `TableLayout`; `lampest.apps.foreign.division` divides the lines into frames.
+"""
+
+import dataclasses
 import re
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lampest.apps.foreign.arrays import Frames, Index, Shape
+from lampest.apps.foreign.arrays import Index, Shape
 from lampest.apps.foreign.beside import described, with_one_clock
-from lampest.apps.foreign.breaks import WholeFrames, whole_parts
-from lampest.apps.foreign.table import ReadingsTable, kind_of
-from lampest.apps.foreign.words import COLUMN, ROW, cell_of, line_of, role_of
+from lampest.apps.foreign.table import ReadingsTable
+from lampest.apps.foreign.words import COLUMN, MAX_CUT, ROW, cell_of, line_of, role_of
 from lampest.files.errors import InputError, counted
 from lampest.panel.panel import Array
 
 Cells = dict[int, tuple[int, int]]
 
 
-def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
-    """Return the frames of a table.
+@dataclass(frozen=True, eq=False)
+class TableLayout:
+    """Where the lines of a table hold readings, and what else they say.
 
-    The layout is found by its header and by the number of fields of its lines.
+    The reading of a field belongs to the cell (row, column) of the field, counted from the cell at
+    which its line begins: position · (rows · columns) // lines. The position is the row or the
+    cell that the line names, or else the number of the line within its frame.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Rows and columns of the panel.
+    lines : int
+        Lines of a frame.
+    cells : mapping
+        Field → (row, column) of its reading.
+    note : str
+        Sentence on the layout.
+    roles : mapping
+        'row', 'column', 'cell' and 'frame' → field with the number or name of the line's.
+    times : tuple of int
+        Fields with the date and the time.
+    first : int
+        Number of the first row and column, 0 or 1.
+    """
+
+    shape: Shape
+    lines: int
+    cells: Cells
+    note: str
+    roles: Mapping[str, int] = dataclasses.field(default_factory=dict)
+    times: tuple[int, ...] = ()
+    first: int = 0
+
+    def positions(self, table: ReadingsTable) -> Index | None:
+        """Return the position of each line, -1 where it is missing; None if lines name none."""
+        if "row" in self.roles and "column" not in self.roles:
+            rows = _line_numbers(table, self.roles["row"]) - self.first
+            within = (rows >= 0) & (rows < self.shape[0]) & (rows == np.round(rows))
+            return np.where(within, rows, -1).astype(np.intp)
+        if not {"column", "cell"} & set(self.roles):
+            return None
+        places = _places(table, self.roles, self.shape)[0] - self.first
+        within = np.all((places >= 0) & (places < self.shape), axis=1)
+        rows, columns = np.where(within[:, None], places, 0).T.astype(np.intp)
+        return np.where(within, rows * self.shape[1] + columns, -1)
+
+    @property
+    def used(self) -> frozenset[int]:
+        """Fields that hold readings, or say anything of frames and times."""
+        return frozenset((*self.cells, *self.roles.values(), *self.times))
+
+
+def arranged(table: ReadingsTable, shape: Shape) -> tuple[ReadingsTable, TableLayout]:
+    """Return a table's columns of use, and its layout by its header and the fields of its lines.
 
     Raises InputError if these do not determine the layout, or if the table does not fit the panel.
     """
@@ -31,36 +82,32 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
     if _begins_with_a_separator(table, shape):
         note = "a separator before the first value of every line"
         shorter = table.only(columns=list(range(1, table.width)))
-        return frames_of(replace(shorter, notes=(*table.notes, note)), shape)
+        return arranged(replace(shorter, notes=(*table.notes, note)), shape)
     # One value a line; else one frame a line; else one row a line; else again without empty
     # columns.
     order = _single_values(table, shape)
     if order is not None:
-        return _frames_of_single_values(table, shape, order)
+        return table, _values_in_lines(table, shape, order)
     table = described(table, shape)
     cells = shape[0] * shape[1]
     names = table.names
     if table.width == 1 and shape[1] > 1 and len(table.lines) >= cells:
-        cells = shape[0] * shape[1]
-        blocks = _blocks(table, cells, [0])
-        row, column = np.divmod(blocks.row, shape[1])
-        timing = table.timing([], blocks.begins) or table.title_timing(blocks.begins, blocks.title)
-        note = f"one number a line, {cells} lines a frame; row by row{blocks.left_out}"
-        at = (blocks.frame[:, None], row[:, None], column[:, None])
-        return table.frames(at, [0], shape, timing, note)
+        note = f"one number a line, {cells} lines a frame; row by row"
+        return table, TableLayout(shape, cells, {0: (0, 0)}, note)
     named = _cells_by_name(table.source.source, names, shape) or _cells_by_number(names, shape)
     extra = sum(role_of(name) in ("time", "date", "frame", "row") for name in names)
+    if names.count("") in (cells, shape[1]):  # the values of a list, beside named fields
+        extra = table.width - names.count("")
     if named is not None or table.width in (cells, cells + 1, cells + extra):
-        return _frames_in_lines(table, shape, named)
+        return table, _frames_in_lines(table, shape, named)
     if table.width in (shape[1], shape[1] + 1, shape[1] + extra):
-        return _frames_in_blocks(table, shape)
+        return table, _rows_in_lines(table, shape)
     filled = np.any(table.fields != "", axis=0)
     if not np.all(filled):
-        empty = ", ".join(names[field] or f"field {field + 1}" for field in np.flatnonzero(~filled))
+        empty = ", ".join(names[at] or f"field {at + 1}" for at in np.flatnonzero(~filled))
         shorter = table.only(columns=np.flatnonzero(filled))
-        return frames_of(
-            replace(shorter, notes=(*table.notes, f"empty columns left out: {empty}")), shape
-        )
+        note = f"empty columns left out: {empty}"
+        return arranged(replace(shorter, notes=(*table.notes, note)), shape)
     raise InputError(
         f"{table.place(0, None)}: {counted(table.width, 'field')}; "
         f"{shape[0]} × {shape[1]} cells need {cells}, {cells + 1} with the time, "
@@ -134,45 +181,39 @@ def _cells_by_number(names: Sequence[str], shape: Shape) -> tuple[Cells, str] | 
     return None
 
 
-def _frames_in_lines(table: ReadingsTable, shape: Shape, named: tuple[Cells, str] | None) -> Frames:
-    """Return the frames of a table with one frame a line.
+def _frames_in_lines(
+    table: ReadingsTable, shape: Shape, named: tuple[Cells, str] | None
+) -> TableLayout:
+    """Return the layout of a table with one frame a line.
 
     `named` contains the cells by column, and a sentence. None: cells row by row in the order of the
     fields.
     """
     names = table.names
     roles = [role_of(name) for name in names]
-    times = [field for field, role in enumerate(roles) if role in ("date", "time")]
+    times = [at for at, role in enumerate(roles) if role in ("date", "time")]
     if named is None:
         cells = shape[0] * shape[1]
-        values = [
-            field for field, role in enumerate(roles) if role not in ("date", "time", "frame")
-        ]
+        values = [at for at, role in enumerate(roles) if role not in ("date", "time", "frame")]
         values = (values if len(values) >= cells else list(range(table.width)))[-cells:]
         if not times and values[0] == 1 and roles[0] != "frame" and (names[0] or not any(names)):
             # One field more than cells; where a header leaves it without a name it is a counter.
             times = [0]
         unknown = (
             f"; {names[values[0]]!r} and the other names tell no cells"
-            if any(names[field] for field in values)
+            if any(names[at] for at in values)
             else ""
         )
         named = dict(zip(values, np.ndindex(shape), strict=True)), f"cells row by row{unknown}"
-    fields = sorted(named[0])
-    rows, columns = np.transpose([named[0][field] for field in fields])
-    unused = [
-        names[field] for field in range(table.width) if field not in fields and field not in times
-    ]
+    unused = [names[at] for at in range(table.width) if at not in named[0] and at not in times]
     omitted = (
         f"; left out: {', '.join(name or 'a column without a name' for name in unused[:5])}"
         if unused
         else ""
     )
-    index = np.arange(len(table.lines))
     note = f"one frame a line, {named[1]}{omitted}"
-    return table.frames(
-        (index[:, None], rows, columns), fields, shape, table.timing(times, range(len(index))), note
-    )
+    frame = {"frame": roles.index("frame")} if "frame" in roles else {}
+    return TableLayout(shape, 1, named[0], note, frame, tuple(times))
 
 
 def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
@@ -249,170 +290,115 @@ def _line_numbers(table: ReadingsTable, field: int) -> Array:
     return values
 
 
-def _indices(table: ReadingsTable, field: int) -> Index:
-    """Return the row or column numbers in a field as integers.
+def _indices(table: ReadingsTable, column: int) -> Array:
+    """Return the row or column numbers in a field; NaN where a line has none.
 
-    Raises InputError for any other text.
+    Raises InputError if more than a few lines have another text.
     """
-    values = _line_numbers(table, field)
-    bad = (
-        ~np.isfinite(values)
-        | (values != np.round(values))
-        | (np.abs(values) > np.iinfo(np.int32).max)
-    )
-    table.refuse(bad, field, "{0} is no index")
-    return values.astype(np.intp)
+    values = _line_numbers(table, column)
+    with np.errstate(invalid="ignore"):
+        bad = ~np.isfinite(values) | (values != np.round(values))
+    if np.sum(bad & (table.fields[:, column] != "")) > MAX_CUT * len(bad):
+        table.refuse(bad, column, "{0} is no index")
+    return np.where(bad, np.nan, values)
 
 
-def _frames_of_single_values(table: ReadingsTable, shape: Shape, order: dict[str, int]) -> Frames:
-    """Return the frames of a table of single values, with the fields `order` by role.
+def _values_in_lines(table: ReadingsTable, shape: Shape, order: dict[str, int]) -> TableLayout:
+    """Return the layout of a table of single values, with the fields `order` by role."""
+    if {"row", "column"} <= set(order):
+        order = {role: at for role, at in order.items() if role != "cell"}
+    listed = ", ".join(sorted(order, key=order.__getitem__))
+    roles = {role: at for role, at in order.items() if role in ("row", "column", "cell", "frame")}
+    first = _first_of(table, roles, shape)
+    times = tuple(order[role] for role in ("date", "time") if role in order)
+    note = f"one value a line as {listed}; indices count from {first}"
+    cells = {order["value"]: (0, 0)}
+    return TableLayout(shape, shape[0] * shape[1], cells, note, roles, times, first)
 
-    Other cells are missing.
+
+def _first_of(table: ReadingsTable, roles: Mapping[str, int], shape: Shape) -> int:
+    """Return the number of the first row and column in a table, 0 or 1.
+
+    Raises InputError if more than a few lines name a place beyond the panel.
     """
-    rows, columns, first = _cells_of_lines(table, order, shape)
-    cells = rows * shape[1] + columns
-    frames, how = _frame_numbers(table, cells, order)
-    _, begins, again = np.unique(
-        np.stack([frames, cells]), axis=1, return_index=True, return_inverse=True
-    )
-    twice = np.flatnonzero(begins[again.ravel()] < np.arange(len(cells)))
-    if len(twice):
-        hint = (
-            ""
-            if how or "frame" in order
-            else "; several frames need a field with the frame's number"
-        )
-        earlier = table.source.called(int(table.lines[begins[again.ravel()[twice[0]]]]))
-        raise InputError(f"{table.place(int(twice[0]), None)}: the same cell as in {earlier}{hint}")
-    times = [order[role] for role in ("date", "time") if role in order]
-    timing = table.timing(times, np.unique(frames, return_index=True)[1].tolist())
-    roles = ", ".join(sorted(order, key=order.__getitem__))
-    note = f"one value a line as {roles}; indices count from {first}{how}"
-    at = (frames[:, None], rows[:, None], columns[:, None])
-    return table.frames(at, [order["value"]], shape, timing, note)
+    places, names = _places(table, roles, shape)
+    read = np.isfinite(places)
+    within = read & (places >= 0) & (places <= shape)
+    first = int(not np.any(within & (places == 0)))
+    for axis, name in enumerate(names):
+        bad = read[:, axis] & ((places[:, axis] < first) | (places[:, axis] >= first + shape[axis]))
+        if bad.sum() > MAX_CUT * len(bad):
+            beyond = f"is beyond the panel's {first} to {first + shape[axis] - 1}"
+            table.refuse(bad, roles[name], f"{('row', 'column')[axis]} {{0}} {beyond}")
+    return first
 
 
-def _cells_of_lines(
-    table: ReadingsTable, order: dict[str, int], shape: Shape
-) -> tuple[Index, Index, int]:
-    """Return row and column of all lines, counted from 0, and the file's first index (0 or 1).
+def _places(
+    table: ReadingsTable, roles: Mapping[str, int], shape: Shape
+) -> tuple[Array, list[str]]:
+    """Return the row and the column that each line names, (lines, 2), and the roles that say so.
 
-    A single field may name or number the cell.
+    They are counted as in the file; NaN where a line names none. Raises InputError if more than a
+    few lines name none.
     """
-    if "cell" in order and not {"row", "column"} <= set(order):
-        texts = table.fields[:, order["cell"]]
-        cells = {text: cell_of(text) for text in set(texts)}
-        if all(cells.values()):
-            rows, columns = np.array([cells[text] or (0, 0) for text in texts], dtype=np.intp).T
+    if "cell" in roles:
+        texts = table.fields[:, roles["cell"]]
+        named = {text: cell_of(text) for text in set(texts.tolist())}
+        if sum(cell is not None for cell in named.values()) > len(named) / 2:
+            nowhere = (np.nan, np.nan)
+            places = np.array([named[text] or nowhere for text in texts], dtype=float)
         else:
-            numbers = _indices(table, order["cell"])
-            first = int(numbers.min() > 0)
-            rows, columns = (part + first for part in np.divmod(numbers - first, shape[1]))
-    else:
-        rows = _indices(table, order["row"])
-        columns = _indices(table, order["column"])
-    first = int(min(rows.min(), columns.min()) > 0)
-    for name, values, size in (("row", rows, shape[0]), ("column", columns, shape[1])):
-        name = name if name in order else "cell"
-        bad = (values < first) | (values >= first + size)
-        table.refuse(
-            bad, order[name], f"{name} {{0}} is beyond the panel's {first} to {first + size - 1}"
-        )
-    return rows - first, columns - first, first
+            numbers = _indices(table, roles["cell"])
+            first = float(not np.any(numbers == 0))
+            places = np.stack(np.divmod(numbers - first, shape[1]), axis=1) + first
+        return places, ["cell", "cell"]
+    rows, columns = (_indices(table, roles[role]) for role in ("row", "column"))
+    return np.stack([rows, columns], axis=1), ["row", "column"]
 
 
-def _frame_numbers(table: ReadingsTable, cells: Index, order: dict[str, int]) -> tuple[Index, str]:
-    """Return each line's frame, counted from 0, and a note on how frames are distinguished."""
-    if "frame" in order:
-        return np.unique(_indices(table, order["frame"]), return_inverse=True)[1], ""
-    often = np.bincount(cells)
-    repeated: Index = np.cumsum(_begins_again(cells, [False] * len(cells)), dtype=np.intp)
-    if "time" not in order:
-        if often.min() > 1 and repeated[-1] + 1 == often.max():
-            return repeated, "; a new frame begins where a cell comes again"
-        return 0 * cells, ""
-    texts = table.fields[:, [order[role] for role in ("date", "time") if role in order]]
-    stamps = [" ".join(line) for line in texts]
-    # In the order in which they come.
-    number = {stamp: at for at, stamp in enumerate(dict.fromkeys(stamps))}
-    if len(number) < len(cells) or len(cells) == 1:
-        return np.array(
-            [number[stamp] for stamp in stamps], dtype=np.intp
-        ), "; frames by their time"
-    how = "; every line has a time of its own, a new frame begins where a cell comes again"
-    return repeated, how
+def _rows_in_lines(table: ReadingsTable, shape: Shape) -> TableLayout:
+    """Return the layout of a table with one row of the panel a line.
 
-
-def _begins_again(numbers: Index, ended: Sequence[bool]) -> NDArray[np.bool_]:
-    """Return whether a frame begins at a line, (lines,).
-
-    A frame begins where a number of the current frame occurs again, and after a title.
-    """
-    numbers_of_frame = set[int]()
-    begins = np.zeros(len(numbers), dtype=bool)
-    for line, number in enumerate(numbers.tolist()):
-        if number in numbers_of_frame or (ended[line] and line):
-            begins[line] = True
-            numbers_of_frame = set()
-        numbers_of_frame.add(number)
-    return begins
-
-
-def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
-    """Return the frames of a table with one row of the panel a line.
-
-    Further fields are the row's name or the time.
+    Further fields before it are the row's name, the frame's number or the time.
     """
     extra = table.width - shape[1]
-    labels, times = _before_the_row(table, extra, shape[0])
+    given = [role_of(name) for name in table.names[:extra]]
+    times = [at for at, role in enumerate(given) if role in ("time", "date")]
+    roles = {"frame": given.index("frame")} if "frame" in given else {}
+    labelled = [at for at, role in enumerate(given) if role == "row"]
+    labelled = labelled or [
+        at for at, role in enumerate(given) if role not in ("time", "date", "frame")
+    ]
+    first = 0
+    if labelled:
+        numbers = _line_numbers(table, labelled[-1])
+        if not any(table.names) and np.nanmax(numbers, initial=0.0) > shape[0]:
+            times = [labelled[-1]]
+        else:
+            roles["row"] = labelled[-1]
+            first = _first_of_rows(table, labelled[-1], shape[0])
     columns, order = _column_order(table, extra, shape[1])
-    fields = list(range(extra, table.width))
-    if labels is None:
-        blocks = _blocks(table, shape[0], fields)
-    else:
-        often = Counter(kind for kinds in table.kinds for kind in kinds)
-        frames = int(np.bincount(labels).max())
-        ends = {kind for kind, times in often.items() if frames / 2 <= times <= 1.5 * frames}
-        numbered = [
-            field for field, name in enumerate(table.names[:extra]) if role_of(name) == "frame"
-        ]
-        changes = np.zeros(len(labels), dtype=bool)
-        for field in numbered:
-            changes[1:] |= table.fields[1:, field] != table.fields[:-1, field]
-        ended = [
-            bool(kinds & ends) or bool(new) for kinds, new in zip(table.kinds, changes, strict=True)
-        ]
-        frame = np.cumsum(_begins_again(labels, ended), dtype=np.intp)
-        begins = np.unique(frame, return_index=True)[1].tolist()
-        blocks = _Blocks(frame, labels, begins, "", None)
-    timing = table.timing(times, blocks.begins) or table.title_timing(blocks.begins, blocks.title)
-    named = "rows from top to bottom" if labels is None else "rows by their names"
-    note = f"one row a line, {shape[0]} lines a frame; {named}, {order}{blocks.left_out}"
-    at = (blocks.frame[:, None], blocks.row[:, None], columns)
-    return table.frames(at, fields, shape, timing, note)
+    cells = {extra + at: (0, column) for at, column in enumerate(columns)}
+    named = "rows by their names" if "row" in roles else "rows from top to bottom"
+    note = f"one row a line, {shape[0]} lines a frame; {named}, {order}"
+    return TableLayout(shape, shape[0], cells, note, roles, tuple(times), first)
 
 
-def _before_the_row(table: ReadingsTable, extra: int, rows: int) -> tuple[Index | None, list[int]]:
-    """Return the rows by the names of the lines, or None; and the columns with times.
+def _first_of_rows(table: ReadingsTable, column: int, rows: int) -> int:
+    """Return the number of the first row among the rows' names in a field, 0 or 1.
 
-    The rows are (lines,), counted from 0.
+    Raises InputError if more than a few of them are none of the panel's rows, or name columns.
     """
-    roles = [role_of(name) for name in table.names[:extra]]
-    times = [field for field, role in enumerate(roles) if role in ("time", "date")]
-    labelled = [field for field, role in enumerate(roles) if role not in ("time", "date", "frame")]
-    if not labelled:
-        return None, times
-    texts = table.fields[:, labelled[-1]]
+    texts = table.fields[:, column]
     lines = [line_of(text) or ("", -1) for text in texts]
-    numbers = np.array([number for _, number in lines], dtype=np.intp)
-    if not any(table.names) and numbers.max() > rows:
-        return None, [labelled[-1]]
-    first = 0 if numbers.min() == 0 else 1
-    bad = (numbers < 0) | (numbers - first >= rows)
-    table.refuse(bad, labelled[-1], f"{{0!r}} is none of the panel's {rows} rows")
+    numbers = np.array([number for _, number in lines])
+    first = 0 if np.any(numbers == 0) else 1
+    bad = (numbers < first) | (numbers - first >= rows)
+    if np.sum(bad & (texts != "")) > MAX_CUT * len(bad):
+        table.refuse(bad, column, f"{{0!r}} is none of the panel's {rows} rows")
     columns = np.array([re.fullmatch(COLUMN, word) is not None for word, _ in lines])
-    table.refuse(columns, labelled[-1], "{0!r} names a column; `transpose` swaps the two")
-    return numbers - first, times
+    table.refuse(columns, column, "{0!r} names a column; `transpose` swaps the two")
+    return first
 
 
 def _column_order(table: ReadingsTable, extra: int, columns: int) -> tuple[list[int], str]:
@@ -433,121 +419,3 @@ def _column_order(table: ReadingsTable, extra: int, columns: int) -> tuple[list[
         )
     first = min(numbers)
     return [number - first for number in numbers], f"columns by their names from {first}"
-
-
-@dataclass(frozen=True, eq=False)
-class _Blocks:
-    """Assignment of lines without row names to frames and rows.
-
-    Attributes
-    ----------
-    frame, row : array of int, shape (lines,)
-        Frame, -1 for none, and row of every line.
-    begins : list of int
-        First line of every frame.
-    left_out : str
-        Note on skipped lines.
-    title : str or None
-        Kind of the titles between frames.
-    """
-
-    frame: Index
-    row: Index
-    begins: list[int]
-    left_out: str
-    title: str | None
-
-
-def _blocks(table: ReadingsTable, rows: int, fields: Sequence[int]) -> _Blocks:
-    """Return the assignment of lines without row names to frames and rows.
-
-    `fields` are those with readings. Without marks between frames the readings show whether lines
-    are lost or doubled; raises InputError if lines are, and the readings do not show which.
-    """
-    groups, title = _grouped(table, rows)
-    parts = whole_parts(table.values[:, fields], rows) if len(groups) == 1 else ()
-    if parts is None:
-        raise InputError(
-            f"{table.source.source}: {counted(len(table.lines), 'line')} "
-            f"are no whole number of frames of {rows} lines, "
-            "and the readings do not show which are lost, doubled or of a cut frame; "
-            "leave the lines before the first whole frame and behind the last one out"
-        )
-    frame = np.full(len(table.lines), -1)
-    row = np.zeros(len(table.lines), dtype=np.intp)
-    begins: list[int] = []
-    notes: list[str] = []
-
-    def take(lines: range) -> None:
-        frame[lines] = len(begins) + np.arange(len(lines)) // rows
-        row[lines] = np.arange(len(lines)) % rows
-        begins.extend(lines[::rows])
-
-    for passed, part in pairwise([WholeFrames(0, 0), *parts]) if len(groups) == 1 else ():
-        first, last = (table.source.called(int(table.lines[at])) for at in (passed.end, part.begin))
-        if passed.end:
-            notes.append(
-                f"lines are lost or doubled between {first} and {last}: a frame is missing"
-            )
-            begins.append(passed.end)
-        elif part.begin:
-            notes.append(f"the lines before {last} are of a cut frame, and left out")
-        take(range(part.begin, part.end))
-    if len(groups) == 1 and (rest := (parts[-1].end - parts[-1].begin) % rows):
-        notes.append(f"the last frame has {rest} of {rows} lines")
-    for number, lines in enumerate(groups) if len(groups) > 1 else ():
-        place = table.source.called(int(table.lines[lines[0]]))
-        cut = len(lines) % rows
-        if number == 0 and len(groups) > 1 and len(lines) < rows:
-            notes.append(f"the first block ({place}) is cut and left out")
-        elif cut and number < len(groups) - 1:  # the lost row is unknown
-            notes.append(f"the block at {place} has {len(lines)} of {rows} lines and is missing")
-            begins.append(lines[0])
-        else:
-            take(lines)
-    skipped: list[str] = []
-    if title is not None:
-        for before in table.before[1:]:
-            skipped += [place for text, place in before.items() if text and kind_of(text) != title]
-    if skipped:
-        notes.append(f"skipped between rows: {', '.join(skipped)}")
-    return _Blocks(frame, row, begins, "".join(f"; {sentence}" for sentence in notes), title)
-
-
-def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:
-    """Group the lines of a table into frames.
-
-    Returns
-    -------
-    frames : list of range
-        Lines of every frame.
-    kind : str or None
-        Kind of the titles between frames; None for titles of any kind, or none.
-    """
-    kinds = table.kinds
-    separators = [line for line in range(1, len(kinds)) if kinds[line]]
-    often = Counter(kind for line in separators for kind in kinds[line])
-
-    def split(begins: Sequence[int]) -> list[range]:
-        return [range(first, end) for first, end in pairwise([0, *begins, len(kinds)])]
-
-    def whole(groups: Sequence[range]) -> int:
-        """Return the number of complete frames; lines of a single group may be cut at the end."""
-        return sum(
-            len(group) // rows for group in groups if len(group) % rows == 0 or len(groups) == 1
-        )
-
-    options: list[tuple[list[range], str | None]] = [(split(separators), None)]
-    for kind, _ in often.most_common(8):  # titles are among the most frequent
-        options.append((split([line for line in separators if kind in kinds[line]]), kind))
-    best = max(options, key=lambda option: whole(option[0]))
-    ungrouped = split([])
-    if rows > 1 and (len(best[0]) == len(kinds) or 2 * len(best[0]) < whole(ungrouped)):
-        return ungrouped, None
-    long = next((group for group in best[0] if len(group) > rows), None)
-    if long and not whole(best[0]):
-        raise InputError(
-            f"{table.place(long[0], None)}: "
-            f"a block of {len(long)} lines, where the panel has {rows} rows"
-        )
-    return best

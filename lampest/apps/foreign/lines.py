@@ -4,13 +4,13 @@ The module handles encoding, separators, comments, and a terminal's time before 
 readings; `lampest.apps.foreign.table` finds the lines and columns that hold some.
 """
 
-import csv
 import datetime
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.apps.foreign.arrays import Index, check_archive, reading
-from lampest.apps.foreign.words import has_decimal_comma, number_of
-from lampest.files.errors import InputError, extra
+from lampest.apps.foreign.notation import MAX_LINE, SAMPLED_LINES, Notation, stamp_and_content
+from lampest.apps.foreign.words import is_stamp, line_of
+from lampest.files.errors import InputError, counted, extra
 
 DAMAGED = "\ufffd"  # in place of a byte that no text holds
 # Share of such bytes; a serial line loses one now and then, and binary files have many more.
@@ -45,19 +46,9 @@ READ = (
     "`layout` names a layout of your own"
 )
 MAX_FIELDS = 10_000_000  # 50 bytes each in memory
-SAMPLED = 50_000  # characters or fields at the beginning of a file that determine its notation
-SAMPLED_LINES = 1000
-DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
+WRITTEN = re.compile(r"[-+.,\d]+")  # a number
 # Not Excel's words for no number.
 COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)
-# '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789]
-# ' of others
-DATE = r"(?:\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} )?"
-TIME = r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
-STAMPED = re.compile(rf"\s*\[?({DATE}{TIME})\s*(?:\]|->|>|\|)\s*")
-# 'ROW0=512,511', 'R0: 512 511'
-LABELLED = re.compile(r"\s*([^\W\d]+[ _]?\d+)\s*[=:]\s*(?=[-+.\d])")
-LISTED = re.compile(r"[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
 
 
 class FieldLine(NamedTuple):
@@ -99,6 +90,8 @@ class FieldLines:
         Number of fields.
     comment, blank : boolean array, shape (lines,)
         Whether a line is a comment, and whether an empty line precedes it.
+    padded : bool
+        Whether empty fields at the end of a line are left out, as those of a sheet are.
     """
 
     source: str
@@ -110,6 +103,16 @@ class FieldLines:
     counts: Index
     comment: NDArray[np.bool_]
     blank: NDArray[np.bool_]
+    padded: bool = False
+
+    @property
+    def without_the_last(self) -> "FieldLines":
+        """All lines but the last one."""
+        parts = {
+            name: getattr(self, name)[:-1]
+            for name in ("lines", "fields", "counts", "comment", "blank")
+        }
+        return replace(self, **parts)
 
     def called(self, line: int) -> str:
         """Return the name of a line: 'line 3'."""
@@ -122,8 +125,9 @@ def field_lines(
     at: Callable[[int, int | None], str],
     notes: Iterable[str],
     lines: Iterable[FieldLine],
+    before: int = 0,
 ) -> FieldLines:
-    """Return lines as a table. Raises InputError if it is too large."""
+    """Return lines behind those `before` as a table. Raises InputError if it is too large."""
     read = list[FieldLine]()
     total = 0
     width = 0
@@ -140,75 +144,106 @@ def field_lines(
         fields[number, : len(line.texts)] = line.texts
     counts = np.array([len(line.texts) for line in read], dtype=np.intp)
     comment = np.array([COMMENT.match(line.texts[0]) is not None for line in read], dtype=bool)
-    blank = np.diff(np.array([0, *(line.number for line in read)])) > 1
+    blank = np.diff(np.array([before, *(line.number for line in read)])) > 1
     return FieldLines(source, word, at, tuple(notes), read, fields, counts, comment, blank)
 
 
-def lines_of_text(path: Path) -> FieldLines:
-    """Return the lines of a text file; the separator of fields is the sign that gives most numbers.
+def lines_of_text(path: Path, skip: int = 0) -> FieldLines:
+    """Return the lines of a text file behind the first `skip` ones; see `field_lines_of`.
 
-    Raises InputError with the line if the file is no text or too large, or if a quotation mark is
-    not closed.
+    A last line without its end is left out unless its last field is as long as any above it.
+
+    Raises InputError with the line if the file is no text or too large.
     """
     text, notes = _decoded(path)
-    read: list[FieldLine] = []
-    for number, line in enumerate(re.split(r"\r\n|\r|\n", text), 1):
-        if len(line) > 1_000_000:
-            raise InputError(f"{path}:{number}: longer than 1000000 characters, which no table is")
-        stamped = STAMPED.match(line)
-        content = _plain_content(line[stamped.end() :] if stamped else line.strip(" "))
-        if content.strip().strip(" \t;,"):
-            read.append(FieldLine(number, [content], stamped[1] if stamped else ""))
-    contents = [line.texts[0] for line in read if not COMMENT.match(line.texts[0])]
-    records = sum(content.lstrip().startswith('{"') for content in contents)
-    if 2 * records > len(contents):
-        stamps = ", without the terminal's times" if any(line.stamp for line in read) else ""
-        raise InputError(f"{path}:{read[0].number}: lines of JSON; save them as .jsonl{stamps}")
-    delimiter = _delimiter(contents)
-    # Lines may agree in their number of fields only if consecutive tabs are one.
-    single = Counter(line.count("\t") for line in contents[:SAMPLED_LINES])
-    joined = Counter(len(re.findall(r"\t+", line.strip("\t"))) for line in contents[:SAMPLED_LINES])
-    by_tabs = max(joined.values(), default=0) > max(single.values(), default=0)
-    aligned = delimiter == "\t" and by_tabs
-    if aligned:
-        read = [
-            line._replace(texts=[re.sub(r"\t+", "\t", line.texts[0]).strip("\t")]) for line in read
-        ]
-    if any(delimiter in content.strip() for content in contents):
-        notes.insert(
-            0, f"fields separated by {'one or more tabs' if aligned else DELIMITERS[delimiter]}"
-        )
-    notes += ["a terminal's time before the lines"] if any(line.stamp for line in read) else []
+    texts = re.split(r"\r\n|\r|\n", text)
+    lines = field_lines_of(texts, str(path), notes, skip)
+    if len(lines.lines) < 2 or not texts[-1].strip() or not _is_cut(lines):
+        return lines
+    note = f"left out: line {lines.lines[-1].number}, the last one, which is cut off"
+    return replace(lines.without_the_last, notes=(*lines.notes, note))
+
+
+def _is_cut(lines: FieldLines) -> bool:
+    """Return whether the last line may be cut: shorter than usual, or its last field is."""
+    if lines.lines[0].number == 0 and np.any(lines.fields[-1] == ""):  # names beside the values
+        return True
+    count = int(lines.counts[-1])
+    usual = Counter(lines.counts.tolist()).most_common(1)[0][0]
+    if count < usual:
+        first, *others = lines.fields[-1, :count]
+        begins = WRITTEN.fullmatch(first) or is_stamp(first) or (others and line_of(first))
+        return bool(begins) and all(map(WRITTEN.fullmatch, others))
+    column = lines.fields[lines.counts == usual, usual - 1]
+    longest = max((len(text) for text in column[:-1] if WRITTEN.fullmatch(text)), default=0)
+    return count == usual and 0 < len(column[-1]) < longest
+
+
+def field_lines_of(
+    texts: Sequence[str], source: str, notes: Iterable[str] = (), skip: int = 0
+) -> FieldLines:
+    """Return lines of text as fields, by the notation that the lines show.
+
+    Raises InputError with the line if it is too long, or if a quotation mark is not closed.
+
+    Parameters
+    ----------
+    texts : sequence of str
+        Lines without their ends.
+    source : str
+        Name of the file or port.
+    notes : iterable of str
+        Sentences on the interpretation of the text, to which those on its fields are added.
+    skip : int
+        Lines at the beginning that are left out.
+    """
+    notation = notation_of(texts[skip:])
+    remarks = [notation.sentence, *notes]
+    remarks += [f"the first {counted(skip, 'line')} skipped"] if skip else []
+    lines = field_lines_in(notation, texts[skip:], source, skip)
+    stamped = any(line.stamp for line in lines.lines)
+    remarks += ["a terminal's time before the lines"] if stamped else []
+    return replace(lines, notes=tuple(filter(None, remarks)))
+
+
+def notation_of(texts: Iterable[str]) -> Notation:
+    """Return the notation of lines."""
+    contents = (stamp_and_content(line)[1] for line in texts if len(line) <= MAX_LINE)
+    readings = (line for line in contents if _has_content(line) and not COMMENT.match(line))
+    return Notation.of(list(islice(readings, SAMPLED_LINES)))
+
+
+def _has_content(content: str) -> bool:
+    return content.strip(" \t;,") != ""
+
+
+def field_lines_in(
+    notation: Notation, texts: Sequence[str], source: str, before: int = 0, *, header: bool = True
+) -> FieldLines:
+    """Return lines in a known notation as fields, numbered from the lines before them on.
+
+    A `header` has the names that stand beside the values.
+
+    Raises InputError with the line if it is too long, or if a quotation mark is not closed.
+    """
 
     def at(number: int, field: int | None) -> str:
-        return f"{path}:{number}" + ("" if field is None else f":{field + 1}")
+        return f"{source}:{number}" + ("" if field is None else f":{field + 1}")
 
-    split = (
-        line._replace(texts=_split(at(line.number, None), line.texts[0], delimiter))
-        for line in read
-    )
-    lines = field_lines(str(path), "line", at, notes, split)
-    if (
-        len(read) > 1
-        and not text.endswith(("\r", "\n"))
-        and lines.counts[-1] < np.median(lines.counts)
-    ):
-        lines.fields[-1, lines.counts[-1] - 1] = ""  # the file ends within a line
-        note = f"the last number of line {read[-1].number} is cut off and missing"
-        return replace(lines, notes=(*lines.notes, note))
-    return lines
+    def read() -> Iterator[FieldLine]:
+        if notation.names and header:
+            yield FieldLine(0, notation.shown)
+        for number, line in enumerate(texts, before + 1):
+            if len(line) > MAX_LINE:
+                raise InputError(
+                    f"{at(number, None)}: longer than {MAX_LINE} characters, which no table is"
+                )
+            stamp, content = stamp_and_content(line)
+            if _has_content(content):
+                fields = notation.fields(at(number, None), content)
+                yield FieldLine(number, fields, stamp)
 
-
-def _plain_content(content: str) -> str:
-    """Return a line without the brackets of a list, and with its label as a field."""
-    if LISTED.match(content):
-        content = re.sub(r"[\[\]{}()]", " ", content)
-    labelled = LABELLED.match(content)
-    if labelled is None:
-        return content
-    values = content[labelled.end() :]
-    sign = next((sign for sign in DELIMITERS if sign in values), " ")
-    return f"{labelled[1]}{sign}{values}"
+    return field_lines(source, "line", at, (), read(), before)
 
 
 def _decoded(path: Path) -> tuple[str, list[str]]:
@@ -253,44 +288,6 @@ def _utf16_of(data: bytes) -> str:
     return "utf-16-be" if data[:1] == b"\0" else ""
 
 
-def _delimiter(lines: Sequence[str]) -> str:
-    """Return the sign that gives most numeric fields in the first lines.
-
-    If several signs give as many, the earliest in the list counts.
-    """
-    sample = "\n".join(lines[:SAMPLED_LINES])[:SAMPLED].split("\n")
-
-    def numbers(sign: str) -> tuple[int, bool]:
-        fields = [
-            field.strip(' "')
-            for line in sample
-            for field in line.split(None if sign == " " else sign)
-        ]
-        comma = has_decimal_comma(fields)
-        read = sum(field != "" and number_of(field, comma=comma) is not None for field in fields)
-        return read, any(sign in line for line in sample)
-
-    return max(DELIMITERS, key=numbers)
-
-
-def _split(place: str, line: str, delimiter: str) -> list[str]:
-    """Return the fields of a line.
-
-    Raises InputError with the place for a misplaced quotation mark.
-    """
-    if delimiter == " ":
-        return line.split()
-    if '"' not in line:
-        return [text.strip() for text in line.split(delimiter)]
-    try:
-        (fields,) = csv.reader([line], delimiter=delimiter, skipinitialspace=True, strict=True)
-    except csv.Error as error:
-        raise InputError(
-            f"{place}: a quotation mark that is not closed, or within a field"
-        ) from error
-    return [text.strip() for text in fields]
-
-
 def lines_of_sheets(path: Path, name: str | None) -> dict[str, FieldLines]:
     """Return the lines of every nonempty sheet, or of the named one, by name in the file's order.
 
@@ -317,9 +314,8 @@ def lines_of_sheets(path: Path, name: str | None) -> dict[str, FieldLines]:
                 return f"{path}: {title}!{letters}{number}"
 
             rows = _rows_of_sheet(sheets[title])
-            tables[title] = field_lines(
-                f"{path}: sheet {title}", "row", at, [f"sheet {title}"], rows
-            )
+            lines = field_lines(f"{path}: sheet {title}", "row", at, [f"sheet {title}"], rows)
+            tables[title] = replace(lines, padded=True)
     return {title: lines for title, lines in tables.items() if lines.lines}
 
 

@@ -1,7 +1,8 @@
 """Records of foreign files: JSON, JSON lines, Parquet and Feather, as arrays or as a table."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from math import nan
 from pathlib import Path
@@ -11,6 +12,8 @@ import numpy as np
 
 from lampest.apps.foreign.arrays import Arrays, check_count, reading
 from lampest.apps.foreign.lines import FieldLine, FieldLines, field_lines
+from lampest.apps.foreign.notation import flat_names
+from lampest.apps.foreign.segments import alternate, few_values, several_sources, unused_note
 from lampest.apps.foreign.words import role_of
 from lampest.files.errors import InputError, extra
 
@@ -34,20 +37,51 @@ def records_of(path: Path) -> tuple[Arrays | FieldLines, tuple[str, ...]]:
         Remarks of the reader for the user.
     """
     content, notes = READERS[path.suffix.lower()](path)
-    # The longest list of records in the file: the file itself, or one of its parts
-    lists = [content, *(content.values() if isinstance(content, dict) else ())]
-    records = [
-        part
-        for part in lists
-        if isinstance(part, list) and part and all(isinstance(r, dict) for r in part)
-    ]
-    held = max(records, key=len, default=None)
-    if held is None:
-        return _arrays(path, content if isinstance(content, dict) else {"": content}), notes
+    records = content if isinstance(content, list) else [content]
+    if not records or not all(isinstance(record, dict) for record in records):
+        return _arrays(path, {"": content}), notes
+    held = _short_names([part for record in records for part in _parts(record)])
+    if len(held) == 1 and not isinstance(content, list):
+        return _arrays(path, held[0]), notes
     if all(_is_value(value) for record in held for value in record.values()):
         return _table(path, held), notes
     names = dict.fromkeys(name for record in held for name in record)
-    return _arrays(path, {name: [record.get(name) for record in held] for name in names}), notes
+    columns = {name: [record.get(name) for record in held] for name in names}
+    for name, values in columns.items():
+        texts = [text_of_value(value) for value in values if _is_value(value)]
+        few = few_values(texts) if role_of(name) is None and len(texts) == len(values) else []
+        if few and alternate(texts):
+            raise InputError(f"{path}: {several_sources(name, few)}")
+        notes = (*notes, unused_note(name, few)) if few else notes
+    return _arrays(path, columns), notes
+
+
+def _parts(record: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield the records within a record, with its own values in each; itself if it has none."""
+    values = dict(flat_names(record))
+    within = [
+        name
+        for name, value in values.items()
+        if isinstance(value, list) and value and all(isinstance(part, dict) for part in value)
+    ]
+    if not within:
+        yield values
+        return
+    longest = max(within, key=lambda name: len(values[name]))
+    own = {name: value for name, value in values.items() if _is_value(value)}
+    for part in values[longest]:
+        yield from _parts(own | {f"{longest}.{name}": value for name, value in part.items()})
+
+
+def _short_names(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return records with the last words of their names, where these are different."""
+    names = dict.fromkeys(name for record in records for name in record)
+    last = Counter(name.rpartition(".")[2] for name in names)
+    short = {
+        name: name.rpartition(".")[2] if last[name.rpartition(".")[2]] == 1 else name
+        for name in names
+    }
+    return [{short[name]: value for name, value in record.items()} for record in records]
 
 
 def _is_value(value: Any) -> bool:

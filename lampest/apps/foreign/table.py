@@ -1,8 +1,9 @@
 """Tables of foreign files: the lines and columns with readings, their header and their times."""
 
+import dataclasses
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -11,9 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.apps.foreign.arrays import Frames, Index, Shape, Timing, check_count
-from lampest.apps.foreign.lines import DAMAGED, SAMPLED, FieldLines
+from lampest.apps.foreign.arrays import Frames, Index, Timing
+from lampest.apps.foreign.lines import DAMAGED, FieldLines
+from lampest.apps.foreign.notation import SAMPLED
 from lampest.apps.foreign.words import (
+    MAX_CUT,
+    cell_of,
     clock_of,
     has_decimal_comma,
     is_stamp,
@@ -26,7 +30,7 @@ from lampest.apps.foreign.words import (
     role_of,
     states_unit,
 )
-from lampest.files.errors import InputError, first_and_more
+from lampest.files.errors import InputError, counted, first_and_more
 from lampest.panel.panel import Array
 
 # 'Frame 3, t = 1250 ms', 'Frame 3 @ 1250 ms', 'Measurement Time(sec),0.120', 'time: 2025-01-31
@@ -39,6 +43,11 @@ TITLE_TIME = re.compile(
     re.IGNORECASE,
 )
 NUMBER = re.compile(r"\d+(?:[.,:]\d+)*")
+# Words before rows of a sheet that are computed from others.
+STATISTICS = re.compile(
+    r"(mean|average|avg|sum|total|max(imum)?|min(imum)?|std(ev)?|sd|median|mittel(wert)?|summe):?",
+    re.IGNORECASE,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +74,12 @@ class ReadingsTable:
         Names of the columns; '' without a header.
     notes : tuple of str
         Sentences on the interpretation of the file.
+    form : Form
+        How lines of readings are recognised.
+    numbers : array, shape (lines, all columns)
+        Values of all columns of the file.
+    clock : mapping
+        Parts of a clock in columns of their own, such as 'hour' → number of the column.
     """
 
     source: FieldLines
@@ -76,6 +91,9 @@ class ReadingsTable:
     comma: bool
     names: tuple[str, ...]
     notes: tuple[str, ...]
+    form: "Form"
+    numbers: Array
+    clock: Mapping[str, int] = dataclasses.field(default_factory=dict)
 
     @property
     def width(self) -> int:
@@ -121,11 +139,20 @@ class ReadingsTable:
         }
         names = tuple(np.array(self.names, dtype=object)[columns])
         return replace(
-            self, lines=self.lines[lines], columns=self.columns[columns], names=names, **parts
+            self,
+            lines=self.lines[lines],
+            columns=self.columns[columns],
+            names=names,
+            numbers=self.numbers[lines],
+            **parts,
         )
 
     def frames(
-        self, at: Sequence[Any], fields: Sequence[int], shape: Shape, timing: Timing, note: str
+        self,
+        number: Index,
+        fields: Sequence[int],
+        timing: Timing,
+        notes: Sequence[str],
     ) -> Frames:
         """Return the frames of the readings in given fields.
 
@@ -133,35 +160,23 @@ class ReadingsTable:
 
         Parameters
         ----------
-        at : sequence of array
-            Frame (-1: none), row and column of each reading, to be broadcast to (lines, fields).
+        number : array of int, shape (frames, rows, columns)
+            Line · width + field of each reading; -1 where it is missing.
         fields : sequence of int
             Fields of the readings.
-        shape : tuple of int
-            Rows and columns of the panel.
         timing : callable or None
             See `Frames`.
-        note : str
-            Note on the layout.
+        notes : sequence of str
+            Notes on the layout.
         """
-        for field in fields:
-            self.refuse(
-                self.words[:, field], field, f"{{0!r}} is no number (field {field + 1} of the line)"
-            )
-        index = np.arange(len(self.lines))[:, None] * self.width + np.array(fields)
-        frame, row, column = (np.broadcast_to(part, index.shape) for part in at)
-        check_count(self.source.source, (int(frame.max()) + 1) * shape[0] * shape[1])
-        number = np.full((int(frame.max()) + 1, *shape), -1)
-        chosen = frame >= 0
-        number[frame[chosen], row[chosen], column[chosen]] = index[chosen]
-        names = tuple(self.names[field] for field in fields)
+        for at in fields:
+            self.refuse(self.words[:, at], at, f"{{0!r}} is no number (field {at + 1} of the line)")
+        names = tuple(self.names[at] for at in fields)
         titles = [text for text in self.before[0] if text.split() != " ".join(self.names).split()]
         # Where the readings' own names are silent, titles and the quantities beside the cells
         # speak.
         beside = (
-            name
-            for field, name in enumerate(self.names)
-            if field not in fields and names_pressure(name)
+            name for at, name in enumerate(self.names) if at not in fields and names_pressure(name)
         )
         words = names if any(map(names_unit, names)) else (*filter(states_unit, titles), *beside)
         words = words or tuple(f"values [{unit}]" for unit in self.stated_pressures)
@@ -169,7 +184,7 @@ class ReadingsTable:
         def named(at: int) -> str:
             return self.source.source if at < 0 else self.place(*divmod(at, self.width))
 
-        return Frames(self.values.ravel(), number, named, timing, (*self.notes, note), words)
+        return Frames(self.values.ravel(), number, named, timing, (*self.notes, *notes), words)
 
     @property
     def stated_pressures(self) -> list[str]:
@@ -189,27 +204,48 @@ class ReadingsTable:
                 f"{why.format(self.fields[line, field][:40] or 'nothing')}"
             )
 
-    def timing(self, columns: Sequence[int], lines: Sequence[int]) -> Timing:
-        """Return the times of frames from columns, otherwise from stamps.
+    def stamps(self, columns: Sequence[int]) -> tuple[list[str], str, int | None, str]:
+        """Return the time of each line as text, the name of its column, its field, its origin.
 
-        The columns may be two, date and time of day.
+        The columns may be two, date and time of day. Without any, parts of a clock in columns of
+        their own count, otherwise a terminal's stamps.
         """
+        if self.clock:
+            return clock_texts(self.clock, self.numbers), "", None, ""
         if not columns:
-            stamps = [self.source.lines[self.lines[line]].stamp for line in lines]
-            if not all(stamps):
-                return None
-            return self._timing(stamps, "", lines, None, "the terminal's, ")
+            texts = [self.source.lines[line].stamp for line in self.lines]
+            return texts, "s", None, "the terminal's, "
         dates = [column for column in columns if role_of(self.names[column]) == "date"]
         chosen = [*dates[:1], *[column for column in columns if column not in dates][:1]]
-        texts = [" ".join(self.fields[line, chosen]) for line in lines]
+        texts = [" ".join(line) for line in self.fields[:, chosen]]
         name = self.names[chosen[-1]]
-        origin = f"column {name!r} in " if name else "first field in "
-        return self._timing(texts, name, lines, chosen[-1], origin)
+        return texts, name, chosen[-1], f"column {name!r} in " if name else "first field in "
+
+    def timing(self, columns: Sequence[int], lines: Sequence[int]) -> Timing:
+        """Return the times of frames that begin at lines; None if the lines have none."""
+        texts, name, at, origin = self.stamps(columns)
+        of_frames = [texts[line] for line in lines]
+        if not any(of_frames) or (not columns and not self.clock and not all(of_frames)):
+            return None
+        return self._timing(of_frames, name, lines, at, origin)
 
     def title_timing(self, begins: Sequence[int], title: str | None) -> Timing:
         """Return the times of frames from titles of a kind before each block.
 
         The result is None if a block has none.
+        """
+        stamps = self.title_stamps(begins, title)
+        if stamps is None:
+            return None
+        texts, name, comma = stamps
+        return self._timing(texts, name, begins, None, "before each block in ", comma=comma)
+
+    def title_stamps(
+        self, begins: Sequence[int], title: str | None
+    ) -> tuple[list[str], str, bool] | None:
+        """Return the times in titles of a kind before lines, and their name.
+
+        With them comes whether a comma is their decimal sign. None if a line has none.
         """
         before = [self.before[line] for line in begins]
         time_texts = [
@@ -220,13 +256,22 @@ class ReadingsTable:
             for text, passed in zip(time_texts, before, strict=True)
         ]
         texts = [match["stamp"] or match["value"].rstrip(".,") for match in matches if match]
-        if len(texts) < len(begins) or not matches[0]:
+        if len(texts) < len(begins) or not matches or not matches[0]:
             return None
         name = matches[0]["inner"] or matches[0]["unit"] or matches[0]["word"] or ""
         # Titles may have a decimal comma where readings are whole numbers; '0,120' is no 120.
         comma = any(text.startswith("0,") or number_of(text, comma=False) is None for text in texts)
-        comma = comma and not any(map(is_stamp, texts))
-        return self._timing(texts, name, begins, None, "before each block in ", comma=comma)
+        return texts, name, comma and not any(map(is_stamp, texts))
+
+    def of_later(self, source: FieldLines) -> "ReadingsTable":
+        """Return later lines of the same source with the columns of this table."""
+        width = max(source.fields.shape[1], self.form.usual)
+        fields = np.full((len(source.lines), width), "", dtype=object)
+        fields[:, : source.fields.shape[1]] = source.fields
+        source = dataclasses.replace(source, fields=fields)
+        table = self.form.table(source, Parsed.of(fields, comma=self.comma))
+        table = table.only(columns=np.searchsorted(table.columns, self.columns))
+        return replace(table, names=self.names, clock=self.clock)
 
     def _timing(
         self,
@@ -254,6 +299,27 @@ def kind_of(text: str) -> str:
     The titles of all frames have the same result.
     """
     return NUMBER.sub("#", text)
+
+
+def clock_texts(clock: Mapping[str, int], numbers: Array) -> list[str]:
+    """Return the times of lines, (lines, columns), by the columns of a clock's parts."""
+
+    def part(name: str) -> Array:
+        return numbers[:, clock[name]] if name in clock else np.zeros(len(numbers))
+
+    if "epoch" in clock:
+        parts = np.stack([part("epoch"), part("nanosecond") + 1e3 * part("microsecond")], axis=1)
+        return [
+            f"{int(line[0])}.{int(line[1]):09d}" if np.all(np.isfinite(line)) else ""
+            for line in parts
+        ]
+    seconds = part("second") + part("millisecond") / 1000
+    parts = np.stack(
+        [part("year"), part("month"), part("day"), part("hour"), part("minute"), seconds], axis=1
+    )
+    form = "{0:04.0f}-{1:02.0f}-{2:02.0f} " if "year" in clock else ""
+    form += "{3:02.0f}:{4:02.0f}:{5:09.6f}" if "hour" in clock else ""
+    return [form.format(*line).strip() if np.all(np.isfinite(line)) else "" for line in parts]
 
 
 class Parsed(NamedTuple):
@@ -301,12 +367,117 @@ class Parsed(NamedTuple):
                 part[line, field + 1 :] = part[line, field:-1].copy()
         return changed
 
+    def without(self, lines: NDArray[np.bool_]) -> "Parsed":
+        """Return the fields with those of some lines missing."""
+        if not np.any(lines):
+            return self
+        missing = lines[:, None]
+        return Parsed(
+            np.where(missing, "", self.texts),
+            np.where(missing, np.nan, self.values),
+            self.words & ~missing,
+            self.damaged,
+        )
+
+
+@dataclass(frozen=True)
+class Form:
+    """How lines of readings are recognised among others.
+
+    Attributes
+    ----------
+    comma : bool
+        Whether numbers have a decimal comma.
+    usual : int
+        Fields of a line, empty ones at its end included.
+    width : int
+        Fields without those that are empty at the end of all lines.
+    alone : bool
+        Whether a single number may be a line of readings.
+    header : tuple of str
+        Fields of the header, which may be repeated; empty without one.
+    names : tuple of str
+        Names of the columns; '' without a header.
+    """
+
+    comma: bool
+    usual: int
+    width: int
+    alone: bool
+    header: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+
+    def table(self, source: FieldLines, parsed: Parsed, since: int | None = None) -> ReadingsTable:
+        """Return the readings of lines from one on, and notes on omitted lines.
+
+        `since` is the first line with readings; None: of later lines, which are not checked.
+
+        The values of a line that is shorter or longer than the others are missing: which of its
+        fields was lost is unknown.
+
+        Raises InputError if more than a few lines are longer than the others.
+        """
+        data = _data_lines(source, parsed, self.usual, alone=self.alone)
+        data[: since or 0] = False
+        complete = source.counts == self.usual
+        # A damaged byte in a line with one field less was a separator: the fields on both sides of
+        # it are missing.
+        separated = data & parsed.damaged.any(axis=1) & (source.counts == self.usual - 1)
+        parsed = parsed.with_separator(separated)
+        fields = parsed.texts
+        damaged = parsed.damaged.any(axis=1)
+        data &= ~damaged | complete | separated
+        header = np.array([*self.header, *[""] * (fields.shape[1] - len(self.header))])
+        titles = (
+            np.all(fields == header, axis=1) if self.header else np.zeros(len(data), dtype=bool)
+        )
+        data &= ~titles  # a restarted board repeats the header
+        filled = np.arange(fields.shape[1]) < source.counts[:, None]
+        long = data & np.any(filled[:, self.width :] & (fields[:, self.width :] != ""), axis=1)
+        # Only the empty fields at the end may be left out.
+        ended = (source.counts >= self.width) & (fields[:, self.width - 1] != "")
+        short = data & (source.counts < self.usual) & ~ended & ~separated & (not source.padded)
+        if since is not None and long.sum() > MAX_CUT * data.sum():
+            line = int(np.argmax(long))
+            usual_line = int(np.argmax(data & ~long))
+            mismatch = (
+                f"{source.counts[line]} fields, where {source.called(usual_line)} has {self.width}"
+            )
+            raise InputError(f"{source.at(source.lines[line].number, None)}: {mismatch}")
+        doubtful = short | long
+        parsed = parsed.without(doubtful)
+        excluded = ~data & ~titles & ~source.comment & np.any(fields != "", axis=1)
+        excluded &= np.array([line.number > 0 for line in source.lines], dtype=bool)
+        notes = (
+            _line_note(source, data & damaged, "bytes that are no text: their fields {} missing"),
+            _line_note(
+                source,
+                doubtful,
+                f"lines that have not {counted(self.width, 'field')}: the readings {{}} missing",
+            ),
+            _excluded_note(source, fields, excluded),
+        )
+        table = ReadingsTable(
+            source=source,
+            lines=np.arange(len(data)),
+            columns=np.arange(fields.shape[1]),
+            fields=parsed.texts,
+            values=parsed.values,
+            words=parsed.words,
+            comma=self.comma,
+            names=("",) * fields.shape[1],
+            notes=tuple(filter(None, notes)),
+            form=self,
+            numbers=parsed.values,
+        )
+        return replace(table.only(data, slice(self.width)), names=self.names)
+
 
 def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTable:
     """Return the lines with readings, their header, and notes on omitted lines.
 
     `layout` contains names of the columns, separated by commas, in place of the file's. Raises
-    InputError if there are no readings, if a line has more fields than the others, or if the layout
+    InputError if there are no readings, if lines have more fields than most, or if the layout
     has another number of columns.
     """
     if source.fields.size == 0 or np.all(source.comment):
@@ -315,54 +486,35 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
         [text for text in source.fields[~source.comment].ravel()[:SAMPLED] if text]
     )
     parsed = Parsed.of(source.fields, comma=comma)
-    data = _data_lines(source, parsed.words)
+    alone = bool(
+        source.counts.max() <= 2 or np.median(source.counts[~source.comment]) == 1
+    )  # dashes or a number alone are titles, unless most lines are such
+    often = Counter(source.counts[~source.comment].tolist())
+    data = _data_lines(source, parsed, often.most_common(1)[0][0], alone=alone)
     # the most frequent number of fields, of equally frequent ones the largest
     often = Counter(source.counts[data].tolist())
     usual = max(often, key=lambda count: (often[count], count), default=0)
-    complete = source.counts == usual
-    # A damaged byte in a line with one field less was a separator: the fields on both sides of it
-    # are missing.
-    separated = data & parsed.damaged.any(axis=1) & (source.counts == usual - 1)
-    parsed = parsed.with_separator(separated)
+    data = _data_lines(source, parsed, usual, alone=alone)
     fields = parsed.texts
-    damaged = parsed.damaged.any(axis=1)
-    data &= ~damaged | complete | separated
+    complete = source.counts == usual
     width = _width(fields[data & complete], usual)
-    # The header may widen the table; a repeated header, and lines cut at the beginning, are no
-    # readings.
-    header = _header_line(fields, data, width)
-    titles = np.zeros(len(data), dtype=bool)
-    has_units_line = False
-    names = [""] * width
+    header = _header_line(fields, data, width, source.lines[0].number)
+    form = Form(comma, usual, width, alone, names=("",) * width)
+    first = 0
+    note = ""
     if header is None:
-        data[: int(np.argmax(data & complete))] = False  # a terminal opened in the middle of a line
+        first = int(np.argmax(data & complete))  # a terminal opened in the middle of a line
     else:
+        # The header may widen the table.
         width = max(width, min(usual, 1 + int(np.flatnonzero(fields[header] != "")[-1])))
-        titles = np.all(fields == fields[header], axis=1)  # a restarted board repeats the header
-        data &= ~titles
-    _check_widths(source, fields, data, width)
-    if header is not None:
         names, has_units_line = _names(fields[:, :width], header)
-        titles[header - 1 if has_units_line else header] = True
-    excluded = ~data & ~titles & ~source.comment & np.any(fields != "", axis=1)
-    notes = (
-        ", ".join((*source.notes, *(["decimal commas"] if comma else []))),
-        _header_note(source, header, units=has_units_line),
-        _damage_note(source, data & damaged),
-        _excluded_note(source, fields, excluded),
-    )
-    table = ReadingsTable(
-        source=source,
-        lines=np.arange(len(data)),
-        columns=np.arange(fields.shape[1]),
-        fields=fields,
-        values=parsed.values,
-        words=parsed.words,
-        comma=comma,
-        names=("",) * fields.shape[1],
-        notes=tuple(filter(None, notes)),
-    )
-    table = replace(table.only(data, slice(width)), names=tuple(names))
+        form = replace(form, width=width, header=tuple(fields[header]), names=tuple(names))
+        note = _header_note(source, header, units=has_units_line)
+    if not np.any(data & ~np.all(fields == fields[header], axis=1) if header is not None else data):
+        raise InputError(f"{source.source}: holds a header but no values")
+    table = form.table(source, parsed, first)
+    notation = ", ".join((*source.notes, *(["decimal commas"] if comma else [])))
+    table = replace(table, notes=(*filter(None, (notation, note)), *table.notes))
     return table if layout is None else _laid_out(table, layout)
 
 
@@ -391,23 +543,6 @@ def _width(fields: NDArray[Any], usual: int) -> int:
     return width
 
 
-def _check_widths(
-    source: FieldLines, fields: NDArray[Any], data: NDArray[np.bool_], width: int
-) -> None:
-    """Raise InputError unless there are lines with readings, (lines,).
-
-    None of them may be wider than the table.
-    """
-    if not np.any(data):
-        raise InputError(f"{source.source}: holds a header but no values")
-    long = data & np.any(fields[:, width:] != "", axis=1)
-    if np.any(long):
-        line = int(np.argmax(long))
-        usual_line = int(np.argmax(data & ~long))
-        mismatch = f"{source.counts[line]} fields, where {source.called(usual_line)} has {width}"
-        raise InputError(f"{source.at(source.lines[line].number, None)}: {mismatch}")
-
-
 def _header_note(source: FieldLines, header: int | None, *, units: bool) -> str:
     """Return the sentence on the line that is the header; '' without one."""
     if header is None:
@@ -418,15 +553,12 @@ def _header_note(source: FieldLines, header: int | None, *, units: bool) -> str:
     return f"{source.called(header)} taken as header{above}"
 
 
-def _damage_note(source: FieldLines, damaged: NDArray[np.bool_]) -> str:
-    """Return the sentence on lines with bytes that are no text, (lines,); '' without any."""
-    if not np.any(damaged):
+def _line_note(source: FieldLines, lines: NDArray[np.bool_], sentence: str) -> str:
+    """Return a sentence on lines, (lines,), with their numbers; '' without any."""
+    if not np.any(lines):
         return ""
-    numbers = [source.lines[line].number for line in np.flatnonzero(damaged).tolist()]
-    return (
-        "bytes that are no text: their fields "
-        f"in {source.word} {first_and_more(numbers)} are missing"
-    )
+    numbers = [source.lines[line].number for line in np.flatnonzero(lines).tolist()]
+    return sentence.format(f"in {source.word} {first_and_more(numbers)} are")
 
 
 def _excluded_note(source: FieldLines, fields: NDArray[Any], excluded: NDArray[np.bool_]) -> str:
@@ -455,31 +587,44 @@ def _names(fields: NDArray[Any], header: int) -> tuple[list[str], bool]:
     return [f"{name} {unit}".strip() for name, unit in zip(above, names, strict=True)], True
 
 
-def _data_lines(source: FieldLines, words: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _data_lines(
+    source: FieldLines, parsed: Parsed, usual: int, *, alone: bool
+) -> NDArray[np.bool_]:
     """Return whether a line has data, boolean (lines,).
 
-    A line of data has a number or a word for a missing one, and few other words.
+    A line of data has a number or, in place of all `usual` ones, words for missing ones, and few
+    other words. It is no mean of other lines, and no single number unless these stand `alone`.
     """
     fields = source.fields
-    filled = source.fields != ""
+    words = parsed.words
+    filled = fields != ""
     strange = {
-        text for text in set(fields[words].tolist()) if not is_stamp(text) and line_of(text) is None
+        text
+        for text in set(fields[words].tolist())
+        if not (is_stamp(text) or line_of(text) or cell_of(text))
     }
     foreign = np.zeros(len(fields), dtype=int)
     total = filled.sum(axis=1)
     np.add.at(foreign, np.nonzero(words)[0], [text in strange for text in fields[words]])
     few = ((foreign <= 1) & (2 * foreign < total)) | (4 * foreign < total)
-    alone = source.counts.max() <= 2 or np.median(source.counts[~source.comment]) == 1
-    # Dashes or a number alone are titles, unless most lines are such.
     few &= (source.counts > 1) | alone
+    few &= ~np.isnan(parsed.values).all(axis=1) | (source.counts == usual)
+    summaries = set(filter(STATISTICS.fullmatch, strange))
+    if summaries:
+        few &= [not summaries.intersection(line[:2]) for line in fields.tolist()]
     return np.asarray(few & ~source.comment & (filled & ~words).any(axis=1))
 
 
-def _header_line(fields: NDArray[Any], data: NDArray[np.bool_], width: int) -> int | None:
+def _header_line(
+    fields: NDArray[Any], data: NDArray[np.bool_], width: int, first_number: int
+) -> int | None:
     """Return the number of the header's line; None without a header.
 
-    The header is the first data line or the line before, and names or counts the fields.
+    The header is the first data line or the line before, and names or counts the fields. Names of
+    records have the number 0.
     """
+    if first_number == 0:  # of records
+        return 0
     first = int(np.argmax(data))
     following = fields[first + 1, 0] if first + 1 < len(fields) else ""
     if (

@@ -75,7 +75,7 @@ def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tupl
 
     The reason explains a single unit; for several units it is a remark.
     """
-    top = 2**readout.adc_bits - 1
+    lowest, top = readout.codes
     supply = readout.full_scale_volt
     middle = float(np.median(finite))
     largest = float(finite.max())
@@ -85,7 +85,9 @@ def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tupl
     # every other unit.
     counted = whole or in_steps.get("code") is True or _are_means(finite, readout.readings)
     fits = {
-        "code": largest <= top and (counted or largest > max(supply, MIN_USED * top)),
+        "code": lowest <= finite.min()
+        and largest <= top
+        and (counted or largest > max(supply, MIN_USED * top)),
         "volt": largest <= supply and not whole,
         "mV": 1000 * supply * MIN_USED < largest <= 1000 * supply,
     }
@@ -97,7 +99,7 @@ def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tupl
         return _preferred(units, finite, in_steps, readout, counted=counted)
     if units:
         reasons = {
-            "code": f"within 0 to {top} of a {readout.adc_bits}-bit converter",
+            "code": f"within {lowest} to {top} of a {readout.adc_bits}-bit converter",
             "volt": f"within the converter's range of {supply:g} V",
             "mV": f"within the converter's range of {1000 * supply:g} mV",
         }
@@ -135,8 +137,8 @@ def _preferred(
         return certain, "as such they lie on the converter's steps"
     whole = bool(np.all(finite == np.round(finite)))
     if whole and "code" in units and not set(RESISTANCES) & set(units):
-        top = 2**readout.adc_bits - 1
-        reason = f"whole numbers, within 0 to {top} of a {readout.adc_bits}-bit converter"
+        lowest, top = readout.codes
+        reason = f"whole numbers, within {lowest} to {top} of a {readout.adc_bits}-bit converter"
         if "mV" in units and in_steps["mV"] is None:
             reason += "; whole mV would look alike"
         if np.median(finite) == 0:

@@ -5,6 +5,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +28,8 @@ ROLE_OF_WORD = _by_word(
     cell="cell taxel pixel index sensor",
     value="value values reading measured resistance ohm kohm volt voltage code adc raw counts "
     "mv r v wert widerstand spannung",
-    frame="frame frames scan step sample frame_id frame_nr frame_no scan_nr nr messung bild",
+    frame="frame frames scan step sample seq counter frame_id frame_nr frame_no scan_nr nr messung "
+    "bild",
     date="date datum day tag",
     time="time times t timestamp timestamps time_stamp datetime date_time zeit uhrzeit zeitstempel "
     "elapsed clock ts millis micros ms us µs s sec second seconds unix epoch",
@@ -102,6 +104,10 @@ POINT, COMMA = (
 
 # Least time in s since 1970, in 2001; a board's own clock would have run for thirty years.
 EPOCH = 1e9
+DAY = 24 * 3600.0
+DAYS_UNTIL_1970 = 25_569  # of Excel's, which begin at 1899-12-30
+EXCEL_DAYS = (36_526, 73_050)  # of the years 2000 to 2099
+HOUR = 3600.0  # by which clocks are changed in spring and autumn
 # Share of the stamps that may be cut and interpolated; more indicate another clock, or no times.
 MAX_CUT = 0.1
 STAMP = re.compile(
@@ -302,11 +308,14 @@ class Clock(NamedTuple):
         Date and time of the first frame, ISO 8601, if the file contains it.
     sentence : str
         Sentence on both.
+    unit : str or None
+        Unit of times that are numbers.
     """
 
     seconds: Array
     start: str | None
     sentence: str
+    unit: str | None = None
 
     def read_from(self, where: str) -> "Clock":
         """Return the clock with the place of the times in its sentence."""
@@ -316,6 +325,16 @@ class Clock(NamedTuple):
 def is_stamp(text: str) -> bool:
     """Return whether a text is a date, a time of day, or both."""
     return STAMP.fullmatch(text.strip()) is not None
+
+
+def seconds_of(text: str, *, comma: bool) -> float:
+    """Return a number as it is, and a time of day in s; NaN for another text."""
+    number = number_of(text, comma=comma)
+    match = STAMP.fullmatch(text.strip()) if number is None else None
+    if match is None or not match[5]:
+        return np.nan if number is None else number
+    fraction = float(f"0.{match[8]}") if match[8] else 0.0
+    return 3600 * int(match[5]) + 60 * int(match[6]) + int(match[7] or 0) + fraction
 
 
 def clock_of(
@@ -348,6 +367,9 @@ def clock_of(
         raise InputError(
             f"{where(0)}: {texts[0][:40]!r} is no number, so that it has no time unit {unit}"
         )
+    read = [text for text in texts if is_stamp(text)]
+    if len(texts) > len(read) >= (1 - MAX_CUT) * len(texts):
+        return _clock_of_some(texts, name, where, comma=comma)
     dated = any(match[1] for match in map(STAMP.fullmatch, map(str.strip, texts)) if match)
     ways: dict[str, list[str]] = {}
     for way in DATES if dated else ("time of day",):
@@ -367,6 +389,9 @@ def clock_of(
     seconds = np.array([(time - zoned[0]).total_seconds() for time in zoned])
     if dated:
         zone = "" if times[0].tzinfo else ", no zone in the file"
+        if not times[0].tzinfo:
+            seconds, changed = _through_changes(seconds, times)
+            zone += changed
         sentence = f"{way}, s from the first, which is {stamps[0]}{zone}"
     else:  # across midnight
         day = 24 * SECONDS["h"]
@@ -376,6 +401,40 @@ def clock_of(
         )
     seconds, cut = _growing(seconds, where)
     return Clock(seconds, stamps[0] if dated else None, f"{sentence}{cut}")
+
+
+def _through_changes(seconds: Array, times: Sequence[datetime]) -> tuple[Array, str]:
+    """Return times without a zone that go on where clocks were changed by an hour.
+
+    In autumn they fall by an hour but for the step between frames; in spring they leave out an
+    hour from its beginning.
+    """
+    steps = np.diff(seconds)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    slack = 3 * max(usual, 1e-3)
+    begins = [
+        time.hour != last.hour and time.minute * 60 + time.second <= slack
+        for last, time in pairwise(times)
+    ]
+    back = (steps < 0) & (np.abs(steps + HOUR) <= slack)
+    ahead = (np.abs(steps - HOUR - usual) <= slack) & np.array(begins, dtype=bool)
+    if usual <= 0 or usual > HOUR / 10 or not 1 <= np.sum(back | ahead) <= 2:
+        return seconds, ""
+    shifts = HOUR * np.append(0, np.cumsum(back.astype(float) - ahead))
+    at = times[1 + int(np.argmax(back | ahead))].isoformat(" ")
+    return seconds + shifts, f"; clocks were changed by an hour at {at}"
+
+
+def _clock_of_some(texts: Sequence[str], name: str, where: Where, *, comma: bool) -> Clock:
+    """Return times of frames of which a few have no stamp; these are interpolated."""
+    stamped = [at for at, text in enumerate(texts) if is_stamp(text)]
+    clock = clock_of(
+        [texts[at] for at in stamped], name, lambda at: where(stamped[at]), comma=comma, unit=None
+    )
+    seconds = np.full(len(texts), np.nan)
+    seconds[stamped] = clock.seconds
+    seconds, cut = _growing(seconds, where)
+    return Clock(seconds, clock.start, f"{clock.sentence}{cut}")
 
 
 def _iso(text: str, way: str) -> str:
@@ -418,6 +477,10 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
     unit = unit or TIME_UNIT_OF_WORD.get(suffix.lower()) or TIME_UNIT_OF_WORD.get(word)
     if unit is None:
         unit, how = _counted_unit(values, largest, restarted=bool(restarts[-1]))
+    if unit is None and _are_days(values):
+        first = _date_of((float(values[0]) - DAYS_UNTIL_1970) * DAY, where(0))
+        seconds, cut = _growing((values - values[0]) * DAY, where)
+        return Clock(seconds, first, f"Excel's days, s from the first, which is {first}{cut}", "d")
     if unit is None and largest >= EPOCH:  # 1.7e9 s, 1.7e12 ms, 1.7e15 us since 1970
         unit = ("s", "ms", "us", "ns")[min(int(np.log10(largest / EPOCH) // 3), 3)]
     scale = SECONDS[unit or "s"]
@@ -425,14 +488,20 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
         first = _date_of(float(values[0]) * scale, where(0))
         seconds, cut = _growing((values - values[0]) * scale, where)
         return Clock(
-            seconds, first, f"{unit or 's'} since 1970, s from the first, which is {first}{cut}"
+            seconds,
+            first,
+            f"{unit or 's'} since 1970, s from the first, which is {first}{cut}",
+            unit or "s",
         )
     wraps = restarts if unit in ("ms", "us") else 0 * restarts
     seconds, cut = _growing((values + COUNTER * wraps) * scale, where)
     times = "once" if wraps[-1] == 1 else f"{wraps[-1]} times"
     restarted = f"; the counter began again {times}" if wraps[-1] else ""
     return Clock(
-        seconds, None, f"{unit or 's (assumed; --time-unit says otherwise)'}{restarted}{how}{cut}"
+        seconds,
+        None,
+        f"{unit or 's (assumed; --time-unit says otherwise)'}{restarted}{how}{cut}",
+        unit or "s",
     )
 
 
@@ -463,6 +532,18 @@ def _counted_unit(values: Array, largest: float, *, restarted: bool) -> tuple[st
     if largest >= limit or not np.all(finite == np.round(finite)):
         return None, ""
     return unit, f" (guessed: whole numbers that grow by {usual:g}; --time-unit says otherwise)"
+
+
+def _are_days(values: Array) -> bool:
+    """Return whether times are days since 1899-12-30, as Excel has them: fractions, of this age."""
+    finite = values[np.isfinite(values)]
+    steps = np.diff(finite)
+    return bool(
+        len(finite) > 1
+        and np.all((finite > EXCEL_DAYS[0]) & (finite < EXCEL_DAYS[1]))
+        and 0 < np.median(steps) < 1e-2
+        and np.any(finite != np.round(finite))
+    )
 
 
 def _date_of(seconds: float, where: str) -> str:

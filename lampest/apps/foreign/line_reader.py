@@ -1,0 +1,284 @@
+"""Frames of a board that prints text, line after line, as the import understands a file of them."""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from lampest.apps.foreign.arrays import Shape
+from lampest.apps.foreign.division import ANY, Marks, cells_of, learned_marks
+from lampest.apps.foreign.layouts import TableLayout, arranged
+from lampest.apps.foreign.lines import field_lines_in, notation_of
+from lampest.apps.foreign.notation import Notation
+from lampest.apps.foreign.segments import Placed, Segment, Segmenter, placed
+from lampest.apps.foreign.table import ReadingsTable, readings_table
+from lampest.apps.foreign.words import clock_of
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array
+
+MIN_FRAMES = 3  # whole ones, from which the layout is understood
+MAX_LINES = 5000  # that are kept until the layout is understood
+FIRST_TRY = 8  # lines; each later try has a quarter more
+MAX_BETWEEN = 100  # titles that are kept before a line of readings
+
+
+class TextFrame(NamedTuple):
+    """Frame that a board printed.
+
+    Attributes
+    ----------
+    values : array, shape (rows, columns)
+        Numbers as printed; NaN where a reading is missing.
+    seconds : float or None
+        Time since the first frame in s by the board's own stamps, or by a terminal's; None where
+        the lines carry none, and where the board's clock began again.
+    number : int or None
+        The board's own number of the frame, as printed; None without one.
+    remarks : tuple of str
+        Sentences on lines of this frame that are missing or left out; usually empty.
+    """
+
+    values: Array
+    seconds: float | None
+    number: int | None
+    remarks: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Understanding:
+    """Layout of lines, settled on the first ones.
+
+    Attributes
+    ----------
+    notation : Notation
+    table : ReadingsTable
+        The first lines.
+    arrangement : TableLayout
+    marks : Marks
+    name : str
+        Name of the times, which may contain their unit.
+    unit : str or None
+        Unit of times that are numbers.
+    """
+
+    notation: Notation
+    table: ReadingsTable
+    arrangement: TableLayout
+    marks: Marks
+    name: str = ""
+    unit: str | None = None
+
+    def stamp(self, table: ReadingsTable) -> tuple[str, str]:
+        """Return the time of the first line of a table as text, and its name; '' without one."""
+        texts, name, _, _ = table.stamps(self.arrangement.times)
+        if texts[0]:
+            return texts[0], name
+        title = next(iter(self.marks.titles), None)
+        stamps = table.title_stamps([0], None if title == ANY else title)
+        return ("", "") if stamps is None else (stamps[0][0], stamps[1])
+
+    def with_times(self) -> "Understanding":
+        """Return the understanding with the unit of the times."""
+        lines = range(1, len(self.table.lines))
+        read = [self.stamp(self.table.only([line])) for line in lines]
+        texts = list(dict.fromkeys(text for text, _ in read if text))
+        if not texts:
+            return self
+        name = next(name for text, name in read if text)
+        with suppress(InputError):
+            clock = clock_of(texts, name, str, comma=self.table.comma, unit=None)
+            return replace(self, name=name, unit=clock.unit)
+        return self
+
+    def step(self, last: str, stamp: str) -> float | None:
+        """Return the time in s from a stamp to a later one; None if it is none, or falls."""
+        try:
+            clock = clock_of([last, stamp], self.name, str, comma=self.table.comma, unit=self.unit)
+        except InputError:
+            return None
+        return float(clock.seconds[1] - clock.seconds[0])
+
+
+class LineReader:
+    """Frames from lines of text that come one after the other.
+
+    A live reader makes one for a panel, feeds it every line of the port or socket without its end,
+    and takes the frames that come back. The first lines are kept until they show the layout: then
+    `sentences` says how they were understood, and their frames are returned together. From then on
+    a frame is returned with the line that completes it, or with the first line of the next frame
+    where only that one shows that it ended.
+
+        reader = LineReader((16, 16), source="/dev/ttyUSB0")
+        for line in lines_of_the_port:
+            for frame in reader.feed(line):
+                ...  # frame.values, frame.seconds, frame.number, frame.remarks
+        for frame in reader.close():  # at the end of a file or of the connection
+            ...
+
+    `words` are the names of columns, which may contain the unit of the numbers:
+    `understood_unit(values, named_units(reader.words, source), scene, source)` decides it.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns of the panel.
+    layout : str or None
+        Names of the columns as in a header; see `import_file`.
+    skip_lines : int
+        Lines at the beginning that are no readings: a greeting.
+    source : str
+        Name of the port for messages.
+
+    Attributes
+    ----------
+    sentences : tuple of str
+        How the lines were understood; empty until they are.
+    words : tuple of str
+        Names of columns and titles that may contain the unit.
+    refusal : str
+        Why the lines up to now are not understood; empty once they are, and before the first line.
+    """
+
+    def __init__(
+        self, shape: Shape, *, layout: str | None = None, skip_lines: int = 0, source: str = "port"
+    ) -> None:
+        self._shape = shape
+        self._layout = layout
+        self._skip = skip_lines
+        self._source = source
+        self._count = 0  # of lines
+        self._kept: list[str] = []  # before the layout is understood, then titles between readings
+        self._next_try = FIRST_TRY
+        self._understanding: Understanding | None = None
+        self._segmenter: Segmenter | None = None
+        self._tables: dict[int, ReadingsTable] = {}  # of the lines since the last frame
+        self._last: list[str] = []
+        self._first = True
+        self._stamp = ""
+        self._seconds = 0.0
+        self.sentences: tuple[str, ...] = ()
+        self.words: tuple[str, ...] = ()
+        self.refusal = ""
+
+    def feed(self, line: str) -> tuple[TextFrame, ...]:
+        """Take a line without its end, and return the frames that it completes.
+
+        Raises InputError if the layout is not understood after MAX_LINES lines.
+        """
+        self._count += 1
+        if self._count <= self._skip:
+            return ()
+        self._kept.append(line)
+        if self._understanding is None:
+            return self._frames_at_last() if len(self._kept) >= self._next_try else ()
+        return tuple(self._frames_of_lines())
+
+    def close(self) -> tuple[TextFrame, ...]:
+        """Return the frames that were waiting for a line that shows their end."""
+        early = () if self._understanding else self._frames_at_last(least=1)
+        if self._segmenter is None or self._understanding is None:
+            return early
+        segment = self._segmenter.close()
+        whole = segment is not None and len(segment.lines) >= self._understanding.marks.ends.lines
+        return (*early, *(self._frames_of(segment) if segment is not None and whole else ()))
+
+    def _frames_at_last(self, least: int = MIN_FRAMES) -> tuple[TextFrame, ...]:
+        """Return the frames of the first lines once they show the layout."""
+        self._next_try = len(self._kept) + max(1, len(self._kept) // 4)
+        try:
+            notation = notation_of(self._kept)
+            lines = field_lines_in(notation, self._kept, self._source)
+            raw = readings_table(lines, self._layout)
+            table, arrangement = arranged(raw, self._shape)
+            marks = learned_marks(table, arrangement)
+        except InputError as error:
+            self.refusal = str(error)
+            if len(self._kept) > MAX_LINES:
+                raise
+            return ()
+        if len(table.lines) < (least + 1) * marks.ends.lines:
+            return ()
+        self.refusal = ""
+        self.sentences = (*table.notes, arrangement.note)
+        self.words = tuple(table.names)
+        self._understanding = Understanding(notation, table, arrangement, marks).with_times()
+        self._segmenter = Segmenter(marks.ends)
+        kept = self._kept
+        self._kept = []
+        self._count -= len(kept)
+        frames = list[TextFrame]()
+        for line in kept:
+            self._count += 1
+            self._kept.append(line)
+            frames += self._frames_of_lines()
+        return tuple(frames)
+
+    def _frames_of_lines(self) -> Iterator[TextFrame]:
+        """Yield the frames that the last line completes; a line without readings is a title."""
+        assert self._understanding is not None and self._segmenter is not None
+        known = self._understanding
+        self._kept = self._kept[-MAX_BETWEEN:]
+        lines = field_lines_in(
+            known.notation,
+            self._kept,
+            self._source,
+            self._count - len(self._kept),
+            header=False,
+        )
+        table = known.table.of_later(lines)
+        if not len(table.lines):
+            return
+        self._kept = []
+        fields = table.fields[0].tolist()
+        if known.arrangement.used > set(known.arrangement.cells) and fields == self._last:
+            return  # a line that came twice, its keys included
+        self._last = fields
+        for keys in known.marks.line_keys(table, known.arrangement):
+            segment = self._segmenter.feed(self._count, keys)
+            if segment is not None:
+                yield from self._frames_of(segment)
+            self._tables[self._count] = table
+            if self._segmenter.complete:
+                whole = self._segmenter.close()
+                assert whole is not None
+                yield from self._frames_of(whole)
+
+    def _frames_of(self, segment: Segment) -> Iterator[TextFrame]:
+        """Yield the frames of lines; the first ones may be cut, and are left out then."""
+        assert self._understanding is not None
+        for group in placed(segment, self._understanding.marks.ends):
+            cut = self._first and group.remark
+            self._first = False
+            if not cut:
+                yield self._frame(group)
+        for line in segment.lines:
+            self._tables.pop(line, None)
+
+    def _frame(self, group: Placed) -> TextFrame:
+        """Return the readings of lines at their places, with the time of the first one."""
+        assert self._understanding is not None
+        arrangement = self._understanding.arrangement
+        values = np.full(arrangement.shape, np.nan)
+        for line, position in zip(group.lines, group.positions, strict=True):
+            table = self._tables[line]
+            number = cells_of([Placed(0, (0,), (position,), "")], arrangement, table.width)[0]
+            values[number >= 0] = table.values.ravel()[number[number >= 0]]
+        begin = self._tables[group.begin]
+        printed = begin.values[0, arrangement.roles["frame"]] if "frame" in arrangement.roles else 0
+        numbered = "frame" in arrangement.roles and np.isfinite(printed)
+        remarks = (f"the frame {group.remark}",) if group.remark else ()
+        return TextFrame(values, self._time(begin), int(printed) if numbered else None, remarks)
+
+    def _time(self, table: ReadingsTable) -> float | None:
+        """Return the time of a line since the first frame by its stamp."""
+        assert self._understanding is not None
+        stamp, _ = self._understanding.stamp(table)
+        if not stamp:
+            return None
+        last = self._stamp
+        self._stamp = stamp
+        step = self._understanding.step(last, stamp) if last else 0.0
+        self._seconds += step or 0.0
+        return None if step is None else self._seconds

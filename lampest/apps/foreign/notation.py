@@ -1,0 +1,257 @@
+"""Notation of lines of text: prefixes of logs, labels, lists and separators of fields."""
+
+import csv
+import json
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from lampest.apps.foreign.words import cell_of, has_decimal_comma, number_of
+from lampest.files.errors import InputError
+
+SAMPLED = 50_000  # characters or fields at the beginning of a file that determine its notation
+SAMPLED_LINES = 1000
+MAX_LINE = 1_000_000  # characters
+DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
+COLOUR = re.compile(r"\x1b\[[\d;]*m")  # of ESP-IDF's and Zephyr's logs
+DATE = r"(?:\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} )?"
+TIME = r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
+# Prefixes of lines, with a time of day or milliseconds.
+PREFIXES = (
+    # Zephyr: '[00:00:01.234,567] <inf> mat: '
+    re.compile(
+        r"\s*(?:uart:~\$ )?\[(?P<clock>\d+:\d{2}:\d{2}\.\d{3}),(?P<micro>\d{3})\] <\w+> "
+        r"(?:[\w.]+: )?"
+    ),
+    # ESP-IDF: 'I (1234) mat: ', 'I (12:34:56.789) mat: '
+    re.compile(r"\s*[EWIDV] \((?:(?P<ms>\d+)|(?P<clock>\d+:\d{2}:\d{2}\.\d+))\) (?:[\w.-]+: )?"),
+    # '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO,
+    # '[2025-01-31 12:34:56.789] ' of others
+    re.compile(rf"\s*\[?(?P<clock>{DATE}{TIME})\s*(?:\]|->|>|\|)\s*"),
+)
+# 'ROW0=512,511', 'R0: 512 511'
+LABELLED = re.compile(r"\s*([^\W\d]+[ _]?\d+)\s*[=:]\s*(?=[-+.\d])")
+BRACKETED = re.compile(r"[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
+# '0.1,"[512, 511]"', '0.1;[[512 511] [513 514]]': a list behind other fields
+LISTED = re.compile(r'^(.*[,;\t ])"?(\[[\[\s]*[-+.\d]+[,;\s][^"]*\])"?(.*)$')
+# 'r0c0:512' of the Serial Plotter
+PAIR = re.compile(
+    r"(?P<name>[^\W\d][\w ./\[\]()-]*?)\s*[:=]\s*(?P<value>[-+.]?\d[^\s,;:=]*|nan|ovf|null)",
+    re.IGNORECASE,
+)
+BETWEEN_PAIRS = re.compile(r"[\s,;]*")
+# '>r0c0:1735725600125:752§V|g' of Teleplot: a name, ms since 1970 or of the board, a value
+TELEPLOT = re.compile(
+    r">(?P<cell>[^:]+):(?:(?P<time_ms>\d+(?:\.\d+)?):)?(?P<value>[-+.\d][^§|:;]*)(?:§[^|]*)?(?:\|.*)?"
+)
+
+
+def stamp_and_content(line: str) -> tuple[str, str]:
+    """Return the time that a terminal or a log writes before a line, or '', and the rest."""
+    line = COLOUR.sub("", line) if "\x1b" in line else line
+    match = next(filter(None, (prefix.match(line) for prefix in PREFIXES)), None)
+    if match is None:
+        return "", line.strip(" ")
+    parts = match.groupdict()
+    ms = parts.get("ms")
+    stamp = f"{int(ms) / 1000:.3f}" if ms else f"{parts['clock']}{parts.get('micro') or ''}"
+    return stamp, line[match.end() :]
+
+
+@dataclass(frozen=True)
+class Notation:
+    """How lines of text are written, settled on the first ones.
+
+    Attributes
+    ----------
+    delimiter : str
+        Sign between fields.
+    joined : bool
+        Whether consecutive tabs are one separator.
+    names : tuple of str
+        Names that stand beside the values in every line; empty if the values stand alone.
+    separated : bool
+        Whether lines have several fields.
+    """
+
+    delimiter: str
+    joined: bool = False
+    names: tuple[str, ...] = ()
+    separated: bool = True
+
+    @classmethod
+    def of(cls, contents: Sequence[str]) -> "Notation":
+        """Return the notation of lines without their prefixes.
+
+        The delimiter is the sign that gives most numbers.
+        """
+        sample = contents[:SAMPLED_LINES]
+        named = [values for values in map(values_beside_names, sample) if values]
+        if 2 * len(named) > len(sample):
+            usual = Counter(map(tuple, named)).most_common(1)[0][0]
+            others = dict.fromkeys(name for line in named for name in line if "\0" not in name)
+            return cls(",", names=tuple(dict.fromkeys([*usual, *others])))
+        sample = [_plain(content) for content in sample]
+        delimiter = _delimiter(sample)
+        # Lines may agree in their number of fields only if consecutive tabs are one.
+        single = Counter(line.count("\t") for line in sample)
+        joined = Counter(len(re.findall(r"\t+", line.strip("\t"))) for line in sample)
+        by_tabs = max(joined.values(), default=0) > max(single.values(), default=0)
+        separated = any(delimiter in line.strip() for line in sample)
+        return cls(delimiter, delimiter == "\t" and by_tabs, (), separated)
+
+    @property
+    def sentence(self) -> str:
+        """How fields are separated; '' for lines of one field."""
+        if self.names:
+            return f"names beside the values: {', '.join(filter(None, self.shown[:3]))} ..."
+        sign = "one or more tabs" if self.joined else DELIMITERS[self.delimiter]
+        return f"fields separated by {sign}" if self.separated else ""
+
+    @property
+    def shown(self) -> list[str]:
+        """Names of the fields as a header has them; those within a list have none."""
+        return ["" if "\0" in name else name for name in self.names]
+
+    def fields(self, place: str, content: str) -> list[str]:
+        """Return the fields of a line.
+
+        Raises InputError with the place for a misplaced quotation mark.
+        """
+        if self.names:
+            values = values_beside_names(content)
+            if values is None:
+                return [content]
+            if _lengths(values) != _lengths(self.names):  # which value of a list is lost is unknown
+                values = {name: value for name, value in values.items() if "\0" not in name}
+            return [values.get(name, "") for name in self.names]
+        content = _plain(content)
+        if self.joined:
+            content = re.sub(r"\t+", "\t", content).strip("\t")
+        if self.delimiter == " ":
+            return content.split()
+        if '"' not in content:
+            return [text.strip() for text in content.split(self.delimiter)]
+        try:
+            (fields,) = csv.reader(
+                [content], delimiter=self.delimiter, skipinitialspace=True, strict=True
+            )
+        except csv.Error as error:
+            raise InputError(
+                f"{place}: a quotation mark that is not closed, or within a field"
+            ) from error
+        return [text.strip() for text in fields]
+
+
+def values_beside_names(content: str) -> dict[str, str] | None:
+    """Return the values of a line by the names beside them; None for another line.
+
+    Such lines are an object of JSON, pairs of the Serial Plotter, a value of Teleplot, or a
+    cell's name and its value. Values of a list have names with a zero byte and their number.
+    """
+    content = content.strip()
+    if content.startswith("{"):
+        try:
+            record = json.loads(content)
+        except (ValueError, RecursionError):
+            return None
+        return dict(_flat("", record)) if isinstance(record, dict) else None
+    if content.startswith(">"):
+        match = TELEPLOT.fullmatch(content)
+        return match and {name: text for name, text in match.groupdict().items() if text}
+    values: dict[str, str] = {}
+    at = 0
+    while at < len(content):
+        pair = PAIR.match(content, at)
+        if pair is None or pair["name"] in values:
+            return None
+        values[pair["name"]] = pair["value"]
+        end = BETWEEN_PAIRS.match(content, pair.end())
+        assert end is not None
+        if end.end() == pair.end() < len(content):
+            return None
+        at = end.end()
+    if len(values) == 1:
+        ((name, value),) = values.items()
+        return {"cell": name, "value": value} if cell_of(name) else None
+    return values or None
+
+
+def flat_names(record: dict[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the values of a record and of those within it, under names joined by dots."""
+    for name, value in record.items():
+        path = f"{above}.{name}" if above else str(name)
+        if isinstance(value, dict):
+            yield from flat_names(value, path)
+        else:
+            yield path, value
+
+
+def _flat(name: str, record: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the names and texts of a record, with one name for each value of a list."""
+    for path, value in flat_names(record, name):
+        if isinstance(value, list):
+            for number, text in enumerate(_values_of_list(value)):
+                yield f"{path}\0{number}", text
+        else:
+            yield path, _text_of_json(value)
+
+
+def _values_of_list(values: list[Any]) -> Iterator[str]:
+    for value in values:
+        if isinstance(value, list):
+            yield from _values_of_list(value)
+        else:
+            yield _text_of_json(value)
+
+
+def _lengths(names: Iterable[str]) -> Counter[str]:
+    """Return the number of values of each list among names."""
+    return Counter(name.partition("\0")[0] for name in names if "\0" in name)
+
+
+def _text_of_json(value: Any) -> str:
+    return "" if value is None else value if isinstance(value, str) else json.dumps(value)
+
+
+def _plain(content: str) -> str:
+    """Return a line without the brackets of lists, and with its label as a field."""
+    if BRACKETED.match(content):
+        content = re.sub(r"[\[\]{}()]", " ", content)
+    elif "[" in content:
+        listed = LISTED.match(content)
+        if listed is not None:
+            sign = listed[1][-1]
+            values = re.split(r"[,;\s\[\]]+", listed[2].strip("[] "))
+            content = listed[1] + sign.join(values) + listed[3]
+    labelled = LABELLED.match(content)
+    if labelled is None:
+        return content
+    values_text = content[labelled.end() :]
+    sign = next((sign for sign in DELIMITERS if sign in values_text), " ")
+    return f"{labelled[1]}{sign}{values_text}"
+
+
+def _delimiter(lines: Sequence[str]) -> str:
+    """Return the sign that gives most numeric fields in the first lines.
+
+    If several signs give as many, the earliest in the list counts.
+    """
+    sample = "\n".join(lines)[:SAMPLED].split("\n")
+
+    def numbers(sign: str) -> tuple[int, bool]:
+        fields = [
+            field.strip(' "')
+            for line in sample
+            for field in line.split(None if sign == " " else sign)
+        ]
+        comma = has_decimal_comma(fields)
+        # Dashes are missing readings, or a line between frames.
+        read = sum(
+            field.strip("-") != "" and number_of(field, comma=comma) is not None for field in fields
+        )
+        return read, any(sign in line for line in sample)
+
+    return max(DELIMITERS, key=numbers)

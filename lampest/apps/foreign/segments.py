@@ -1,0 +1,291 @@
+"""Frames in lines of readings, by what the lines themselves say.
+
+Each line has keys: the frame's number, the time, a position (row, or cell) and a mark such as a
+title before it. A frame is the longest run of lines in which no key begins again:
+
+- the frame's number and a time that all lines of a frame share do not change,
+- no title or blank line of those that stand between frames precedes a line,
+- no position occurs again, or falls in the order in which positions are scanned,
+- times of single lines do not jump by more than half a frame.
+
+Keys are compared with the previous line only, and never sorted, so that they may wrap. Only lines
+without any of these keys are counted.
+"""
+
+from collections import Counter
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.errors import first_and_more
+
+MAX_VALUES = 8  # of a field that tells boards or trials apart
+Changes = NDArray[np.bool_]
+
+MIN_SHARE = 0.75  # of the runs of a key that must be whole frames; the others lost lines
+
+
+class LineKeys(NamedTuple):
+    """Keys of a line of readings, which tell its frame.
+
+    Attributes
+    ----------
+    shared : hashable
+        Number and time that all lines of a frame share; None where they are missing.
+    position : int
+        Row, or cell, of the line; -1 without one.
+    marked : bool
+        Whether a title or a blank line between frames precedes the line.
+    seconds : float
+        Time of the line alone in any unit; NaN without one.
+    """
+
+    shared: Hashable = None
+    position: int = -1
+    marked: bool = False
+    seconds: float = float("nan")
+
+
+@dataclass(frozen=True)
+class FrameEnds:
+    """Rules by which a frame ends in a file or on a line.
+
+    Attributes
+    ----------
+    lines : int
+        Lines of a whole frame, usually.
+    ranks : mapping
+        Position → its place in the order of the scan; empty for lines without positions.
+    shared : bool
+        Whether all lines of a frame share a number or a time.
+    marked : bool
+        Whether titles or blank lines stand between frames.
+    paused : bool
+        Whether frames are apart by a longer step of the time.
+    gapless : bool
+        Whether frames have lines of all positions, so that a gap shows lost lines.
+    max_step : float
+        Largest step of the time within a frame.
+    """
+
+    lines: int
+    ranks: Mapping[int, int] = field(default_factory=dict)
+    shared: bool = False
+    marked: bool = False
+    paused: bool = False
+    gapless: bool = False
+    max_step: float = float("inf")
+
+    @property
+    def counted(self) -> bool:
+        """Whether nothing but the count of lines says where frames begin."""
+        return not (self.ranks or self.shared or self.marked or self.paused)
+
+
+class Segment(NamedTuple):
+    """Lines of one frame.
+
+    Attributes
+    ----------
+    lines : tuple of int
+        Numbers of the lines, as they were fed.
+    keys : tuple of LineKeys
+    """
+
+    lines: tuple[int, ...]
+    keys: tuple[LineKeys, ...]
+
+
+class Segmenter:
+    """Division of lines that come one after the other into frames."""
+
+    def __init__(self, ends: FrameEnds) -> None:
+        self.ends = ends
+        self._lines: list[int] = []
+        self._keys: list[LineKeys] = []
+        self._positions: set[int] = set()
+        self._rank = -1  # of the last position
+        self._shared: Hashable = None  # last known
+
+    def feed(self, line: int, keys: LineKeys) -> Segment | None:
+        """Take a line, and return the lines of the frame that ended before it, if one did."""
+        ended = self.close() if self._lines and self._begins(keys) else None
+        self._lines.append(line)
+        self._keys.append(keys)
+        self._shared = self._shared if keys.shared is None else keys.shared
+        if keys.position in self.ends.ranks:
+            self._positions.add(keys.position)
+            self._rank = self.ends.ranks[keys.position]
+        return ended
+
+    @property
+    def complete(self) -> bool:
+        """Whether the lines since the last frame are a whole one that no line can continue."""
+        if self.ends.ranks:
+            return self.ends.gapless and len(self._positions) == self.ends.lines
+        return self.ends.counted and len(self._lines) == self.ends.lines
+
+    def close(self) -> Segment | None:
+        """Return the lines since the last frame; None without any."""
+        segment = Segment(tuple(self._lines), tuple(self._keys)) if self._lines else None
+        self._lines = []
+        self._keys = []
+        self._positions = set()
+        self._rank = -1
+        return segment
+
+    def _begins(self, keys: LineKeys) -> bool:
+        """Return whether a line does not continue the frame of the previous ones."""
+        ends = self.ends
+        last = self._keys[-1]
+        changed = keys.shared is not None and keys.shared != self._shared
+        if changed or keys.marked or keys.seconds - last.seconds > ends.max_step:
+            return True
+        if not ends.ranks:
+            return ends.counted and len(self._lines) == ends.lines
+        rank = ends.ranks.get(keys.position)
+        if rank is None:  # a damaged name says nothing
+            return False
+        return keys.position in self._positions or (rank < self._rank and not ends.shared)
+
+
+class Placed(NamedTuple):
+    """Lines of one frame with their places in it.
+
+    Attributes
+    ----------
+    begin : int
+        First line of the segment.
+    lines, positions : tuple of int
+        Lines that hold the frame, and their positions; none if the frame is missing.
+    remark : str
+        What is missing; '' for a whole frame.
+    """
+
+    begin: int
+    lines: tuple[int, ...]
+    positions: tuple[int, ...]
+    remark: str
+
+
+def placed(segment: Segment, ends: FrameEnds) -> Iterator[Placed]:
+    """Yield the frames of a segment: usually one, several where marks between them are lost.
+
+    Lines without a position take it from their number, if none is lost. Of lines with positions
+    that share nothing else, one side of a gap may be of another frame: the longest side is kept.
+    """
+    begin = segment.lines[0]
+    count = len(segment.lines)
+    whole = ends.lines
+    if not ends.ranks:
+        if count % whole:
+            remark = f"has {count} of {whole} lines and is missing"
+            yield Placed(begin, (), (), remark)
+            return
+        for first in range(0, count, whole):
+            lines = segment.lines[first : first + whole]
+            yield Placed(lines[0], lines, tuple(range(whole)), "")
+        return
+    chosen = [at for at, keys in enumerate(segment.keys) if keys.position in ends.ranks]
+    if not ends.shared and ends.gapless:
+        ranks = [ends.ranks[segment.keys[at].position] for at in chosen]
+        cuts = [n for n, (last, rank) in enumerate(pairwise(ranks), 1) if rank != last + 1]
+        sides = [chosen[first:end] for first, end in pairwise([0, *cuts, len(chosen)])]
+        sides.sort(key=len, reverse=True)
+        # Of two single lines one may have a damaged name.
+        unclear = len(sides) > 1 and len(sides[0]) == 1
+        chosen = [] if unclear else sides[0]
+    lines = tuple(segment.lines[at] for at in chosen)
+    positions = tuple(segment.keys[at].position for at in chosen)
+    remark = f"has {len(lines)} of {whole} lines" if len(lines) < whole else ""
+    yield Placed(begin, lines, positions, remark)
+
+
+def scan_order(positions: Sequence[int], parts: Changes) -> Mapping[int, int]:
+    """Return positions with their ranks in the order in which they are scanned.
+
+    The order is ascending or descending, or another one that parts between marks, or the lines
+    until a position occurs again, show most often.
+
+    Parameters
+    ----------
+    positions : sequence of int
+        Position of each line; -1 for none.
+    parts : boolean array, shape (lines,)
+        Lines at which a frame begins for certain.
+    """
+    read = [
+        (position, bool(new))
+        for position, new in zip(positions, parts, strict=True)
+        if position >= 0
+    ]
+    ascending = sorted({position for position, _ in read})
+    orders = [ascending, ascending[::-1]]
+    sequences = Counter(_sequences(read))
+    orders += [list(order) for order, _ in sequences.most_common(1) if len(order) == len(ascending)]
+    falls = [_falls(read, {position: at for at, position in enumerate(order)}) for order in orders]
+    # A frame that is cut at the beginning costs an ascending order one more.
+    best = min(range(len(orders)), key=lambda at: (falls[at] + (at > 1) * (1 + at), at))
+    return {position: rank for rank, position in enumerate(orders[best])}
+
+
+def _sequences(read: Sequence[tuple[int, bool]]) -> Iterator[tuple[int, ...]]:
+    """Yield the positions of lines up to one that occurs again, or before which a part begins."""
+    sequence: list[int] = []
+    for position, new in read:
+        if new or position in sequence:
+            yield tuple(sequence)
+            sequence = []
+        sequence.append(position)
+    yield tuple(sequence)
+
+
+def _falls(read: Sequence[tuple[int, bool]], ranks: Mapping[int, int]) -> int:
+    """Return how often positions do not rise between lines of one part."""
+    return sum(
+        ranks[position] <= ranks[last] and not new for (last, _), (position, new) in pairwise(read)
+    )
+
+
+def are_whole(changes: Changes, lines: int) -> bool:
+    """Return whether most runs between changes of a key, (lines,), are whole frames."""
+    begins = np.flatnonzero(changes[1:]) + 1
+    runs = np.diff([0, *begins, len(changes)])
+    inner = runs[1:-1] if len(runs) > 2 else runs
+    return len(runs) > 1 and bool(np.mean(inner == lines) >= MIN_SHARE) and lines > 1
+
+
+def changes_of(texts: Sequence[str]) -> Changes:
+    """Return whether a text differs from that of the previous line, boolean (lines,)."""
+    return np.array([False, *(text != last for last, text in pairwise(texts))])
+
+
+def few_values(texts: Sequence[str]) -> list[str]:
+    """Return the values of a field that takes a few, as of boards or trials; none of another."""
+    values = sorted(set(texts) - {""})
+    return values if 1 < len(values) <= min(MAX_VALUES, len(texts) // 2) else []
+
+
+def alternate(texts: Sequence[str]) -> bool:
+    """Return whether lines or frames of several values stand among each other."""
+    return 2 * int(changes_of(texts).sum()) >= len(texts)
+
+
+def unused_note(name: str, values: Sequence[str]) -> str:
+    """Return the sentence on a field that nothing uses and that takes a few values."""
+    return (
+        f"{name!r} is not used and takes {len(values)} values ({first_and_more(values, 3)}): "
+        "are these several boards or trials?"
+    )
+
+
+def several_sources(name: str, values: Sequence[str]) -> str:
+    """Return the sentence on a field that tells lines or frames of several boards apart."""
+    return (
+        f"{name or 'this field'!r} takes the values {first_and_more(values, 3)} in turn, as of "
+        "several boards in one file; import those of one board alone"
+    )

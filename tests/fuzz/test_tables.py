@@ -1,0 +1,97 @@
+"""Tables drawn from a grammar of layouts and damages: each import is right, missing or refused.
+
+`TABLES_SEED=7 python -m pytest tests/fuzz/test_tables.py` draws others.
+"""
+
+import os
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lampest import InputError, import_file, read_scene
+from lampest.apps.foreign.line_reader import LineReader, TextFrame
+from tests.fuzz import tables
+
+SEED = int(os.environ.get("TABLES_SEED", "1"))
+COUNT = 200
+LIVE_COUNT = 40
+MIN_TAKEN = 0.8  # of the tables are imported, whole or in parts
+EXACT = 1e-6  # of codes
+
+
+def test_no_table_of_the_grammar_is_imported_wrong(tmp_path: Path) -> None:
+    outcomes: Counter[str] = Counter()
+    wrong = []
+    for number in range(COUNT):
+        drawn = tables.table(np.random.default_rng([SEED, number]))
+        outcome = tables.outcome(drawn, tmp_path)
+        outcomes[outcome.partition(":")[0]] += 1
+        if outcome.startswith("wrong"):
+            wrong.append(f"{number}: {drawn.name}: {outcome}")
+    assert not wrong, f"TABLES_SEED={SEED}: {wrong}"
+    assert outcomes["right"] + outcomes["missing"] >= MIN_TAKEN * COUNT, outcomes
+
+
+def test_lines_that_come_one_by_one_give_the_same_frames() -> None:
+    """A live reader returns frames of the truth alone, before the last line has come."""
+    for number in range(LIVE_COUNT):
+        drawn = tables.table(np.random.default_rng([SEED, 1000 + number]))
+        reader = LineReader(drawn.codes.shape[1:])
+        early: list[TextFrame] = []
+        for line in drawn.text.split("\n")[:-1]:
+            early += reader.feed(line)
+        frames = [*early, *reader.close()]
+        assert len(frames) - 2 <= len(early), drawn.name
+        assert 2 * len(frames) > len(drawn.codes) and reader.sentences, drawn.name
+        for frame in frames:
+            distance = np.abs(frame.values - drawn.codes)
+            nearest = np.nanmax(distance, axis=(1, 2), initial=0.0).min()
+            assert nearest < EXACT, f"TABLES_SEED={SEED}, {number}: {drawn.name}"
+
+
+def test_a_reader_says_why_lines_are_not_understood() -> None:
+    reader = LineReader((3, 4), source="/dev/ttyUSB0")
+    for number in range(40):
+        assert reader.feed(f"voltage {number}: 3.3") == ()
+    assert not reader.sentences
+    assert reader.refusal.startswith("/dev/ttyUSB0")
+
+
+SCENE = """panel: {rows: 3, columns: 4}
+readout: {kind: loaded_columns, load_ohm: 10000, supply_volt: 5, adc_bits: 10, readings: 1}
+"""
+
+
+def test_a_damaged_scene_gives_one_sentence(tmp_path: Path) -> None:
+    """Lines lost, doubled or cut, and signs changed: a scene is read, or refused with its place."""
+    path = tmp_path / "scene.yaml"
+    for number in range(100):
+        rng = np.random.default_rng([SEED, 2000 + number])
+        text = list(SCENE)
+        for _ in range(int(rng.integers(1, 5))):
+            at = int(rng.integers(0, len(text)))
+            text[at] = str(
+                rng.choice(["", text[at] * 2, ":", "{", "-", "9", "\n", "é", "&a", "*a"])
+            )
+        path.write_text("".join(text), encoding="utf-8")
+        try:
+            read_scene(path)
+        except InputError as error:
+            assert "\n" not in str(error), f"TABLES_SEED={SEED}, {number}"
+
+
+@pytest.mark.parametrize("first", [1, 4])
+def test_numbered_rows_say_where_a_frame_begins(tmp_path: Path, first: int) -> None:
+    """Frames were rows 3 to 5 of one scan and 0 to 2 of the next."""
+    codes = tables.codes(np.random.default_rng(3))
+    lines = [
+        f"R{row}: {' '.join(map(str, line))}" for frame in codes for row, line in enumerate(frame)
+    ]
+    path = tmp_path / "m.log"
+    path.write_text("\n".join([*lines[first:], ""]))
+    rows, columns = codes.shape[1:]
+    recording, notes = import_file(path, rows=rows, columns=columns, unit="ohm")
+    np.testing.assert_array_equal(recording.recorded, codes[1 + first // rows :])
+    assert any("the first frame (line 1) is cut and left out" in note for note in notes)
