@@ -48,6 +48,7 @@ COMBS = {"row": (2, 1), "column": (1, 2)}
 MIN_LINES = 4  # of each side: with fewer, another order is smoother by chance
 LENGTHS = (1.5, 3.0, 8.0)  # ℓ, lines: loads reach over more than one
 ROUGHNESS = (1e-2, 1e-1, 1.0, np.inf)  # ρ; inf: no order
+MAX_STEPS = 6  # orders one after the other, such as several swapped pairs
 MAX_FRAMES = 200  # whose changes are compared, the strongest ones
 MAX_PLACES = 12
 # Root mean square of a change over the noise of a reading, so that its image shows a place.
@@ -67,12 +68,15 @@ class Order:
     remedy : str
     coincidence : float
         Probability that a load in one place is smooth in this order by chance.
+    exchanged : str
+        'row' or 'column' where two lines of this side are exchanged and no others; '' elsewhere.
     """
 
     words: str
     image: NDArray[np.intp]
     remedy: str
     coincidence: float = NO_LOAD
+    exchanged: str = ""
 
 
 class SmootherOrder(NamedTuple):
@@ -118,7 +122,8 @@ def orders(rows: int, columns: int) -> Iterator[Order]:
         for words, order in chain(line_orders(count), exchanged_lines(count)):
             remedy = f"the {name} belong in the order {order.tolist()}"
             image = np.take(numbers, order, axis=place)
-            yield Order(f"{name} {words}", image, remedy, COINCIDENCE)
+            exchanged = name[:-1] if (order != np.arange(count)).sum() == 2 else ""
+            yield Order(f"{name} {words}", image, remedy, COINCIDENCE, exchanged)
 
 
 def line_orders(count: int) -> Iterator[tuple[str, NDArray[np.intp]]]:
@@ -178,24 +183,29 @@ def order_findings(recording: Recording, volts: Array) -> Iterator[Finding]:
     if not scene.whole:
         return
     lsb = 0.0 if scene.readout is None else scene.readout.lsb_volt
-    found = smoother_order(load_images(volts[~unloaded], volts[unloaded], lsb))
-    if found is None:
-        return
-    order, gain, every_second = found
-    if every_second:
+    images = load_images(volts[~unloaded], volts[unloaded], lsb)
+    steps = list[SmootherOrder]()
+    while len(steps) < MAX_STEPS and (found := smoother_order(images)) is not None:
+        order, _, every_second = found
+        if every_second and not steps:
+            yield Finding(
+                "order",
+                "the order of lines cannot be told from this recording",
+                f"loads lie on every second {every_second}, or they are smooth with {order.words}",
+                remedy=f"press a spot that covers neighbouring {every_second}s at a known place",
+            )
+            return
+        steps.append(found)
+        images = images.reshape(len(images), -1)[:, order.image]
+    if steps:
+        gain = sum(step.gain for step in steps) / (2 * np.log(10))
         yield Finding(
             "order",
-            "the order of lines cannot be told from this recording",
-            f"loads lie on every second {every_second}, or they are smooth with {order.words}",
-            remedy=f"press a spot that covers neighbouring {every_second}s at a known place",
+            "readings seem to come in another order: "
+            + " and ".join(step.order.words for step in steps),
+            f"loads are smooth then, with odds of 10^{gain:.0f} to one",
+            remedy="; then ".join(step.order.remedy for step in steps),
         )
-        return
-    yield Finding(
-        "order",
-        f"readings seem to come in another order: {order.words}",
-        f"loads are smooth then, with odds of 10^{gain / (2 * np.log(10)):.0f} to one",
-        remedy=order.remedy,
-    )
 
 
 def load_images(loaded: Array, resting: Array, least_noise: float) -> Array:
@@ -243,15 +253,19 @@ def smoother_order(images: Array) -> SmootherOrder | None:
         return None
     flat = images.reshape(len(images), -1)
     ranks = np.argsort(np.argsort(flat, axis=1), axis=1)
-    scores = normal_quantile((ranks + 0.5) / flat.shape[1])
+    both = (flat, normal_quantile((ranks + 0.5) / flat.shape[1]))
+    as_specified = [smooth_costs(values.reshape(images.shape)) for values in both]
+
+    def gains_of(tried: Sequence[Order]) -> Array:
+        """Return gains by values and by ranks, (2, orders, places)."""
+        costs = [costs_of_orders(values, tried) for values in both]
+        return np.array(as_specified)[:, None] - costs
+
     tried = list(orders(*images.shape[1:]))
-    gains = []
-    combs = []
-    for values in (flat, scores):
-        in_order = values.reshape(images.shape)
-        as_specified = smooth_costs(in_order)
-        gains.append(as_specified - costs_of_orders(values, tried))
-        combs.append([as_specified - smooth_costs(in_order, step) for step in COMBS.values()])
+    gains = gains_of(tried)
+    several = several_exchanges(tried, np.min(gains, axis=0).sum(axis=1))
+    tried += several
+    gains = np.concatenate([gains, gains_of(several)], axis=1)
     # By the less certain of both, values or ranks.
     of_places = np.min(gains, axis=0)
     best = int(np.argmax(of_places.sum(axis=1).round(6)))
@@ -260,10 +274,45 @@ def smoother_order(images: Array) -> SmootherOrder | None:
     if not gain > 2 * np.log(ODDS * len(tried)):
         return None
     # By the same of both, values or ranks, a load on every second line may explain as much.
-    beyond = np.min(np.array(gains)[:, [best]] - combs, axis=0).sum(axis=1)
+    combs = [
+        [specified - smooth_costs(values.reshape(images.shape), step) for step in COMBS.values()]
+        for specified, values in zip(as_specified, both, strict=True)
+    ]
+    beyond = np.min(gains[:, [best]] - combs, axis=0).sum(axis=1)
     comb = int(np.argmin(beyond))
     every_second = list(COMBS)[comb] if beyond[comb] < 2 * np.log(ODDS) else ""
     return SmootherOrder(tried[best], gain, every_second)
+
+
+def several_exchanges(tried: Sequence[Order], gains: Array) -> list[Order]:
+    """Return orders with all exchanges of two lines that gain, of each side, and of both.
+
+    Several swapped pairs are rough together, so that one exchange alone gains little.
+
+    Parameters
+    ----------
+    tried : sequence of Order
+    gains : array, shape (orders,)
+        Gains in −2 ln evidence.
+    """
+    several = list[Order]()
+    for side in ("row", "column"):
+        numbers = None
+        chosen = list[Order]()
+        for number in np.argsort(-gains):
+            order = tried[number]
+            if order.exchanged != side or not gains[number] > 0:
+                continue
+            at_home = np.arange(order.image.size).reshape(order.image.shape)
+            numbers = at_home if numbers is None else numbers
+            if not ((order.image != at_home) & (numbers != at_home)).any():
+                numbers = np.where(order.image != at_home, order.image, numbers)
+                chosen.append(order)
+        if numbers is not None and len(chosen) > 1:
+            words = " and ".join(order.words for order in chosen)
+            remedy = "; then ".join(order.remedy for order in chosen)
+            several.append(Order(words, numbers, remedy, COINCIDENCE))
+    return several
 
 
 def costs_of_orders(values: Array, tried: Sequence[Order]) -> Array:

@@ -3,6 +3,7 @@
 Clean recordings have none.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +28,7 @@ MIN_UNEVEN = 20  # of 120 films
 # of loaded recordings
 MIN_CUT_FOUND = 0.85
 MIN_ORDER_FOUND = 0.65
+MIN_REPEATED_FOUND = 0.9
 MIN_PLACES = 4  # of the load, far enough apart to be distinct
 
 
@@ -109,6 +111,23 @@ def test_faults_of_lines_and_cells_are_reported_with_their_line(
         for line, report in map(fault, uneven)
     ]
     assert len(lines) > MIN_UNEVEN and np.mean(lines) > share
+
+
+@promise("theory/model_check: Lines that repeat each other are named.")
+@pytest.mark.parametrize("pairs", [1, 2, 3, 4])
+def test_lines_that_repeat_each_other_are_named(pairs: int) -> None:
+    """Of two and more pairs none was: equal pairs hid each other."""
+    named = []
+    for plan in map(Plan.drawn, range(60)):
+        columns = plan.cells.shape[1]
+        if np.std(np.log(plan.cells)) < 0.1 or columns < 2 * pairs + 2:
+            continue
+        volts = plan.volts()
+        firsts = np.random.default_rng(plan.seed).choice(columns // 2, pairs, replace=False) * 2
+        volts[:, :, firsts + 1] = volts[:, :, firsts]
+        text = " ".join(faulty(health(plan, plan.codes(volts))))
+        named.append(all(re.search(rf"\b{f}( =|,) {f + 1}\b", text) for f in firsts))
+    assert len(named) > 12 and np.mean(named) >= MIN_REPEATED_FOUND
 
 
 def test_a_noisy_row_and_a_noisy_cell_are_named() -> None:
