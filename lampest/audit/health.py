@@ -282,14 +282,15 @@ def _is_structured(view: _View, name: str, groups: Sequence[Sequence[int]]) -> b
     copies = [line for group in groups for line in group[1:]]
     usable = _along(view.usable, name)
     at_rest = usable[view.recording.role == UNLOADED]
-    sigma = at_rest.sigma_of_values
     lines, cells = at_rest.value.shape[1:]
     others = np.setdiff1d(np.arange(lines), copies)
-    if not copies or sigma is None or len(others) < 2:
+    if not copies or len(others) < 2:
         return False
-    unlike, _ = line_differences(at_rest.value, sigma)
+    unlike, _ = line_differences(at_rest)
     of_film = float(np.median(unlike[others[1:], others[:-1]])) - 1
-    equal = NOISE_REACH * np.sqrt(2 / (len(usable.value) * cells))
+    in_all, count = line_differences(usable)
+    observed = max(in_all[group[0], line] for group in groups for line in group[1:]) - 1
+    equal = max(float(observed), 0.0) + NOISE_REACH * np.sqrt(2 / max(int(count.max()), 1))
     if of_film < equal:
         return False
     chance = 1 - chi_square_tail(cells * equal / of_film, np.asarray(float(cells)))

@@ -20,6 +20,7 @@ from lampest.files.levels import (
     MAD_TO_SIGMA,
     MIN_EVIDENCE_GAIN,
     OUTLIER_THRESHOLD,
+    UNUSUAL,
 )
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
@@ -271,7 +272,8 @@ def no_cell_moves(
     A change of one cell that moves its reading by d moves the others of its row and column by c d,
     c by the circuit's derivative at the cells of the frame. With residuals e of these readings and
     their standard deviations s, the reading stands alone if Σ [(e − c d)² − e²]/s² exceeds
-    MIN_EVIDENCE_GAIN. Where a cell moves its own reading alone, c is 0, and none does.
+    MIN_EVIDENCE_GAIN. Where a cell moves its own reading alone, c is 0, and none does. Where
+    another reading of these lines deviates, other cells change as well, and none is judged.
 
     Parameters
     ----------
@@ -300,8 +302,10 @@ def no_cell_moves(
         beside = np.zeros(outlying.shape, dtype=bool)
         beside[row] = beside[:, column] = True
         beside &= usable & np.isfinite(moved)
-        gain = (residual[beside] - moved[beside]) ** 2 - residual[beside] ** 2
-        alone[row, column] = np.sum(gain / scale[beside] ** 2) > MIN_EVIDENCE_GAIN
+        apart, expected_apart = (part[beside] / scale[beside] for part in (residual, moved))
+        still = np.abs(apart).max(initial=0.0) < UNUSUAL
+        gain = np.sum((apart - expected_apart) ** 2 - apart**2)
+        alone[row, column] = still and gain > MIN_EVIDENCE_GAIN
     return alone
 
 

@@ -39,6 +39,8 @@ MIN_LINE_CELLS = 5  # readings of a line: with fewer, chance makes it as rough a
 # little (tests/oracles/test_garbled.py).
 MIN_ROUGHNESS = 0.5
 MIN_ROUGHNESS_RATIO = 1.3
+# Median deviation of the changes of ln y of a line from their median: below it they are alike.
+MAX_SPREAD = 0.1
 # Times as rough: such lines are garbled even if other lines of the frame move as well.
 CLEARLY = 1.5
 MAX_DISPLACEMENT = 4  # readings along the scan
@@ -105,7 +107,8 @@ def garbled_lines(recording: Recording) -> tuple[GarbledLines, ...]:
     with np.errstate(invalid="ignore"):
         deviates = np.abs(values - expected) > threshold
     suspicious: list[int] = np.flatnonzero(deviates.any(axis=(1, 2))).tolist()
-    rows = Along(values, expected, deviates, scale)
+    ends = (0.0,) if readout is None else tuple(map(float, readout.range_volt))
+    rows = Along(values, expected, deviates, scale, ends)
     garbled = dict[int, GarbledLines]()
     for name, along in (("row", rows), ("column", rows.transposed)):
         for frame in suspicious:
@@ -178,24 +181,38 @@ class Along:
         Whether a reading deviates from the neighbouring frames.
     scale : float
         Standard deviation of the noise, volt.
+    ends : tuple of float
+        Voltages of the converter's first and last code; of readings without a converter zero.
     """
 
     values: Array
     expected: Array
     deviates: NDArray[np.bool_]
     scale: float
+    ends: tuple[float, ...]
 
     @property
     def transposed(self) -> "Along":
         """The lines of the other side."""
         values, expected = (part.swapaxes(1, 2) for part in (self.values, self.expected))
-        return Along(values, expected, self.deviates.swapaxes(1, 2), self.scale)
+        return Along(values, expected, self.deviates.swapaxes(1, 2), self.scale, self.ends)
 
     @cached_property
     def roughness(self) -> Array:
-        """Median size of second differences of ln y along each line, (frames, lines)."""
+        """Median size of second differences of ln y along each line, (frames, lines).
+
+        It is 0 where the changes ln y/ŷ of a line are alike without the largest one: one cell that
+        is pressed moves the other readings of its line by one factor.
+        """
         logarithm = np.log(np.maximum(self.values, self.scale))
-        return np.nan_to_num(median(np.abs(np.diff(logarithm, 2, axis=2)), 2)[:, :, 0])
+        rough = np.nan_to_num(median(np.abs(np.diff(logarithm, 2, axis=2)), 2)[:, :, 0])
+        change = logarithm - np.log(np.maximum(self.expected, self.scale))
+        pressed = np.nan_to_num(np.abs(change)).argmax(axis=2)[:, :, None]
+        cells = np.arange(change.shape[2] - 1)
+        others = np.take_along_axis(change, cells + (cells >= pressed), axis=2)
+        common = median(others, 2)
+        spread = median(np.abs(others - common), 2)
+        return np.where((spread < MAX_SPREAD)[:, :, 0], 0.0, rough)
 
     @cached_property
     def _following(self) -> NDArray[np.bool_]:
@@ -211,15 +228,11 @@ class Along:
 
     @cached_property
     def _lost(self) -> NDArray[np.bool_]:
-        """Whether a line has a single value, beyond those of following lines, (frames, lines)."""
-        finite = np.isfinite(self.values)
-        usual = finite & self._following[:, :, None]
-        largest = np.max(self.values, axis=2, initial=-np.inf, where=finite)
-        smallest = np.min(self.values, axis=2, initial=np.inf, where=finite)
-        above = smallest > self.values.max(initial=-np.inf, where=usual)
-        below = largest < self.values.min(initial=np.inf, where=usual)
-        single = finite.any(axis=2) & (largest < smallest + self.scale)
-        return np.asarray((above | below) & single & usual.any())
+        """Whether a line lies at one end of the converter as no following line, (frames, lines)."""
+        ends = [np.abs(self.values - end) < self.scale for end in self.ends]
+        usual = self._following[:, :, None]
+        lost = [at_end.all(axis=2) & ~(at_end & usual).any() for at_end in ends]
+        return np.asarray(np.any(lost, axis=0) & usual.any())
 
     def garbled(self, frame: int) -> NDArray[np.intp]:
         """Return the garbled lines of a frame."""

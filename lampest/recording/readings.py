@@ -545,25 +545,25 @@ def equal_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     tuple of tuple of int
         Numbers of the rows of each group; empty if the noise is unknown.
     """
-    sigma = readings.sigma_of_values
     rows = readings.value.shape[-2]
-    if sigma is None:
+    if readings.sigma is None:
         return ()
     check_line_memory(rows, 1)
-    unlike, count = line_differences(readings.value, sigma)
+    unlike, count = line_differences(readings)
     similar = (unlike <= 1 + UNUSUAL * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)
     groups, group = scipy.sparse.csgraph.connected_components(similar, directed=False)
     members = (np.flatnonzero(group == number) for number in range(groups))
     return tuple(tuple(lines.tolist()) for lines in members if len(lines) > 1)
 
 
-def line_differences(value: Array, noise: Array) -> tuple[Array, NDArray[np.intp]]:
+def line_differences(readings: Readings) -> tuple[Array, NDArray[np.intp]]:
     """Return the mean square difference of each two rows, and the number of its values.
 
-    The difference is in units of their noise.
+    The difference is in units of their noise, which must be known.
     """
-    rows = value.shape[-2]
-    value, noise = (part.swapaxes(-1, -2).reshape(-1, rows) for part in (value, noise))
+    rows = readings.value.shape[-2]
+    noise = np.where(readings.plain, readings.known_sigma, np.inf)
+    value, noise = (part.swapaxes(-1, -2).reshape(-1, rows) for part in (readings.value, noise))
     unlike = np.zeros((rows, rows))
     count = np.zeros((rows, rows), dtype=np.intp)
     for row in range(rows):
