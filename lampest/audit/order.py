@@ -53,6 +53,7 @@ MAX_FRAMES = 200  # whose changes are compared, the strongest ones
 MAX_PLACES = 12
 # Root mean square of a change over the noise of a reading, so that its image shows a place.
 MIN_CHANGE = 2.0
+TINY = 1e-30  # norm of no image
 MAX_ALIKE = 0.5  # cosine between the changes of two places
 
 
@@ -68,15 +69,15 @@ class Order:
     remedy : str
     coincidence : float
         Probability that a load in one place is smooth in this order by chance.
-    exchanged : str
-        'row' or 'column' where two lines of this side are exchanged and no others; '' elsewhere.
+    side : int or None
+        Axis of the lines whose order this is: 0 for rows, 1 for columns, None for neither.
     """
 
     words: str
     image: NDArray[np.intp]
     remedy: str
     coincidence: float = NO_LOAD
-    exchanged: str = ""
+    side: int | None = None
 
 
 class SmootherOrder(NamedTuple):
@@ -122,8 +123,7 @@ def orders(rows: int, columns: int) -> Iterator[Order]:
         for words, order in chain(line_orders(count), exchanged_lines(count)):
             remedy = f"the {name} belong in the order {order.tolist()}"
             image = np.take(numbers, order, axis=place)
-            exchanged = name[:-1] if (order != np.arange(count)).sum() == 2 else ""
-            yield Order(f"{name} {words}", image, remedy, COINCIDENCE, exchanged)
+            yield Order(f"{name} {words}", image, remedy, COINCIDENCE, place)
 
 
 def line_orders(count: int) -> Iterator[tuple[str, NDArray[np.intp]]]:
@@ -238,6 +238,30 @@ def load_images(loaded: Array, resting: Array, least_noise: float) -> Array:
     return np.reshape(images, (-1, *change.shape[1:]))
 
 
+def along_side(images: Array, side: int | None) -> NDArray[np.intp]:
+    """Return numbers of the places as the lines of a side tell them apart, (places,).
+
+    A bar across all rows that moves over columns is in one place along rows.
+
+    Parameters
+    ----------
+    images : array, shape (places, rows, columns)
+    side : int or None
+        Axis of the lines, 0 for rows; None: all places are distinct.
+    """
+    if side is None:
+        return np.arange(len(images))
+    profiles = images.mean(axis=2 - side)
+    profiles = profiles - profiles.mean(axis=1, keepdims=True)
+    profiles = profiles / np.maximum(np.linalg.norm(profiles, axis=1, keepdims=True), TINY)
+    cosines = profiles @ profiles.T
+    groups = np.full(len(images), -1)
+    for place in range(len(images)):
+        if groups[place] < 0:
+            groups[(groups < 0) & (cosines[place] >= MAX_ALIKE)] = place
+    return np.unique(groups, return_inverse=True)[1]
+
+
 def smoother_order(images: Array) -> SmootherOrder | None:
     """Return the order in which loads are smoothest; None where no order has the odds.
 
@@ -270,7 +294,9 @@ def smoother_order(images: Array) -> SmootherOrder | None:
     of_places = np.min(gains, axis=0)
     best = int(np.argmax(of_places.sum(axis=1).round(6)))
     # A coincidence bounds each place's share of the evidence.
-    gain = float(np.minimum(of_places[best], -2 * np.log(tried[best].coincidence)).sum())
+    groups = along_side(images, tried[best].side)
+    of_groups = np.bincount(groups, weights=of_places[best])
+    gain = float(np.minimum(of_groups, -2 * np.log(tried[best].coincidence)).sum())
     if not gain > 2 * np.log(ODDS * len(tried)):
         return None
     # By the same of both, values or ranks, a load on every second line may explain as much.
@@ -296,22 +322,24 @@ def several_exchanges(tried: Sequence[Order], gains: Array) -> list[Order]:
         Gains in −2 ln evidence.
     """
     several = list[Order]()
-    for side in ("row", "column"):
-        numbers = None
+    for side in (0, 1):
+        of_side = [number for number in np.argsort(-gains) if tried[number].side == side]
+        if not of_side:
+            continue
+        shape = tried[of_side[0]].image.shape
+        at_home = np.arange(np.prod(shape)).reshape(shape)
+        numbers = at_home
         chosen = list[Order]()
-        for number in np.argsort(-gains):
-            order = tried[number]
-            if order.exchanged != side or not gains[number] > 0:
-                continue
-            at_home = np.arange(order.image.size).reshape(order.image.shape)
-            numbers = at_home if numbers is None else numbers
-            if not ((order.image != at_home) & (numbers != at_home)).any():
-                numbers = np.where(order.image != at_home, order.image, numbers)
-                chosen.append(order)
-        if numbers is not None and len(chosen) > 1:
+        for number in of_side:
+            moved = tried[number].image != at_home
+            two_lines = moved.sum() == 2 * at_home.shape[1 - side]
+            if gains[number] > 0 and two_lines and not (moved & (numbers != at_home)).any():
+                numbers = np.where(moved, tried[number].image, numbers)
+                chosen.append(tried[number])
+        if len(chosen) > 1:
             words = " and ".join(order.words for order in chosen)
             remedy = "; then ".join(order.remedy for order in chosen)
-            several.append(Order(words, numbers, remedy, COINCIDENCE))
+            several.append(Order(words, numbers, remedy, COINCIDENCE, side))
     return several
 
 
