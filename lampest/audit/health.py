@@ -33,7 +33,7 @@ from lampest.recording.recording import UNLOADED, Recording
 
 ROOMS = ("lines", "cells", "noise", "readings", "frames", "times", "order")
 WELL = {  # what the table says of a room without a finding
-    "lines": "none dead, shorted or repeated",
+    "lines": "none dead, none shorted",
     "cells": "none shorted, none stuck",
     "noise": "alike in all lines and cells",
     "readings": "none missing, none at a rail",
