@@ -129,8 +129,8 @@ BREAKS = {
     "estimates_without_noise_have_no_error_bars": Break(
         "estimate/estimator.py", "Estimator.has_error_bars", "return True"
     ),
-    "outliers_are_detected_under_a_breathing_load": Break(
-        "inference/cleaning.py", "_exceeds_threshold", "return result & False"
+    "a_tap_of_one_frame_stays_and_a_reading_that_no_cell_gives_is_missing": Break(
+        "inference/cleaning.py", "no_cell_moves", "return result & False"
     ),
     "the_error_of_a_missing_library_names_its_extra_unlike_own_modules": Break(
         "files/errors.py", "PACKAGES", "{}"

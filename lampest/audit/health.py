@@ -23,7 +23,12 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_median, chi_square_tail
 from lampest.recording.garbled import garbled_lines, middle, readings_of
-from lampest.recording.readings import Readings, median, touching_columns, touching_rows
+from lampest.recording.readings import (
+    Readings,
+    equal_rows,
+    line_differences,
+    median,
+)
 from lampest.recording.recording import UNLOADED, Recording
 
 ROOMS = ("lines", "cells", "noise", "readings", "frames", "times", "order")
@@ -84,7 +89,7 @@ class Health:
         Raises InputError where readings contradict the scene.
         """
         view = _View(recording)
-        checks = (_dead_lines, _touching_lines, _cells, _noise, _readings, _frames, _times, _order)
+        checks = (_dead_lines, _equal_lines, _cells, _noise, _readings, _frames, _times, _order)
         findings = tuple(chain.from_iterable(check(view) for check in checks))
         requested = recording.scene.requested
         missing = view.readings.missing(recording.scene)[:, requested]
@@ -134,6 +139,11 @@ class _View:
     @cached_property
     def readings(self) -> Readings:
         return self.recording.readings()
+
+    @cached_property
+    def usable(self) -> Readings:
+        """Readings that arrived as they were taken."""
+        return self.readings.without(self.garbled)
 
     @cached_property
     def volts(self) -> Array:
@@ -216,47 +226,83 @@ def _dead_lines(view: _View) -> Iterator[Finding]:
                 )
 
 
-def _touching_lines(view: _View) -> Iterator[Finding]:
-    """Find rows and columns that touch: readings are equal, and lower than those of others."""
-    if not view.modelled:
+def _equal_lines(view: _View) -> Iterator[Finding]:
+    """Find rows and columns that touch, and those that are read twice.
+
+    The readings of both are equal in every frame. Those of lines that touch are lower than those of
+    others, too: two lines of cells are in parallel.
+    """
+    if not view.modelled or not (view.recording.role == UNLOADED).any():
         return
     with suppress(*BROKEN, InputError), np.errstate(all="ignore"):
-        specified = view.scene.faults or Faults()
-        for name, joined, groups in (
-            ("row", specified.joined_rows, touching_rows(view.readings)),
-            ("column", specified.joined_columns, touching_columns(view.readings)),
-        ):
-            for group in groups:
-                shown = _is_structured(view, name, group) or _is_shifted(view, name, group)
-                if shown and not any(set(group) <= set(lines) for lines in joined):
+        faults = view.scene.faults or Faults()
+        for name, joined in (("row", faults.joined_rows), ("column", faults.joined_columns)):
+            groups = equal_rows(_along(view.usable, name))
+            unknown = [
+                group for group in groups if not any(set(group) <= set(lines) for lines in joined)
+            ]
+            structured = _is_structured(view, name, groups)
+            repeated = []
+            for group in unknown:
+                lower = _is_lower(view, name, group, groups)
+                if lower or (lower is None and structured and len(unknown) == 1):
                     yield Finding(
                         "lines",
                         f"{name}s {', '.join(map(str, group))} are shorted",
                         "they read the same in every frame",
                         {"faults": {f"joined_{name}s": [list(group)]}},
                     )
+                elif structured:
+                    repeated.append(" = ".join(map(str, group)))
+            if repeated:
+                yield Finding(
+                    "lines",
+                    f"{name}s repeat each other: {first_and_more(repeated)}",
+                    "they read the same in every frame",
+                    remedy=f"is an address line of the {name}s' multiplexer loose?",
+                )
 
 
-def _is_structured(view: _View, name: str, group: Sequence[int]) -> bool:
-    """Return whether the unloaded readings of other lines differ from each other.
+def _along(readings: Readings, name: str) -> Readings:
+    """Return readings with the lines of a side, 'row' or 'column', as rows."""
+    if name == "row":
+        return readings
+    return readings.each(lambda part: part.swapaxes(-1, -2))
 
-    If they do, equal ones are no chance.
+
+def _is_structured(view: _View, name: str, groups: Sequence[Sequence[int]]) -> bool:
+    """Return whether lines that differ are not equal in the unloaded frames by chance.
+
+    Loads in the middle of a uniform film make lines equal, and films do not. The mean square
+    difference d² of two lines in units of their noise, less one, is that of the film. Where it is f
+    between neighbours that differ, a line of n cells is equal by chance with p = P(χ² < n e/f), n
+    degrees of freedom; e is what equal lines may have. Of k groups among m lines all are with
+    (m² p/2)^k. Of each group one line counts.
     """
-    lines = view.resting if name == "row" else view.resting.T
-    single = np.delete(lines, group, axis=0)
-    if len(single) < 2:
+    copies = [line for group in groups for line in group[1:]]
+    usable = _along(view.usable, name)
+    at_rest = usable[view.recording.role == UNLOADED]
+    lines, cells = at_rest.value.shape[1:]
+    others = np.setdiff1d(np.arange(lines), copies)
+    if not copies or len(others) < 2:
         return False
-    distances = np.sqrt(median((single[:, None] - single[None]) ** 2, 2)[:, :, 0])
-    own = np.sqrt(middle((lines[list(group[1:])] - lines[group[0]]) ** 2))
-    least = max(OUTLIER_THRESHOLD * own, 2 * view.scene.circuit.lsb_volt)
-    pairs = np.triu_indices(len(single), 1)
-    return bool(np.min(np.nan_to_num(distances, nan=np.inf)[pairs]) > least)
+    unlike, _ = line_differences(at_rest)
+    of_film = float(np.median(unlike[others[1:], others[:-1]])) - 1
+    in_all, count = line_differences(usable)
+    observed = max(in_all[group[0], line] for group in groups for line in group[1:]) - 1
+    equal = max(float(observed), 0.0) + NOISE_REACH * np.sqrt(2 / max(int(count.max()), 1))
+    if of_film < equal:
+        return False
+    chance = 1 - chi_square_tail(cells * equal / of_film, np.asarray(float(cells)))
+    return bool((lines**2 / 2 * chance) ** len(groups) < SIGNIFICANCE)
 
 
-def _is_shifted(view: _View, name: str, group: Sequence[int]) -> bool:
-    """Return whether the unloaded readings of lines deviate as those of touching lines do.
+def _is_lower(
+    view: _View, name: str, group: Sequence[int], groups: Sequence[Sequence[int]]
+) -> bool | None:
+    """Return whether the unloaded readings of lines are lower than others as by touching.
 
-    The deviation is that from the other ones.
+    The result is None where touching lines would not be.
     """
     cells = np.full(view.scene.panel.shape, view.usual_ohm)
     specified = view.scene.faults or Faults()
@@ -265,24 +311,27 @@ def _is_shifted(view: _View, name: str, group: Sequence[int]) -> bool:
     else:
         faults = replace(specified, joined_columns=(tuple(group),))
     axis = 1 if name == "row" else 0
+    alike = [line for lines in groups for line in lines]
 
     def levels(volts: Array) -> Array:
         """Return the median of ln volt of every line, (lines,)."""
         return median(np.log(np.maximum(volts, view.scene.circuit.lsb_volt)), axis).ravel()
 
-    def shift(of_lines: Array) -> float:
-        """Return the level of the lines of the group less that of single ones."""
-        return middle(of_lines[list(group)]) - middle(np.delete(of_lines, group))
+    def single(of_lines: Array) -> Array:
+        """Return the levels of lines without an equal one, or else of those of other groups."""
+        return np.delete(of_lines, alike if len(alike) < len(of_lines) - 1 else group)
 
     observed = levels(view.resting)
-    expected = shift(levels(view.volts_of(cells, faults)))
-    single = np.delete(observed, group)
-    single = single[np.isfinite(single)]
-    if len(single) < 2:
-        return False
-    scatter = MAD_TO_SIGMA * float(np.median(np.abs(single - np.median(single))))
+    modelled = levels(view.volts_of(cells, faults))
+    expected = middle(modelled[list(group)]) - middle(np.delete(modelled, group))
+    others = single(observed)
+    others = others[np.isfinite(others)]
+    if len(others) < 2 or abs(expected) < MIN_SHIFT:
+        return None
+    shift = middle(observed[list(group)]) - float(np.median(others))
+    scatter = MAD_TO_SIGMA * float(np.median(np.abs(others - np.median(others))))
     least = max(MIN_SHIFT_SHARE * abs(expected), NOISE_REACH * scatter)
-    return bool(abs(expected) > MIN_SHIFT and shift(observed) * np.sign(expected) > least)
+    return bool(shift * np.sign(expected) > least)
 
 
 def _cells(view: _View) -> Iterator[Finding]:

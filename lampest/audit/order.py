@@ -1,19 +1,22 @@
 """Order of the lines: whether loads are smooth in the scene's order, or in another one.
 
 A load covers neighbouring cells, and its crosstalk rows and columns. Lines that a program numbered
-otherwise, or a frame that was cut into rows of another length, tear its image apart. The changes of
-all frames are reduced to their principal patterns. A pattern is the sum of its mean, a part of the
-rows, one of the columns, and an interaction. Each part is a smooth Gaussian process over the lines
-beside a roughness that knows no order,
+otherwise, or a frame that was cut into rows of another length, tear its image apart. Frames whose
+changes are alike show one place of a load, and their mean is its image. An image is the sum of its
+mean, a part of the rows, one of the columns, and an interaction. Each part is a smooth Gaussian
+process over the lines beside a roughness that knows no order,
 
     cov = s² (K/mean(diag K) + ρ),   K = C exp(−(i − j)²/(2 ℓ²)) C,   C = 1 − 1 1ᵀ/n,
 
 with K_rows ⊗ K_columns for the interaction. The scale s is integrated out by its maximum, ℓ and ρ
 over a few values, equally probable. An order is found where its odds against all others that are
 tried, and against the scene's, are a thousand to one. Single cells far larger than all others may
-stand side by side by chance: the normal scores of the ranks have to show the order, too. A load
-that trembles while it is scanned tears the weaker patterns apart: the strongest one, the load's own
-image, must not be less smooth in the order.
+stand side by side by chance: the normal scores of the ranks have to show the order, too.
+
+A load in one place may be like one in another order: two feet half a panel apart are one smooth
+load where odd and even lines are apart, an edge between two lines is one where they are swapped.
+Such a coincidence has a probability of its own, `Order.coincidence`, which bounds the evidence of
+each place: loads in several places tell an order, and one that stands tells none of lines.
 
 A load on every second line, such as a comb, has the image of a load on interleaved lines. Where
 such a load has not these odds against it, the recording cannot tell the order.
@@ -22,7 +25,7 @@ such a load has not these odds against it, the recording cannot tell the order.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import combinations
+from itertools import chain, combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -35,19 +38,23 @@ from lampest.recording.readings import median
 from lampest.recording.recording import UNLOADED, Recording
 
 ODDS = 1000.0  # of an order against the scene's
-# By which two exchanged lines or address bits are rarer than other orders. An edge of a load
-# between two lines looks like them: right recordings had odds of 10^8 at most
-# (docs/studies/orders.md).
-RARER = 1e6
+# Probability that a load in one place is as smooth in another order of lines: two like loads half a
+# panel apart, or an edge between two lines. No load is like one in rows of another length, or in
+# every second row reversed.
+COINCIDENCE = 1e-3
+NO_LOAD = 1e-9
 # Loads on every second line, by the steps between rows and between columns.
 COMBS = {"row": (2, 1), "column": (1, 2)}
 MIN_LINES = 4  # of each side: with fewer, another order is smoother by chance
 LENGTHS = (1.5, 3.0, 8.0)  # ℓ, lines: loads reach over more than one
 ROUGHNESS = (1e-2, 1e-1, 1.0, np.inf)  # ρ; inf: no order
-MAX_FRAMES = 200  # whose changes are decomposed, the strongest ones
-MAX_PATTERNS = 6
-# Singular value of a pattern over the largest of noise alone, about σ (√frames + √cells).
-MIN_PATTERN = 2.0
+MAX_STEPS = 6  # orders one after the other, such as several swapped pairs
+MAX_FRAMES = 200  # whose changes are compared, the strongest ones
+MAX_PLACES = 12
+# Root mean square of a change over the noise of a reading, so that its image shows a place.
+MIN_CHANGE = 2.0
+TINY = 1e-30  # norm of no image
+MAX_ALIKE = 0.5  # cosine between the changes of two places
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,14 +67,17 @@ class Order:
     image : integer array, shape (rows, columns)
         Number of the reading, in the scene's order along the rows, at each place.
     remedy : str
-    rarer : float
-        Factor by which it is less probable than other orders before a recording.
+    coincidence : float
+        Probability that a load in one place is smooth in this order by chance.
+    side : int or None
+        Axis of the lines whose order this is: 0 for rows, 1 for columns, None for neither.
     """
 
     words: str
     image: NDArray[np.intp]
     remedy: str
-    rarer: float = 1.0
+    coincidence: float = NO_LOAD
+    side: int | None = None
 
 
 class SmootherOrder(NamedTuple):
@@ -110,11 +120,10 @@ def orders(rows: int, columns: int) -> Iterator[Order]:
         "reverse them before import",
     )
     for name, count, place in (("rows", rows, 0), ("columns", columns, 1)):
-        for family, rarer in ((line_orders(count), 1.0), (exchanged_lines(count), RARER)):
-            for words, order in family:
-                remedy = f"the {name} belong in the order {order.tolist()}"
-                image = np.take(numbers, order, axis=place)
-                yield Order(f"{name} {words}", image, remedy, rarer)
+        for words, order in chain(line_orders(count), exchanged_lines(count)):
+            remedy = f"the {name} belong in the order {order.tolist()}"
+            image = np.take(numbers, order, axis=place)
+            yield Order(f"{name} {words}", image, remedy, COINCIDENCE, place)
 
 
 def line_orders(count: int) -> Iterator[tuple[str, NDArray[np.intp]]]:
@@ -174,28 +183,35 @@ def order_findings(recording: Recording, volts: Array) -> Iterator[Finding]:
     if not scene.whole:
         return
     lsb = 0.0 if scene.readout is None else scene.readout.lsb_volt
-    found = smoother_order(load_patterns(volts[~unloaded], volts[unloaded], lsb))
-    if found is None:
-        return
-    order, gain, every_second = found
-    if every_second:
+    images = load_images(volts[~unloaded], volts[unloaded], lsb)
+    steps = list[SmootherOrder]()
+    while len(steps) < MAX_STEPS and (found := smoother_order(images)) is not None:
+        order, _, every_second = found
+        if every_second and not steps:
+            yield Finding(
+                "order",
+                "the order of lines cannot be told from this recording",
+                f"loads lie on every second {every_second}, or they are smooth with {order.words}",
+                remedy=f"press a spot that covers neighbouring {every_second}s at a known place",
+            )
+            return
+        steps.append(found)
+        images = images.reshape(len(images), -1)[:, order.image]
+    if steps:
+        gain = sum(step.gain for step in steps) / (2 * np.log(10))
         yield Finding(
             "order",
-            "the order of lines cannot be told from this recording",
-            f"loads lie on every second {every_second}, or they are smooth with {order.words}",
-            remedy=f"press a spot that covers neighbouring {every_second}s at a known place",
+            "readings seem to come in another order: "
+            + " and ".join(step.order.words for step in steps),
+            f"loads are smooth then, with odds of 10^{gain:.0f} to one",
+            remedy="; then ".join(step.order.remedy for step in steps),
         )
-        return
-    yield Finding(
-        "order",
-        f"readings seem to come in another order: {order.words}",
-        f"loads are smooth then, with odds of 10^{gain / (2 * np.log(10)):.0f} to one",
-        remedy=order.remedy,
-    )
 
 
-def load_patterns(loaded: Array, resting: Array, least_noise: float) -> Array:
-    """Return the principal patterns of the changes that exceed noise, (patterns, rows, columns).
+def load_images(loaded: Array, resting: Array, least_noise: float) -> Array:
+    """Return the image of the load in each of its places, (places, rows, columns).
+
+    Frames whose changes have a cosine of MAX_ALIKE or more show one place.
 
     Parameters
     ----------
@@ -210,62 +226,131 @@ def load_patterns(loaded: Array, resting: Array, least_noise: float) -> Array:
     steps = steps[np.isfinite(steps)]
     noise = max(float(np.sqrt(np.sum(steps**2) / (2 * max(steps.size, 1)))), least_noise)
     flat = change.reshape(len(change), -1)
-    flat = flat[np.argsort(-np.sum(flat**2, axis=1))[:MAX_FRAMES]]
-    _, sizes, patterns = np.linalg.svd(flat, full_matrices=False)
-    beyond = sizes > MIN_PATTERN * noise * np.sum(np.sqrt(flat.shape))
-    return np.asarray(patterns[beyond][:MAX_PATTERNS].reshape(-1, *change.shape[1:]))
+    size = np.linalg.norm(flat, axis=1)
+    strongest = np.argsort(-size)[:MAX_FRAMES]
+    strongest = strongest[size[strongest] > MIN_CHANGE * noise * np.sqrt(flat.shape[1])]
+    flat = flat[strongest] / size[strongest, None]
+    images = list[Array]()
+    while len(flat) and len(images) < MAX_PLACES:
+        alike = flat @ flat[0] >= MAX_ALIKE
+        images.append(flat[alike].mean(axis=0))
+        flat = flat[~alike]
+    return np.reshape(images, (-1, *change.shape[1:]))
 
 
-def smoother_order(patterns: Array) -> SmootherOrder | None:
-    """Return the order in which patterns are smoothest; None where no order has the odds.
+def along_side(images: Array, side: int | None) -> NDArray[np.intp]:
+    """Return numbers of the places as the lines of a side tell them apart, (places,).
+
+    A bar across all rows that moves over columns is in one place along rows.
+
+    Parameters
+    ----------
+    images : array, shape (places, rows, columns)
+    side : int or None
+        Axis of the lines, 0 for rows; None: all places are distinct.
+    """
+    if side is None:
+        return np.arange(len(images))
+    profiles = images.mean(axis=2 - side)
+    profiles = profiles - profiles.mean(axis=1, keepdims=True)
+    profiles = profiles / np.maximum(np.linalg.norm(profiles, axis=1, keepdims=True), TINY)
+    cosines = profiles @ profiles.T
+    groups = np.full(len(images), -1)
+    for place in range(len(images)):
+        if groups[place] < 0:
+            groups[(groups < 0) & (cosines[place] >= MAX_ALIKE)] = place
+    return np.unique(groups, return_inverse=True)[1]
+
+
+def smoother_order(images: Array) -> SmootherOrder | None:
+    """Return the order in which loads are smoothest; None where no order has the odds.
 
     Orders that are mirror images of each other have one evidence;
     of these the first counts.
 
     Parameters
     ----------
-    patterns : array, shape (patterns, rows, columns)
-        In the scene's order, the strongest one first.
+    images : array, shape (places, rows, columns)
+        Images of the load in each place, in the scene's order.
     """
-    if not len(patterns):
+    if not len(images):
         return None
-    flat = patterns.reshape(len(patterns), -1)
+    flat = images.reshape(len(images), -1)
     ranks = np.argsort(np.argsort(flat, axis=1), axis=1)
-    scores = normal_quantile((ranks + 0.5) / flat.shape[1])
-    tried = list(orders(*patterns.shape[1:]))
-    gains = []
-    strongest = []
-    combs = []
-    for values in (flat, scores):
-        images = values.reshape(patterns.shape)
-        as_specified = smooth_costs(images)
-        gains_each = as_specified - costs_of_orders(values, tried)
-        gains.append(np.sum(gains_each, axis=1))
-        strongest.append(gains_each[:, 0])
-        combs.append([(as_specified - smooth_costs(images, step)).sum() for step in COMBS.values()])
-    before = -2 * np.log([order.rarer for order in tried])
-    least = (np.min(gains, axis=0) + before).round(6)
-    least[np.min(strongest, axis=0) < 0] = -np.inf
-    best = int(np.argmax(least))
-    gain = float(least[best])
-    enough = 2 * np.log(ODDS * len(tried))
-    if not gain > enough:
+    both = (flat, normal_quantile((ranks + 0.5) / flat.shape[1]))
+    as_specified = [smooth_costs(values.reshape(images.shape)) for values in both]
+
+    def gains_of(tried: Sequence[Order]) -> Array:
+        """Return gains by values and by ranks, (2, orders, places)."""
+        costs = [costs_of_orders(values, tried) for values in both]
+        return np.array(as_specified)[:, None] - costs
+
+    tried = list(orders(*images.shape[1:]))
+    gains = gains_of(tried)
+    several = several_exchanges(tried, np.min(gains, axis=0).sum(axis=1))
+    tried += several
+    gains = np.concatenate([gains, gains_of(several)], axis=1)
+    # By the less certain of both, values or ranks.
+    of_places = np.min(gains, axis=0)
+    best = int(np.argmax(of_places.sum(axis=1).round(6)))
+    # A coincidence bounds each place's share of the evidence.
+    groups = along_side(images, tried[best].side)
+    of_groups = np.bincount(groups, weights=of_places[best])
+    gain = float(np.minimum(of_groups, -2 * np.log(tried[best].coincidence)).sum())
+    if not gain > 2 * np.log(ODDS * len(tried)):
         return None
     # By the same of both, values or ranks, a load on every second line may explain as much.
-    beyond = np.min(np.array(gains)[:, [best]] - combs, axis=0)
+    combs = [
+        [specified - smooth_costs(values.reshape(images.shape), step) for step in COMBS.values()]
+        for specified, values in zip(as_specified, both, strict=True)
+    ]
+    beyond = np.min(gains[:, [best]] - combs, axis=0).sum(axis=1)
     comb = int(np.argmin(beyond))
     every_second = list(COMBS)[comb] if beyond[comb] < 2 * np.log(ODDS) else ""
     return SmootherOrder(tried[best], gain, every_second)
 
 
+def several_exchanges(tried: Sequence[Order], gains: Array) -> list[Order]:
+    """Return orders with all exchanges of two lines that gain, of each side, and of both.
+
+    Several swapped pairs are rough together, so that one exchange alone gains little.
+
+    Parameters
+    ----------
+    tried : sequence of Order
+    gains : array, shape (orders,)
+        Gains in −2 ln evidence.
+    """
+    several = list[Order]()
+    for side in (0, 1):
+        of_side = [number for number in np.argsort(-gains) if tried[number].side == side]
+        if not of_side:
+            continue
+        shape = tried[of_side[0]].image.shape
+        at_home = np.arange(np.prod(shape)).reshape(shape)
+        numbers = at_home
+        chosen = list[Order]()
+        for number in of_side:
+            moved = tried[number].image != at_home
+            two_lines = moved.sum() == 2 * at_home.shape[1 - side]
+            if gains[number] > 0 and two_lines and not (moved & (numbers != at_home)).any():
+                numbers = np.where(moved, tried[number].image, numbers)
+                chosen.append(tried[number])
+        if len(chosen) > 1:
+            words = " and ".join(order.words for order in chosen)
+            remedy = "; then ".join(order.remedy for order in chosen)
+            several.append(Order(words, numbers, remedy, COINCIDENCE, side))
+    return several
+
+
 def costs_of_orders(values: Array, tried: Sequence[Order]) -> Array:
-    """Return −2 ln evidence of patterns in each order, shape (orders, patterns).
+    """Return −2 ln evidence of images in each order, shape (orders, places).
 
     Orders whose images have one shape are evaluated together.
 
     Parameters
     ----------
-    values : array, shape (patterns, readings)
+    values : array, shape (places, readings)
     tried : sequence of Order
     """
     costs = np.empty((len(tried), len(values)))

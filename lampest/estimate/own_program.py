@@ -31,7 +31,7 @@ from lampest.formulation.ipopt import Interface
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
 from lampest.inference.prepared import Prepared
-from lampest.panel.compiled import SymbolsOwner
+from lampest.panel.compiled import SymbolsOwner, guarded
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.solvers.by_ipopt import ipopt_limits
 from lampest.solvers.multistart import evaluated

@@ -1,9 +1,11 @@
 """Cleaning of a recording: outliers of a single frame, frozen and garbled readings are left out.
 
-A loose contact or a lost bit changes one reading in one frame; a touch changes many readings at
-once. A reading is an outlier if it deviates from the prediction of its neighbouring frames while
-its row and column do not. Outliers in unloaded frames are excluded from the mean. In measured
-frames the prediction replaces them.
+A reading is an outlier if it deviates from the prediction of its neighbouring frames while its row
+and column do not. A loose contact and a lost bit make such a reading. So does a tap of one frame,
+where a cell moves its own reading alone: such a reading stays, and is named. Where the circuit
+couples the readings of a row or a column, a cell that explained the reading would move them as
+well: a reading that stands alone is impossible there, and missing. In unloaded frames no cell
+changes, and all outliers are missing. No reading is replaced.
 """
 
 from collections.abc import Callable
@@ -12,13 +14,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.levels import FALSE_ALARM_RATE, MAD_TO_SIGMA, OUTLIER_THRESHOLD
+from lampest.files.errors import first_and_more
+from lampest.files.levels import (
+    FALSE_ALARM_RATE,
+    MAD_TO_SIGMA,
+    MIN_EVIDENCE_GAIN,
+    OUTLIER_THRESHOLD,
+    UNUSUAL,
+)
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import largest_normal, largest_of
 from lampest.recording.garbled import GarbledLines, garbled_lines, readings_of
-from lampest.recording.readings import Readings, Sidedness, median
+from lampest.recording.readings import Readings, Sidedness, median, stand_in
 from lampest.recording.recording import UNLOADED, Recording
 
 WINDOW = 4  # neighbouring frames that are compared
@@ -36,6 +45,7 @@ QUIET_SHARE = 0.25
 # FALSE_ALARM_RATE 3 of 19,000 simulated recordings without a frozen reading show one, and from a
 # step of noise and 12 frames on all frozen ones are noticed.
 MAX_REPEATED = 0.5
+ABSENT_OHM = 1e12  # a place without a cell
 MIN_FRAMES = 3  # with fewer, the deviating frame cannot be identified
 
 # (prediction from the neighbours in time, its standard deviation by their scatter, standard
@@ -202,35 +212,30 @@ def _impossible_bounds(circuit: Readout, readings: Readings) -> NDArray[np.bool_
     return np.asarray(impossible & (count <= max(1.0, MAX_SHARE * bound[0].size)))
 
 
-def without_outliers(
-    impossible: NDArray[np.bool_], readings: Readings, unloaded: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], Readings]:
-    """Return the outliers and the readings without them.
+def outliers_of_one_frame(
+    readings: Readings, unloaded: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Return the readings that deviate from their neighbours in time while their lines do not.
 
-    Unloaded outliers are omitted, measured ones replaced. Bounds that the other readings allow are
-    never outliers.
+    Bounds that the other readings allow are never outliers.
 
     Parameters
     ----------
-    impossible : boolean array, shape (frames, rows, columns)
-        Readings that no cells allow; they are omitted in all frames.
     readings : Readings
-        (frames, rows, columns).
+        (frames, rows, columns), without those that no cells allow.
     unloaded : boolean array, shape (frames,)
         Unloaded and measured frames are compared separately, because a load arrives between them.
 
     Returns
     -------
-    boolean array, shape (frames, rows, columns)
-        The outliers.
-    Readings
-        The readings without them.
+    outlying : boolean array, shape (frames, rows, columns)
+    predicted, scale : arrays, same shape
+        Values that the neighbours in time predict, and the standard deviations of the differences.
     """
-    readings = readings.without(impossible)
     value = readings.plain_values
     sigma = np.ones(value.shape) if readings.sigma is None else readings.sigma
     outlying = np.zeros(value.shape, dtype=bool)
-    instead = value.copy()
+    expected = value.copy()
     spread = np.zeros(value.shape)
     # The specified σ may be wrong, so it is rescaled by the median change from frame to frame,
     # which is noise.
@@ -246,14 +251,62 @@ def without_outliers(
             value[chosen], scale[chosen], max_share
         )
         outlying[chosen] = flagged
-        instead[chosen] = predicted
+        expected[chosen] = predicted
         spread[chosen] = predicted_sigma
         max_share = max(MAX_SHARE, 2 * float(flagged.mean()))
     resting = median(value[unloaded])[0] if unloaded.any() else np.full(value.shape[1:], np.nan)
     at_rest = unloaded[:, None, None]
     outlying &= at_rest | _alone_in_time(value, scale, resting, ~unloaded)
-    omitted = replace(readings, seen=np.where(outlying & at_rest, 0.0, readings.seen))
-    return outlying | impossible, _replaced(omitted, outlying & ~at_rest, instead, spread)
+    return outlying, expected, np.hypot(scale, spread)
+
+
+def no_cell_moves(
+    scene: Scene,
+    outlying: NDArray[np.bool_],
+    value: Array,
+    expected: Array,
+    scale: Array,
+) -> NDArray[np.bool_]:
+    """Return outliers of one frame that no change of their own cell explains.
+
+    A change of one cell that moves its reading by d moves the others of its row and column by c d,
+    c by the circuit's derivative at the cells of the frame. With residuals e of these readings and
+    their standard deviations s, the reading stands alone if Σ [(e − c d)² − e²]/s² exceeds
+    MIN_EVIDENCE_GAIN. Where a cell moves its own reading alone, c is 0, and none does. Where
+    another reading of these lines deviates, other cells change as well, and none is judged.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene of a single network.
+    outlying : boolean array, shape (rows, columns)
+    value, expected, scale : arrays, same shape
+        Readings of a frame, NaN where there is none, their predictions and standard deviations.
+    """
+    alone = np.zeros(outlying.shape, dtype=bool)
+    known = np.isfinite(expected) & (expected > 0)
+    filled = np.where(known, expected, stand_in(np.where(known, expected, 1.0), known))
+    cells = scene.circuit.uniform_start(filled)
+    cells = np.where(scene.panel.present, cells, ABSENT_OHM)
+    try:
+        network = scene.circuit.network(cells, scene.circuit.ties(filled), scene.wiring)
+    except np.linalg.LinAlgError:
+        return alone
+    residual = value - expected
+    usable = np.isfinite(residual) & ~outlying & (scale > 0)
+    for row, column in np.argwhere(outlying):
+        step = np.zeros(outlying.shape)
+        step[row, column] = 1.0
+        moved = network.forward(step)
+        moved = moved * (residual[row, column] / moved[row, column])
+        beside = np.zeros(outlying.shape, dtype=bool)
+        beside[row] = beside[:, column] = True
+        beside &= usable & np.isfinite(moved)
+        apart, expected_apart = (part[beside] / scale[beside] for part in (residual, moved))
+        still = np.abs(apart).max(initial=0.0) < UNUSUAL
+        gain = np.sum((apart - expected_apart) ** 2 - apart**2)
+        alone[row, column] = still and gain > MIN_EVIDENCE_GAIN
+    return alone
 
 
 def _alone_in_time(
@@ -284,31 +337,13 @@ def _alone_in_time(
     return isolated
 
 
-def _replaced(
-    readings: Readings, outlying: NDArray[np.bool_], instead: Array, spread: Array
-) -> Readings:
-    """Return the readings with outliers replaced by predictions.
-
-    Parameters
-    ----------
-    readings : Readings
-    outlying : boolean array, shape of the readings
-    instead, spread : array, same shape
-        Predictions, and their standard deviations, which widen σ.
-    """
-    value = np.where(outlying, instead, readings.value)
-    sigma = readings.sigma
-    wider = None if sigma is None else np.where(outlying, np.hypot(sigma, spread), sigma)
-    return replace(readings, value=value, sigma=wider)
-
-
 @dataclass(frozen=True, eq=False)
 class FramesBefore:
     """Last frames of a stream, WINDOW at most, for the detection of outliers online.
 
-    The newest frame comes last. Where lines are connected by cells alone, a touch of one cell
-    changes its row and column, and previous frames alone distinguish an outlier from it. Where a
-    reading depends on its own cell only, they cannot, and the readings stay unchanged.
+    The newest frame comes last. Where a touch of one cell moves its row and column, previous frames
+    alone distinguish an outlier from it. Where it moves its own reading only, they cannot, and the
+    reading stays.
     """
 
     frames: tuple[Readings, ...] = ()
@@ -317,51 +352,34 @@ class FramesBefore:
         """Return the frames after one more has come."""
         return FramesBefore((*self.frames, readings)[-WINDOW:])
 
-    def without_outliers(
-        self, readings: Readings, scene: Scene, resting: Readings, baseline: Array
-    ) -> tuple[Readings, int]:
-        """Replace the outliers of a frame by their predictions.
+    def without_impossible(self, readings: Readings, scene: Scene) -> tuple[Readings, int]:
+        """Return a frame without the readings that no cells give, and their number.
 
         Parameters
         ----------
         readings : Readings
             The new frame, (rows, columns).
         scene : Scene
-        resting : Readings
-            Unloaded readings, (rows, columns).
-        baseline : array, shape (rows, columns)
-            Cells of the unloaded panel, ohm; NaN where unknown.
-
-        Returns
-        -------
-        readings : Readings
-            The frame without outliers.
-        count : int
-            Number of outliers.
         """
         impossible = impossible_readings(scene.circuit, readings.alone())[0]
-        count = int(impossible.sum())
         readings = readings.without(impossible)
-        if len(self.frames) < MIN_FRAMES or readings.sigma is None or np.isnan(baseline).any():
-            return readings, count
+        if len(self.frames) >= MIN_FRAMES and readings.sigma is not None:
+            impossible |= self._no_cell_moves(readings, scene)
+        return readings.without(impossible), int(impossible.sum())
+
+    def _no_cell_moves(self, readings: Readings, scene: Scene) -> NDArray[np.bool_]:
+        """Return the readings that differ from the frames before as no cell makes them differ."""
         value = np.stack([frame.plain_values for frame in self.frames])
-        scale = readings.sigma * np.fmax(
-            _pair_scale(value, np.broadcast_to(readings.sigma, value.shape)), 1.0
-        )
-        middle, spread, _ = _by_median(value)
+        sigma = readings.known_sigma
+        scale = sigma * np.fmax(_pair_scale(value, np.broadcast_to(sigma, value.shape)), 1.0)
+        expected = _by_median(value)
+        middle, spread, _ = expected
         with np.errstate(divide="ignore", invalid="ignore"):
-            outlying = _exceeds_threshold(
-                readings.plain_values, scale, (middle, spread, np.ones(middle.shape))
-            )
+            outlying = _exceeds_threshold(readings.plain_values, scale, expected)
         if not outlying.any() or outlying.mean() > MAX_SHARE:
-            return readings, count
-        network = scene.circuit.network(baseline, scene.circuit.ties(resting.value), scene.wiring)
-        for place in np.argwhere(outlying):  # would a load on this cell move its row or its column?
-            step = np.zeros(scale.shape)
-            step[*place] = 1.0
-            moved = np.abs(network.forward(step)) / scale
-            outlying[*place] = MIN_RATIO_TO_LINES * _beside(moved)[*place] > moved[*place]
-        return _replaced(readings, outlying, middle, spread), count + int(outlying.sum())
+            return np.zeros(outlying.shape, dtype=bool)
+        scale = np.hypot(scale, spread)
+        return no_cell_moves(scene, outlying, readings.plain_values, middle, scale)
 
 
 def _from_window(
@@ -511,7 +529,7 @@ def _pair_scale(value: Array, sigma: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Cleaned:
-    """Readings of a single network without outliers.
+    """Readings of a recording without those that are impossible, and the outliers that stay.
 
     Attributes
     ----------
@@ -521,31 +539,67 @@ class Cleaned:
     frozen : boolean array, shape (rows, columns)
     garbled : tuple of GarbledLines
     outliers : boolean array, shape (frames, rows, columns)
+        Readings that no cells allow, and outliers of one frame.
+    deviation : array, same shape
+        Readings over the predictions of their neighbours in time, less one.
     readings : Readings
-        Unloaded outliers are missing, measured ones are replaced by the prediction of neighbouring
-        frames.
+        Impossible readings are missing, those of unloaded frames that deviate, and all outliers
+        where the scene excludes them.
     """
 
     recording: Recording
     frozen: NDArray[np.bool_]
     garbled: tuple[GarbledLines, ...]
     outliers: NDArray[np.bool_]
+    deviation: Array
     readings: Readings
 
     @classmethod
     def of(cls, recording: Recording) -> "Cleaned":
-        """Return the readings of a recording without those that do not belong to it.
-
-        All remain where its scene keeps outliers.
-        """
-        if recording.scene.outliers == "keep":
-            frozen = np.zeros(recording.scene.panel.shape, dtype=bool)
-            outliers = np.zeros(recording.recorded.shape, dtype=bool)
-            return cls(recording, frozen, (), outliers, recording.readings())
+        """Return the readings of a recording without those that do not belong to it."""
+        scene = recording.scene
+        unloaded = recording.role == UNLOADED
         frozen = frozen_readings(recording)
         garbled = garbled_lines(recording)
         recording = without_readings(recording, frozen | readings_of(garbled, recording))
-        readings = recording.readings()
-        impossible = impossible_readings(recording.scene.circuit, readings)
-        outliers, readings = without_outliers(impossible, readings, recording.role == UNLOADED)
-        return cls(recording, frozen, garbled, outliers, readings)
+        every = recording.readings()
+        impossible = impossible_readings(scene.circuit, every)
+        readings = every.without(impossible)
+        outlying, expected, scale = outliers_of_one_frame(readings, unloaded)
+        value = readings.plain_values
+        left_out = outlying & (unloaded[:, None, None] | (scene.outliers == "exclude"))
+        for frame in np.flatnonzero((outlying & ~left_out).any(axis=(1, 2))):
+            of_frame = (part[frame] for part in (outlying, value, expected, scale))
+            left_out[frame] |= no_cell_moves(scene, *of_frame)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            deviation = every.value / expected - 1
+        outliers = outlying | impossible
+        return cls(recording, frozen, garbled, outliers, deviation, readings.without(left_out))
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Sentences on outliers: those that are missing, and those that stay."""
+        missing = self.outliers & (self.readings.seen == 0)
+        at_rest = (self.recording.role == UNLOADED)[:, None, None]
+        excludes = self.recording.scene.outliers == "exclude"
+        kinds = (
+            (missing & at_rest, "left out, since no cell changes in unloaded frames"),
+            (missing & ~at_rest, "left out" if excludes else "left out, since no cell gives that"),
+            (self.outliers & ~missing, "kept; outliers: exclude leaves out such readings"),
+        )
+        return tuple(self._named(chosen, fate) for chosen, fate in kinds if chosen.any())
+
+    def _named(self, chosen: NDArray[np.bool_], fate: str) -> str:
+        """Return the places and sizes of outliers in words, the largest first."""
+        number = self.recording.number
+        size = np.where(chosen, np.abs(np.nan_to_num(self.deviation)), -1.0)
+        count = int(chosen.sum())
+        places = []
+        for place in np.argsort(-size, axis=None)[:count].tolist():
+            frame, row, column = np.unravel_index(place, chosen.shape)
+            named = frame if number is None else number[frame]
+            percent = 100 * self.deviation[frame, row, column]
+            size_text = f" by {percent:+.2g} %" if np.isfinite(percent) else ""
+            places.append(f"row {row}, column {column} of frame {named}{size_text}")
+        subject = "reading deviates" if count == 1 else "readings deviate"
+        return f"{count} {subject} in one frame: {first_and_more(places)}; {fate}"

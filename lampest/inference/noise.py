@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import SIGNIFICANCE
-from lampest.inference.cleaning import MAX_SHARE, MIN_FRAMES
 from lampest.inference.variance_components import (
     MIN_EXCESS,
     Scatter,
@@ -271,16 +270,14 @@ def estimate_noise(
     recording : Recording
     outliers : boolean array, shape (frames, rows, columns)
     cleaned : Readings
-        Readings of all frames without outliers.
+        Readings of all frames without impossible ones.
     effects : sequence of FrameEffect
         Those that the scene names.
     """
     scene = recording.scene
     readout = recording.scene.readout
     unloaded = int((recording.role == UNLOADED).sum())
-    unscaled = NoiseEstimate(
-        outliers, _outlier_messages(outliers, cleaned, recording.role == UNLOADED), cleaned
-    )
+    unscaled = NoiseEstimate(outliers, (), cleaned)
     requested = readout is not None and readout.noise_lsb == ESTIMATED
     parts = None if cleaned.sigma is None else _scatter_of(recording, cleaned)
     if cleaned.sigma is None or parts is None:
@@ -373,39 +370,6 @@ def _contradiction_in_words(readout: Readout | None, ratio: float, unloaded: int
 def excludes_model_error(scene: Scene) -> bool:
     """Return whether a scene states that its noise is right and its model has no error."""
     return isinstance(scene.systematic, Systematic) and scene.systematic.model_error == 0
-
-
-def _outlier_messages(
-    outliers: NDArray[np.bool_], cleaned: Readings, resting: NDArray[np.bool_]
-) -> tuple[str, ...]:
-    """Return sentences on impossible readings and on outliers.
-
-    `resting` are the unloaded frames, (frames,).
-    """
-    messages = list[str]()
-    impossible = outliers & (cleaned.seen == 0) & ~resting[:, None, None]
-    left_out = int(impossible.sum())
-    if left_out:
-        subject = "reading is" if left_out == 1 else "readings are"
-        messages.append(
-            f"{left_out} {subject} larger than any cells allow beside the others, and left out"
-        )
-    replaced = int((outliers & ~impossible).sum())
-    if replaced:
-        message = (
-            f"{replaced} of {outliers.size} readings are outliers of one frame, "
-            "replaced by their neighbours in time"
-        )
-        rest_shows_rate = resting.sum() >= MIN_FRAMES and cleaned.sigma is not None
-        rate = float((outliers[resting] if rest_shows_rate else outliers).mean())
-        # Beyond MAX_SHARE neighbours in time are outliers, too, and replace them badly.
-        if rate > MAX_SHARE:
-            message += (
-                f"; at {100 * rate:.2g} % there are more that nobody sees, "
-                "and error bars do not cover them"
-            )
-        messages.append(message)
-    return tuple(messages)
 
 
 def _scatter_of(recording: Recording, cleaned: Readings) -> Scatter | None:

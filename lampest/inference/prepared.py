@@ -105,7 +105,7 @@ class Prepared:
 
     @cached_property
     def cleaned(self) -> Cleaned:
-        """The readings of a single network without outliers."""
+        """The readings of a single network without impossible ones."""
         return Cleaned.of(self._freed.recording)
 
     @cached_property
@@ -125,7 +125,7 @@ class Prepared:
                 f"one value in all frames at {' and at '.join(places)}, "
                 "while noise changes the other readings: left out"
             )
-        return noise.with_warnings(garbled_sentence(self.cleaned.garbled))
+        return noise.with_warnings(garbled_sentence(self.cleaned.garbled), *self.cleaned.sentences)
 
     @cached_property
     @ONE_BLAS_THREAD
@@ -201,7 +201,7 @@ class Prepared:
             if not count:
                 return check
             outliers = "outliers" if count > 1 else "outlier"
-            sentence = f"{check.sentence}; {count} {outliers} of one frame left out"
+            sentence = f"{check.sentence}, without {count} {outliers} of one frame"
             return replace(check, sentence=sentence)
         return ModelCheck(
             None, "the circuit was not checked: arithmetic broke down over its readings"
@@ -218,10 +218,10 @@ class Prepared:
         noise = self.frame_noise
         if OF_NOISE in noise.estimated:
             return 1.0
-        if not effects_of_frames(scene):
-            return self.question.widening
-        is_open = scene.readout is not None and not scene.readout.noise_specified
-        return 1.0 if is_open else noise.sigma_factor
+        of_recording = self.recording.sigma is not None or scene.readout is None
+        if not of_recording and not scene.circuit.noise_specified:
+            return 1.0
+        return noise.sigma_factor if effects_of_frames(scene) else self.question.widening
 
     def _with_named_errors(self, check: "ModelCheck") -> "ModelCheck":
         """Return the check of a circuit with the errors that the scene names beside noise.

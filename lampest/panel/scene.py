@@ -99,9 +99,9 @@ class Scene(Configuration):
         how much loads tremble within a scan. None: none.
     creep : float or 'estimated', or None
         Change of log r of all cells alike since the unloaded frames, which is no load; None: none.
-    outliers : {'exclude', 'keep'}, or None
-        Readings of a single frame that differ from its neighbours in time, and frozen ones. None:
-        excluded.
+    outliers : {'keep', 'exclude'}, or None
+        Readings that differ from their neighbours in time while their row and column do not. None:
+        kept. What no cells give is missing in either case.
     estimated : dict, or None
         Of resolved scenes: key of each number that the recording determined → (number, standard
         deviation).

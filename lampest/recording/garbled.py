@@ -21,9 +21,10 @@ from lampest.files.errors import first_and_more
 from lampest.files.levels import MAD_TO_SIGMA, OUTLIER_THRESHOLD, UNUSUAL
 from lampest.panel.panel import Array
 from lampest.recording.readings import median
-from lampest.recording.recording import Recording
+from lampest.recording.recording import UNLOADED, Recording
 
 MIN_FRAMES = 5  # with fewer, the neighbours of a frame do not show which one is the odd one
+MIN_ALIKE = 3  # unloaded or measured frames: of two, none is the odd one
 WINDOW = 2  # neighbouring frames before and after
 # Deviation over the scatter of the neighbours, so that an arriving load is not flagged.
 MIN_RATIO_TO_SCATTER = 3.0
@@ -32,11 +33,14 @@ MIN_LINE_SHARE = 0.25  # of deviating readings, beyond which a line counts as af
 MIN_SHARE = 0.6
 MAX_SHARE_BESIDE = 0.05
 MIN_LINE_CELLS = 5  # readings of a line: with fewer, chance makes it as rough as a garbled one
-# Median second difference of ln y along the lines, and its ratio to the largest one of a line of
-# the other frames. That of random bytes is 1.5; film that scatters by 0.3 has 0.5, and loads add
+# Median second difference of ln y along the lines, and its ratio to the largest one of the lines
+# that follow their neighbours in time. That of random bytes is 1.5; film that scatters by 0.3 has
+# 0.5, and loads add
 # little (tests/oracles/test_garbled.py).
 MIN_ROUGHNESS = 0.5
 MIN_ROUGHNESS_RATIO = 1.3
+# Median deviation of the changes of ln y of a line from their median: below it they are alike.
+MAX_SPREAD = 0.1
 # Times as rough: such lines are garbled even if other lines of the frame move as well.
 CLEARLY = 1.5
 MAX_DISPLACEMENT = 4  # readings along the scan
@@ -91,7 +95,7 @@ def garbled_lines(recording: Recording) -> tuple[GarbledLines, ...]:
     values = _signal(recording)
     if len(values) < MIN_FRAMES or min(values.shape[1:]) < MIN_LINE_CELLS:
         return ()
-    expected, spread = _expected(values)
+    expected, spread = _expected(values, recording.role)
     # The noise by changes from frame to frame; the converter's step is the least one.
     steps = np.abs(np.diff(values, axis=0))
     measured = float(MAD_TO_SIGMA / np.sqrt(2) * median(steps.ravel())[0])
@@ -103,7 +107,8 @@ def garbled_lines(recording: Recording) -> tuple[GarbledLines, ...]:
     with np.errstate(invalid="ignore"):
         deviates = np.abs(values - expected) > threshold
     suspicious: list[int] = np.flatnonzero(deviates.any(axis=(1, 2))).tolist()
-    rows = Along(values, expected, deviates, scale)
+    ends = (0.0,) if readout is None else tuple(map(float, readout.range_volt))
+    rows = Along(values, expected, deviates, scale, ends)
     garbled = dict[int, GarbledLines]()
     for name, along in (("row", rows), ("column", rows.transposed)):
         for frame in suspicious:
@@ -143,16 +148,25 @@ def _signal(recording: Recording) -> Array:
     return np.where(np.isfinite(values) & scene.requested, values, np.nan)
 
 
-def _expected(values: Array) -> tuple[Array, Array]:
-    """Return median and scatter of each frame's neighbours, (frames, rows, columns) each."""
-    frames = np.arange(len(values))
-    width = 2 * WINDOW + 1
-    first = np.clip(frames - WINDOW, 0, len(values) - width)
-    within = first[:, None] + np.arange(width)
-    nearest = within[within != frames[:, None]].reshape(len(frames), width - 1).T
-    neighbours = values[nearest]
-    middle = median(neighbours)[0]
-    return middle, MAD_TO_SIGMA * median(np.abs(neighbours - middle))[0]
+def _expected(values: Array, role: NDArray[np.uint8]) -> tuple[Array, Array]:
+    """Return median and scatter of each frame's neighbours, (frames, rows, columns) each.
+
+    Unloaded frames have unloaded neighbours and measured frames measured ones: between them a load
+    arrives. A frame has none, and NaN, where fewer than MIN_ALIKE frames have its role.
+    """
+    middle, spread = np.full((2, *values.shape), np.nan)
+    for alike in (role == UNLOADED, role != UNLOADED):
+        own = values[alike]
+        frames = np.arange(len(own))
+        if len(own) < MIN_ALIKE:
+            continue
+        width = min(2 * WINDOW + 1, len(own))
+        first = np.clip(frames - WINDOW, 0, len(own) - width)
+        within = first[:, None] + np.arange(width)
+        nearest = within[within != frames[:, None]].reshape(len(frames), width - 1).T
+        middle[alike] = median(own[nearest])[0]
+        spread[alike] = MAD_TO_SIGMA * median(np.abs(own[nearest] - middle[alike]))[0]
+    return middle, spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,48 +181,63 @@ class Along:
         Whether a reading deviates from the neighbouring frames.
     scale : float
         Standard deviation of the noise, volt.
+    ends : tuple of float
+        Voltages of the converter's first and last code; of readings without a converter zero.
     """
 
     values: Array
     expected: Array
     deviates: NDArray[np.bool_]
     scale: float
+    ends: tuple[float, ...]
 
     @property
     def transposed(self) -> "Along":
         """The lines of the other side."""
         values, expected = (part.swapaxes(1, 2) for part in (self.values, self.expected))
-        return Along(values, expected, self.deviates.swapaxes(1, 2), self.scale)
+        return Along(values, expected, self.deviates.swapaxes(1, 2), self.scale, self.ends)
 
     @cached_property
     def roughness(self) -> Array:
-        """Median size of second differences of ln y along each line, (frames, lines)."""
+        """Median size of second differences of ln y along each line, (frames, lines).
+
+        It is 0 where the changes ln y/ŷ of a line are alike without the largest one: one cell that
+        is pressed moves the other readings of its line by one factor.
+        """
         logarithm = np.log(np.maximum(self.values, self.scale))
-        return np.nan_to_num(median(np.abs(np.diff(logarithm, 2, axis=2)), 2)[:, :, 0])
+        rough = np.nan_to_num(median(np.abs(np.diff(logarithm, 2, axis=2)), 2)[:, :, 0])
+        change = logarithm - np.log(np.maximum(self.expected, self.scale))
+        pressed = np.nan_to_num(np.abs(change)).argmax(axis=2)[:, :, None]
+        cells = np.arange(change.shape[2] - 1)
+        others = np.take_along_axis(change, cells + (cells >= pressed), axis=2)
+        common = median(others, 2)
+        spread = median(np.abs(others - common), 2)
+        return np.where((spread < MAX_SPREAD)[:, :, 0], 0.0, rough)
 
     @cached_property
-    def _least_rough(self) -> Array:
-        """Least roughness of a garbled line, (frames,), from the lines of all other frames."""
-        return np.asarray(
-            np.fmax(
-                MIN_ROUGHNESS, MIN_ROUGHNESS_RATIO * largest_of_others(self.roughness.max(axis=1))
-            )
-        )
+    def _following(self) -> NDArray[np.bool_]:
+        """Whether a line follows its neighbours in time, (frames, lines): the measure of others."""
+        judged = np.isfinite(self.expected).any(axis=2)
+        return np.asarray(judged & (self.deviates.mean(axis=2) <= MIN_LINE_SHARE))
+
+    @cached_property
+    def _least_rough(self) -> float:
+        """Least roughness of a garbled line, from the lines that follow their neighbours."""
+        usual = float(self.roughness.max(initial=0.0, where=self._following))
+        return max(MIN_ROUGHNESS, MIN_ROUGHNESS_RATIO * usual)
 
     @cached_property
     def _lost(self) -> NDArray[np.bool_]:
-        """Whether a line has a single value, beyond those of all other frames, (frames, lines)."""
-        finite = np.isfinite(self.values)
-        largest = np.max(self.values, axis=2, initial=-np.inf, where=finite)
-        smallest = np.min(self.values, axis=2, initial=np.inf, where=finite)
-        above = smallest > largest_of_others(largest.max(axis=1))[:, None]
-        below = largest < -largest_of_others(-smallest.min(axis=1))[:, None]
-        return np.asarray((above | below) & finite.any(axis=2) & (largest < smallest + self.scale))
+        """Whether a line lies at one end of the converter as no following line, (frames, lines)."""
+        ends = [np.abs(self.values - end) < self.scale for end in self.ends]
+        usual = self._following[:, :, None]
+        lost = [at_end.all(axis=2) & ~(at_end & usual).any() for at_end in ends]
+        return np.asarray(np.any(lost, axis=0) & usual.any())
 
     def garbled(self, frame: int) -> NDArray[np.intp]:
         """Return the garbled lines of a frame."""
         shares = self.deviates[frame].mean(axis=1)
-        least = self._least_rough[frame]
+        least = self._least_rough
         roughness = self.roughness[frame]
         clear = (shares > MIN_SHARE) & ((roughness > CLEARLY * least) | self._lost[frame])
         # Lines that deviate as a whole while the others do not.
@@ -250,14 +279,6 @@ class Along:
 def displaced(frame: Array, steps: int, order: Literal["C", "F"]) -> Array:
     """Return a frame (rows, columns) whose readings are displaced by steps along the scan."""
     return np.roll(frame.ravel(order=order), steps).reshape(frame.shape, order=order)
-
-
-def largest_of_others(values: Array) -> Array:
-    """Return the largest value of the other frames for each frame, (frames,)."""
-    first = int(np.argmax(values))
-    return np.asarray(
-        np.where(np.arange(len(values)) == first, np.delete(values, first).max(), values[first])
-    )
 
 
 def middle(values: Array) -> float:

@@ -11,7 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, brief, in_words
-from lampest.files.levels import NOISE_REACH, SIGNIFICANT, UNUSUAL
+from lampest.files.levels import NOISE_REACH, UNUSUAL
 from lampest.files.typed import real_array
 from lampest.panel.panel import Array, Modules, beyond_any_panel, check_line_memory
 from lampest.panel.readouts.readout import without_memory
@@ -529,51 +529,41 @@ def _filled(values: Array, seen: Array) -> Array:
     return np.where(seen > 0, values, mean)
 
 
-def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
-    """Return groups of rows with equal readings in all frames (frames, rows, columns).
+def equal_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
+    """Return groups of rows whose readings are equal within their noise in all frames.
 
-    Two rows that touch are one node: their readings are equal in every column of every frame, and
-    differ from those of other rows in every frame. Rows of a uniform panel that no load reaches
-    differ from the others only under loads, and not in the frame in which the rows are most alike.
+    Rows that touch and rows that are read twice are such groups, and so are rows of a uniform film
+    that no load tells apart. The mean square of n normal differences is 1 ± √(2/n).
+
+    Parameters
+    ----------
+    readings : Readings
+        (frames, rows, columns).
 
     Returns
     -------
     tuple of tuple of int
         Numbers of the rows of each group; empty if the noise is unknown.
     """
-    sigma = readings.sigma_of_values
     rows = readings.value.shape[-2]
-    if sigma is None:
+    if readings.sigma is None:
         return ()
     check_line_memory(rows, 1)
-    value = readings.value.reshape(-1, *readings.value.shape[-2:])
-    noise = sigma.reshape(-1, *sigma.shape[-2:])
-    unlike, count = _row_differences(value, noise)
-    # Equal rows: the mean square of n normal differences is 1 ± √(2/n).
+    unlike, count = line_differences(readings)
     similar = (unlike <= 1 + UNUSUAL * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)
-    # Groups count only among rows that differ significantly from most others, in the calmest frame,
-    # too.
-    distinct = _differ_from_most(unlike, similar | (count < 4))
-    if np.any(distinct):
-        means = np.ma.masked_invalid(np.where(np.isfinite(noise), value, np.nan)).mean(axis=-1)
-        calmest = int(np.argmin(np.ma.filled(means.std(axis=-1), np.inf)))
-        in_calmest, values_there = _row_differences(value[[calmest]], noise[[calmest]])
-        distinct &= _differ_from_most(in_calmest, similar | (values_there < 4))
-    touching = similar & distinct & distinct[:, None] & ~np.eye(rows, dtype=bool)
-    if not np.any(touching):
-        return ()
-    groups, group = scipy.sparse.csgraph.connected_components(touching, directed=False)
+    groups, group = scipy.sparse.csgraph.connected_components(similar, directed=False)
     members = (np.flatnonzero(group == number) for number in range(groups))
     return tuple(tuple(lines.tolist()) for lines in members if len(lines) > 1)
 
 
-def _row_differences(value: Array, noise: Array) -> tuple[Array, NDArray[np.intp]]:
+def line_differences(readings: Readings) -> tuple[Array, NDArray[np.intp]]:
     """Return the mean square difference of each two rows, and the number of its values.
 
-    The difference is in units of their noise.
+    The difference is in units of their noise, which must be known.
     """
-    rows = value.shape[-2]
-    value, noise = (part.swapaxes(-1, -2).reshape(-1, rows) for part in (value, noise))
+    rows = readings.value.shape[-2]
+    noise = np.where(readings.plain, readings.known_sigma, np.inf)
+    value, noise = (part.swapaxes(-1, -2).reshape(-1, rows) for part in (readings.value, noise))
     unlike = np.zeros((rows, rows))
     count = np.zeros((rows, rows), dtype=np.intp)
     for row in range(rows):
@@ -585,16 +575,3 @@ def _row_differences(value: Array, noise: Array) -> tuple[Array, NDArray[np.intp
         count[row] = finite.sum(axis=0)
         unlike[row] = square.sum(axis=0) / np.maximum(count[row], 1)
     return unlike, count
-
-
-def _differ_from_most(unlike: Array, left_out: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return whether a row differs significantly from most of the rows not left out, (rows,)."""
-    distant = np.where(left_out, np.nan, unlike)
-    with np.errstate(invalid="ignore"):
-        medians = [np.nanmedian(row) if np.any(row > 0) else 0.0 for row in distant]
-    return np.array(medians) > SIGNIFICANT**2
-
-
-def touching_columns(readings: Readings) -> tuple[tuple[int, ...], ...]:
-    """Return groups of columns with equal readings; see `touching_rows`."""
-    return touching_rows(readings.each(lambda part: part.swapaxes(-1, -2)))

@@ -248,7 +248,6 @@ def outliers_row() -> dict[str, Any]:
     scale = np.full(value.shape, 9.0)
     scene = lp.Scene(PANEL, TWO)
     frames = cleaning.FramesBefore()
-    resting = lp.Readings.of(scene, value[:3]).mean()
     cells = cells_of(PANEL.shape, spread=0.1)
     live = []
     noisy = 1 + 4e-3 * rng.standard_normal((7, 4, 5))
@@ -257,26 +256,27 @@ def outliers_row() -> dict[str, Any]:
         frame[3, 0] *= 1.015 if len(live) == 4 else 1.0
         frame[0, 1] *= 0.7 if len(live) == 6 else 1.0
         readings = lp.Readings.of(scene, frame)
-        live.append(frames.without_outliers(readings, scene, resting, cells))
+        live.append(frames.without_impossible(readings, scene))
         frames = frames.after(readings)
     single = lp.two_point_resistance(cells) * np.where(cells == cells.max(), 9.0, 1.0)
-    live.append(frames.without_outliers(lp.Readings.of(scene, single), scene, resting, cells))
+    live.append(frames.without_impossible(lp.Readings.of(scene, single), scene))
     touched = np.full((7, 8, 8), 2000.0)
     touched[3, 4, 4] = 500.0
     touched = lp.two_point_resistance(touched)
     apart = np.stack([value, 1000 + 5 * (value - 1000)], axis=1)
-    none = np.zeros(apart.shape, dtype=bool)
     unloaded = np.arange(16) < 8
     pair = lp.Readings(
         apart, np.full(apart.shape, 9.0), np.zeros(apart.shape), np.ones(apart.shape)
     )
     sizes = (pair.sigma, None, 5 * pair.sigma, 0.2 * pair.sigma)
-    corrected = partial(cleaning.without_outliers, none[:, 0])
     panels = [
-        [corrected(replace(pair, sigma=size)[:, panel], unloaded) for panel in (0, 1)]
+        [
+            cleaning.outliers_of_one_frame(replace(pair, sigma=size)[:, panel], unloaded)
+            for panel in (0, 1)
+        ]
         for size in sizes
     ]
-    flagged = [np.stack([outlying for outlying, _ in halves], axis=1) for halves in panels]
+    flagged = [np.stack([outlying for outlying, *_ in halves], axis=1) for halves in panels]
     course = value + np.where(unloaded, 0.0, 3.0)[:, None, None] * (
         value - np.median(value, axis=0)
     )
@@ -299,9 +299,9 @@ def outliers_row() -> dict[str, Any]:
         "whole": cleaning.detect_outliers(value, scale),
         "few": cleaning.detect_outliers(value[:4], scale[:4], 0.1),
         "scales": flagged[1:],
-        "panels": (flagged[0], panels[0][0][1].together(panels[0][1][1], axis=1)),
-        "loaded": cleaning.without_outliers(course > 16000, loaded, unloaded),
-        "two frames": cleaning.without_outliers(none[:2, 0], loaded[7:9], unloaded[7:9])[0].sum(),
+        "panels": (flagged[0], panels[0]),
+        "loaded": cleaning.outliers_of_one_frame(loaded.without(course > 16000), unloaded),
+        "two frames": cleaning.outliers_of_one_frame(loaded[7:9], unloaded[7:9])[0].sum(),
         "live": live,
         "impossible": cleaning.impossible_readings(scene.circuit, impossible),
         "median": cleaning.median(value)[0],

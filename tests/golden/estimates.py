@@ -39,12 +39,11 @@ from lampest.panel.scene import OwnOfModule
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import (
     Readings,
+    equal_rows,
     mean_change,
     stand_in,
     stand_in_spread,
     strongest_frame,
-    touching_columns,
-    touching_rows,
 )
 from lampest.recording.simulation.measure import OPEN_OHM
 from lampest.report.info import understood_lines
@@ -148,8 +147,8 @@ def readings_row() -> dict[str, Any]:
         "bounds": readings.bounds,
         "stand in": stand_in(readings.value[0], known),
         "spread": stand_in_spread(readings.value[0], known),
-        "rows": touching_rows(readings),
-        "columns": touching_columns(readings),
+        "rows": equal_rows(readings),
+        "columns": equal_rows(readings.each(lambda part: part.swapaxes(-1, -2))),
         "change": mean_change(readings.value, readings.value[0]),
         "strongest": strongest_frame(readings.value, readings.value[0], np.arange(3)),
         "memory": Readings.of(

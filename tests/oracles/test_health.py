@@ -3,6 +3,7 @@
 Clean recordings have none.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,12 +13,12 @@ import pytest
 from promises import promise
 from ruamel.yaml import YAML
 
-from lampest import Faults, Panel, Recording
+from lampest import Faults, Panel, Recording, Scene
 from lampest.audit.health import ROOMS, WELL, Health
-from lampest.audit.order import Order, load_patterns, orders, smoother_order
+from lampest.audit.order import Order, exchanged_lines, load_images, orders, smoother_order
 from lampest.inference.prepared import Prepared
 from lampest.runs.starter import RECORDING, TEMPLATES, write_starter
-from tests.panels import Plan, recorded
+from tests.panels import READOUTS, Plan, recorded
 
 # All circuits, with loads that stand, sway, move, tap, jump and arrive
 CLEAN_SEEDS = [range(100), pytest.param(range(100, 500), marks=pytest.mark.slow)]
@@ -27,6 +28,8 @@ MIN_UNEVEN = 20  # of 120 films
 # of loaded recordings
 MIN_CUT_FOUND = 0.85
 MIN_ORDER_FOUND = 0.65
+MIN_REPEATED_FOUND = 0.9
+MIN_PLACES = 4  # of the load, far enough apart to be distinct
 
 
 def health(plan: Plan, codes: np.ndarray | None = None) -> Health:
@@ -110,6 +113,23 @@ def test_faults_of_lines_and_cells_are_reported_with_their_line(
     assert len(lines) > MIN_UNEVEN and np.mean(lines) > share
 
 
+@promise("theory/model_check: Lines that repeat each other are named.")
+@pytest.mark.parametrize("pairs", [1, 2, 3, 4])
+def test_lines_that_repeat_each_other_are_named(pairs: int) -> None:
+    """Of two and more pairs none was: equal pairs hid each other."""
+    named = []
+    for plan in map(Plan.drawn, range(60)):
+        columns = plan.cells.shape[1]
+        if np.std(np.log(plan.cells)) < 0.1 or columns < 2 * pairs + 2:
+            continue
+        volts = plan.volts()
+        firsts = np.random.default_rng(plan.seed).choice(columns // 2, pairs, replace=False) * 2
+        volts[:, :, firsts + 1] = volts[:, :, firsts]
+        text = " ".join(faulty(health(plan, plan.codes(volts))))
+        named.append(all(re.search(rf"\b{f}( =|,) {f + 1}\b", text) for f in firsts))
+    assert len(named) > 12 and np.mean(named) >= MIN_REPEATED_FOUND
+
+
 def test_a_noisy_row_and_a_noisy_cell_are_named() -> None:
     for plan in map(Plan.drawn, PLANS):
         if plan.unloaded < 6:
@@ -142,12 +162,12 @@ def test_a_repeated_frame_and_a_gap_in_time_are_named() -> None:
         assert any(f"gaps before frames {place + 1}" in text for text in texts)
 
 
-def patterns(plan: Plan) -> np.ndarray:
-    """The principal patterns of a plan's changes, in the order of its scene."""
+def images(plan: Plan) -> np.ndarray:
+    """Return the images of a plan's loads in their places, in the order of its scene."""
     readout = plan.scene.readout
     assert readout is not None
     volts = plan.codes() * readout.lsb_volt
-    return load_patterns(volts[plan.unloaded :], volts[: plan.unloaded], readout.lsb_volt)
+    return load_images(volts[plan.unloaded :], volts[: plan.unloaded], readout.lsb_volt)
 
 
 def in_wrong_order(shown: np.ndarray, order: Order) -> np.ndarray:
@@ -160,18 +180,22 @@ def in_wrong_order(shown: np.ndarray, order: Order) -> np.ndarray:
 @promise("theory/model_check: Lines in another order are found where loads are smooth.")
 def test_lines_in_another_order_are_found_and_the_right_one_is_not_doubted() -> None:
     named: dict[str, list[bool]] = {}
-    for shown in map(patterns, map(Plan.drawn, range(25))):
-        if not len(shown):
+    for seed in range(25):
+        plan = Plan.drawn(seed)
+        shown = images(replace(plan, load="jumps", measured=20))
+        if len(shown) < MIN_PLACES:
             continue
         rows, columns = shown.shape[1:]
         assert smoother_order(shown) is None
-        usual = [order for order in orders(rows, columns) if order.rarer == 1]
-        for order in usual:
+        exchanged = {words for count in (rows, columns) for words, _ in exchanged_lines(count)}
+        for order in orders(rows, columns):
+            words = order.words.removeprefix("rows ").removeprefix("columns ")
+            if words in exchanged:
+                continue
             wrong = shown.reshape(len(shown), columns, rows)
             if order.image.shape == (rows, columns):
                 wrong = in_wrong_order(shown, order)
             better = smoother_order(wrong)
-            words = order.words.removeprefix("rows ").removeprefix("columns ")
             cut = "rows of" in words or "column after" in words
             # a cut and an exchange of sides are mirror images
             right = better is not None and (cut or better[0].words == order.words)
@@ -182,22 +206,53 @@ def test_lines_in_another_order_are_found_and_the_right_one_is_not_doubted() -> 
 
 
 @promise("theory/model_check: Two neighbours that are swapped are tried, too")
-def test_two_swapped_lines_and_two_exchanged_bits_are_named() -> None:
-    """Swapped lines are found on slopes of the load."""
+def test_two_swapped_lines_and_two_exchanged_bits_are_named_by_loads_in_several_places() -> None:
+    """Swapped lines are found on slopes of the load, and a load in one place shows none."""
     side = 16
     rng = np.random.default_rng(79)
     row, column = np.indices((side, side))
-    far = np.hypot(row - 0.45 * side, column - 0.55 * side)
-    image = np.exp(-((far / (0.4 * side)) ** 2)) + 0.001 * rng.standard_normal(far.shape)
-    assert smoother_order(image[None]) is None
+    shown = []
+    for down, across in ((0.45, 0.55), (0.2, 0.3), (0.6, 0.15), (0.5, 0.9)):
+        far = np.hypot(row - down * side, column - across * side)
+        shown.append(np.exp(-((far / (0.3 * side)) ** 2)))
+    image = np.array(shown) + 0.001 * rng.standard_normal((4, side, side))
+    assert smoother_order(image) is None
     slopes = [f"rows {line} and {line + 1} swapped" for line in (5, 6, 9)]
     bits = [
         f"columns with bits {pair} of their addresses exchanged" for pair in ("0 and 1", "2 and 3")
     ]
     tried = {order.words: order for order in orders(side, side)}
     for words in (*slopes, *bits):
-        better = smoother_order(in_wrong_order(image[None], tried[words]))
+        wrong = in_wrong_order(image, tried[words])
+        better = smoother_order(wrong)
         assert better is not None and better.order.words == words
+        assert smoother_order(wrong[:1]) is None
+
+
+@promise("theory/model_check: Two feet on a right mat are no columns in another order.")
+def test_two_feet_half_a_panel_apart_are_no_interleaved_lines() -> None:
+    """They were, with odds of 10^11 to one in four of six circuits."""
+    down, across = np.mgrid[:14, :14]
+    for seed in range(12):
+        plan = Plan.drawn(seed, list(READOUTS)[seed % len(READOUTS)])
+        rng = np.random.default_rng(seed)
+        film = 3000 * np.exp(0.15 * rng.standard_normal(down.shape))
+        feet = [np.exp(-(((down - 7) / 3.5) ** 2 + ((across - at) / 1.6) ** 2)) for at in (3, 10)]
+        sway = 0.2 * np.sin(np.arange(8))
+        loaded = [
+            film * np.exp(-2 * ((1 + lean) * feet[0] + (1 - lean) * feet[1])) for lean in sway
+        ]
+        mat = Standing(
+            scene=Scene(Panel(14, 14), plan.scene.readout),
+            cells=film,
+            load="stands",
+            unloaded=plan.unloaded,
+            measured=len(loaded),
+            seed=seed,
+        )
+        of_every_frame = np.array([film] * plan.unloaded + loaded)
+        codes = mat.codes(mat.volts_of(of_every_frame))
+        assert not [text for text in faulty(health(mat, codes)) if "order" in text]
 
 
 @promise("theory/model_check: the finding says that the recording cannot tell the order")
@@ -215,6 +270,15 @@ def test_loads_on_every_second_line_leave_the_order_open() -> None:
             assert smoother is None or smoother.every_second == name
 
 
+class Standing(Plan):
+    """A plan with cells of its own in every frame."""
+
+    def volts_of(self, cells: np.ndarray) -> np.ndarray:
+        circuit = self.scene.circuit
+        exact = circuit.exact_reading(cells, self.scene.wiring)
+        return np.asarray(circuit.volt_from_recorded(circuit.to_recorded(exact, self.scene)))
+
+
 class Comb(Plan):
     """A plan whose load lies on every second column."""
 
@@ -224,8 +288,9 @@ class Comb(Plan):
 
 
 def test_a_comb_is_questioned_with_what_to_record() -> None:
-    plan = next(plan for plan in map(Plan.drawn, PLANS) if plan.load == "moves")
-    comb = Comb(**vars(plan))
+    plan = Plan.drawn(10)
+    comb = Comb(**vars(replace(plan, load="jumps", measured=20)))
+    assert len(images(comb)) >= MIN_PLACES
     (sentence,) = [text for text in faulty(health(comb)) if "order" in text]
     assert "the order of lines cannot be told from this recording" in sentence
     assert "loads lie on every second column" in sentence and "press a spot" in sentence
@@ -246,7 +311,7 @@ def test_the_order_of_isolated_cells_is_not_doubted() -> None:
 
 def test_rows_of_the_wrong_length_are_named_with_their_remedy() -> None:
     plan = next(
-        plan
+        replace(plan, load="jumps", measured=20)
         for plan in map(Plan.drawn, PLANS)
         if plan.load == "moves" and plan.cells.shape[0] != plan.cells.shape[1]
     )

@@ -183,7 +183,6 @@ def test_readings_repeated_by_a_coarse_converter_are_not_frozen(noise: float) ->
     assert flagged == 0
 
 
-@promise("faq: Outliers of a single frame are replaced.")
 def test_outliers_are_detected_under_a_breathing_load() -> None:
     """Readings go by ten to forty σ from frame to frame.
 

@@ -53,7 +53,7 @@ LSM = Estimator((Misfit(),), "reduced")
 RELATIVE = Estimator((Misfit(), RelativeChange(weight=10.0)), "reduced")
 ARRIVAL = Estimator((Misfit(weighting="noise"), Arrival()), "reduced")
 STEPS = {
-    "without_outliers": cleaning,
+    "outliers_of_one_frame": cleaning,
     "estimate_noise": preparation,
     "resolved": preparation,
     "warnings_of": warnings,

@@ -24,12 +24,7 @@ from lampest.apps.live.watcher import News, Scan, Unloaded, watcher
 from lampest.apps.recognition.detect.answer import Detected
 from lampest.estimate.estimator import Estimator
 from lampest.files.errors import InputError
-from lampest.inference.cleaning import (
-    frozen_readings,
-    impossible_readings,
-    without_outliers,
-    without_readings,
-)
+from lampest.inference.cleaning import Cleaned
 from lampest.inference.prepared import Prepared
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
@@ -139,17 +134,13 @@ class Engine:
         """
         panel = Unloaded(source.scene, tuple(unloaded))
         try:
-            recording = panel.recording()
-            self._frozen = frozen_readings(recording)
-            all_readings = without_readings(recording, self._frozen).readings()
+            cleaned = Cleaned.of(panel.recording())
         except InputError as error:
             raise InputError(
                 f"the unloaded panel is no baseline: {error}; check the scene's readout"
             ) from error
-        impossible = impossible_readings(source.scene.circuit, all_readings)
-        every_frame = np.ones(len(unloaded), dtype=bool)
-        _, readings = without_outliers(impossible, all_readings, every_frame)
-        resting = readings.mean()
+        self._frozen = cleaned.frozen
+        resting = cleaned.readings.mean()
         self.show(panel=source.scene.panel, state=source.state, frames=len(unloaded))
         self._watch(panel)
         self._solving = self._pool.submit(self._solve, panel, source.period, resting)

@@ -81,7 +81,7 @@ class Picture:
     verdict : str
         One of VERDICTS.
     outliers : int
-        Single-frame outliers, replaced by predictions from the previous frames.
+        Readings that no cells give, left out of the frame.
     board_change : array, shape (rows, columns), or None
         Change that the board estimated, in percent.
     """

@@ -236,7 +236,7 @@ class PanelState:
 def solved_scan(
     state: PanelState, scan: Scan, number: int, skipped: int
 ) -> tuple[PanelState, Picture]:
-    """Solve a frame without its outliers.
+    """Solve a frame without the readings that no cells give.
 
     Parameters
     ----------
@@ -270,9 +270,7 @@ def solved_scan(
         picture = replace(picture, measured_change=change)
         if not stream.joined:
             state = replace(state, previous=before.after(readings))
-            readings, outliers = before.without_outliers(
-                readings, scene, stream.resting, stream.baseline_resistance
-            )
+            readings, outliers = before.without_impossible(readings, scene)
             picture = replace(picture, outliers=outliers)
         stream, step = stream.push(readings)
     except InputError as error:

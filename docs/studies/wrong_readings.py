@@ -1,0 +1,152 @@
+"""Which readings are called wrong, on right recordings and on wrong ones.
+
+Run it with: python -m docs.studies.wrong_readings [--recordings 60] [--seed 0]
+
+Recordings have the circuits of `tests.panels`, films that scatter by 0 to 30 %, converters of 8, 10
+and 12 bits, noise of 0.3 to 3 LSB, three to eight unloaded frames and six to nineteen measured
+ones. Right recordings have taps, keys, sweeping bars, palms, feet and loads that sway. Wrong ones
+have two random rows in some frames, pairs of columns that repeat each other, or pairs of swapped
+columns under loads in many places.
+"""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lampest import Panel
+from lampest.audit.health import Health
+from lampest.inference.cleaning import Cleaned
+from lampest.panel.panel import Array
+from tests.panels import Plan, recorded
+
+LOADS = ("tap", "keys", "sweep", "palm", "feet", "sway")
+COUNTS = (1, 2, 3, 4, 5)
+
+
+@dataclass(frozen=True)
+class Shown(Plan):
+    """A plan whose load is a picture of every frame, (measured, rows, columns), in −ln r."""
+
+    picture: Array | None = None
+
+    def loaded(self) -> Array:
+        """Return cells of every frame, (frames, rows, columns) ohm."""
+        assert self.picture is not None
+        at_rest = np.repeat(self.cells[None], self.unloaded, axis=0)
+        return np.concatenate([at_rest, self.cells * np.exp(-self.picture)])
+
+
+def drawn(seed: int, picture: Callable[[np.random.Generator, int, Array], Array]) -> Shown:
+    """Return a plan with a load, its film, circuit and noise drawn at random."""
+    rng = np.random.default_rng([seed, 97])
+    plan = Plan.drawn(seed)
+    shape = tuple(rng.integers(8, 17, size=2).tolist())
+    film = float(rng.choice([0.0, 0.02, 0.05, 0.15, 0.3]))
+    cells = 3000 * np.exp(rng.uniform(-0.5, 0.8) + film * rng.standard_normal(shape))
+    bits, noise = int(rng.choice([8, 10, 12])), float(rng.choice([0.3, 1.0, 3.0]))
+    readout = replace(plan.scene.circuit, adc_bits=bits, noise_lsb=noise)
+    scene = replace(plan.scene, panel=Panel(*shape), readout=readout)
+    shown = picture(rng, plan.measured, np.indices(shape).astype(float))
+    parts = {**vars(plan), "scene": scene, "cells": cells, "picture": rng.uniform(0.5, 2.5) * shown}
+    return Shown(**parts)
+
+
+def of_load(name: str) -> Callable[[np.random.Generator, int, Array], Array]:
+    """Return the picture of a load by its name, one of `LOADS`, or 'places'."""
+
+    def picture(rng: np.random.Generator, measured: int, places: Array) -> Array:
+        down, across = places
+        rows, columns = down.shape
+
+        def blob(row: float, column: float, height: float, width: float) -> Array:
+            return np.exp(-(((down - row) / height) ** 2) - ((across - column) / width) ** 2)
+
+        row, column = rng.integers(rows), rng.integers(columns)
+        frames = np.arange(measured)
+        swing = 0.3 * np.sin(1.3 * frames)[:, None, None]
+        if name == "tap":
+            return ((frames == measured // 2)[:, None, None] & (down == row)) * (across == column)
+        if name == "keys":
+            keys = rng.integers([rows, columns], size=(measured, 2))
+            return np.array([(down == one) & (across == other) for one, other in keys], dtype=float)
+        if name == "sweep":
+            return (
+                np.array([np.abs(across - frame / measured * columns) < 1 for frame in frames])
+                * 1.0
+            )
+        if name == "palm":
+            return (1 + swing) * np.ones(down.shape)
+        if name == "feet":
+            feet = [blob(rows / 2, at * columns, rows / 4, columns / 9) for at in (0.25, 0.75)]
+            return (1 + swing) * feet[0] + (1 - swing) * feet[1]
+        if name == "places":
+            spots = rng.uniform(0, [rows - 1, columns - 1], size=(measured, 2))
+            return np.array([blob(row, column, 2.0, 2.0) for row, column in spots])
+        return (1 + swing) * blob(float(row), float(column), 2.0, 2.0)
+
+    return picture
+
+
+def right(seed: int, load: str) -> tuple[bool, bool]:
+    """Return whether anything is found in a right recording, and whether a reading is missing."""
+    recording = drawn(seed, of_load(load)).recording()
+    found = [finding for finding in Health.of(recording).findings if finding.room != "readings"]
+    return bool(found), bool((Cleaned.of(recording).readings.seen == 0).any())
+
+
+def garbled(seed: int, count: int) -> bool:
+    """Return whether frames with two random rows each are named, and no others."""
+    plan = replace(drawn(seed, of_load("sway")), unloaded=6)
+    plan = replace(plan, measured=18, picture=np.resize(plan.picture, (18, *plan.cells.shape)))
+    codes = plan.codes()
+    rng = np.random.default_rng([seed, 98])
+    frames = np.sort(rng.choice(np.arange(1, 23), count, replace=False))
+    for frame in frames:
+        rows = rng.choice(codes.shape[1], 2, replace=False)
+        codes[frame, rows] = rng.integers(0, 2**plan.scene.circuit.adc_bits, (2, codes.shape[2]))
+    lines = Cleaned.of(recorded(plan.scene, codes, plan.unloaded)).garbled
+    return [line.frame for line in lines] == frames.tolist()
+
+
+def of_columns(seed: int, count: int, *, swapped: bool) -> bool:
+    """Return whether pairs of columns that are swapped or repeat each other are named."""
+    plan = drawn(seed, of_load("places"))
+    plan = replace(
+        plan,
+        cells=3000 * np.exp(0.15 * np.random.default_rng(seed).standard_normal(plan.cells.shape)),
+    )
+    volts = plan.volts()
+    most = min(count, plan.cells.shape[1] // 2 - 1)
+    firsts = 2 * np.random.default_rng(seed).choice(plan.cells.shape[1] // 2, most, replace=False)
+    before = volts.copy()
+    volts[:, :, firsts + 1] = before[:, :, firsts]
+    if swapped:
+        volts[:, :, firsts] = before[:, :, firsts + 1]
+    rooms = {finding.room for finding in Health.of(plan.recording(volts)).findings}
+    return ("order" if swapped else "lines") in rooms
+
+
+def main() -> None:
+    """Print the shares that are found."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--recordings", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    seeds = range(options.seed, options.seed + options.recordings)
+    for load in LOADS:
+        found, missing = np.sum([right(seed, load) for seed in seeds], axis=0)
+        print(f"right, {load:6} {found} of {len(seeds)} doubted, {missing} with a reading left out")
+    for count in COUNTS:
+        print(
+            f"{count} garbled frames: {sum(garbled(seed, count) for seed in seeds)} of {len(seeds)}"
+        )
+    for count in COUNTS[:-1]:
+        for words, swapped in (("repeated", False), ("swapped", True)):
+            named = sum(of_columns(seed, count, swapped=swapped) for seed in seeds)
+            print(f"{count} pairs of columns {words}: {named} of {len(seeds)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,150 @@
+"""Which readings are wrong: what the circuit can do stays, what it cannot do is missing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from promises import promise
+
+from lampest.inference.cleaning import Cleaned
+from lampest.inference.prepared import Prepared
+from lampest.panel.panel import Array
+from lampest.recording.recording import Recording
+from tests.panels import READOUTS, Plan, recorded
+
+SEEDS = range(6)
+ALONE = ("grounded, one", "grounded, all", "amplifiers")  # one cell moves one reading, nearly
+TOGETHER = ("two_point", "pull_ups")  # a cell moves its row and its column
+SIZES = (0.7, 2.3)  # of a tap, in ln r
+
+
+class Tapped(Plan):
+    """A plan without a load, whose cells change in single frames."""
+
+    def volts_of(self, cells: Array) -> Array:
+        """Return exact voltages of cells (frames, rows, columns) ohm."""
+        circuit = self.scene.circuit
+        exact = circuit.exact_reading(cells, self.scene.wiring)
+        return np.asarray(circuit.volt_from_recorded(circuit.to_recorded(exact, self.scene)))
+
+    def place(self) -> tuple[int, int, int]:
+        """Return a measured frame that is neither the first nor the last, a row and a column."""
+        rng = np.random.default_rng([self.seed, 3])
+        rows, columns = self.cells.shape
+        frame = self.unloaded + int(rng.integers(1, self.measured - 1))
+        return frame, int(rng.integers(rows)), int(rng.integers(columns))
+
+    def tapped(self) -> Recording:
+        """Return a recording in which one cell is pressed in one frame."""
+        cells = self.loaded()
+        cells[self.place()] *= np.exp(-np.random.default_rng(self.seed).uniform(*SIZES))
+        return self.recording(self.volts_of(cells))
+
+    def with_error(self) -> Recording:
+        """Return a recording in which one reading of one frame is wrong by a fifth of the range."""
+        codes: NDArray[np.int64] = self.codes()
+        top = 2**self.scene.circuit.adc_bits
+        place = self.place()
+        codes[place] += top // 5 if codes[place] < top / 2 else -top // 5
+        return recorded(self.scene, codes, self.unloaded)
+
+
+def plans(kind: str) -> list[Tapped]:
+    return [Tapped(**vars(replace(Plan.drawn(seed, kind), load="none"))) for seed in SEEDS]
+
+
+@promise("howto/readings: **A tap of one frame stays.**")
+@pytest.mark.parametrize("kind", READOUTS)
+def test_a_tap_of_one_frame_stays(kind: str) -> None:
+    """61 of 65 were deleted, with cells seven to eight times too large."""
+    for plan in plans(kind):
+        cleaned = Cleaned.of(plan.tapped())
+        assert (cleaned.readings.seen == 1).all()
+        np.testing.assert_array_equal(cleaned.readings.value, plan.tapped().readings().value)
+
+
+@promise("howto/readings: **An impossible reading is missing.**")
+@pytest.mark.parametrize("kind", TOGETHER)
+def test_a_reading_that_no_cell_gives_is_missing_and_named(kind: str) -> None:
+    for plan in plans(kind):
+        frame, row, column = plan.place()
+        prepared = Prepared(plan.with_error())
+        missing = np.argwhere(prepared.cleaned.readings.seen == 0).tolist()
+        assert missing == [[frame, row, column]]
+        named = f"row {row}, column {column} of frame {frame} by"
+        assert (
+            named in prepared.frame_noise.sentence and "left out" in prepared.frame_noise.sentence
+        )
+
+
+@promise("howto/readings: `outliers: exclude` leaves it out.")
+@pytest.mark.parametrize("kind", ALONE)
+def test_an_outlier_stays_with_its_name_unless_the_scene_excludes_it(kind: str) -> None:
+    for plan in plans(kind)[:3]:
+        frame, row, column = plan.place()
+        recording = plan.with_error()
+        prepared = Prepared(recording)
+        if prepared.cleaned.readings.seen.all():
+            assert f"row {row}, column {column} of frame {frame}" in prepared.frame_noise.sentence
+        excluding = replace(recording, scene=replace(recording.scene, outliers="exclude"))
+        missing = np.argwhere(Cleaned.of(excluding).readings.seen == 0).tolist()
+        assert missing == [[frame, row, column]]
+
+
+@promise("howto/readings: **In unloaded frames no cell changes.**")
+def test_an_outlier_of_an_unloaded_frame_is_left_out_of_the_mean() -> None:
+    for plan in plans("grounded, all"):
+        codes = plan.codes()
+        codes[1, 2, 3] += 2**plan.scene.circuit.adc_bits // 8
+        cleaned = Cleaned.of(recorded(plan.scene, codes, plan.unloaded))
+        assert np.argwhere(cleaned.readings.seen == 0).tolist() == [[1, 2, 3]]
+
+
+def test_noise_that_the_scene_leaves_open_is_no_doubt() -> None:
+    """Key-less scenes were doubtful: scatter of 1.4 to 5.4 times the *specified* noise."""
+    for kind in READOUTS:
+        plan = Tapped(**vars(replace(Plan.drawn(3, kind), load="none")))
+        codes = plan.codes()
+        codes = codes + np.rint(3 * np.random.default_rng(4).standard_normal(codes.shape))
+        readout = replace(plan.scene.readout, noise_lsb=None)
+        scene = replace(plan.scene, readout=readout)
+        check = Prepared(recorded(scene, codes.astype(int), plan.unloaded)).check
+        assert "specified noise" not in check.sentence
+
+
+def garbled_frames(plan: Plan, count: int) -> tuple[Recording, list[int]]:
+    """Return a recording with two random rows in each of some frames, and their numbers."""
+    rng = np.random.default_rng([plan.seed, 5])
+    codes = plan.codes()
+    top = 2**plan.scene.circuit.adc_bits
+    frames = np.sort(rng.choice(np.arange(1, len(codes) - 1), count, replace=False))
+    for frame in frames:
+        rows = rng.choice(codes.shape[1], 2, replace=False)
+        codes[frame, rows] = rng.integers(0, top, (2, codes.shape[2]))
+    return recorded(plan.scene, codes, plan.unloaded), frames.tolist()
+
+
+@pytest.mark.parametrize("count", [1, 3, 5])
+def test_garbled_frames_do_not_hide_each_other(count: int) -> None:
+    """Of two such frames 5 in 40 recordings were found, of five none in 100."""
+    found = []
+    for seed in range(24):
+        plan = replace(Plan.drawn(seed), unloaded=6, measured=18, load="stands")
+        plan = replace(plan, cells=np.resize(plan.cells, (16, 16)))
+        plan = replace(
+            plan, scene=replace(plan.scene, panel=replace(plan.scene.panel, rows=16, columns=16))
+        )
+        recording, frames = garbled_frames(plan, count)
+        found.append([lines.frame for lines in Cleaned.of(recording).garbled] == frames)
+    assert np.mean(found) > 0.9
+
+
+def test_the_only_unloaded_frame_is_not_judged_against_loaded_ones() -> None:
+    """It was called garbled where all others are loaded everywhere."""
+    for seed in range(12):
+        plan = replace(Plan.drawn(seed), unloaded=1, measured=8, load="none")
+        tapped = Tapped(**vars(plan))
+        loads = np.exp(-np.random.default_rng(seed).uniform(1, 3, (8, *plan.cells.shape)))
+        cells = plan.cells * np.concatenate([np.ones((1, *plan.cells.shape)), loads])
+        assert not Cleaned.of(tapped.recording(tapped.volts_of(cells))).garbled
