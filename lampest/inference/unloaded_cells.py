@@ -375,7 +375,7 @@ def _most_probable(
     free = data.lower[0] < data.upper[0]
     # (1 − T Tᵀ)/s over the cells that the panel has: residuals of the prior, whose trend is free.
     # The others stay.
-    unlike = (np.diag(free.ravel().astype(float)) - trend @ trend.T) / spread
+    unlike = (np.eye(value.size) - trend @ trend.T) / spread
     anchor = np.where(free, 0.0, data.log_bounds[0][0]).ravel()
     lower, upper = (
         np.where(free, far, bound[0]).ravel()
