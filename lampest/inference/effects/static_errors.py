@@ -56,6 +56,7 @@ from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
+from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.gaussian import lower_root
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings, strongest_frame
@@ -176,10 +177,11 @@ def _known_at_rest(
     """
     possible = errors.possible
     size = READING_ERROR.size(possible.sizes)
-    if not size or resting.sigma is None or resting.value.size > MAX_CELLS:
+    if not size or resting.sigma is None or resting.value.size > MAX_DENSE:
         return possible
     with suppress(*BROKEN):
-        fit = fitted(scene, resting, cells, patient=True)
+        small = resting.value.size <= MAX_CELLS
+        fit = fitted(scene, resting, cells, patient=True) if small else None
         scatter = film_scatter(scene, resting, fit, size, CHANNELS.size(possible.sizes))
         possible = replace(possible, film_scatter=scatter)
         if errors.significant:
@@ -475,9 +477,8 @@ class StaticErrors(SceneEffect):
                 return noise
             unloaded = np.flatnonzero(recording.role == UNLOADED)
             errors = SharedErrors(Possible(sizes), {}, significant=True)
-            if not len(unloaded):
-                return noise.with_errors(errors.possible, scene)
-            resting = readings[unloaded].mean()
+            # without unloaded frames, loads count as scatter of the cells
+            resting = readings[unloaded if len(unloaded) else slice(None)].mean()
             possible = _known_at_rest(errors, scene, resting, noise.resting_cells)
             return noise.with_errors(possible, scene)
         unloaded = np.flatnonzero(recording.role == UNLOADED)
