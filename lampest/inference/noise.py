@@ -21,7 +21,7 @@ from lampest.inference.variance_components import (
     repeated_scatter,
     unloaded_scatter,
 )
-from lampest.panel.effects import Possible, own_errors, sized_effects
+from lampest.panel.effects import Possible, recorded_times, sized_effects
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
@@ -145,11 +145,6 @@ class NoiseEstimate:
         return float(self.possible_errors.sizes.reading_error or 0.0)
 
     @property
-    def error_in_sigma(self) -> float:
-        """Part of `reading_error` that σ of the readings includes, as a fraction of the reading."""
-        return 0.0 if self.possible_errors is None else self.possible_errors.in_sigma
-
-    @property
     def shared_sizes(self) -> tuple[float, float, float]:
         """Standard deviations of the errors that the readings of a frame share.
 
@@ -225,22 +220,29 @@ class NoiseEstimate:
         """Return the noise with other σ of the readings."""
         return replace(self, readings=replace(self.readings, sigma=sigma))
 
-    def with_reading_error(self, recording: Recording) -> "NoiseEstimate":
-        """Return the noise with each reading's own error in σ.
+    def with_errors(self, possible: Possible, scene: Scene) -> "NoiseEstimate":
+        """Return the noise with errors that all frames share, and readings without the known part.
 
-        Error bars treat the error as one that all frames share. Averaging does not reduce it, so σ
-        of each of n unloaded frames includes √n times the error.
+        σ stays that of the noise: errors that frames share widen error bars, and weights do not see
+        them.
         """
-        sigma = self.readings.sigma
-        size = self.error_in_sigma
-        if sigma is None or not size:
-            return self
-        unloaded = recording.role == UNLOADED
-        repeats = np.where(unloaded, np.sqrt(unloaded.sum()), 1.0)[:, None, None]
-        # σ² ← σ² + (√n e)²: the mean of the n unloaded frames then has the whole error e
-        return self.with_sigma(
-            np.hypot(sigma, repeats * own_errors(self.readings.value, recording.scene, size))
-        )
+        readings = without_factors(self.readings, scene, possible.log_factor)
+        return replace(self, possible_errors=possible, readings=readings)
+
+    @property
+    def log_factor(self) -> Array | None:
+        """Logarithm of the factor on each recorded value that `readings` are corrected for.
+
+        The value is None where they are not corrected.
+        """
+        return None if self.possible_errors is None else self.possible_errors.log_factor
+
+
+def without_factors(readings: Readings, scene: Scene, log_factor: Array | None) -> Readings:
+    """Return readings without factors on the recorded values, whose logarithms are given."""
+    if log_factor is None:
+        return readings
+    return replace(readings, value=recorded_times(readings.value, scene, np.exp(-log_factor)))
 
 
 class FrameEffect(Protocol):

@@ -24,7 +24,7 @@ from lampest.inference.resolve import (
     resolved,
     resolved_scene,
 )
-from lampest.panel.effects import unobservable_numbers
+from lampest.panel.effects import own_errors, unobservable_numbers
 from lampest.panel.panel import Array, Modules
 from lampest.recording.garbled import garbled_sentence
 from lampest.recording.recording import Recording
@@ -258,8 +258,10 @@ class Prepared:
         if widened is None or of_noise is None:
             return None
         # without the error of the model, which any wrong circuit has
-        squares = (widened / self.noise.model_factor) ** 2 - of_noise**2
-        return np.sqrt(np.maximum(squares, 0.0)) if (squares > 0).any() else None
+        squares = np.maximum((widened / self.noise.model_factor) ** 2 - of_noise**2, 0.0)
+        size = self.noise.reading_error
+        squares += own_errors(self.frame_noise.readings.value, self.recording.scene, size) ** 2
+        return np.sqrt(squares) if (squares > 0).any() else None
 
     @cached_property
     @ONE_BLAS_THREAD

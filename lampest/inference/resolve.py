@@ -243,8 +243,9 @@ def _as_the_whole(
     for entry in ENTRIES:
         if entry.acts(recording.scene):
             noise = entry.load().as_the_whole(noise, recording, whole)
-    noise = replace(noise, possible_errors=whole.possible_errors, estimated=whole.estimated)
-    noise = noise.with_reading_error(recording)
+    noise = replace(noise, estimated=whole.estimated)
+    if whole.possible_errors is not None:
+        noise = noise.with_errors(whole.possible_errors, recording.scene)
     return scaled(noise, recording, whole.model_factor)
 
 

@@ -1,21 +1,35 @@
-"""Likelihood of errors of the readings by the unloaded panel: its cells are alike, to a scatter."""
+"""Errors of the readings by the unloaded panel: its cells follow a trend, to a scatter.
 
-from collections.abc import Sequence
+Films differ from cell to cell, and their thickness changes slowly over a panel. The unloaded cells
+are log r ~ N(T β, s²) with the polynomials T of the place up to the second degree, whose
+coefficients β are free. Beside errors z ~ N(0, 1) with columns U their readings have the likelihood
+of the errors' sizes, and the posterior of z.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.cost.problem import Data
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import FIT, CellsFit, data_of_cells
 from lampest.inference.shared_changes import LINEAR_LIMIT
-from lampest.panel.effects import error_columns, recorded_share
+from lampest.panel.effects import (
+    Possible,
+    error_columns,
+    own_errors,
+    recorded_share,
+    sized_effects,
+)
 from lampest.panel.effects.channels import CHANNELS
+from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
-from lampest.posterior.gaussian import forms_over_scales
+from lampest.posterior.gaussian import forms_over_scales, lower_root
 from lampest.recording.readings import Readings
 
 READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))  # tried sizes e
@@ -24,6 +38,8 @@ LINEARISED_AT = np.append(0.0, READING_ERRORS[1::4])
 MIN_OVER_NOISE = 0.3  # of an error beside which they are linearised, other than none
 MAX_ROUNDS = 3  # of linearisations beside one error, each with the scatter that is likeliest then
 SAME_SCATTER = 2  # steps between scatters that count as one
+# Of a trend's polynomials over each other: with less, a narrow panel does not tell them apart.
+MIN_OTHER_SHARE = 1e-9
 # Tried scatters s of unloaded cells, and the logarithms of their prior probabilities. Steps are a
 # tenth, because a hundred cells show their scatter to some percent: where crosstalk is small an
 # error e would fill a gap between two of them.
@@ -84,6 +100,84 @@ def film_scatter(
     return float(np.sqrt(np.sum(weight * SCATTERS**2) / np.sum(weight)))
 
 
+def at_rest(possible: Possible, scene: Scene, resting: Readings, fit: CellsFit | None) -> Possible:
+    """Return the errors by the unloaded panel: readings' own ones to correct, and the rest.
+
+    With the prior z ~ N(0, R Rᵀ), A = U R, V = σ² + A Aᵀ + s² J Jᵀ, B = J T and
+    P = V⁻¹ − V⁻¹B (BᵀV⁻¹B)⁻¹ BᵀV⁻¹,
+
+        E[z] = R Aᵀ P t,   cov z = R (1 − Aᵀ P A) Rᵀ.
+
+    Readings are corrected by the mean of their own errors; the root is that of E[z zᵀ] about the
+    correction.
+
+    Parameters
+    ----------
+    possible : Possible
+        Prior of the errors, with the root R of those that were estimated, and the scatter s of the
+        films.
+    scene : Scene
+    resting : Readings
+        Mean of the unloaded frames, (rows, columns).
+    fit : CellsFit or None
+        Fit of the unloaded panel, at whose cells the search begins.
+
+    Raises
+    ------
+    Errors of `BROKEN`.
+    """
+    data = data_of_cells(scene, resting)
+    trend = _trend(data)
+    near = np.log(data.uniform_start[0] if fit is None else fit.cells)
+    own = own_errors(resting.value, scene, READING_ERROR.size(possible.sizes))
+    deviation = np.where(resting.plain, np.hypot(resting.known_sigma, own), np.inf)
+    scatter = possible.film_scatter
+    cells, jacobian = _most_probable(data, resting.value, deviation, scatter, near, trend)
+    network = data.network(0, np.exp(cells))
+    missed = resting.value - network.reading()
+    plain = resting.plain.ravel()
+    target = (missed.ravel() + jacobian @ cells.ravel())[plain]
+    jacobian = jacobian[plain]
+    errors = sized_effects(possible.sizes)
+    parts = {
+        error.setting: error_columns((error,), network, resting.value, scene, possible.sizes)
+        for error in errors
+    }
+    places = _places(parts)
+    root = np.eye(sum(map(len, parts.values())))
+    if possible.root is not None:
+        estimated = np.concatenate([places[setting] for setting in possible.settings])
+        root[np.ix_(estimated, estimated)] = possible.root
+    columns = np.concatenate([*parts.values()]).reshape(len(root), -1).T[plain] @ root
+    variance = np.diag(resting.known_sigma.ravel()[plain] ** 2) + columns @ columns.T
+    whitening = np.linalg.cholesky(variance + scatter**2 * jacobian @ jacobian.T)
+    both = np.column_stack([columns, target])
+    whitened = np.linalg.solve(whitening, np.column_stack([both, jacobian @ trend]))
+    basis, _ = np.linalg.qr(whitened[:, both.shape[1] :])
+    beyond = whitened[:, : both.shape[1]]
+    beyond = beyond - basis @ (basis.T @ beyond)
+    mean = root @ (beyond[:, :-1].T @ beyond[:, -1])
+    covariance = root @ (np.eye(len(root)) - beyond[:, :-1].T @ beyond[:, :-1]) @ root.T
+    own_places = places[READING_ERROR.setting]
+    log_factor = READING_ERROR.size(possible.sizes) * mean[own_places]
+    mean[own_places] = 0.0
+    return replace(
+        possible,
+        settings=tuple(parts),
+        root=lower_root(covariance + np.outer(mean, mean)),
+        log_factor=log_factor.reshape(resting.value.shape),
+    )
+
+
+def _places(parts: Mapping[str, Array]) -> dict[str, NDArray[np.intp]]:
+    """Return the numbers of the columns of each error among those of all."""
+    ends = np.cumsum([len(part) for part in parts.values()])
+    return {
+        setting: np.arange(end - len(part), end)
+        for (setting, part), end in zip(parts.items(), ends, strict=True)
+    }
+
+
 def costs_by_scatter(
     scene: Scene,
     resting: Readings,
@@ -93,14 +187,14 @@ def costs_by_scatter(
 ) -> Array:
     """Return −2 ln likelihood of errors and SCATTERS, (spreads, errors, scatters).
 
-    The unloaded cells are log r ~ N(μ, s²). The readings are linearised at the most probable log
-    cells u, with t = y − f(u) + J u. Let τ² = σ² + (e y')², where y' is the derivative of a reading
-    with respect to the logarithm of its recorded value, and A = J/τ:
+    The readings are linearised at the most probable log cells u, with t = y − f(u) + J u. Let τ² =
+    σ² + (e y')², where y' is the derivative of a reading with respect to the logarithm of its
+    recorded value, and A = J/τ:
 
-        −2 log p(y | e, s) = aᵀV⁻¹a − (aᵀV⁻¹b)²/(bᵀV⁻¹b) + log |V| + log bᵀV⁻¹b + Σ log τ²,
+        −2 log p(y | e, s) = aᵀV⁻¹a − aᵀV⁻¹B (BᵀV⁻¹B)⁻¹ BᵀV⁻¹a + log |V| + log |BᵀV⁻¹B| + Σ log τ²,
         V = 1 + s² A Aᵀ,
 
-    with a = t/τ and b = A 1. u is the most probable point beside the nearest of a few errors, and
+    with a = t/τ and B = A T. u is the most probable point beside the nearest of a few errors, and
     beside the scatter that is likeliest then; all spreads share it. Beside another error the most
     probable cells are others where cells differ much, and linear theory about them makes cells
     explain more readings than they can, or fewer. No likelihood exceeds that of the best fit, so
@@ -128,6 +222,7 @@ def costs_by_scatter(
     data = data_of_cells(scene, resting)
     share = np.abs(recorded_share(resting.value, scene))
     least = 0.0 if fit is None else fit.chi_square
+    trend = _trend(data)
     columns = _of_channels(scene, resting, fit)
     most = _most_linear(columns, resting, fit)
     channels = [min(ohm, most) * columns if ohm else columns[:, :0] for ohm in channels_ohm]
@@ -140,7 +235,7 @@ def costs_by_scatter(
 
     def linearised(error: float, scatter: float, near: Array) -> tuple[Array, Array, Array]:
         deviation = np.where(resting.plain, np.hypot(resting.known_sigma, error * share), np.inf)
-        cells, jacobian = _most_probable(data, resting.value, deviation, scatter, near)
+        cells, jacobian = _most_probable(data, resting.value, deviation, scatter, near, trend)
         missed = resting.value - data.network(0, np.exp(cells)).reading()
         return cells, jacobian, missed.ravel() + jacobian @ cells.ravel()
 
@@ -160,7 +255,7 @@ def costs_by_scatter(
                 else:
                     whitened = both / tau[:, None]
                     logarithms = 2 * np.log(tau).sum()
-                linear = _linear_costs(whitened[:, :-1], whitened[:, -1])
+                linear = _linear_costs(whitened[:, :-1], whitened[:, -1], trend)
                 widening = np.max(tau / sigma)
                 each[number, place] = np.maximum(linear, least / widening**2) + logarithms
         return each
@@ -213,7 +308,7 @@ def _most_linear(columns: Array, resting: Readings, fit: CellsFit | None) -> flo
     return float(LINEAR_LIMIT / max(moved.max(), np.finfo(float).tiny))
 
 
-def _linear_costs(scaled: Array, target: Array) -> Array:
+def _linear_costs(scaled: Array, target: Array, trend: Array) -> Array:
     """Return −2 ln likelihood of linearised readings for SCATTERS, less ln |covariance|.
 
     The shape is (scatters,). The formula is that of `unloaded_costs`.
@@ -224,21 +319,41 @@ def _linear_costs(scaled: Array, target: Array) -> Array:
         A = L⁻¹ J, with the lower root L of the readings' covariance.
     target : array, shape (readings,)
         L⁻¹ t.
+    trend : array, shape (cells, k)
+        T.
     """
-    both = np.column_stack([target, scaled.sum(axis=1)])
+    both = np.column_stack([target, scaled @ trend])
     forms, volumes = forms_over_scales(scaled @ scaled.T, both, SCATTERS)
-    # bᵀ V⁻¹ b is the precision of μ, which is integrated out.
-    precision = forms[:, 1, 1]
-    squares = forms[:, 0, 0] - forms[:, 0, 1] ** 2 / precision
-    return np.asarray(squares + volumes + np.log(precision))
+    # BᵀV⁻¹B is the precision of β, which is integrated out.
+    precision = forms[:, 1:, 1:]
+    explained = np.linalg.solve(precision, forms[:, 1:, :1])[..., 0]
+    squares = forms[:, 0, 0] - np.sum(forms[:, 0, 1:] * explained, axis=1)
+    return np.asarray(squares + volumes + np.linalg.slogdet(precision)[1])
+
+
+def _trend(data: Data) -> Array:
+    """Return polynomials of the place up to the second degree, orthonormal over the panel's cells.
+
+    The shape is (cells, k); places without a cell are 0. A panel of one or two lines tells fewer of
+    them apart.
+    """
+    free = data.lower[0] < data.upper[0]
+    down, across = (
+        place / max(length - 1, 1) - 0.5
+        for place, length in zip(np.indices(free.shape), free.shape, strict=True)
+    )
+    powers = (free, down, across, down**2, down * across, across**2)
+    polynomials = np.stack([np.where(free, power, 0.0).ravel() for power in powers], axis=1)
+    basis, sizes, _ = np.linalg.svd(polynomials, full_matrices=False)
+    return np.asarray(basis[:, sizes > MIN_OTHER_SHARE * sizes[0]])
 
 
 def _most_probable(
-    data: Data, value: Array, deviation: Array, spread: float, start: Array
+    data: Data, value: Array, deviation: Array, spread: float, start: Array, trend: Array
 ) -> tuple[Array, Array]:
     """Return the most probable log cells u and the Jacobian J of the readings there.
 
-    The minimum is that of Σ ((f(u) − y)/τ)² + Σ (u − mean u)²/s².
+    The minimum is that of Σ ((f(u) − y)/τ)² + |u − T Tᵀ u|²/s².
 
     Parameters
     ----------
@@ -249,6 +364,8 @@ def _most_probable(
         s.
     start : array, shape (rows, columns)
         Log cells.
+    trend : array, shape (cells, k)
+        T.
 
     Returns
     -------
@@ -256,9 +373,9 @@ def _most_probable(
     array, shape (readings, cells)
     """
     free = data.lower[0] < data.upper[0]
-    # (1 − 1 1ᵀ/n)/s over the cells that the panel has: residuals of the prior, whose mean μ is
-    # free. The others stay.
-    unlike = (np.eye(value.size) - np.outer(free, free) / free.sum()) / spread
+    # (1 − T Tᵀ)/s over the cells that the panel has: residuals of the prior, whose trend is free.
+    # The others stay.
+    unlike = (np.eye(value.size) - trend @ trend.T) / spread
     anchor = np.where(free, 0.0, data.log_bounds[0][0]).ravel()
     lower, upper = (
         np.where(free, far, bound[0]).ravel()

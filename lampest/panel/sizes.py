@@ -81,7 +81,10 @@ LIMITS = {
 
 @dataclass(frozen=True)
 class Systematic(Extensible):
-    """Systematic errors that all readings may share; they widen error bars and change no estimate.
+    """Systematic errors that all readings may share; they widen error bars.
+
+    Estimates stay, but for each reading's own error: where it is stated, or the recording shows it,
+    readings are corrected by what the unloaded panel determines of it.
 
     None: absent. Each is a number, or `estimated`: the recording determines it once, beginning with
     the size of common electronics.

@@ -166,3 +166,12 @@ def forms_over_scales(square: Array, vectors: Array, scales: Array) -> tuple[Arr
         forms[number] = turned.T @ solved
         volumes[number] = np.log(pivots).sum()
     return forms, volumes
+
+
+def lower_root(square: Array) -> Array:
+    """Return a lower triangular root of a symmetric matrix.
+
+    Its negative eigenvalues count as zero.
+    """
+    values, vectors = np.linalg.eigh((square + square.T) / 2)
+    return np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T)

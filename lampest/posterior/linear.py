@@ -57,9 +57,6 @@ class LinearModel:
         of residuals.
     dual : array
         Duals of its absolute losses.
-    own_error : array or float
-        Standard deviation of the error of each reading that is the same in all frames, shape of
-        `Data.measured`, or 0.
     deviation : array or None
         Standard deviation of the readings, shape of `Data.measured`; None for σ of the data.
     weight_sigma : tuple of float
@@ -72,7 +69,6 @@ class LinearModel:
 
     at: Evaluation
     dual: Array
-    own_error: Array | float = field(default=0.0, kw_only=True)
     deviation: Array | None = field(default=None, kw_only=True)
     weight_sigma: tuple[float, ...] = field(default=(), kw_only=True)
     sites: Sites | None = field(default=None, kw_only=True)
@@ -147,12 +143,8 @@ class LinearModel:
     @cached_property
     def noise(self) -> Array:
         """Standard deviations τ of the data, (data rows,)."""
-        return self._of_rows(0.0)
-
-    def _of_rows(self, own_error: Array | float) -> Array:
-        """Return deviations of the data with a further error of each reading, (data rows,)."""
         noise = self.at.data.deviation if self.deviation is None else self.deviation
-        return np.asarray(np.sqrt(_squares(self.through) @ np.hypot(noise, own_error).ravel() ** 2))
+        return np.asarray(np.sqrt(_squares(self.through) @ noise.ravel() ** 2))
 
     @cached_property
     def data_curvature(self) -> Array:
@@ -172,15 +164,11 @@ class LinearModel:
 
     @cached_property
     def scale(self) -> float:
-        """Scale s² = mean ω τ² over the data with curvature.
-
-        τ includes the error that is the same in all frames.
-        """
+        """Scale s² = mean ω τ² over the data with curvature."""
         curved = self.data_curvature > 0
         if not curved.any():
             return 1.0
-        noise = self._of_rows(self.own_error)
-        return float(np.mean(self.data_curvature[curved] * noise[curved] ** 2))
+        return float(np.mean(self.data_curvature[curved] * self.noise[curved] ** 2))
 
     @cached_property
     def penalty(self) -> Array:

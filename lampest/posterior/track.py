@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import TWO_SIDED
-from lampest.panel.effects import Shared, own_errors
+from lampest.panel.effects import Shared
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.certainty import Certainty, common_variance
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from lampest.posterior.frame_noise import FrameNoise
     from lampest.posterior.sparse_prior import Held
 
-# Least noise relative to the deviation that includes own errors: rounding of the difference.
-MIN_NOISE_SHARE = 1e-4
 # Missing readings with a profile; each costs about two solves, others are approximated by tangents.
 MAX_MISSING = 3
 # Along the length of the tangent: the path then ends within a tenth of an optimum with the cell
@@ -169,27 +167,14 @@ class Track:
         return track, Bars(frame, change, errors.reading_deviation()[-1], held)
 
     def _errors(self, model: LinearModel, *, baseline: bool) -> DenseErrors:
-        """Return the errors of an estimate, with V and with each reading's own systematic error.
+        """Return the errors of an estimate, with V.
 
         `baseline` states whether the first frame is the mean of the unloaded ones.
         """
-        terms = model.at.cost.terms
-        measured = model.at.data.measured
         drawn = None
-        if self.shared is not None:
-            own_error = self.shared.own_error(measured)
-            if self.shared.in_sigma:
-                # σ² without each reading's own error, which enters through the shared errors
-                deviation = model.at.data.deviation
-                included = own_errors(measured, self.shared.scene, self.shared.in_sigma)
-                noise = np.maximum(deviation**2 - included**2, (MIN_NOISE_SHARE * deviation) ** 2)
-                model = replace(model, deviation=np.sqrt(noise))
-            # Own errors matter for s² unless there is no penalty, or the penalties compare frames
-            # that share them.
-            if not all(term.reads_measurement or term.needs_previous for term in terms):
-                model = replace(model, own_error=own_error)
         if self.noise is not None:
-            drawn = np.asarray(model.through @ self.noise.columns(measured, baseline=baseline))
+            columns = self.noise.columns(model.at.data.measured, baseline=baseline)
+            drawn = np.asarray(model.through @ columns)
         return errors_of(model, self.memory, drawn)
 
     def _answered(self, errors: DenseErrors) -> tuple[Array, Certainty]:

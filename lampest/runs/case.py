@@ -97,8 +97,6 @@ class CaseResult(Content):
     reading_error : float
         Standard deviation of ln of a constant factor on each reading, estimated from still cells;
         0: none.
-    error_in_sigma : float
-        The part of `reading_error` that `sigma` includes.
     model_factor : float
         Factor by which the model's error widens `sigma`; 1: none.
     unloaded_frames : int

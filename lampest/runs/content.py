@@ -242,7 +242,6 @@ class Content(Validated):
     )
     warnings: str = _attribute("warnings")
     reading_error: float = _attribute("reading_error", "noise.reading_error", 0.0)
-    error_in_sigma: float = _attribute("reading_error_in_sigma", "noise.error_in_sigma", 0.0)
     model_factor: float = _attribute("model_factor", "noise.model_factor", 1.0)
     unloaded_frames: int = _attribute(
         "unloaded_frames",

@@ -21,7 +21,7 @@ from lampest.apps.recognition import candidates
 from lampest.files.typed import members_of
 from lampest.panel import effects
 from lampest.panel.conditions import water_pressure
-from lampest.panel.effects import error_columns, shared_effects
+from lampest.panel.effects import error_columns, own_errors, shared_effects
 from lampest.panel.effects.line_effect import effect_on_readings, line_effects
 from lampest.panel.kirchhoff import NormalByLines, Stencil
 from lampest.panel.panel import EachModule, Modules
@@ -279,7 +279,7 @@ def errors_row(scene: lp.Scene) -> dict[str, Any]:
         + [each.beyond(known[2]) is None for each in known[1:]],
         "columns": error_columns(shared_effects(), network, reading, scene, every),
         "shared": shared.columns(network, reading),
-        "own": shared.own_error(reading),
+        "own": own_errors(reading, scene, 0.02),
         "effects": [
             (
                 kind.__name__,

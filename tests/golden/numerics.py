@@ -620,9 +620,7 @@ def model_row(cost: str, circuit: str, sampled: bool) -> dict[str, Any]:
     rng = np.random.default_rng(3)
     size = at.cell_resistance.size
     terms = at.cost.terms
-    model = LinearModel(
-        at, np.tanh(at.nonsmooth), own_error=2.0, weight_sigma=(np.nan, *[0.7] * (len(terms) - 1))
-    )
+    model = LinearModel(at, np.tanh(at.nonsmooth), weight_sigma=(np.nan, *[0.7] * (len(terms) - 1)))
     root = 0.3 * rng.standard_normal((2 * size, 2 * size))
     drawn = np.asarray(model.through @ rng.standard_normal((size, 2)))
     earlier = root @ root.T

@@ -45,6 +45,7 @@ from lampest.inference.effects import (
 from lampest.inference.effects.effect import Gathered
 from lampest.inference.prepared import Prepared
 from lampest.inference.shared_changes import CHANNEL_FACTORS
+from lampest.posterior import film_scatter
 from tests.estimates import recording_of
 
 ROWS = 12
@@ -431,7 +432,7 @@ def test_penalties_that_compare_frames_expect_nothing_of_films() -> None:
     terms = [WEIGHTED, LogRatio(weight=1e4)]
     hidden = lampest.reconstruct(made, terms).cell_resistance_errors
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(static_errors, "film_scatter", lambda *_: 0.0)
+        patch.setattr(film_scatter, "answer_to_scatter", lambda *_: 0.0)
         plain = lampest.reconstruct(made, terms).cell_resistance_errors
     assert hidden is not None and plain is not None
     np.testing.assert_allclose(hidden, plain, rtol=1e-9)

@@ -96,8 +96,7 @@ class ComparedFrames:
         if self.named_errors is None:
             return tuple(means)
         # Errors that frames share do not average out.
-        at_rest = self._named_error(rival, self.resting) / np.sqrt(count)
-        errors = (at_rest, self._named_error(rival, self.standing))
+        errors = (self._named_error(rival, self.resting), self._named_error(rival, self.standing))
         return tuple(
             replace(mean, sigma=np.hypot(mean.known_sigma, error))
             for mean, error in zip(means, errors, strict=False)

@@ -11,6 +11,11 @@ of its own, N(0, e²). The posterior of e combines the evidence of the changes, 
 selected for each e (`lampest.inference.evidence`), and the likelihood of the unloaded panel.
 Given e, the still cells determine the posterior of z. Of errors that are too large for linear
 theory only e is estimated.
+
+Errors that frames share stay out of σ, so that weights and estimates see the noise alone. Where the
+evidence of the readings' own errors exceeds that of none by MIN_EVIDENCE_GAIN, the readings of all
+frames are corrected by the mean that the unloaded panel determines. Elsewhere they widen error bars
+alone.
 """
 
 from collections.abc import Iterator, Sequence
@@ -44,13 +49,15 @@ from lampest.inference.shared_changes import (
     joint_posterior,
     shared_changes,
 )
-from lampest.inference.unloaded_cells import READING_ERRORS, film_scatter, unloaded_costs
+from lampest.inference.unloaded_cells import READING_ERRORS, at_rest, film_scatter, unloaded_costs
 from lampest.panel.effects import Possible, estimated_errors, shared_effects, systematic_of
 from lampest.panel.effects.channels import CHANNELS
 from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
+from lampest.panel.trust_region import MAX_DENSE
+from lampest.posterior.gaussian import lower_root
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -87,11 +94,14 @@ class SharedErrors:
     undetermined : str
         The reason why the other estimated errors keep their prior, in words; '' where all are
         determined.
+    significant : bool
+        Whether each reading's own error gains more evidence than MIN_EVIDENCE_GAIN.
     """
 
     possible: Possible
     sizes: dict[str, tuple[float, float]]
     undetermined: str = ""
+    significant: bool = False
 
 
 def shared_errors(
@@ -112,7 +122,7 @@ def shared_errors(
         Its errors that the readings of a frame share, and its cells of the unloaded panel.
     """
     prior = systematic_of(scene) or Systematic()
-    possible = Possible(prior, in_sigma=READING_ERROR.size(prior))
+    possible = Possible(prior)
     if resting.sigma is None:
         reason = "the noise of the readings is unknown: name the readout's noise_lsb"
         return SharedErrors(possible, {}, reason)
@@ -128,9 +138,12 @@ def shared_errors(
             costs = unloaded_costs(scene, resting, fit, READING_ERRORS)[0]
             error = _reading_error(costs + _costs_of_errors(scene, moves, EVERY_SECOND)[0])
         # √E[e²] exceeds the most probable e where e is uncertain
-        size = float(np.sqrt(error.mean_square))
-        possible = Possible(replace(prior, reading_error=size), in_sigma=error.median)
-        own = SharedErrors(possible, {READING_ERROR.setting: (error.mean, error.deviation)})
+        possible = Possible(replace(prior, reading_error=float(np.sqrt(error.mean_square))))
+        own = SharedErrors(
+            possible,
+            {READING_ERROR.setting: (error.mean, error.deviation)},
+            significant=error.gain > MIN_EVIDENCE_GAIN,
+        )
     if moves is None:
         reason = "no cells explain the unloaded frames or the loaded ones"
         return _undetermined(
@@ -145,27 +158,34 @@ def shared_errors(
     return _with_common_errors(own, moves, prior, scene, spread)
 
 
-def _with_film_scatter(
-    possible: Possible, scene: Scene, resting: Readings, cells: Array | None
+def _known_at_rest(
+    errors: SharedErrors, scene: Scene, resting: Readings, cells: Array | None
 ) -> Possible:
-    """Return the errors with the scatter of the films beside each reading's own error.
+    """Return the errors as the unloaded panel knows them, with the scatter of its films.
+
+    Where each reading's own error is significant, its posterior mean is the correction of the
+    readings, and the joint posterior of all errors about it the rest that widens error bars.
 
     Parameters
     ----------
-    possible : Possible
+    errors : SharedErrors
     scene : Scene
     resting : Readings
         Mean of the unloaded frames, (rows, columns).
     cells : array, shape (rows, columns), or None
         Those of the unloaded panel where several panels give its readings, ohm.
     """
+    possible = errors.possible
     size = READING_ERROR.size(possible.sizes)
-    if not size or resting.sigma is None or resting.value.size > MAX_CELLS:
+    if not size or resting.sigma is None or resting.value.size > MAX_DENSE:
         return possible
     with suppress(*BROKEN):
-        fit = fitted(scene, resting, cells, patient=True)
+        small = resting.value.size <= MAX_CELLS
+        fit = fitted(scene, resting, cells, patient=True) if small else None
         scatter = film_scatter(scene, resting, fit, size, CHANNELS.size(possible.sizes))
-        return replace(possible, film_scatter=scatter)
+        possible = replace(possible, film_scatter=scatter)
+        if errors.significant:
+            return at_rest(possible, scene, resting, fit)
     return possible
 
 
@@ -354,7 +374,7 @@ def _with_common_errors(
         factor = float(np.sqrt(spread.mean_square))
         unit = 1 / moves.scales(factor, len(second))
         second = unit[:, None] * second * unit
-    possible = replace(errors.possible, settings=tuple(settings), root=_lower_root(second))
+    possible = replace(errors.possible, settings=tuple(settings), root=lower_root(second))
     determined = all(error.setting in sizes for error in moves.errors)
     return replace(errors, possible=possible, sizes=sizes, undetermined="" if determined else ALIKE)
 
@@ -402,15 +422,6 @@ def _determined_sizes(
             sizes[error.setting] = size
         first = last
     return sizes
-
-
-def _lower_root(square: Array) -> Array:
-    """Return a lower triangular root of a symmetric matrix.
-
-    Its negative eigenvalues count as zero.
-    """
-    values, vectors = np.linalg.eigh((square + square.T) / 2)
-    return np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T)
 
 
 def _costs_of_errors(
@@ -465,11 +476,11 @@ class StaticErrors(SceneEffect):
             if sizes is None or not size:
                 return noise
             unloaded = np.flatnonzero(recording.role == UNLOADED)
-            possible = Possible(sizes, in_sigma=size)
-            if len(unloaded):
-                resting = readings[unloaded].mean()
-                possible = _with_film_scatter(possible, scene, resting, noise.resting_cells)
-            return replace(noise, possible_errors=possible).with_reading_error(recording)
+            errors = SharedErrors(Possible(sizes), {}, significant=True)
+            # without unloaded frames, loads count as scatter of the cells
+            resting = readings[unloaded if len(unloaded) else slice(None)].mean()
+            possible = _known_at_rest(errors, scene, resting, noise.resting_cells)
+            return noise.with_errors(possible, scene)
         unloaded = np.flatnonzero(recording.role == UNLOADED)
         measured = np.flatnonzero(recording.role == MEASURED)
         measured = measured[(readings.seen[measured] > 0).any(axis=(1, 2))]
@@ -484,8 +495,8 @@ class StaticErrors(SceneEffect):
         if len(measured):
             loaded = readings[strongest_frame(readings.plain_values, resting.value, measured)]
         errors = shared_errors(scene, resting, loaded, noise)
-        possible = _with_film_scatter(errors.possible, scene, resting, noise.resting_cells)
-        noise = replace(noise, possible_errors=possible).with_reading_error(recording)
+        possible = _known_at_rest(errors, scene, resting, noise.resting_cells)
+        noise = noise.with_errors(possible, scene)
         for name in requested:
             if name in errors.sizes:
                 noise = noise.determined(f"systematic.{name}", errors.sizes[name])

@@ -239,10 +239,14 @@ def recorded_share(measured: Array, scene: Scene) -> Array:
 
     Central differences approximate the derivative.
     """
-    recorded = scene.circuit.to_recorded(measured, scene)
-    above = scene.circuit.from_recorded(recorded * np.exp(LOG_STEP), scene)
-    below = scene.circuit.from_recorded(recorded * np.exp(-LOG_STEP), scene)
+    above, below = (recorded_times(measured, scene, np.exp(step)) for step in (LOG_STEP, -LOG_STEP))
     return np.asarray((above - below) / (2 * LOG_STEP))
+
+
+def recorded_times(measured: Array, scene: Scene, factor: Array | float) -> Array:
+    """Return the readings, (..., rows, columns), that times as large recorded values would give."""
+    recorded = scene.circuit.to_recorded(measured, scene)
+    return np.asarray(scene.circuit.from_recorded(recorded * factor, scene))
 
 
 def own_errors(measured: Array, scene: Scene, size: float) -> Array:
@@ -266,9 +270,9 @@ class Possible:
     root : array, shape (n, n), or None
         Lower triangular root of the covariance of z of these errors, each with its columns; None: z
         are independent.
-    in_sigma : float
-        Size of each reading's own error that σ of the readings includes, and so the choice of
-        weights: the median of the posterior (docs/studies/effects.md).
+    log_factor : array, shape (rows, columns), or None
+        Logarithm of the factor on each recorded value that readings are corrected for; None where
+        they are not.
     film_scatter : float
         Scatter of log r of the unloaded cells beside each reading's own error; 0 where unknown.
     """
@@ -276,7 +280,7 @@ class Possible:
     sizes: Systematic
     settings: tuple[str, ...] = ()
     root: Array | None = None
-    in_sigma: float = 0.0
+    log_factor: Array | None = None
     film_scatter: float = 0.0
 
 
@@ -379,8 +383,6 @@ class Shared:
     root : array, shape (n, n), or None
         Lower triangular root of the covariance of these errors, in units of their sizes; None: they
         are independent, with their sizes as standard deviations.
-    in_sigma : float
-        Size of each reading's own error that σ of the readings includes.
     film_scatter : float
         Scatter of log r of the unloaded cells beside each reading's own error; 0 where unknown.
     """
@@ -390,7 +392,6 @@ class Shared:
     contact_root: Array | None = None
     estimated: tuple[str, ...] = ()
     root: Array | None = None
-    in_sigma: float = 0.0
     film_scatter: float = 0.0
 
     @classmethod
@@ -412,7 +413,6 @@ class Shared:
             contact_root,
             possible.settings,
             possible.root,
-            possible.in_sigma,
             possible.film_scatter,
         )
 
@@ -460,11 +460,3 @@ class Shared:
         assert self.systematic is not None
         columns = error_columns(errors, network, measured, self.scene, self.systematic)
         return columns.reshape(len(columns), measured.size).T
-
-    def own_error(self, measured: Array) -> Array:
-        """Return the standard deviation of each reading's own error, (frames, rows, columns).
-
-        The unit is that of the readings.
-        """
-        size = 0.0 if self.systematic is None else float(self.systematic.reading_error or 0.0)
-        return own_errors(measured, self.scene, size)

@@ -33,7 +33,6 @@ COMMON_PARTS = {
         "0.2",
         "sd of thread or printed silver; of copper: 0",
     ),
-    "reading_error": ("estimated", "of each reading, the same in all frames: from the recording"),
 }
 MOUTH = """\
   - kind: oral_disc       # a lamprey's mouth

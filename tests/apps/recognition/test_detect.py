@@ -199,16 +199,16 @@ def test_cells_of_lower_conductance_are_neither_a_contact_nor_explained() -> Non
 
 
 def test_a_recording_and_its_results_give_detection_the_same(tmp_path: Path) -> None:
-    """Results hold the mean of the unloaded frames, and σ with errors of the readings."""
+    """Results hold the mean of the unloaded frames, and readings without their own errors."""
     scene = Scene(Panel(4, 5, 10.0), TwoPointReadout(noise_lsb=0.7), 140.0)
     load = Rod(centre_mm=(20, 15), diameter_mm=20, mass_g=500)
     recording = recorded(scene=scene, loads=(load,), unmodelled=Unmodelled(reading_error=0.1))
-    named = replace(scene, gain="estimated", systematic=Systematic(reading_error="estimated"))
+    named = replace(scene, gain="estimated", systematic=Systematic(reading_error=0.1))
     recording = replace(recording, scene=named)
     estimate = reconstruct(
         recording, [Misfit(weighting="noise"), LogRatio(weight=1.0)], error_bars=False
     )
-    assert estimate.noise.error_in_sigma and estimate.noise.sigma_factor == 1
+    assert estimate.noise.log_factor is not None and estimate.noise.sigma_factor == 1
     write_results(tmp_path / "results.h5", [estimate.result("changes")])
     known = known_of(estimate.prepared)
     again, frames = known_of_case(read_results(tmp_path / "results.h5").cases[0])

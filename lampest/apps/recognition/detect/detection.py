@@ -24,7 +24,7 @@ from lampest.files.hdf5 import format_of
 from lampest.files.levels import NOISE_REACH
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
 from lampest.inference.effects.converter_ends import with_saturated_stage
-from lampest.inference.noise import NoiseEstimate
+from lampest.inference.noise import NoiseEstimate, without_factors
 from lampest.inference.nuisances import CircuitEffects, without_effects_of
 from lampest.inference.prepared import Prepared
 from lampest.inference.warnings import warnings_of
@@ -91,6 +91,9 @@ class Known:
         Date and time at 0 s.
     resting_side : array, shape (rows, columns), or None
         Sides of the unloaded readings that are bounds, see `Readings`; None: all are values.
+    log_factor : array, shape (rows, columns), or None
+        Logarithm of the factor on each recorded value that is taken off the frames, as it is off
+        `resting`; None: nothing is.
     """
 
     name: str
@@ -108,6 +111,7 @@ class Known:
     threshold: float = MIN_PROBABILITY
     start_time: str | None = None
     resting_side: Array | None = None
+    log_factor: Array | None = None
 
     @ONE_BLAS_THREAD
     def watch(self) -> Watch | ImageWatch:
@@ -227,6 +231,7 @@ class Known:
             Infinite where a reading is no value and does not bound a change; see
             `with_bounds_counted`.
         """
+        readings = without_factors(readings, self.scene, self.log_factor)
         sigma = self.sigma if readings.sigma is None else readings.sigma
         side = np.where(readings.seen > 0, readings.side, np.nan)
         return with_bounds_counted(readings.value, sigma, side, self.resting, self.resting_side)
@@ -457,7 +462,14 @@ def known_of(
         notes,
         patch_mm,
     )
-    known = Known(head.name, scene, *before, besides, explained or partial(_explains, prepared))
+    known = Known(
+        head.name,
+        scene,
+        *before,
+        besides,
+        explained or partial(_explains, prepared),
+        log_factor=None if seen is None else seen.log_factor,
+    )
     side = np.where(resting.seen > 0, resting.side, 0.0)
     if not side.any():
         return known

@@ -14,15 +14,12 @@ from lampest.apps.recognition.detect.detection import (
     with_bounds_counted,
     with_slow_waves,
 )
-from lampest.panel.effects import own_errors
 from lampest.panel.panel import Array
 from lampest.recording.readings import stand_in
 from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
 from lampest.runs.filling import frame_noise_of
 from lampest.runs.results import Results
-
-MIN_FRAME_SHARE = 1e-6  # of σ: the noise of a frame is no less, whatever rounding leaves
 
 
 def detect_results(
@@ -70,8 +67,8 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
         deviation, notes = noise_by_scatter(side)
         spread = np.broadcast_to(deviation, side.shape)
     else:
-        spread = _frame_sigma(case, side, spread, 1)
-        deviation = _frame_sigma(case, case.measured_baseline, case.sigma_baseline, count)
+        spread = _frame_sigma(case, spread, 1)
+        deviation = _frame_sigma(case, case.sigma_baseline, count)
         deviation = np.minimum(deviation, spread[:HEAD_FRAMES].min(axis=0))
     baseline = case.measured_baseline
     baseline = np.where(np.isfinite(baseline), baseline, stand_in(baseline, np.isfinite(baseline)))
@@ -100,12 +97,10 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
     return known, zip(values, spread, map(float, case.time), strict=True)
 
 
-def _frame_sigma(case: CaseResult, value: Array, sigma: Array, count: int) -> Array:
+def _frame_sigma(case: CaseResult, sigma: Array, count: int) -> Array:
     """Return σ of one frame's readings by the σ of the mean of `count` frames.
 
-    Errors that all frames share are left out. Averaging reduces neither the error of the model nor
-    the one of each reading, see `scaled` and `_with_reading_error` of `lampest.estimate`.
+    The error of the model is left out; averaging does not reduce it, see `scaled` of
+    `lampest.inference.model_error`.
     """
-    shared = own_errors(value, case.scene, case.error_in_sigma)
-    square = count * sigma**2 / (1 + count * (case.model_factor**2 - 1)) - count * shared**2
-    return np.asarray(np.sqrt(np.fmax(square, (MIN_FRAME_SHARE * sigma) ** 2)))
+    return np.asarray(sigma * np.sqrt(count / (1 + count * (case.model_factor**2 - 1))))
