@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lampest.apps.board.journal import Journal
-from lampest.apps.board.stream import Sample
+from lampest.apps.board.sample import Sample
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import Rows
 

@@ -95,12 +95,13 @@ static void on_conversion(struct avr_irq_t *irq, uint32_t value, void *param) {
     (void)irq;
     (void)value;
     int input = chosen_input(bench);
-    if (!(bench->avr->data[ADCSRA_ADDRESS] & ADCSRA_ADIE)) { /* the board draws its identity: no conversion of a scan */
-        raise_code(bench, input, panel_code(&bench->panel, panel_s(bench)));
-        return;
-    }
     if (LAMPEST_WIRING == LAMPEST_LOADED_COLUMNS)
         panel_sense(&bench->panel, bench->column_of_channel[input]);
+    /* Without an interrupt the board draws its identity, or a sketch reads by analogRead: such scans have no figures. */
+    if (!(bench->avr->data[ADCSRA_ADDRESS] & ADCSRA_ADIE)) {
+        raise_code(bench, input, panel_code(&bench->panel, board_s(bench)));
+        return;
+    }
     int origin = bench->panel.row == 0 && bench->panel.column == 0;
     if (origin && (!bench->at_origin || board_s(bench) - bench->conversion_ended_s > PAUSE_S)) {
         double span = bench->conversion_ended_s - bench->scan_began_s;

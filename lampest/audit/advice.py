@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from lampest.audit.effects import effects_to_try, named, unnamed_effects
-from lampest.audit.finding import Finding
+from lampest.audit.finding import Finding, advised_entries
 from lampest.audit.health import Health
 from lampest.audit.verdict import verdict
 from lampest.files.errors import InputError
@@ -58,6 +58,12 @@ class Audit:
         if findings or self.prepared.check.explains is not False:
             return findings
         return (UNKNOWN,)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """Advice in words, ASCII, and the entries of the scene that follow from it."""
+        sentences = (finding.text for finding in self.advice)
+        return (*sentences, *advised_entries(self.prepared.recording.scene, self.advice))
 
     def _effects(self) -> tuple[Finding, ...]:
         """Return the unnamed effects.

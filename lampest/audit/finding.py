@@ -1,6 +1,7 @@
 """A finding in a recording, and the entries of a scene that follow from findings."""
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -11,6 +12,8 @@ from lampest.files.errors import InputError
 from lampest.files.typed import members_of
 from lampest.panel.readouts import AnyReadout
 from lampest.panel.scene import Scene, validated_scene
+
+PASTE = "write into the scene, in place of its entries of these names:"
 
 
 @dataclass(frozen=True)
@@ -49,8 +52,6 @@ class Finding:
         text = self.what
         if self.evidence:
             text += f": {self.evidence}"
-        if self.line:
-            text += f"; add to the scene: {self.line}"
         if self.remedy:
             text += f"; {self.remedy}"
         return text
@@ -98,6 +99,38 @@ def with_lines(
         scene = changed
         accepted.append(line)
     return scene, tuple(accepted), tuple(refused)
+
+
+def advised_entries(scene: Scene, findings: Iterable[Finding]) -> tuple[str, ...]:
+    """Return the entries of a scene that findings change, whole, as lines of YAML.
+
+    A sentence precedes them.
+    """
+    advised = scene
+    for finding in findings:
+        with suppress(InputError):
+            advised = with_addition(advised, finding.addition)
+    before = plain_content(scene)
+    after = plain_content(advised)
+    changed = {key: _filled(value) for key, value in after.items() if before.get(key) != value}
+    if not changed:
+        return ()
+    again = "" if same_values(scene, advised) else "import the readings again with this scene; "
+    return (f"{again}{PASTE}", *(in_one_line({key: value}) for key, value in changed.items()))
+
+
+def _filled(content: Any) -> Any:
+    """Return a mapping without its empty lists, which a scene need not state."""
+    if not isinstance(content, Mapping):
+        return content
+    return {key: value for key, value in content.items() if value not in ([], ())}
+
+
+def sentences_and_entries(advice: str) -> tuple[list[str], list[str]]:
+    """Split the lines of advice into its sentences and the entries of a scene that follow."""
+    lines = advice.split("\n") if advice else []
+    first = next((at for at, line in enumerate(lines, 1) if line.endswith(PASTE)), len(lines))
+    return lines[:first], lines[first:]
 
 
 def same_values(scene: Scene, changed: Scene) -> bool:

@@ -94,6 +94,7 @@ def run(
     no_check
         Leave out whether the circuits explain their readings.
     """
+    from lampest.audit.finding import sentences_and_entries
     from lampest.runs.batch import run_batch
     from lampest.runs.config import read_run
     from lampest.runs.executors import local
@@ -127,7 +128,11 @@ def run(
         screen.warn(f"existing results of other cases were renamed: {report.aside}")
     screen.print_notes(f"estimated: {line}" for line in report.estimated)
     screen.print_notes(f"warning: {line}" for line in report.warnings)
-    screen.print_notes(f"advice: {line}" for line in report.advice)
+    for recording, advice in report.advice:
+        sentences, entries = sentences_and_entries(advice)
+        screen.print_notes(f"advice: {recording}: {sentence}" for sentence in sentences)
+        for entry in entries:
+            screen.say(entry)
     for name, sentence in report.failed:
         screen.warn(f"{name} failed: {sentence}")
     if report.lost:

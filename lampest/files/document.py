@@ -391,11 +391,21 @@ def _possible_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> str:
         for properties in objects
         if all(_fits(properties.get(key, {}), value) for key, value in content.items())
     ]
+    key = str(location[-1])
+    others = [kind for properties in objects for kind in _kinds_with(key, properties)]
+    if others:
+        return f" of this kind; it is a key of kind: {', '.join(others)}"
     keys = set(chain.from_iterable(fitting))
     unused = sorted(keys - {*content})
     listed = f"; there are {', '.join(unused)}" if 0 < len(unused) <= 12 else ""
     # A setting on the command line may misspell a key that the file has.
-    return meant(str(location[-1]), keys) or listed
+    return meant(key, keys) or listed
+
+
+def _kinds_with(key: str, properties: Any) -> list[Any]:
+    """Return the kinds of an object's schema if it has a key."""
+    kind = properties.get("kind", {})
+    return [*kind.get("enum", []), *filter(None, [kind.get("const")])] if key in properties else []
 
 
 def _alternatives(node: Any, schema: Any) -> list[Any]:
@@ -515,6 +525,10 @@ def to_yaml(value: Any) -> str:
     return stream.getvalue()
 
 
+# Texts that YAML takes as such in braces without quotation marks.
+PLAIN_TEXT = re.compile(r"(?!(?:null|true|false|yes|no|on|off|nan|inf)$)[A-Za-z_][\w./-]*", re.I)
+
+
 def in_one_line(content: Any) -> str:
     """Return a mapping as one line of YAML, such as 'readout: {kind: grounded, sense: one}'."""
     if not isinstance(content, Mapping):
@@ -527,14 +541,18 @@ def in_one_line(content: Any) -> str:
 
 
 def _scalar_or_list(value: Any) -> str:
-    """Return a number, a word, nothing, or a list of them in YAML."""
+    """Return a number, a text, nothing, or a list of them in YAML."""
+    if isinstance(value, Mapping):
+        return f"{{{in_one_line(value)}}}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_scalar_or_list, value))}]"
     if isinstance(value, float) and isfinite(value):
-        return f"{value:g}"
+        return f"{value:.12g}"
     if isinstance(value, float):
         return {inf: ".inf", -inf: "-.inf"}.get(value, ".nan")
-    return "null" if value is None else str(value)
+    if isinstance(value, str):
+        return value if PLAIN_TEXT.fullmatch(value) else json.dumps(value)
+    return "null" if value is None else str(value).lower()
 
 
 def plain_content(value: Any) -> Any:

@@ -41,9 +41,11 @@ class BetterExplanation:
         The circuit or the effects in words; '' where nothing explains the readings better.
     frames : str
         The loaded frames in words.
-    count, count_as_specified : int
-        Moved cells between the unloaded panel and these frames: under the better explanation, and
-        under the scene's circuit.
+    count : int
+        Cells that have moved between the unloaded panel and these frames.
+    factors : array
+        Cells under the scene's circuit over those under the better explanation, unloaded and in
+        these frames.
     fits_noise : bool
         Whether cells explain the readings of the unloaded panel and of the frames within their
         noise.
@@ -56,7 +58,7 @@ class BetterExplanation:
     name: str = ""
     frames: str = ""
     count: int = 0
-    count_as_specified: int = 0
+    factors: Array = field(default_factory=lambda: np.ones(1))
     fits_noise: bool = True
     nearly: str = ""
     addition: Mapping[str, Any] = field(default_factory=dict)
@@ -64,10 +66,18 @@ class BetterExplanation:
     @property
     def reason(self) -> str:
         """The reason why it is named, in words."""
-        counts = f"{self.count} cells have moved then, and {self.count_as_specified} as specified"
-        if self.count >= self.count_as_specified:
-            counts = f"the misfit is smaller, with {self.count} moved cells"
-        return f"between the unloaded panel and {self.frames} {counts}"
+        low, middle, high = np.quantile(self.factors, (0.05, 0.5, 0.95))
+        return (
+            f"with the scene's circuit cells of the unloaded panel and of {self.frames} are wrong "
+            f"by a factor of {middle:.2g} (median; {low:.2g} to {high:.2g} in nine of ten)"
+        )
+
+
+def cell_factors(specified: FittedPair, better: FittedPair) -> Array:
+    """Return the cells of one pair of frames over those of another, where both are cells."""
+    pairs = zip(specified.frames, better.frames, strict=True)
+    ratios = np.concatenate([(first.cells / second.cells).ravel() for first, second in pairs])
+    return np.asarray(ratios[np.isfinite(ratios) & (ratios > 0)])
 
 
 def candidates(shape: tuple[int, ...], kinds: Sequence[type[LineEffect]]) -> list[LineEffect]:
@@ -146,12 +156,12 @@ def find_effects(
         largest_gain = gain
         fits_noise = all(fit.within_noise for fit in grown.frames)
         names = " and ".join(effect.sentence(pair.shape[0]) for effect in grown.effects)
-        counts = (int(grown.moved.sum()), int(pair.moved.sum()))
         taken_off = bool(certain.effects) and fits_noise
         besides = CircuitEffects(
             names,
             name,
-            *counts,
+            int(grown.moved.sum()),
+            cell_factors(pair, grown),
             fits_noise,
             addition={effect.key: ESTIMATED for effect in grown.effects if effect.key},
             pair=certain if taken_off else None,

@@ -191,13 +191,16 @@ class Rows(NamedTuple):
     checksum: Dataset
 
     @classmethod
-    def of_frames(cls, circuit: Readout, *, estimates: bool = False) -> "Rows":
-        """Return the datasets with a row for every frame; `estimates` are those of the board."""
+    def of_frames(cls, circuit: Readout, *, sums: bool = True, estimates: bool = False) -> "Rows":
+        """Return the datasets with a row for every frame.
+
+        `sums` of codes and `estimates` are those of the board.
+        """
         names = (
             "recorded",
             "time",
             "role",
-            "raw_sums",
+            *(("raw_sums",) if sums else ()),
             *(("board_log_change",) if estimates else ()),
         )
         recorded = itemgetter(*names)(stored_fields(circuit))
@@ -212,8 +215,21 @@ class Rows(NamedTuple):
     @classmethod
     def of_file(cls, file: h5py.File, circuit: Readout) -> "Rows":
         """Return the datasets of a growing file with a row for every frame."""
-        path = stored_fields(circuit)["board_log_change"][0]
-        return cls.of_frames(circuit, estimates=hdf5.has(file, f"/entry/{path}"))
+        held = {
+            field: hdf5.has(file, f"/entry/{path}")
+            for field, (path, *_) in stored_fields(circuit).items()
+        }
+        return cls.of_frames(circuit, sums=held["raw_sums"], estimates=held["board_log_change"])
+
+    @property
+    def sums(self) -> bool:
+        """Whether the board sends sums of codes."""
+        return any(path == "raw/sums" for path, *_ in self.datasets)
+
+    @property
+    def estimates(self) -> bool:
+        """Whether the board estimates cells."""
+        return any(path == "board/log_change" for path, *_ in self.datasets)
 
     def append(self, file: h5py.File, values: Sequence[Sequence[Any] | NDArray[Any]]) -> None:
         """Append rows to all datasets, and then their checksums, once the rows are in the file.

@@ -46,18 +46,24 @@ def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
         )
 
 
-def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source: object) -> Array:
+def recorded_values(
+    values: Array, unit: str, scene: Scene, place: Place | None, source: object
+) -> Array:
     """Return values converted from their unit to the readout's recorded quantity.
 
     Values have the shape (frames, rows, columns). NaN is kept. Codes and voltages at a rail,
     infinite resistances and those of zero remain bounds. Raises InputError with the place (frame,
     row, column) of an impossible value, or with the source if most readings are at the rail of a
-    shorted cell: unit or range are probably wrong.
+    shorted cell: unit or range are probably wrong. Without places impossible values are NaN.
     """
     scaled = values * FACTORS[unit]
     readout = scene.readout
 
     def refuse(bad: NDArray[np.bool_], why: str) -> None:
+        if place is None:
+            finite[bad] = np.nan
+            scaled[bad] = np.nan
+            return
         for frame, row, column in np.argwhere(bad).tolist():
             raise InputError(f"{place(frame, row, column)}: {values[frame, row, column]:.6g} {why}")
 
@@ -83,7 +89,7 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source
         name = "V" if unit == "volt" else unit
         refuse(outside, f"lies outside {ends} {name}, the range of the readout's converter")
         recorded = readout.recorded_from_volt(np.where(np.isnan(finite), np.nan, scaled))
-    if readout is not None:
+    if readout is not None and place is not None:
         _check_shorted(scene, readout, recorded, unit, source)
     return recorded
 

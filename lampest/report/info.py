@@ -125,6 +125,7 @@ def _recording_lines(recording: Recording, kept: "RecordingCheck | None") -> Ite
     # With all of the estimate, which results do without.
     from lampest.audit.advice import Audit
     from lampest.inference.prepared import Prepared
+    from lampest.runs.checks import RecordingCheck
 
     audit = Audit(Prepared(recording))
     yield from _lines(_content(recording))
@@ -140,7 +141,9 @@ def _recording_lines(recording: Recording, kept: "RecordingCheck | None") -> Ite
         yield from shaded_map(strongest[1])
     with suppress(InputError):
         yield from _lines(_estimated(audit))
-        yield from _lines(_verdict(audit, kept))
+        check = kept or RecordingCheck.of(audit)
+        yield from _lines(_verdict(audit, check))
+        yield from _advice(check.advice)
 
 
 def _content(recording: Recording) -> Iterator[Sentence]:
@@ -180,21 +183,27 @@ def _estimated(audit: "Audit") -> Iterator[Sentence]:
     yield from (("estimated", line) for line in estimated_lines(audit.prepared.noise.estimated))
 
 
-def _verdict(audit: "Audit", kept: "RecordingCheck | None") -> Iterator[Sentence]:
-    """Yield warnings, the verdict on the circuit, widths and advice; see `_recording_lines`."""
+def _verdict(audit: "Audit", check: "RecordingCheck") -> Iterator[Sentence]:
+    """Yield warnings, the verdict on the circuit, and widths."""
     from lampest.audit.widths import widths_of
-    from lampest.runs.checks import RecordingCheck
 
     without = audit.prepared.warnings_without_check
     yield from (("warning", warning) for warning in without)
-    check = kept or RecordingCheck.of(audit)
     yield "model", f"{check.mark}: {check.sentence}"
     for warning in check.warnings.split("\n"):
         if warning not in without and warning not in check.sentence:
             yield "warning", warning
     for number, width in enumerate(widths_of(audit.prepared)):
         yield "" if number else "width", width.sentence
-    yield from (("advice", line) for line in check.advice.split("\n"))
+
+
+def _advice(advice: str) -> Iterator[str]:
+    """Yield the sentences of advice behind their heading, and entries of a scene as they stand."""
+    from lampest.audit.finding import sentences_and_entries
+
+    sentences, entries = sentences_and_entries(advice)
+    yield from _lines(("advice", sentence) for sentence in sentences)
+    yield from entries
 
 
 def apply_advice(path: str | Path) -> list[str]:
@@ -346,11 +355,10 @@ def _measurement_lines(case: CaseResult) -> list[str]:
         ("model", model),
         *(("warning", line) for line in case.warnings.split("\n")),
         *(("estimated", line) for line in estimated_lines(scene.estimated)),
-        *(("advice", line) for line in case.advice.split("\n")),
         ("film", case.film_sentence),
         ("noise", case.noise_learned),
     ]
-    return [headline, *_lines(sentences)]
+    return [headline, *_lines(sentences), *_advice(case.advice)]
 
 
 def _case_lines(case: CaseResult, width: int) -> list[str]:

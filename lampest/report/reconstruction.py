@@ -96,7 +96,7 @@ class Reconstruction(Estimates):
         """
         from lampest.audit.advice import Audit
 
-        return tuple(finding.text for finding in Audit(self.prepared).advice)
+        return Audit(self.prepared).lines
 
     def __dir__(self) -> list[str]:
         return list({*super().__dir__()} - INTERNAL)

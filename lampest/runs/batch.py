@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import count
 from pathlib import Path
-from typing import Literal
 
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
@@ -77,9 +76,11 @@ class Report:
         Number of cases that no executor ran.
     lost : str
         Why none ran them; '' if all were run.
-    warnings, advice, estimated : tuple of str
-        Warnings about the results, advice on the scenes, and the numbers that recordings
-        determined, each behind the recording's name.
+    warnings, estimated : tuple of str
+        Warnings about the results, and the numbers that recordings determined, each behind the
+        recording's name.
+    advice : tuple of (str, str)
+        Recording, and advice on its scene, as `StoredCase` has it.
     """
 
     results: Path | None
@@ -90,7 +91,7 @@ class Report:
     not_run: int = 0
     lost: str = ""
     warnings: tuple[str, ...] = ()
-    advice: tuple[str, ...] = ()
+    advice: tuple[tuple[str, str], ...] = ()
     estimated: tuple[str, ...] = ()
 
 
@@ -271,8 +272,10 @@ def run_batch(
             aside=aside,
             not_run=not_run,
             lost=lost,
-            warnings=(*_different_lines(cases, "warnings"), *_unchecked(checked)),
-            advice=_different_lines(cases, "advice"),
+            warnings=(*_different_warnings(cases), *_unchecked(checked)),
+            advice=tuple(
+                dict.fromkeys((case.recording, case.advice) for case in cases if case.advice)
+            ),
             estimated=about_recordings(
                 (case.recording, read_case_scene(case).estimated)
                 for case, previous in zip(cases, (None, *cases), strict=False)
@@ -325,14 +328,11 @@ def _unchecked(checked: Mapping[str, RecordingCheck | BaseException | None]) -> 
             yield f"{recording}: the circuit was not checked: {reason}"
 
 
-def _different_lines(
-    cases: Sequence[StoredCase], name: Literal["warnings", "advice"]
-) -> tuple[str, ...]:
-    """Return the different lines of warnings or advice, each after its recording's name."""
+def _different_warnings(cases: Sequence[StoredCase]) -> tuple[str, ...]:
+    """Return the different lines of warnings, each after its recording's name."""
     lines = list[str]()
     for case in cases:
-        text = getattr(case, name)
-        lines += [f"{case.recording}: {line}" for line in text.split("\n") if line]
+        lines += [f"{case.recording}: {line}" for line in case.warnings.split("\n") if line]
     return tuple(dict.fromkeys(lines))
 
 

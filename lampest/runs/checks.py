@@ -55,7 +55,7 @@ class RecordingCheck:
         return cls(
             audit.verdict.mark,
             audit.verdict.sentence,
-            "\n".join(finding.text for finding in audit.advice),
+            "\n".join(audit.lines),
             "\n".join(prepared.warnings),
             "\n".join(prepared.warnings_without_check),
         )

@@ -136,7 +136,7 @@ def _audited(estimates: Estimates) -> dict[str, str]:
     return {
         "model_mark": check.mark,
         "model_sentence": check.sentence,
-        "advice": "\n".join(finding.text for finding in audit.advice),
+        "advice": "\n".join(audit.lines),
         "warnings": "\n".join(estimates.checks),
     }
 

@@ -4,15 +4,20 @@ A suggestion has its evidence, and appears where a user asks.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import h5py
 import numpy as np
 import pytest
 from promises import promise
+from ruamel.yaml import YAML
 
 import lampest
+from lampest import Recording, read_scene
 
+PASTE = "write into the scene, in place of its entries of these names:"
 Command = Callable[..., SimpleNamespace]
 
 SHAPE = (8, 8)
@@ -83,6 +88,28 @@ def test_apply_writes_the_lines_into_the_scene(
     output = completed.out
     advised = output.split("advice")[1].split("readings")[0] if "advice" in output else ""
     assert "model      yes" in output and words not in advised
+
+
+@promise("theory/model_check: `lampest info` prints the entries as they stand in the scene")
+@pytest.mark.parametrize(
+    ("readout", "dead_row"),
+    [pytest.param(WRONG_READOUT, None, marks=pytest.mark.slow), (RIGHT, 5)],
+    ids=["another circuit", "a dead row"],
+)
+def test_printed_entries_replace_those_of_the_scene(
+    readout: lampest.Readout, dead_row: int | None, tmp_path: Path, lampest: Command
+) -> None:
+    """Pasted over the entries of the same names they make the scene that --apply writes."""
+    path = written(tmp_path / "mine.h5", dead_row, readout)
+    _, _, block = lampest("info", path).out.partition(f"{PASTE}\n")
+    entries = YAML(typ="safe").load(block)
+    with h5py.File(path) as file:
+        before = YAML(typ="safe").load(file["/entry/scene"][()].decode())
+    pasted = tmp_path / "scene.yaml"
+    YAML(typ="safe").dump(before | entries, pasted)
+    lampest("info", path, "--apply")
+    applied = Recording.load(path).scene
+    assert entries and read_scene(pasted) == replace(applied, assumed=read_scene(pasted).assumed)
 
 
 def test_apply_keeps_the_file_before_and_overwrites_no_other(

@@ -22,7 +22,7 @@ from lampest import (
     datasets,
 )
 from lampest.apps.board.protocol import Frame, Hello
-from lampest.apps.board.stream import Sample
+from lampest.apps.board.sample import Sample
 from lampest.apps.live.engine import Engine
 from lampest.apps.live.run import from_recording, take_sample
 from lampest.apps.recognition.detect.detection import known_of

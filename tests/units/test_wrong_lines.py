@@ -9,15 +9,17 @@ import pytest
 from lampest import (
     DrivenReadout,
     GroundedReadout,
+    InputError,
     LoadedColumnsReadout,
     Panel,
     Readout,
     Scene,
     TwoPointReadout,
 )
-from lampest.audit.finding import Finding, with_addition, with_lines
+from lampest.audit.finding import PASTE, Finding, advised_entries, with_addition, with_lines
 from lampest.files.document import in_one_line, parse_document
 from lampest.inference.circuits.rivals import BY_COLUMNS, Rival, rivals_of
+from lampest.panel.scene import validated_scene
 
 KIND = {"readout": {"kind": "grounded", "driven": "rows", "sense": "one", "load_ohm": 2000}}
 SERIES = {"series_resistance_ohm": 2140}
@@ -93,6 +95,33 @@ def test_a_line_of_advice_reads_back_as_its_entries() -> None:
     }
     line = in_one_line(addition)
     assert parse_document(f"{{{line}}}", "the line").content == addition
+
+
+def test_advised_entries_keep_what_the_finding_does_not_name() -> None:
+    """A converter of 12 bits that became one of 10 bits refused its own codes."""
+    readout = GroundedReadout(adc_bits=12, supply_volt=3.3, load_ohm=1500.0)
+    scene = Scene(Panel(4, 4), readout)
+    addition = {"readout": {"kind": "loaded_columns", "polarity": "up", "load_ohm": 1500.0}}
+    sentence, line = advised_entries(scene, [finding(addition)])
+    entries = parse_document(line, "the line").content["readout"]
+    assert sentence == PASTE
+    assert entries["adc_bits"] == 12 and entries["supply_volt"] == 3.3
+    assert "sense" not in entries and entries["kind"] == "loaded_columns"
+
+
+def test_advice_without_entries_prints_none() -> None:
+    assert advised_entries(Scene(Panel(4, 4), GroundedReadout()), [finding({})]) == ()
+
+
+def test_texts_in_one_line_read_back_as_such() -> None:
+    content = {"a": "1573", "b": "two words", "c": "no", "d": [{"e": 1.5}], "f": 10203.4567}
+    assert parse_document(f"{{{in_one_line(content)}}}", "the line").content == content
+
+
+def test_a_key_of_another_kind_is_said_to_be_one() -> None:
+    text = "panel: {rows: 4, columns: 4}\nreadout: {kind: grounded, sense: all, idle_ohm: 3300}"
+    with pytest.raises(InputError, match="no such key of this kind; it is a key of kind: driven"):
+        validated_scene(parse_document(text, "scene.yaml"))
 
 
 def test_square_two_point_panels_have_no_order_by_columns() -> None:

@@ -5,6 +5,7 @@ from lampest.files.applications import Application, Command
 APPLICATION = Application(
     name="board",
     about="record from a board",
+    needs=("foreign",),
     commands={
         "record": Command(
             part="Board",

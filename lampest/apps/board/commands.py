@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from lampest.apps.board.record import Progress, Recorded
 
 PORT = (
-    "Serial port such as /dev/ttyACM0, or a URL. "
+    "Serial port such as /dev/ttyACM0, tcp://HOST:PORT, udp://:PORT, - or a file that grows. "
     "Default: the Arduino. Repeat it for each module, in order."
 )
 Port = Annotated[list[str] | None, screen.option(PORT)]
@@ -27,6 +27,17 @@ Period = Annotated[
     float | None,
     screen.option("Seconds between frames, such as 0.1. Default: 1.", callback=screen.positive),
 ]
+Lines = Annotated[
+    bool, screen.option("The board prints numbers as text; it is not asked for its protocol.")
+]
+Baud = Annotated[
+    int | None,
+    screen.option("Rate of the serial port, such as 115200. Default: usual ones are tried.", min=1),
+]
+Unit = Annotated[
+    str | None,
+    screen.option("Unit of printed numbers: ohm, kohm, volt, mV or code. Default: by the numbers."),
+]
 
 
 def record(
@@ -38,6 +49,9 @@ def record(
     assign: screen.AssignToScene = None,
     baseline: Annotated[int, screen.option(min=0)] = 0,
     period: Period = None,
+    lines: Lines = False,
+    baud: Baud = None,
+    unit: Unit = None,
     list_: bool = False,
 ) -> None:
     """Record a board until the count or the time is reached, or Ctrl-C; any key marks an event.
@@ -55,6 +69,7 @@ def record(
     """
     from lampest.apps.board.port import ports, pressed_keys
     from lampest.apps.board.record import record as record_board
+    from lampest.apps.board.sample import LineOptions
 
     if list_:
         available = ports()
@@ -73,9 +88,13 @@ def record(
         "seconds": seconds,
         "baseline": baseline,
         "period": period,
+        "options": LineOptions(lines, baud, unit),
     }
     recorded_scene = screen.scene_of(scene, assign)
-    with pressed_keys() as keys, screen.progress("waiting for the board") as show:
+    with (
+        pressed_keys(listens="-" not in (port or ())) as keys,
+        screen.progress("waiting for the board") as show,
+    ):
 
         def on_progress(at: "Progress") -> None:
             time = "" if at.sample is None else f" at {at.sample.time:.1f} s"
@@ -106,7 +125,23 @@ def report_recorded(done: "Recorded") -> None:
         f"{count} of the {done.frames} frames" for count in (done.parted, done.behind)
     )
     bare = done.scene.circuit.unit == "ohm" and not done.scene.series_resistance_ohm
+    if done.understood:
+        screen.say(screen.as_options(f"the board prints: {done.understood}"))
     for true, sentence in (
+        (
+            done.damaged,
+            f"{done.damaged} of the {done.frames} frames have a reading that the converter cannot "
+            "give, as lost bytes make; it is missing, and events mark where",
+        ),
+        (
+            done.cut,
+            f"{done.cut} of the {done.frames} frames lack lines; events mark where",
+        ),
+        (
+            done.too_fast,
+            "lines came faster than this computer read them; "
+            "the lost frames are counted, and events mark where",
+        ),
         (
             done.clock_jumps,
             f"{jumps} of the board's clock; events mark where, and time goes on by the period",

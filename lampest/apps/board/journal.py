@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 
 from lampest.apps.board.protocol import MAX_CODE
-from lampest.apps.board.stream import Sample
+from lampest.apps.board.sample import Sample
 from lampest.files import hdf5
 from lampest.files.document import to_yaml
 from lampest.files.errors import InputError, counted
@@ -92,15 +92,17 @@ class Journal:
     @classmethod
     @contextlib.contextmanager
     def create(
-        cls, path: Path, scene: Scene, readings: int, *, estimates: bool = False
+        cls, path: Path, scene: Scene, readings: int | None, *, estimates: bool = False
     ) -> Iterator["Journal"]:
         """Create and yield a journal, also of a board's `estimates`.
+
+        `readings` are the codes of a sum; None for a board that sends no sums.
 
         Raises InputError if the file cannot be created, or exists. Raises UnwrittenError at the
         end if the disk did not take all frames.
         """
         check_output(path)
-        rows = Rows.of_frames(scene.circuit, estimates=estimates)
+        rows = Rows.of_frames(scene.circuit, sums=readings is not None, estimates=estimates)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             storage = PatientFile(path)
@@ -273,7 +275,7 @@ def _chunk(path: str, scene: Scene) -> tuple[int, ...]:
     return (16, *scene.panel.shape) if with_cells else (1024,)
 
 
-def _lay_out(file: h5py.File, scene: Scene, readings: int, frame_rows: Rows) -> None:
+def _lay_out(file: h5py.File, scene: Scene, readings: int | None, frame_rows: Rows) -> None:
     """Create the groups, datasets and attributes of a journal."""
     circuit = scene.circuit
     frames = group_of(scene.circuit)
@@ -297,9 +299,10 @@ def _lay_out(file: h5py.File, scene: Scene, readings: int, frame_rows: Rows) -> 
     hdf5.set_attributes(
         entry[frames], NX_class="NXdata", signal=circuit.signal, axes=["time", "row", "column"]
     )
-    hdf5.set_attributes(
-        entry["raw"], NX_class="NXdata", signal="sums", readings=np.uint16(readings)
-    )
+    if readings is not None:
+        hdf5.set_attributes(
+            entry["raw"], NX_class="NXdata", signal="sums", readings=np.uint16(readings)
+        )
     hdf5.set_attributes(entry["acquisition"], NX_class="NXcollection")
 
 
@@ -333,10 +336,9 @@ def repair(path: Path) -> tuple[int, int]:
             intact = rows.undamaged(file)
             if len(intact) and not intact.any():
                 raise InputError(f"{path}: every frame is damaged")
-            readings = read_raw_readings(file)
-            estimates = rows != Rows.of_frames(scene.circuit)
+            readings = read_raw_readings(file) if rows.sums else None
             with Journal.create(
-                folder / path.name, scene, readings, estimates=estimates
+                folder / path.name, scene, readings, estimates=rows.estimates
             ) as journal:
                 journal.keep(file)
         return finished(path, folder / path.name)[1], int(np.sum(~intact))

@@ -1,6 +1,6 @@
-"""Serial port of a board: search, opening, HELLO, settings, start and reading.
+"""Port of a board: search, HELLO, settings, start and reading.
 
-The module also reads keys that are pressed meanwhile. No other module uses pyserial.
+The module also reads keys that are pressed meanwhile.
 """
 
 import contextlib
@@ -14,7 +14,6 @@ from dataclasses import replace
 from itertools import count
 from typing import Any, NamedTuple
 
-import serial
 from serial.tools import list_ports
 
 from lampest.apps.board import protocol
@@ -30,6 +29,7 @@ from lampest.apps.board.protocol import (
     Message,
     command,
 )
+from lampest.apps.board.source import ByteSource, NoBoardError
 from lampest.files.errors import InputError
 
 # Silence after which a board is identified anew. A Mega's bootloader listens for one second after a
@@ -37,12 +37,24 @@ from lampest.files.errors import InputError
 SILENCE_SECONDS = 2.5
 HELLO_SECONDS = 8.0  # maximum wait for a board: a slow bootloader, and HELLOs a second apart
 ANSWER_SECONDS = 0.5  # wait for an answer
+MAX_FIRST = 1_000_000  # bytes that are kept until a board is identified: those of 2 Mbaud for 5 s
+RECENT = 2000  # bytes that show whether a board prints numbers, behind its banner
+MIN_TEXT = 0.9  # share of printed bytes that are characters; lost bits make others
+MIN_DIGITS = 0.1  # share of digits in numbers, as of {"row": 1, "v": [0, 0, 0]}; banners have less
 # USB vendors: Arduino (two), and WCH and FTDI for clones
 ARDUINO_VENDORS = (0x2341, 0x2A03, 0x1A86, 0x0403)
 
 
-class NoBoardError(InputError):
-    """No board answers at the port, which may be absent."""
+def is_text(data: bytes) -> bool:
+    """Return whether bytes are a text, but for some that were damaged."""
+    signs = sum(byte in b"\t\r\n" or 32 <= byte < 127 for byte in data)
+    return signs > MIN_TEXT * len(data)
+
+
+def prints_numbers(data: bytes) -> bool:
+    """Return whether the last bytes of a board are numbers as text."""
+    recent = data[-RECENT:]
+    return is_text(recent) and sum(48 <= byte < 58 for byte in recent) > MIN_DIGITS * len(recent)
 
 
 class PortName(NamedTuple):
@@ -94,41 +106,14 @@ class Board:
     Every method raises OSError if the board is unplugged.
     """
 
-    def __init__(self, port: serial.SerialBase, url: str) -> None:
-        self._port = port
+    def __init__(self, source: ByteSource, url: str) -> None:
+        self.source = source
         self._url = url
         self._receiver = protocol.Receiver()
         self._waiting: list[Message] = []  # to be read
         self._tags = count(1)
         self.heard = 0
-
-    @classmethod
-    @contextmanager
-    def open(cls, url: str) -> Iterator["Board"]:
-        """Open a port by its name or pyserial URL (socket://, rfc2217://), and reset the board.
-
-        Raises NoBoardError.
-        """
-        try:
-            port = serial.serial_for_url(
-                url, protocol.BAUD, timeout=0.05, write_timeout=2.0, exclusive=True
-            )
-        except (OSError, ValueError) as error:
-            raise NoBoardError(
-                f"{url}: cannot be opened ({' '.join(str(error).split())})"
-            ) from error
-        try:
-            # Ports without DTR, which resets an Arduino, stay as they are.
-            with contextlib.suppress(OSError, ValueError):
-                port.reset_input_buffer()
-                port.dtr = False
-                time.sleep(0.1)
-                port.reset_input_buffer()
-                port.dtr = True
-            yield cls(port, url)
-        finally:
-            with contextlib.suppress(OSError):
-                port.close()
+        self.first = b""  # the first bytes, of a board that is not identified yet
 
     def messages(self) -> tuple[Message, ...]:
         """Return complete messages; waits at most 0.05 s for a byte.
@@ -139,10 +124,11 @@ class Board:
         self._waiting = []
         return waiting or self._arrived()
 
-    def hello(self) -> Hello:
-        """Return the board's HELLO.
+    def hello(self) -> Hello | None:
+        """Return the board's HELLO; None where something else comes.
 
-        A board that did not reset is stopped and identified. Raises NoBoardError.
+        A board that did not reset is stopped and identified. One that prints numbers is not asked.
+        Raises NoBoardError if nothing comes.
         """
         began = time.monotonic()
         requested = began - ANSWER_SECONDS
@@ -154,11 +140,14 @@ class Board:
             # A board that sends frames without a HELLO was not reset by opening the port.
             patient = 0.3 if any(isinstance(item, Frame) for item in messages) else SILENCE_SECONDS
             if time.monotonic() > max(began + patient, requested + ANSWER_SECONDS):
-                self._port.write(command(Kind.STOP) + command(Kind.IDENTIFY))
+                if prints_numbers(self.first):
+                    return None
+                self.source.write(command(Kind.STOP) + command(Kind.IDENTIFY))
                 requested = time.monotonic()
-        line = "though the line is not silent" if self.heard else "and nothing came"
+        if self.heard:
+            return None
         raise NoBoardError(
-            f"{self._url}: no lampest board answered within {HELLO_SECONDS:g} s, {line}"
+            f"{self._url}: no lampest board answered within {HELLO_SECONDS:g} s, and nothing came"
         )
 
     def order(self, kind: Kind, value: int = 0) -> int:
@@ -186,7 +175,7 @@ class Board:
         tag = next(self._tags) % 256
         expected = Hello if kind is Kind.IDENTIFY else Answer
         for _ in range(4):  # a line may be disturbed
-            self._port.write(command(kind, tag, value))
+            self.source.write(command(kind, tag, value))
             until = time.monotonic() + ANSWER_SECONDS
             while time.monotonic() < until:
                 arrived = [item for item in self._arrived() if not isinstance(item, Garbage)]
@@ -205,8 +194,10 @@ class Board:
 
         Raises InputError for another version, or an invalid HELLO.
         """
-        data = self._port.read(self._port.in_waiting or 1)
+        data = self.source.read()
         self.heard += len(data)
+        if self.heard <= MAX_FIRST:
+            self.first += data
         self._receiver, messages = self._receiver.feed(data)
         for item in messages:
             if isinstance(item, Foreign):
@@ -271,11 +262,14 @@ class Board:
 
 
 @contextmanager
-def pressed_keys() -> Iterator[Callable[[], str]]:
+def pressed_keys(*, listens: bool = True) -> Iterator[Callable[[], str]]:
     """Yield a function that returns the keys pressed since its last call.
 
-    The terminal is restored at the end.
+    The terminal is restored at the end. Nothing is pressed where standard input is a board's.
     """
+    if not listens:
+        yield lambda: ""
+        return
     try:
         import termios
         import tty

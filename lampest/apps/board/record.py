@@ -15,16 +15,22 @@ from pathlib import Path
 from typing import Any
 
 from lampest.apps.board.journal import Journal, UnwrittenError, finished, journal_for
-from lampest.apps.board.several import samples_of
-from lampest.apps.board.stream import (
+from lampest.apps.board.sample import (
     CLOCK_JUMPED,
     CLOCK_STOPPED,
+    DAMAGED,
     HOST_CLOCK_SET,
+    LINES_LOST,
     OTHER_BOARD,
+    TOO_FAST,
     UNFIT_SECONDS,
+    USUAL,
+    LineOptions,
+    Printing,
     Sample,
     Samples,
 )
+from lampest.apps.board.several import samples_of
 from lampest.files.errors import InputError
 from lampest.files.process import ending_signals
 from lampest.files.whole import check_output
@@ -63,6 +69,12 @@ class Recorded:
         Time without frames at the end of the requested duration, in s.
     unestimated : tuple of (str, int)
         Reasons why a board that estimates did not estimate frames, and their numbers.
+    understood : str
+        How the lines of a board that prints were read, in words; '' of another one.
+    damaged, cut : int
+        Frames of which a reading was no number of the converter, and frames that lack lines.
+    too_fast : bool
+        Whether lines were lost because they came faster than they were read.
     """
 
     path: Path
@@ -80,6 +92,10 @@ class Recorded:
     noise_lsb: float | None
     silent: float
     unestimated: tuple[tuple[str, int], ...] = ()
+    understood: str = ""
+    damaged: int = 0
+    cut: int = 0
+    too_fast: bool = False
 
 
 @dataclass(frozen=True)
@@ -149,6 +165,9 @@ class Tally:
             "host_clock_set": self.count[HOST_CLOCK_SET],
             "other_board": self.count[OTHER_BOARD] > 0,
             "unestimated": tuple(self.unestimated.items()),
+            "damaged": self.count[DAMAGED],
+            "cut": self.count[LINES_LOST],
+            "too_fast": self.count[TOO_FAST] > 0,
         }
 
 
@@ -163,6 +182,7 @@ def record(  # noqa: PLR0913 # the options of a command
     period: float | None = None,
     on_progress: Callable[[Progress], None] = lambda progress: None,
     keys: Callable[[], str] = lambda: "",
+    options: LineOptions = USUAL,
 ) -> Recorded:
     """Record frames from a board into the file `out`, in ohm or volt as the readout gives them.
 
@@ -172,8 +192,8 @@ def record(  # noqa: PLR0913 # the options of a command
     Parameters
     ----------
     ports : str, sequence of str, or None
-        Port name or pyserial URL; for a panel of modules those of all boards in the order of the
-        modules. None: the only port that looks like an Arduino.
+        Port, as `lampest.apps.board.source.source_at` opens it; for a panel of modules those of
+        all boards in the order of the modules. None: the only port that looks like an Arduino.
     out : Path
         File that must not exist yet.
     frames : int, or None
@@ -190,6 +210,8 @@ def record(  # noqa: PLR0913 # the options of a command
         Called after every frame, and when the board appears or disappears.
     keys : callable
         Returns the keys pressed since its last call; each marks an event.
+    options : LineOptions
+        How the port is read.
 
     Raises
     ------
@@ -207,7 +229,7 @@ def record(  # noqa: PLR0913 # the options of a command
         try:
             with contextlib.ExitStack() as stack:
                 batches = samples_of(
-                    urls, scene, period, states.append, lambda: bool(ended_by()), baseline
+                    urls, scene, period, states.append, lambda: bool(ended_by()), baseline, options
                 )
                 stack.enter_context(contextlib.closing(batches))
                 journal: Journal | None = None
@@ -240,6 +262,7 @@ def record(  # noqa: PLR0913 # the options of a command
         if seconds is not None and not complete:
             silent = max(seconds - tally.last.time - tally.last.hello.period, 0.0)
         scene, _, noise = made
+        settings = tally.last.hello
         return Recorded(
             path=out,
             scene=scene,
@@ -248,6 +271,7 @@ def record(  # noqa: PLR0913 # the options of a command
             ended_by=ended_by(),
             noise_lsb=noise,
             silent=round(silent, 3),
+            understood=settings.understood if isinstance(settings, Printing) else "",
         )
 
 

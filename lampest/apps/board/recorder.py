@@ -12,7 +12,7 @@ from pathlib import Path
 from threading import Event, Thread
 
 from lampest.apps.board.journal import Journal, finished, journal_for
-from lampest.apps.board.stream import Sample
+from lampest.apps.board.sample import Sample
 from lampest.files.errors import InputError
 from lampest.files.process import deaf
 

@@ -8,7 +8,7 @@ absent board is missing from the image until it returns.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from copy import copy
 from dataclasses import replace
@@ -20,8 +20,11 @@ from time import monotonic
 import numpy as np
 
 from lampest.apps.board.port import only_port
-from lampest.apps.board.stream import RETRY_SECONDS, Sample, Samples, board_samples
+from lampest.apps.board.protocol import Frame, Hello
+from lampest.apps.board.sample import USUAL, AnyFrame, AnySettings, LineOptions, Sample, Samples
+from lampest.apps.board.stream import RETRY_SECONDS, board_samples
 from lampest.files.errors import InputError
+from lampest.panel.panel import Modules
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import NO_SUM
 
@@ -39,6 +42,7 @@ def samples_of(
     on_state: Callable[[str], None] = lambda sentence: None,
     ending: Callable[[], bool] = lambda: False,
     baseline: int = 0,
+    options: LineOptions = USUAL,
 ) -> Samples:
     """Return samples as `board_samples`, of one board or of one for each module in order.
 
@@ -51,7 +55,7 @@ def samples_of(
                 "{modules: ...}, a board for each module"
             )
         return board_samples(
-            ports[0] if ports else only_port(), scene, period, on_state, ending, baseline
+            ports[0] if ports else only_port(), scene, period, on_state, ending, baseline, options
         )
     layout = scene.panel.modules
     numbers = [number for number in range(layout.count) if number not in scene.dead_modules]
@@ -70,7 +74,7 @@ def samples_of(
         raise InputError(
             "modules that are recorded together need a readout with one number of readings for all"
         )
-    return _images(scene, numbers, ports, period, on_state, ending)
+    return _images(scene, numbers, ports, period, on_state, ending, options)
 
 
 class Alignment:
@@ -190,6 +194,7 @@ def _images(
     period: float | None,
     on_state: Callable[[str], None],
     ending: Callable[[], bool],
+    options: LineOptions,
 ) -> Samples:
     """Yield samples of the whole image in batches; see `board_samples`.
 
@@ -202,7 +207,7 @@ def _images(
     arrived = Arrived()
     states = [""] * len(numbers)
     listening = set(range(len(numbers)))
-    with _listeners(scene, numbers, ports, period, arrived, ended):
+    with _listeners(scene, numbers, ports, period, options, arrived, ended):
         while listening or not arrived.empty():
             if ending():
                 ended.set()
@@ -235,13 +240,14 @@ def _listeners(
     numbers: Sequence[int],
     ports: Sequence[str],
     period: float | None,
+    options: LineOptions,
     arrived: Arrived,
     ended: Event,
 ) -> Iterator[None]:
     """Listen to each board in a thread; end and join the threads on exit."""
     threads = list[Thread]()
     for board, (number, port) in enumerate(zip(numbers, ports, strict=True)):
-        arguments = (board, port, scene.of_modules[number], period, arrived, ended)
+        arguments = (board, port, scene.of_modules[number], period, options, arrived, ended)
         threads.append(Thread(target=_listen, args=arguments, daemon=True))
     for thread in threads:
         thread.start()
@@ -283,12 +289,6 @@ def _image(
     layout = scene.panel.modules
     first = next(iter(parts.values()))
     assert layout is not None
-    rows, columns = layout.shape
-    module = layout.each
-    sums = np.full((layout.count, module.rows, module.columns), NO_SUM, dtype=np.uint16)
-    for board, sample in parts.items():
-        sums[numbers[board]] = sample.frame.sums
-    missed = max(sample.frame.missed for sample in parts.values())
     fresh = [sample for board, sample in parts.items() if before.shown[board] != after.shown[board]]
     events = list(chain.from_iterable(sample.events for sample in fresh))
     for word, inside, outside in (
@@ -297,16 +297,10 @@ def _image(
     ):
         places = [layout.place(numbers[board]) for board in inside if board not in outside]
         events += [f"{word}: {','.join(map(str, place))}" for place in places]
-    frame = replace(
-        first.frame,
-        sequence=before.frames,
-        missed=missed,
-        sums=layout.joined(sums),
-        log_change=None,
-    )
+    own = {numbers[board]: sample for board, sample in parts.items()}
     return Sample(
-        frame=frame,
-        hello=replace(first.hello, rows=rows, columns=columns, estimates=False),
+        frame=replace(_joined(layout, own, first), sequence=before.frames, log_change=None),
+        hello=_settings(layout, first),
         scene=scene,
         time=after.elapsed,
         host_time=max(sample.host_time for sample in parts.values()),
@@ -318,8 +312,38 @@ def _image(
     )
 
 
+def _joined(layout: Modules, parts: Mapping[int, Sample], first: Sample) -> AnyFrame:
+    """Return the frames of modules, by their numbers, as one; a missing module has no readings."""
+    module = layout.each
+    shape = (layout.count, module.rows, module.columns)
+    missed = max(sample.frame.missed for sample in parts.values())
+    if isinstance(first.frame, Frame):
+        sums = np.full(shape, NO_SUM, dtype=np.uint16)
+        for number, sample in parts.items():
+            sums[number] = NO_SUM if sample.frame.sums is None else sample.frame.sums
+        return replace(first.frame, missed=missed, sums=layout.joined(sums))
+    recorded = np.full(shape, np.nan)
+    for number, sample in parts.items():
+        recorded[number] = sample.recorded
+    return replace(first.frame, missed=missed, recorded=layout.joined(recorded))
+
+
+def _settings(layout: Modules, first: Sample) -> AnySettings:
+    """Return the settings of the whole image, as those of a board."""
+    if not isinstance(first.hello, Hello):
+        return first.hello
+    rows, columns = layout.shape
+    return replace(first.hello, rows=rows, columns=columns, estimates=False)
+
+
 def _listen(
-    board: int, port: str, own: Scene, period: float | None, arrived: Arrived, ended: Event
+    board: int,
+    port: str,
+    own: Scene,
+    period: float | None,
+    options: LineOptions,
+    arrived: Arrived,
+    ended: Event,
 ) -> None:
     """Queue a board's samples and states until the end, then None.
 
@@ -331,7 +355,12 @@ def _listen(
         before = sessions
         try:
             samples = board_samples(
-                port, own, period, lambda sentence: arrived.put((board, sentence)), ended.is_set
+                port,
+                own,
+                period,
+                lambda sentence: arrived.put((board, sentence)),
+                ended.is_set,
+                options=options,
             )
             with closing(samples) as batches:
                 for sample in chain.from_iterable(batches):

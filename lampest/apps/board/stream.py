@@ -2,32 +2,40 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from lampest.apps.board.port import SILENCE_SECONDS, Board, NoBoardError
-from lampest.apps.board.protocol import Estimate, Frame, Garbage, Hello, Message
+from lampest.apps.board.port import SILENCE_SECONDS, Board
+from lampest.apps.board.printed import MAX_SHOWN, Printer, line_text, text_at_some_rate
+from lampest.apps.board.protocol import BAUD, Estimate, Frame, Garbage, Hello, Message
+from lampest.apps.board.sample import (
+    CLOCK_JUMPED,
+    CLOCK_STOPPED,
+    HOST_CLOCK_SET,
+    OTHER_BOARD,
+    UNFIT_SECONDS,
+    USUAL,
+    AnyFrame,
+    LineOptions,
+    Sample,
+    Samples,
+)
+from lampest.apps.board.source import PRINTED_BAUDS, ByteSource, NoBoardError, opened_source
 from lampest.files.errors import InputError
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.lines import as_tuple
 from lampest.panel.readouts.loaded_columns import LoadedColumnsReadout
 from lampest.panel.scene import Scene
-from lampest.recording.acquisition import COUNTER, recorded_of_sums
+from lampest.recording.acquisition import COUNTER
 
 # Keys on which a board and a scene must agree, by the board's wiring.
 SHARED = {
     "two_point": ("supply_volt", "reference_ohm", "measured_across", "adc_bits"),
     "loaded_columns": ("driven", "polarity", "supply_volt", "adc_bits", "load_ohm"),
 }
-UNFIT_SECONDS = 30.0  # s without a valid frame on a line that is not silent
 RETRY_SECONDS = 0.2  # s between attempts to open a port
-# labels of events
-CLOCK_STOPPED = "clock stopped"
-CLOCK_JUMPED = "clock jump"
-HOST_CLOCK_SET = "host clock set"
-OTHER_BOARD = "another board"
 # s, and 0.1 % of the time between two frames, by which the host's clocks differ unless one was set:
 # adjtime disciplines a clock by 0.05 %, and a busy machine reads the two clocks 0.1 s apart
 HOST_CLOCK_STEP = 1.0
@@ -87,55 +95,6 @@ def declared_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
     return TwoPointReadout(
         reference_ohm=reference, measured_across=hello.measured_across, **converter
     )
-
-
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """Frame with its position in the recording.
-
-    Attributes
-    ----------
-    frame : Frame
-    hello : Hello
-        Settings of the board.
-    scene : Scene
-        Scene of `scene_of`.
-    time : float
-        Time since the first frame in s, by the board's clock; across a restart of the board by the
-        host's steady clock.
-    host_time : float
-        Arrival in s since 1970-01-01 UTC. This clock may be set: it is a label, and no duration
-        depends on it.
-    lost : int
-        Frames missing before this one.
-    session : int
-        Number of restarts, reconnections and new starts of the board's numbers before the frame.
-    events : tuple of str
-        Labels marked at this time, such as CLOCK_JUMPED.
-    missing : int
-        Number of modules that are read but absent from the image.
-    arrived : float
-        Arrival in s on the host's steady clock, which is never set.
-    """
-
-    frame: Frame
-    hello: Hello
-    scene: Scene
-    time: float
-    host_time: float
-    lost: int
-    session: int
-    events: tuple[str, ...] = ()
-    missing: int = 0
-    arrived: float = 0.0
-
-    @property
-    def recorded(self) -> Array:
-        """Recorded values, (rows, columns) ohm or volt."""
-        return recorded_of_sums(self.scene, self.frame.sums, self.frame.readings)
-
-
-Samples = Generator[tuple[Sample, ...], None, None]
 
 
 @dataclass(eq=False)
@@ -309,7 +268,7 @@ class Scanning:
             arrived=arrived,
         )
 
-    def _follows(self, frame: Frame, before: Frame, arrived: float) -> bool:
+    def _follows(self, frame: Frame, before: AnyFrame, arrived: float) -> bool:
         """Return whether number and clock of a frame can follow those of an earlier one.
 
         The earlier one arrived at this time of the host's steady clock.
@@ -354,7 +313,7 @@ class Scanning:
         )
 
 
-def _since(before: Frame, frame: Frame) -> tuple[int, int]:
+def _since(before: AnyFrame, frame: AnyFrame) -> tuple[int, int]:
     """Return the number of frames and the time in ms from one frame to another, modulo 2³²."""
     return (frame.sequence - before.sequence) % COUNTER, (
         frame.device_ms - before.device_ms
@@ -368,18 +327,19 @@ def board_samples(
     on_state: Callable[[str], None] = lambda sentence: None,
     ending: Callable[[], bool] = lambda: False,
     baseline: int = 0,
+    options: LineOptions = USUAL,
 ) -> Samples:
     """Yield samples as they arrive, in batches, which may be empty.
 
     Closing the generator stops the board.
 
-    Raises InputError if no board answers at first, if the board does not fit the scene or the
-    period, or if the line delivers no valid frame for UNFIT_SECONDS.
+    Raises InputError if no board answers or prints numbers at first, if the board does not fit the
+    scene or the period, or if the line delivers no valid frame for UNFIT_SECONDS.
 
     Parameters
     ----------
     url : str
-        Port name or pyserial URL.
+        Port, as `lampest.apps.board.source.source_at` opens it.
     scene : Scene or None
         Scene that the board must fit.
     period : float or None
@@ -391,17 +351,16 @@ def board_samples(
         last batch.
     baseline : int
         Number of unloaded frames at the beginning, for a board that estimates as well.
+    options : LineOptions
+        How the port is read.
     """
-    line = _Line(url, scene, period, ending, baseline)
+    line = _Line(url, scene, period, ending, baseline, options)
     while not ending():
-        heard = 0
+        line.heard = 0
         try:
-            with Board.open(url) as board:
-                try:
-                    yield from line.connection(board)
-                    return
-                finally:
-                    heard = board.heard
+            with opened_source(url, line.baud) as source:
+                yield from line.connection(source, on_state)
+                return
         except OSError as error:
             if line.last is None:
                 raise NoBoardError(
@@ -412,7 +371,7 @@ def board_samples(
             if line.last is None:
                 raise
             reason = "the board does not answer; waiting for it"
-        if not heard:
+        if not line.heard:
             line.renew()
         line.check()
         on_state(reason)
@@ -434,12 +393,17 @@ class _Line:
         period: float | None,
         ending: Callable[[], bool],
         baseline: int = 0,
+        options: LineOptions = USUAL,
     ) -> None:
         self._url = url
         self._scene = scene
         self._period = period
         self._ending = ending
         self._baseline = baseline
+        self._options = options
+        self._printer: Printer | None = None
+        self.baud = options.baud or (PRINTED_BAUDS[0] if options.lines else BAUD)
+        self.heard = 0  # bytes of the current connection
         self.last: Sample | None = None
         self.renew()
 
@@ -461,12 +425,46 @@ class _Line:
                 f"though the line is not silent ({came})"
             )
 
-    def connection(self, board: Board) -> Samples:
-        """Yield samples until the board disappears or the end is requested.
+    def connection(self, source: ByteSource, on_state: Callable[[str], None]) -> Samples:
+        """Yield samples until the board disappears or the end is requested."""
+        if self._printer is not None or self._options.lines or source.one_way:
+            yield from self._printed(source, b"", on_state)
+            return
+        board = Board(source, self._url)
+        try:
+            hello = board.hello()
+            if hello is not None:
+                yield from self._started(board, hello)
+                return
+        finally:
+            self.heard = board.heard
+        yield from self._printed(source, board.first, on_state)
 
-        Restarted boards are started again.
-        """
-        hello = board.hello()
+    def _printed(
+        self, source: ByteSource, heard: bytes, on_state: Callable[[str], None]
+    ) -> Samples:
+        """Yield samples of a board that prints; `heard` are the bytes that were read before."""
+        if self.last is not None and self._printer is None:
+            raise NoBoardError(f"{self._url}: no lampest board answers any more")
+        if self._printer is None and not source.one_way:
+            heard = text_at_some_rate(source, heard, self._url, self._options.baud)
+        if self._scene is None:
+            first = line_text(heard.strip().partition(b"\n")[0].strip())
+            prints = f"prints {first[:MAX_SHOWN]!r} first" if first else "printed nothing yet"
+            raise InputError(
+                f"{self._url}: {prints}, and no lampest board answered; "
+                "--scene says the rows, columns and circuit of a board that prints"
+            )
+        if self._printer is None:
+            self._printer = Printer(self._url, self._scene, self._options.unit, self._period)
+        for samples in self._printer.samples(source, heard, on_state, self._ending):
+            if samples:
+                self.heard = 1
+                self.last = samples[-1]
+            yield samples
+
+    def _started(self, board: Board, hello: Hello) -> Samples:
+        """Start a board, and yield its samples; restarted boards are started again."""
         try:
             while True:
                 agreed = scene_of(hello, self._scene)
@@ -486,7 +484,10 @@ class _Line:
                     return
                 yield ()
                 self.check(settings.period)
-                hello = board.hello()
+                answer = board.hello()
+                if answer is None:
+                    raise NoBoardError(f"{self._url}: no lampest board answers any more")
+                hello = answer
         finally:
             board.stop()
 

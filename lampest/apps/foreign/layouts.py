@@ -7,6 +7,7 @@ import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -53,6 +54,12 @@ class TableLayout:
     roles: Mapping[str, int] = dataclasses.field(default_factory=dict)
     times: tuple[int, ...] = ()
     first: int = 0
+
+    @cached_property
+    def places(self) -> tuple[Index, Index]:
+        """Fields with readings, and the place of each behind the cell at which its line begins."""
+        places = [row * self.shape[1] + column for row, column in self.cells.values()]
+        return np.array([*self.cells], dtype=np.intp), np.array(places, dtype=np.intp)
 
     def positions(self, table: ReadingsTable) -> Index | None:
         """Return the position of each line, -1 where it is missing; None if lines name none."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lampest.apps.foreign.arrays import Shape
-from lampest.apps.foreign.division import ANY, Marks, cells_of, learned_marks
+from lampest.apps.foreign.division import ANY, Marks, learned_marks
 from lampest.apps.foreign.layouts import TableLayout, arranged
 from lampest.apps.foreign.lines import field_lines_in, notation_of
 from lampest.apps.foreign.notation import Notation
@@ -70,13 +70,13 @@ class Understanding:
     name: str = ""
     unit: str | None = None
 
-    def stamp(self, table: ReadingsTable) -> tuple[str, str]:
-        """Return the time of the first line of a table as text, and its name; '' without one."""
+    def stamp(self, table: ReadingsTable, row: int = 0) -> tuple[str, str]:
+        """Return the time of a line of a table as text, and its name; '' without one."""
         texts, name, _, _ = table.stamps(self.arrangement.times)
-        if texts[0]:
-            return texts[0], name
+        if texts[row]:
+            return texts[row], name
         title = next(iter(self.marks.titles), None)
-        stamps = table.title_stamps([0], None if title == ANY else title)
+        stamps = table.title_stamps([row], None if title == ANY else title)
         return ("", "") if stamps is None else (stamps[0][0], stamps[1])
 
     def with_times(self) -> "Understanding":
@@ -153,7 +153,8 @@ class LineReader:
         self._next_try = FIRST_TRY
         self._understanding: Understanding | None = None
         self._segmenter: Segmenter | None = None
-        self._tables: dict[int, ReadingsTable] = {}  # of the lines since the last frame
+        # Lines since the last frame: their table, and their row in it.
+        self._tables: dict[int, tuple[ReadingsTable, int]] = {}
         self._last: list[str] = []
         self._first = True
         self._stamp = ""
@@ -162,15 +163,16 @@ class LineReader:
         self.words: tuple[str, ...] = ()
         self.refusal = ""
 
-    def feed(self, line: str) -> tuple[TextFrame, ...]:
-        """Take a line without its end, and return the frames that it completes.
+    def feed(self, *lines: str) -> tuple[TextFrame, ...]:
+        """Take lines without their ends, and return the frames that they complete.
+
+        Lines that arrive together take less time together.
 
         Raises InputError if the layout is not understood after MAX_LINES lines.
         """
-        self._count += 1
-        if self._count <= self._skip:
-            return ()
-        self._kept.append(line)
+        skipped = min(max(self._skip - self._count, 0), len(lines))
+        self._count += len(lines)
+        self._kept += lines[skipped:]
         if self._understanding is None:
             return self._frames_at_last() if len(self._kept) >= self._next_try else ()
         return tuple(self._frames_of_lines())
@@ -205,41 +207,31 @@ class LineReader:
         self.words = tuple(table.names)
         self._understanding = Understanding(notation, table, arrangement, marks).with_times()
         self._segmenter = Segmenter(marks.ends)
-        kept = self._kept
-        self._kept = []
-        self._count -= len(kept)
-        frames = list[TextFrame]()
-        for line in kept:
-            self._count += 1
-            self._kept.append(line)
-            frames += self._frames_of_lines()
-        return tuple(frames)
+        return tuple(self._frames_of_lines())
 
     def _frames_of_lines(self) -> Iterator[TextFrame]:
-        """Yield the frames that the last line completes; a line without readings is a title."""
+        """Yield the frames that the kept lines complete; a line without readings is a title."""
         assert self._understanding is not None and self._segmenter is not None
         known = self._understanding
-        self._kept = self._kept[-MAX_BETWEEN:]
-        lines = field_lines_in(
-            known.notation,
-            self._kept,
-            self._source,
-            self._count - len(self._kept),
-            header=False,
-        )
+        before = self._count - len(self._kept)
+        lines = field_lines_in(known.notation, self._kept, self._source, before, header=False)
         table = known.table.of_later(lines)
         if not len(table.lines):
+            self._kept = self._kept[-MAX_BETWEEN:]
             return
-        self._kept = []
-        fields = table.fields[0].tolist()
-        if known.arrangement.used > set(known.arrangement.cells) and fields == self._last:
-            return  # a line that came twice, its keys included
-        self._last = fields
-        for keys in known.marks.line_keys(table, known.arrangement):
-            segment = self._segmenter.feed(self._count, keys)
+        numbers = [lines.lines[at].number for at in table.lines]
+        self._kept = self._kept[numbers[-1] - before :]
+        keyed = known.arrangement.used > set(known.arrangement.cells)
+        all_keys = known.marks.line_keys(table, known.arrangement)
+        for row, (number, keys) in enumerate(zip(numbers, all_keys, strict=True)):
+            fields = table.fields[row].tolist()
+            if keyed and fields == self._last:
+                continue  # a line that came twice, its keys included
+            self._last = fields
+            segment = self._segmenter.feed(number, keys)
             if segment is not None:
                 yield from self._frames_of(segment)
-            self._tables[self._count] = table
+            self._tables[number] = (table, row)
             if self._segmenter.complete:
                 whole = self._segmenter.close()
                 assert whole is not None
@@ -260,21 +252,29 @@ class LineReader:
         """Return the readings of lines at their places, with the time of the first one."""
         assert self._understanding is not None
         arrangement = self._understanding.arrangement
-        values = np.full(arrangement.shape, np.nan)
+        values = np.full(arrangement.shape[0] * arrangement.shape[1], np.nan)
+        fields, places = arrangement.places
+        share = values.size // arrangement.lines
         for line, position in zip(group.lines, group.positions, strict=True):
-            table = self._tables[line]
-            number = cells_of([Placed(0, (0,), (position,), "")], arrangement, table.width)[0]
-            values[number >= 0] = table.values.ravel()[number[number >= 0]]
-        begin = self._tables[group.begin]
-        printed = begin.values[0, arrangement.roles["frame"]] if "frame" in arrangement.roles else 0
+            table, row = self._tables[line]
+            values[position * share + places] = table.values[row, fields]
+        table, row = self._tables[group.begin]
+        printed = (
+            table.values[row, arrangement.roles["frame"]] if "frame" in arrangement.roles else 0
+        )
         numbered = "frame" in arrangement.roles and np.isfinite(printed)
         remarks = (f"the frame {group.remark}",) if group.remark else ()
-        return TextFrame(values, self._time(begin), int(printed) if numbered else None, remarks)
+        return TextFrame(
+            values.reshape(arrangement.shape),
+            self._time(table, row),
+            int(printed) if numbered else None,
+            remarks,
+        )
 
-    def _time(self, table: ReadingsTable) -> float | None:
-        """Return the time of a line since the first frame by its stamp."""
+    def _time(self, table: ReadingsTable, row: int) -> float | None:
+        """Return the time of a line of a table since the first frame by its stamp."""
         assert self._understanding is not None
-        stamp, _ = self._understanding.stamp(table)
+        stamp, _ = self._understanding.stamp(table, row)
         if not stamp:
             return None
         last = self._stamp

@@ -5,6 +5,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -286,6 +287,7 @@ def has_decimal_comma(fields: Sequence[str]) -> bool:
     return "," in text and "." not in text
 
 
+@lru_cache(100_000)
 def number_of(text: str, *, comma: bool) -> float | None:
     """Return the number of a text; NaN for words for a missing number, None for any other word.
 

@@ -3,7 +3,16 @@
 from pathlib import Path
 from typing import Annotated
 
-from lampest.apps.board.commands import Frames, Period, Port, SceneFile, report_recorded
+from lampest.apps.board.commands import (
+    Baud,
+    Frames,
+    Lines,
+    Period,
+    Port,
+    SceneFile,
+    Unit,
+    report_recorded,
+)
 from lampest.cli import screen
 from lampest.files.errors import InputError
 
@@ -21,6 +30,9 @@ def live(
     baseline: screen.Count = 3,
     scene: SceneFile = None,
     period: Period = None,
+    lines: Lines = False,
+    baud: Baud = None,
+    unit: Unit = None,
     out: screen.Output = None,
     publish: Annotated[list[str] | None, screen.option(metavar="WHERE")] = None,
 ) -> None:
@@ -48,6 +60,7 @@ def live(
         lsl, osc, mqtt or websocket, with an optional address: mqtt://localhost:1883/lampest.
         Repeatable.
     """
+    from lampest.apps.board.sample import LineOptions
     from lampest.apps.live.run import LiveBoard, Outlets, Replay, chosen
     from lampest.apps.live.run import live as run_live
     from lampest.files.process import ending_signals
@@ -57,7 +70,12 @@ def live(
     if assign and config is None:
         raise InputError("--set: overrides entries of a run's file; name one with --config")
     source: LiveBoard | Replay = LiveBoard(
-        tuple(port or ()), screen.scene_of(scene, None), baseline, period, out
+        tuple(port or ()),
+        screen.scene_of(scene, None),
+        baseline,
+        period,
+        out,
+        LineOptions(lines, baud, unit),
     )
     if recording is not None:
         source = Replay(recording, speed, baseline)
@@ -65,9 +83,12 @@ def live(
     def on_address(url: str) -> None:
         screen.say(f"{url}  (Ctrl-C ends)" if url.startswith("http") else url)
 
+    def on_note(sentence: str) -> None:
+        screen.say(screen.as_options(sentence))
+
     with ending_signals():  # every end of the command sends the board its command to stop
         estimators = chosen(estimator, config, tuple(assign or ()))
         outlets = Outlets(http, token, publish or ())
-        done = run_live(source, estimators, outlets, count, on_address, screen.warn)
+        done = run_live(source, estimators, outlets, count, on_address, screen.warn, on_note)
     if done is not None:
         report_recorded(done)

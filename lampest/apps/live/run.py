@@ -14,8 +14,8 @@ import numpy as np
 from lampest.apps.board.port import only_port
 from lampest.apps.board.record import Progress, Recorded, record
 from lampest.apps.board.recorder import Recorder
+from lampest.apps.board.sample import USUAL, LineOptions, Printing, Sample
 from lampest.apps.board.several import samples_of
-from lampest.apps.board.stream import Sample
 from lampest.apps.live.engine import Engine, FrameSource
 from lampest.apps.live.message import acknowledged
 from lampest.apps.live.publish import publish_at, publishing
@@ -32,7 +32,7 @@ from lampest.cost.terms import (
 from lampest.estimate.estimator import Estimator, Tare
 from lampest.estimate.sequence import frame_period
 from lampest.files.document import read_document, validated
-from lampest.files.errors import InputError, meant
+from lampest.files.errors import InputError, counted, meant
 from lampest.panel.scene import Scene
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.runs.config import RunFile, resolve
@@ -67,6 +67,8 @@ class LiveBoard:
         Seconds between frames.
     out : Path or None
         Recording to write as well.
+    options : LineOptions
+        How a port is read.
     """
 
     ports: tuple[str, ...] = ()
@@ -74,6 +76,7 @@ class LiveBoard:
     baseline: int = 3
     period: float | None = None
     out: Path | None = None
+    options: LineOptions = USUAL
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,7 @@ def live(
     frames: int | None = None,
     on_url: Callable[[str], None] = lambda url: None,
     on_trouble: Callable[[str], None] = lambda sentence: None,
+    on_note: Callable[[str], None] = lambda sentence: None,
 ) -> Recorded | None:
     """Reconstruct frames as they arrive and show them in the browser until Ctrl-C or a last frame.
 
@@ -131,6 +135,8 @@ def live(
         frames.
     on_trouble : callable
         Receives sentences on failures of publishing.
+    on_note : callable
+        Receives how the lines of a board that prints are read, and the counts of frames at the end.
 
     Returns
     -------
@@ -163,7 +169,7 @@ def live(
         for where in (server.url, *published):
             on_url(where)
         try:
-            done = _pass_frames(engine, source, recording, recorder, frames)
+            done = _pass_frames(engine, source, recording, recorder, frames, on_note)
             engine.finish()
         except InputError as error:
             engine.say(f"stopped: {error}")
@@ -181,6 +187,7 @@ def _pass_frames(
     recording: Recording | None,
     recorder: Recorder | None,
     frames: int | None,
+    on_note: Callable[[str], None],
 ) -> Recorded | None:
     """Pass `frames` frames, or all, of a replayed recording or of a board.
 
@@ -190,7 +197,12 @@ def _pass_frames(
         assert recording is not None
         from_recording(engine, recording, source.speed, frames)
     elif recorder is not None:
-        from_board(engine, source, frames, recorder.take)
+        from_board(engine, source, frames, recorder.take, on_note)
+        view = engine.shown.item
+        on_note(
+            f"{counted(view.frames, 'frame')}, {view.lost} lost, "
+            f"{view.skipped} not reconstructed because newer ones had come"
+        )
     else:
         return recorded_from_board(engine, source, frames)
     return None
@@ -248,18 +260,33 @@ def chosen(
 
 
 def from_board(
-    engine: Engine, board: LiveBoard, frames: int | None, on_sample: Callable[[Sample], None]
+    engine: Engine,
+    board: LiveBoard,
+    frames: int | None,
+    on_sample: Callable[[Sample], None],
+    on_note: Callable[[str], None] = lambda sentence: None,
 ) -> None:
     """Pass `frames` frames of a board, or all, to the engine and to `on_sample`.
+
+    `on_note` receives how the lines of a board that prints are read.
 
     Raises InputError as `lampest.apps.board.stream.stream`.
     """
     engine.say(f"waiting for the board at {', '.join(board.ports)}")
     arriving = samples_of(
-        board.ports, board.scene, board.period, engine.say, baseline=board.baseline
+        board.ports,
+        board.scene,
+        board.period,
+        engine.say,
+        baseline=board.baseline,
+        options=board.options,
     )
     with closing(arriving) as samples:
+        noted = False
         for sample in islice((sample for batch in samples for sample in batch), frames):
+            if isinstance(sample.hello, Printing) and not noted:
+                on_note(f"the board prints: {sample.hello.understood}")
+                noted = True
             take_sample(engine, sample)
             on_sample(sample)
 
@@ -278,13 +305,20 @@ def recorded_from_board(engine: Engine, board: LiveBoard, frames: int | None) ->
         if progress.state:
             engine.say(progress.state)
 
-    how: dict[str, Any] = {"frames": frames, "baseline": board.baseline, "period": board.period}
+    how: dict[str, Any] = {
+        "frames": frames,
+        "baseline": board.baseline,
+        "period": board.period,
+        "options": board.options,
+    }
     return record(board.ports, board.out, scene=board.scene, on_progress=on_progress, **how)
 
 
 def take_sample(engine: Engine, sample: Sample) -> None:
     """Pass a frame of a board to the engine, in the form of a recording."""
-    source = FrameSource(sample.scene, sample.hello.period, "receiving")
+    settings = sample.hello
+    state = f"receiving; {settings.understood}" if isinstance(settings, Printing) else "receiving"
+    source = FrameSource(sample.scene, settings.period, state)
     scan = Scan(
         sample.recorded, None, sample.time, sample.host_time, sample.lost, sample.frame.log_change
     )

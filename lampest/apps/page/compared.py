@@ -27,7 +27,6 @@ MIN_RECORDINGS = 3
 MIN_SOLVED = 0.95  # share of its frames that an estimator has to solve to be compared
 # Relative differences of the mean error up to this are invisible in maps and forces.
 SIMILAR = 0.05
-MIN_SPEED_GAIN = 1.1  # times as fast; less is no practical gain
 NONE = "–"
 HARD = "\N{NO-BREAK SPACE}"
 Recordings = Mapping[str, Mapping[str, CaseResult]]  # name → estimator → case
@@ -479,10 +478,10 @@ class Advice:
 
 
 def advise(batch: Batch, comparison: Comparison | None) -> Advice:
-    """Recommend the fastest of the estimators whose criterion is within 5 % of the smallest one.
+    """Recommend the fastest of the estimators that equal the one with the smallest criterion.
 
-    The margin does not depend on the significance of the difference. A larger error is not
-    outweighed by speed.
+    Estimators are equal where their criterion is within 5 % of the smallest one, or where no
+    difference from it is significant. A larger error is not outweighed by speed.
     """
     match = comparison.match if comparison else matched(batch.recordings)
     left_out = tuple(f"Not compared: {sentence}." for sentence in match.left_out)
@@ -507,17 +506,16 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
         warnings = (few, *left_out)
     best = comparison.standings[0]
     largest = (1 + SIMILAR) * best.mean.value
-    similar = [row for row in comparison.standings if row.mean.value <= largest]
+    similar = [
+        row for row in comparison.standings if row.mean.value <= largest or not row.is_significant
+    ]
     advised = min(similar, key=lambda row: row.milliseconds)
-    if best.milliseconds < MIN_SPEED_GAIN * advised.milliseconds:
-        advised = best
     weights = weights_text([case.weights for case in comparison.match.cases(advised.estimator)])
     named = f"{advised.estimator} ({weights})" if weights else advised.estimator
     headline = f"On these data take {named}."
     if len(similar) > 1:
-        why = "has the smallest error" if advised is best else "is the fastest"
         names = listed([row.estimator for row in similar])
-        headline = f"No practical difference between {names}; {named} {why} of them."
+        headline = f"No difference is shown between {names}; {named} is the fastest of them."
     reasons = tuple(_reasons(comparison, advised, similar))
     return Advice(advised.estimator, headline, reasons, warnings)
 
@@ -540,7 +538,7 @@ def _reasons(
     )
     ratios = [f"{row.estimator} ({between(row.ratio)} times)" for row in similar if row is not best]
     if ratios:
-        yield f"Within 5 % of it: {listed(ratios)}."
+        yield f"Within 5 % of it, or not significantly different: {listed(ratios)}."
     if advised is not best:
         slow, fast = (digits(row.milliseconds, 2) for row in (best, advised))
         yield f"{advised.estimator} takes {fast} ms a frame, {best.estimator} {slow} ms."
@@ -548,15 +546,6 @@ def _reasons(
     if worse:
         texts = [f"{row.estimator} ({between(row.ratio)} times)" for row in worse]
         yield f"The error is larger with {listed(texts)}."
-    for row in worse:
-        if not row.is_significant:
-            ends = (
-                f"95 % interval of the ratio {digits(row.ratio.lower)} to {digits(row.ratio.upper)}"
-            )
-            yield (
-                f"The difference between {row.estimator} "
-                f"and {best.estimator} is not significant ({ends})."
-            )
     if criterion is PREDICTION:
         yield (
             "The truth is unknown. The ranking uses the error with which "

@@ -33,6 +33,7 @@ from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
 
 SPREAD = "residuals: robust standard deviation [σ]"
+MAX_NARROW = 2  # maps of a figure of half the width
 COVERED = "truth within its interval [%]"
 
 
@@ -170,14 +171,18 @@ class Illustration:
     alternative : str
         Alternative text.
     pairs : int
-        Number of pairs that differ, of which the image shows some; 0 for an image that spans the
-        page.
+        Number of pairs that differ, of which the image shows some; 0 for another image.
     """
 
     kind: str
     uri: str
     alternative: str
     pairs: int = 0
+
+    @property
+    def spans(self) -> bool:
+        """Whether the image spans the page."""
+        return not 0 < self.pairs <= MAX_NARROW
 
 
 def wide(plot: Plot, cases: Sequence[CaseResult], words: str) -> list[Illustration]:
@@ -189,7 +194,7 @@ def wide(plot: Plot, cases: Sequence[CaseResult], words: str) -> list[Illustrati
 def differences(
     cases: Sequence[CaseResult], place: int, pairs: Sequence[Disagreement]
 ) -> list[Illustration]:
-    """Draw maps of the pairs that differ most, of half the width."""
+    """Draw maps of the pairs that differ most, of half the width where there are two at most."""
     tiles = [
         Tile(pair.title, pair.significant[place], f"{digits(pair.share, 2)} %")
         for pair in pairs[:9]
@@ -199,7 +204,8 @@ def differences(
     scale = signed_scale(
         values_of(tiles), "difference of relative change [percentage points]", 1.0, 100.0
     )
-    uri = data_uri(maps_figure(tiles, cases[0].scene.panel, scale, width=WIDTH_INCH / 2))
+    width = WIDTH_INCH / 2 if len(tiles) <= MAX_NARROW else WIDTH_INCH
+    uri = data_uri(maps_figure(tiles, cases[0].scene.panel, scale, width=width))
     return [Illustration("differences", uri, "Maps of significant differences", len(pairs))]
 
 

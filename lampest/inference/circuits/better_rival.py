@@ -30,7 +30,7 @@ from lampest.inference.circuits.rivals import (
     rounded_down,
 )
 from lampest.inference.evidence import PARAMETER_COST, mostly_still
-from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation
+from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation, cell_factors
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import DrivenCircuit
@@ -252,12 +252,10 @@ def _compared(
         as_specified = best.rival.scene.converter_memory == frames.specified.scene.converter_memory
         doubtful = insignificant and best.rival.kind and as_specified
         return BetterExplanation(nearly=best.rival.name if doubtful else "")
-    moved = int(best.pair.moved.sum())
-    moved_as_specified = int(specified.pair.moved.sum())
     return BetterExplanation(
         best.rival.name,
         frames.loaded,
-        moved,
-        moved_as_specified,
+        int(best.pair.moved.sum()),
+        cell_factors(specified.pair, best.pair),
         addition=best.rival.addition,
     )

@@ -30,6 +30,8 @@ ACROSS_LABEL = "x [mm]"
 DOWN_LABEL = "y [mm]"
 NO_NUMBER = "0.88"  # grey
 MAX_TICKS_ACROSS = 7  # of a horizontal colour bar
+SIGNS_PER_INCH = 12  # of a colour bar's label
+TICK_INCH = 0.28  # across of a number below a map, with its gap
 MIN_WIDE_INCH = 0.9  # of a map with its title
 MAX_ASPECT = 0.75  # largest height of a figure over its width
 FACTORS = (1.1, 1.5, 2, 3, 5, 10, 20)  # between bands of large changes
@@ -292,7 +294,9 @@ class MapPainter:
             pad=0.02,
         )
         bar.minorticks_off()
-        bar.set_label(self.scale.label, fontsize=style.TEXT_POINT)
+        size = figure.get_figheight() if location == "right" else figure.get_figwidth()
+        label = style.wrapped(self.scale.label, int(SIGNS_PER_INCH * size))
+        bar.set_label(label, fontsize=style.TEXT_POINT)
         bar.ax.tick_params(labelsize=style.SMALL_POINT)
 
     def _frame(self, axes: Axes) -> None:
@@ -508,6 +512,8 @@ def maps_figure(
     for axes, tile, painter in zip(grid.flat, tiles, of_tiles, strict=False):
         name = tile.title.replace("paper's lambda", "paper's λ")
         painter.draw(axes, replace(tile, title=style.wrapped(style.short_title(name, 60), signs)))
+        if arrangement.map_width < 5 * TICK_INCH:
+            axes.locator_params(axis="x", nbins=max(1, int(arrangement.map_width / TICK_INCH)))
     # The maps beside which a colour bar stands: each, those of a row, or all.
     beside: Any = [grid]
     if own_bars:

@@ -16,8 +16,9 @@ from apps.board.bench import FIRMWARE, bench, built, random_cells, scene
 from lampest import InputError, Recording
 from lampest.apps.board import port
 from lampest.apps.board.port import pressed_keys
-from lampest.apps.board.protocol import message
+from lampest.apps.board.protocol import BAUD, message
 from lampest.apps.board.record import record
+from lampest.apps.board.source import opened_source
 
 README = (FIRMWARE / "README.md").read_text()
 OTHER_COMPILER = 0.05  # of a size, relative
@@ -48,8 +49,9 @@ def test_one_sentence_names_missing_packages(tmp_path: Path) -> None:
 
 
 def test_a_board_of_another_version_is_named() -> None:
-    with port.Board.open("loop://") as board:
-        board._port.write(message(bytes([9, 1, 0, 0])))
+    with opened_source("loop://", BAUD) as line:
+        board = port.Board(line, "loop://")
+        line.write(message(bytes([9, 1, 0, 0])))
         with pytest.raises(InputError, match="speaks version 9 of the protocol"):
             board.messages()
 
@@ -116,10 +118,11 @@ def test_a_board_keeps_the_shortest_period_of_the_table(
     with bench(
         tmp_path, random_cells(np.random.default_rng(1), 1, rows, columns), "--no-reset-on-open"
     ) as board:
-        with port.Board.open(board.port) as opened:
-            opened.hello()
-            shortest = opened.start(rows, columns, readings, None).shortest_period_us
-            opened.stop()
+        with opened_source(board.port, BAUD) as line:
+            asked = port.Board(line, board.port)
+            asked.hello()
+            shortest = asked.start(rows, columns, readings, None).shortest_period_us
+            asked.stop()
         known = scene(rows, columns, readings)
         summary = record(
             board.port, tmp_path / "r.h5", frames=frames, scene=known, period=shortest / 1e6

@@ -222,20 +222,16 @@ def test_commands_are_nine_bytes_with_the_numbers_of_their_kinds() -> None:
 
 
 class ObedientPort:
-    """Port of pyserial whose board sends `answers(kind, tag, value)` to every command."""
+    """Source whose board sends `answers(kind, tag, value)` to every command."""
 
     def __init__(self, answers: Callable[[Kind, int, int], bytes]) -> None:
         self.answers = answers
         self.commands = list[tuple[str, int]]()
         self.data = b""
 
-    @property
-    def in_waiting(self) -> int:
-        return len(self.data)
-
-    def read(self, count: int) -> bytes:
-        data = self.data[:count]
-        self.data = self.data[count:]
+    def read(self) -> bytes:
+        data = self.data
+        self.data = b""
         return data
 
     def write(self, wire: bytes) -> None:

@@ -24,16 +24,9 @@ from lampest.apps.board.port import NoBoardError
 from lampest.apps.board.protocol import Estimate, Frame, Garbage, Hello, message
 from lampest.apps.board.record import Progress, Recorded, _wanted, record
 from lampest.apps.board.recorder import Recorder
+from lampest.apps.board.sample import CLOCK_JUMPED, CLOCK_STOPPED, HOST_CLOCK_SET, Sample, Samples
 from lampest.apps.board.several import LATE_SECONDS, Alignment, samples_of
-from lampest.apps.board.stream import (
-    CLOCK_JUMPED,
-    CLOCK_STOPPED,
-    HOST_CLOCK_SET,
-    Sample,
-    Samples,
-    Scanning,
-    scene_of,
-)
+from lampest.apps.board.stream import Scanning, scene_of
 from lampest.files import process
 from lampest.panel.panel import EachModule, Modules
 from lampest.recording.acquisition import Acquisition
@@ -628,7 +621,7 @@ def image_of(
     silent = set[str]()
     waiting = {port: iter(samples) for port, samples in boards.items()}
 
-    def samples(port: str, *arguments: Any) -> Samples:
+    def samples(port: str, *arguments: Any, **options: Any) -> Samples:
         for sample in waiting[port]:
             if isinstance(sample, InputError):
                 raise sample
@@ -775,7 +768,13 @@ def test_a_recording_summary_counts_its_events(
     calls: list[Any] = []
 
     def arriving(
-        urls: object, scene: object, period: object, on_state: Any, ending: Any, baseline: int
+        urls: object,
+        scene: object,
+        period: object,
+        on_state: Any,
+        ending: Any,
+        baseline: int,
+        options: object,
     ) -> Samples:
         calls.append((urls, scene, period, ending(), baseline))
         yield tuple(samples[:2])

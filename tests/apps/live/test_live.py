@@ -21,7 +21,8 @@ from docs.studies.long_lives import live_figures, stream_figures
 from lampest import Arrival, InputError, Misfit, Rod, Scene, two_point_resistance
 from lampest.apps.board import record as record_module
 from lampest.apps.board.protocol import Frame
-from lampest.apps.board.stream import Sample, scene_of
+from lampest.apps.board.sample import Sample
+from lampest.apps.board.stream import scene_of
 from lampest.apps.film.pressure import Pressure, total_force
 from lampest.apps.live import engine as engine_module
 from lampest.apps.live import run as run_module

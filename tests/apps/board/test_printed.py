@@ -1,0 +1,162 @@
+"""Boards that print lines of text, recorded over every kind of port."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from printing_board import (
+    BANNER,
+    FORMS,
+    STEP_MS,
+    Form,
+    frame_with_millis,
+    in_datagrams,
+    in_file,
+    mat_codes,
+    on_socket,
+    on_terminal,
+    printed,
+    rows_and_a_blank_line,
+)
+
+from lampest import Array, InputError, LoadedColumnsReadout, Panel, Recording, Scene
+from lampest.apps.board.record import Recorded, record
+from lampest.apps.board.sample import LineOptions
+from lampest.files.document import to_yaml
+
+SHAPE = (4, 5)
+SCENE = Scene(Panel(*SHAPE), LoadedColumnsReadout(adc_bits=10, readings=1, noise_lsb=1.0))
+FRAMES = 14
+CODES = mat_codes(FRAMES, SHAPE)
+LINES = LineOptions(lines=True)
+ARRIVAL_S = 0.05  # by which an arrival may be late on a busy machine, relative to 0.02 s a frame
+
+Ports = Callable[[list[bytes]], AbstractContextManager[str]]
+
+
+@pytest.fixture(autouse=True)
+def _hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lampest.apps.board.port.SILENCE_SECONDS", 0.3)
+    monkeypatch.setattr("lampest.apps.board.printed.RATE_SECONDS", 1.0)
+    monkeypatch.setattr("lampest.apps.board.printed.WORDS_SECONDS", 1.0)
+
+
+def codes_of(recording: Recording) -> Array:
+    """Return the codes that were printed, NaN where none was."""
+    assert recording.scene.readout is not None
+    return np.rint(recording.scene.readout.steps_from_volt(recording.recorded))
+
+
+def recorded(
+    url: str,
+    path: Path,
+    frames: int | None = FRAMES - 1,
+    options: LineOptions = LINES,
+    **limits: float,
+) -> tuple[Recorded, Recording]:
+    """Record a port, and return the summary and the recording."""
+    summary = record(url, path, frames=frames, scene=SCENE, baseline=2, options=options, **limits)
+    return summary, Recording.load(path)
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.__name__)
+def test_a_terminal_that_prints_is_a_board(form: Form, tmp_path: Path) -> None:
+    with on_terminal(printed(form, CODES)) as url:
+        summary, recording = recorded(url, tmp_path / "r.h5")
+    codes = codes_of(recording)
+    first = next(at for at in range(FRAMES) if np.array_equal(CODES[at], codes[0]))
+    np.testing.assert_array_equal(codes, CODES[first : first + len(codes)])
+    assert first <= 1 and summary.lost == 0 and summary.restarts == 0
+    assert "unit code" in summary.understood and np.all(np.diff(recording.time) > 0)
+
+
+@pytest.mark.parametrize("kind", ["socket", "datagrams", "file", "pipe"])
+def test_every_kind_of_port_gives_the_same_codes(kind: str, tmp_path: Path) -> None:
+    parts = printed(frame_with_millis, CODES)
+    out = tmp_path / "r.h5"
+    if kind == "pipe":
+        (tmp_path / "scene.yaml").write_text(to_yaml(SCENE))
+        script = "from lampest.cli import main; main()"
+        words = [sys.executable, "-c", script, "record", "--port", "-", "--out", str(out)]
+        words += ["--scene", str(tmp_path / "scene.yaml"), "--baseline", "2"]
+        run = subprocess.run(words, input=b"".join(parts), capture_output=True, check=True)
+        assert b"the board prints: " in run.stdout
+    else:
+        ports: dict[str, Ports] = {
+            "socket": on_socket,
+            "datagrams": in_datagrams,
+            "file": lambda parts: in_file(parts, tmp_path / "log.txt"),
+        }
+        with ports[kind](parts) as url:
+            recorded(url, out)
+    recording = Recording.load(out)
+    codes = codes_of(recording)
+    np.testing.assert_array_equal(codes, CODES[: len(codes)])
+    assert len(codes) >= FRAMES - 1
+    np.testing.assert_allclose(np.diff(recording.time), STEP_MS / 1000, atol=1e-9)
+
+
+def test_numbers_are_read_where_no_lampest_board_answers(tmp_path: Path) -> None:
+    parts = printed(frame_with_millis, mat_codes(60, SHAPE))
+    with on_terminal(parts) as url:
+        _, recording = recorded(url, tmp_path / "r.h5", 30, LineOptions())
+    np.testing.assert_array_equal(codes_of(recording)[0], mat_codes(60, SHAPE)[0])
+
+
+def test_times_are_arrivals_where_the_board_sends_none(tmp_path: Path) -> None:
+    with on_terminal(printed(rows_and_a_blank_line, CODES), period=0.1) as url:
+        summary, recording = recorded(url, tmp_path / "r.h5")
+    assert "time: a frame's arrival" in summary.understood
+    assert np.median(np.diff(recording.time)) == pytest.approx(0.1, abs=ARRIVAL_S)
+
+
+def test_a_period_replaces_arrivals(tmp_path: Path) -> None:
+    with on_terminal(printed(rows_and_a_blank_line, CODES)) as url:
+        _, recording = recorded(url, tmp_path / "r.h5", period=0.25)
+    np.testing.assert_allclose(np.diff(recording.time), 0.25)
+
+
+def test_a_board_that_resets_goes_on(tmp_path: Path) -> None:
+    parts = [*printed(frame_with_millis, CODES[:7]), BANNER.encode()]
+    parts += printed(frame_with_millis, CODES[7:])
+    with on_terminal(parts) as url:
+        summary, recording = recorded(url, tmp_path / "r.h5", frames=12)
+    codes = codes_of(recording)
+    assert {tuple(frame.ravel()) for frame in codes} <= {tuple(frame.ravel()) for frame in CODES}
+    assert len(codes) == 12 and summary.restarts == 1
+    assert np.all(np.diff(recording.time) > 0) and np.diff(recording.time).max() < 1.0
+
+
+def test_a_line_that_lost_bytes_is_no_other_frame(tmp_path: Path) -> None:
+    """Two numbers become one that no converter gives, and a line lacks a field."""
+    parts = printed(rows_and_a_blank_line, CODES)
+    parts[8] = parts[8].replace(b",", b"", 1)
+    with on_terminal(parts) as url:
+        _, recording = recorded(url, tmp_path / "r.h5", frames=12)
+    codes = codes_of(recording)
+    known = np.isfinite(recording.recorded)
+    for number, frame in enumerate(codes):
+        same = [np.array_equal(frame[known[number]], codes[known[number]]) for codes in CODES]
+        assert any(same), f"frame {number} was not printed"
+
+
+def test_words_are_refused_with_the_first_line(tmp_path: Path) -> None:
+    parts = [b"Hello from my sketch\r\n"] * 200
+    with (
+        on_terminal(parts) as url,
+        pytest.raises(InputError, match="prints 'Hello from my sketch' first, where lines of 5"),
+    ):
+        recorded(url, tmp_path / "r.h5")
+    assert not (tmp_path / "r.h5").exists()
+
+
+def test_a_board_that_prints_needs_a_scene(tmp_path: Path) -> None:
+    with (
+        on_terminal(printed(frame_with_millis, CODES)) as url,
+        pytest.raises(InputError, match=r"prints '\d.*--scene says the rows, columns and circuit"),
+    ):
+        record(url, tmp_path / "r.h5", frames=2, options=LINES)

@@ -1,0 +1,63 @@
+"""The way from nothing to a live map, as the README has it, with a board that prints."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from printing_board import frame_with_millis, on_terminal, printed, rows_and_a_blank_line
+
+from lampest import Array, Recording, Scene, read_scene
+
+README = Path(__file__).parents[3] / "README.md"
+SCRIPT = "from lampest.cli import main; main()"
+FRAMES = 24
+PRESSED = (slice(4, 7), slice(8, 11))
+
+
+def commands() -> list[list[str]]:
+    """Return the words of the five lines."""
+    (block,) = re.findall(r"is live in five lines[\s\S]*?\n\n((?:    .*\n)+)", README.read_text())
+    return [line.split() for line in block.strip().splitlines()]
+
+
+def run(folder: Path, words: list[str]) -> str:
+    """Run a command of the README and return its output."""
+    command = [sys.executable, "-c", SCRIPT, *words[1:]]
+    completed = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert completed.returncode == 0, completed.stderr
+    return completed.stdout
+
+
+def codes(scene: Scene, seed: int) -> Array:
+    """Return what the mat's converter gives: unloaded, then pressed."""
+    rng = np.random.default_rng(seed)
+    cells = np.repeat(20e3 * np.exp(0.1 * rng.standard_normal((1, *scene.panel.shape))), FRAMES, 0)
+    cells[FRAMES // 2 :, *PRESSED] = 2e3
+    readout = scene.readout
+    assert readout is not None
+    steps = np.stack([readout.steps_from_volt(readout.exact_reading(frame)) for frame in cells])
+    return np.rint(steps + rng.standard_normal(steps.shape)).clip(0, 1023).astype(int)
+
+
+def test_five_lines_lead_from_nothing_to_a_live_map(tmp_path: Path) -> None:
+    init, listed, live, record, info = commands()
+    run(tmp_path, init)
+    run(tmp_path, listed)
+    scene = read_scene(tmp_path / "mat" / "scene.yaml")
+    for form, words, limits in (
+        (frame_with_millis, live, ["--http", "127.0.0.1:0", "--count", str(FRAMES - 3)]),
+        (rows_and_a_blank_line, record, []),
+    ):
+        words = [*words, *limits]
+        if "--out" in words:
+            words[words.index("--count") + 1] = str(FRAMES - 2)
+        with on_terminal(printed(form, codes(scene, 1)), period=0.25) as url:
+            words[words.index("--port") + 1] = url
+            output = run(tmp_path, words)
+        assert "the board prints: one " in output
+    recording = Recording.load(tmp_path / "mine.h5")
+    change = recording.recorded[-1] / recording.recorded[0]
+    assert np.all(np.abs(change[PRESSED] - 1) > 0.5)
+    assert "model      no" not in run(tmp_path, info)
