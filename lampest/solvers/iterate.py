@@ -16,6 +16,7 @@ from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Status
 from lampest.solvers.steps import STEPS
 
+GAP_SHARE = 0.1  # of a solver's tolerance: optima then agree to 1e-9 of the cost
 MIN_LAST_STEP = MILLIONTH / 1000  # of log r: a shorter step improves no digit of an estimate
 
 
@@ -87,19 +88,31 @@ class Iterate:
         return self.at.dual_gap(slope) / self.at.cost_scale
 
     def sharp(self, tolerance: float) -> bool:
-        """Return whether the duality gap of the smoothing is at most `tolerance` of the cost."""
-        # The reference is the cost itself, but at least min_smoothed_cost and at most one cost
-        # scale.
-        return self.gap <= tolerance * min(
-            1.0, max(self.at.objective / self.at.cost_scale, STEPS.min_smoothed_cost)
-        )
+        """Return whether the duality gap of the smoothing is small enough to end a solve.
 
-    def sharpened(self) -> "Iterate":
-        """Return the same point with a tenth of the smoothing width."""
-        smoothing = self.hessian.smoothing
-        return Iterate.of(
-            self.at, replace(smoothing, width=smoothing.width / 10), convex=self.convex
-        )
+        The limit is GAP_SHARE of the tolerance times the cost, which counts as at least
+        min_smoothed_cost and at most one cost scale.
+        """
+        return self.gap <= self._limit(tolerance)
+
+    def _limit(self, tolerance: float) -> float:
+        cost = max(self.at.objective / self.at.cost_scale, STEPS.min_smoothed_cost)
+        return GAP_SHARE * tolerance * min(1.0, cost)
+
+    def centred(self) -> "Iterate":
+        """Return the same point with the duals z = ψ'(x) of the absolute losses."""
+        smoothing = self.hessian.smoothing.centred(self.at)
+        return replace(self, hessian=replace(self.hessian, smoothing=smoothing))
+
+    def sharpened(self, tolerance: float) -> "Iterate":
+        """Return the same point with the smoothing of the next step.
+
+        The smoothing stays where its gap is a tenth of the limit.
+        """
+        before = self.hessian.smoothing
+        least = 0.1 * self._limit(tolerance) * self.at.cost_scale
+        smoothing = before.narrowed(self.at, least)
+        return self if smoothing is before else Iterate.of(self.at, smoothing, convex=self.convex)
 
     def certified(self) -> "Iterate":
         """Return this point with its certificate.
