@@ -18,7 +18,8 @@ def squares(rows: sparse.csr_array, weight: Array) -> Array:
     first, second, row = _pairs(rows)
     place = rows.indices[first].astype(np.intp) * size + rows.indices[second]
     entries = rows.data[first] * rows.data[second] * weight[row]
-    return np.bincount(place, entries, size * size).reshape(size, size)
+    summed = np.asarray(np.bincount(place, entries, size * size), dtype=float)
+    return summed.reshape(size, size)
 
 
 def quadratic_forms(rows: sparse.csr_array, matrix: Array) -> Array:
@@ -27,7 +28,8 @@ def quadratic_forms(rows: sparse.csr_array, matrix: Array) -> Array:
         return np.asarray(np.sum((rows @ matrix) * rows.toarray(), axis=1))
     first, second, row = _pairs(rows)
     middle = matrix[rows.indices[first], rows.indices[second]]
-    return np.bincount(row, rows.data[first] * rows.data[second] * middle, rows.shape[0])
+    entries = rows.data[first] * rows.data[second] * middle
+    return np.asarray(np.bincount(row, entries, rows.shape[0]), dtype=float)
 
 
 def _crowded(rows: sparse.csr_array) -> bool:

@@ -314,12 +314,13 @@ class Hessian:
     def _kinked_matrix(self) -> Array:
         """Part (∂x/∂u)ᵀ diag(w·ψ'') ∂x/∂u of the absolute losses in the Hessian, dense."""
         cells = self.at.cell_resistance
-        jacobian = self._kinked
-        rows = sparse.csr_array(by_log(jacobian[:, : cells.size], cells))
-        by_reading = jacobian[:, cells.size :]
-        if by_reading.nnz:
-            return weighted_square(rows.toarray() + by_reading @ self.jacobian, self._kinks)
-        return squares(rows, self._kinks)
+        numbers, structure = self.at.cost.functions.nonsmooth_by_cells
+        entries = self._kinked.data[numbers] * cells.ravel()[structure.indices]
+        rows = with_entries(structure, entries)
+        if len(numbers) == self._kinked.nnz:
+            return squares(rows, self._kinks)
+        by_reading = self._kinked[:, cells.size :]
+        return weighted_square(rows.toarray() + by_reading @ self.jacobian, self._kinks)
 
     @cached_property
     def _smooth_terms(self) -> Array:

@@ -16,7 +16,6 @@ from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Status
 from lampest.solvers.steps import STEPS
 
-GAP_SHARE = 0.1  # of a solver's tolerance: optima then agree to 1e-9 of the cost
 MIN_LAST_STEP = MILLIONTH / 1000  # of log r: a shorter step improves no digit of an estimate
 
 
@@ -88,16 +87,13 @@ class Iterate:
         return self.at.dual_gap(slope) / self.at.cost_scale
 
     def sharp(self, tolerance: float) -> bool:
-        """Return whether the duality gap of the smoothing is small enough to end a solve.
+        """Return whether the duality gap of the smoothing is at most `tolerance` of the cost."""
+        return self.gap <= tolerance * self._smoothed_cost
 
-        The limit is GAP_SHARE of the tolerance times the cost, which counts as at least
-        min_smoothed_cost and at most one cost scale.
-        """
-        return self.gap <= self._limit(tolerance)
-
-    def _limit(self, tolerance: float) -> float:
-        cost = max(self.at.objective / self.at.cost_scale, STEPS.min_smoothed_cost)
-        return GAP_SHARE * tolerance * min(1.0, cost)
+    @property
+    def _smoothed_cost(self) -> float:
+        """Cost over its scale, at least min_smoothed_cost and at most 1."""
+        return min(1.0, max(self.at.objective / self.at.cost_scale, STEPS.min_smoothed_cost))
 
     def centred(self) -> "Iterate":
         """Return the same point with the duals z = ψ'(x) of the absolute losses."""
@@ -107,10 +103,10 @@ class Iterate:
     def sharpened(self, tolerance: float) -> "Iterate":
         """Return the same point with the smoothing of the next step.
 
-        The smoothing stays where its gap is a tenth of the limit.
+        The smoothing stays once its gap is a tenth of `tolerance` of the cost.
         """
         before = self.hessian.smoothing
-        least = 0.1 * self._limit(tolerance) * self.at.cost_scale
+        least = 0.1 * tolerance * self._smoothed_cost * self.at.cost_scale
         smoothing = before.narrowed(self.at, least)
         return self if smoothing is before else Iterate.of(self.at, smoothing, convex=self.convex)
 

@@ -29,6 +29,9 @@ from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Solver, Status
 from lampest.solvers.steps import STEPS
 
+# Of a solver's tolerance with absolute losses: their optima then agree to 1e-9 of the cost.
+KINKED_SHARE = 0.1
+
 
 @dataclass(frozen=True)
 class NewtonParts:
@@ -107,6 +110,8 @@ class ProjectedNewton(Solver):
         history = list[tuple[float, float]]()
         unsettled = 0
         tolerance = self.settings.tolerance
+        if len(start.cost.slope):
+            tolerance *= KINKED_SHARE
         while iteration < self.settings.max_iterations:
             history.append((iterate.objective, iterate.residual))
             status = self.parts.termination(data, history)

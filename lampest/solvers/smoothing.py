@@ -30,13 +30,13 @@ class Smoothing:
 
     Attributes
     ----------
-    width : array
-        β of each row in the unit of its residual.
+    width : array or float
+        β of each row, or of all rows, in the unit of the residuals.
     dual : array
         Duals z of the rows, |z| < 1.
     """
 
-    width: Array
+    width: Array | float
     dual: Array
 
     def _size(self, residual: Array) -> Array:
