@@ -6,7 +6,8 @@ both slacks positive. With t eliminated, the loss is
     ψ(x) = t − β log(t/2β) − 2β,   t = β + √(β² + x²),   ψ'(x) = x/t
 
 and with the duals as further unknowns, (1 − z²) x = 2β z, its second derivative is
-(1 − z²)/(t + z x). Every step ends with a smaller μ.
+(1 − z²)/(t + z x). After every step μ is a tenth of the mean complementarity, which is large while
+duals are far from their residuals.
 Source: Nocedal & Wright, Numerical Optimization, 2006, sections 16.6 and 19.2.
 """
 
@@ -20,7 +21,7 @@ from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array
 
 REDUCTION = 0.1  # of the mean complementarity: μ of the next step
-TO_BOUNDARY = 0.99  # share of the distance to ±1 that a dual may cover in a step
+TO_BOUNDARY = 0.99  # share of the way to the first dual that reaches ±1
 LEVEL_SHARE = 1e-3  # of the cost: w β of all rows at a start whose residuals are all zero
 
 
@@ -80,15 +81,17 @@ class Smoothing:
     def moved(self, before: Evaluation, after: Evaluation) -> "Smoothing":
         """Return the smoothing after a step.
 
-        The duals are from their linearised equation, as far as they stay within ±1.
+        The duals are from their linearised equation, all along the share of it that keeps every
+        one within ±1: duals cut one by one misjudge how near the others are to their optimum.
         """
         if not len(self.dual):
             return self
         # z⁺ = z + ((1 − z²) x⁺ − 2β z)/(t + z x)
         size = self._size(before.nonsmooth) + self.dual * before.nonsmooth
         change = ((1 - self.dual**2) * after.nonsmooth - 2 * self.width * self.dual) / size
-        room = TO_BOUNDARY * (1 - self.dual), TO_BOUNDARY * (1 + self.dual)
-        return replace(self, dual=self.dual + np.clip(change, -room[1], room[0]))
+        room = np.where(change > 0, 1 - self.dual, 1 + self.dual)
+        reach = float(np.min(room / np.maximum(np.abs(change), np.finfo(float).tiny)))
+        return replace(self, dual=self.dual + min(1.0, TO_BOUNDARY * reach) * change)
 
     def centred(self, at: Evaluation) -> "Smoothing":
         """Return the smoothing with the duals z = ψ'(x)."""
