@@ -14,7 +14,6 @@ from typing import Any
 import casadi
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from lampest.cost.given import Given
 from lampest.cost.losses import Loss, Lowered
@@ -251,15 +250,14 @@ class CostFunctions:
         return Entries.of(*self.hessian.pattern, self.hessian.structure.shape[0] // 2)
 
     @cached_property
-    def nonsmooth_by_cells(self) -> tuple[NDArray[np.intp], sparse.csr_array]:
-        """Numbers of the entries of `nonsmooth_jacobian` by cells, row by row, and their places."""
+    def nonsmooth_by_cells(self) -> tuple[NDArray[np.intp], ...]:
+        """Entries of `nonsmooth_jacobian` by cells: numbers row by row, columns, and row begins."""
         row, column = self.nonsmooth_jacobian.pattern
         rows, both = self.nonsmooth_jacobian.structure.shape
         numbers = np.flatnonzero(column < both // 2)
         numbers = numbers[np.argsort(row[numbers], kind="stable")]
         begins = np.searchsorted(row[numbers], np.arange(rows + 1))
-        structure = (np.ones(len(numbers)), column[numbers], begins)
-        return numbers, sparse.csr_array(structure, shape=(rows, both // 2))
+        return numbers, column[numbers], begins
 
     @classmethod
     def build(cls, cost: Cost) -> "CostFunctions":

@@ -314,9 +314,9 @@ class Hessian:
     def _kinked_matrix(self) -> Array:
         """Part (∂x/∂u)ᵀ diag(w·ψ'') ∂x/∂u of the absolute losses in the Hessian, dense."""
         cells = self.at.cell_resistance
-        numbers, structure = self.at.cost.functions.nonsmooth_by_cells
-        entries = self._kinked.data[numbers] * cells.ravel()[structure.indices]
-        rows = with_entries(structure, entries)
+        numbers, columns, begins = self.at.cost.functions.nonsmooth_by_cells
+        entries = self._kinked.data[numbers] * cells.ravel()[columns]
+        rows = sparse.csr_array((entries, columns, begins), (len(self._kinks), cells.size))
         if len(numbers) == self._kinked.nnz:
             return squares(rows, self._kinks)
         by_reading = self._kinked[:, cells.size :]
