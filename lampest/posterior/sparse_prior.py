@@ -29,6 +29,7 @@ from scipy import sparse
 from scipy.special import gammainc
 
 from lampest.panel.panel import Array
+from lampest.panel.sparse_rows import quadratic_forms, squares
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel, Sites, positive_inverse
 
@@ -187,18 +188,16 @@ def with_sites(errors: DenseErrors) -> DenseErrors:
     curvature = np.where(chosen, 0.0, model.penalty_curvature) / model.scale
     size = np.sqrt(model.data_curvature / model.scale)
     data = errors.jacobian * size[:, None]
-    precision = data.T @ data + (jacobian.T @ sparse.diags_array(curvature) @ jacobian).toarray()
+    precision = data.T @ data + squares(jacobian, curvature)
     precision[np.diag_indices(len(precision))] += model.ignorance
     slope = -(rows.T @ model.half_slopes[chosen]) / model.scale
     weight = model.penalty_curvature[chosen] / model.scale
     shift = np.zeros(len(weight))
     priors = dict[int, SparsePrior]()
     for _ in range(MAX_ROUNDS):
-        covariance = positive_inverse(
-            precision + (rows.T @ sparse.diags_array(weight) @ rows).toarray()
-        )
+        covariance = positive_inverse(precision + squares(rows, weight))
         mean = residual - rows @ (covariance @ (slope + rows.T @ (weight * residual - shift)))
-        variance = np.sum((rows @ covariance) * rows.toarray(), axis=1)
+        variance = quadratic_forms(rows, covariance)
         # The cavity, and the errors of what the residual compares with
         cavity = 1 / np.maximum(1 / variance - weight, NEGLIGIBLE / variance)
         middle = cavity * (mean / variance - shift)

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
-from lampest.cost.cost import Entries
 from lampest.cost.problem import Evaluation, Part, residuals
 from lampest.panel.compiled import with_entries
 from lampest.panel.network import Numbers, SecondOrder
 from lampest.panel.panel import Array
+from lampest.panel.sparse_rows import squares
 from lampest.panel.trust_region import DENSE_CELLS, MATRIX_CELLS
 from lampest.solvers.bounds import free_cells
 from lampest.solvers.smoothing import Smoothing
@@ -134,23 +134,30 @@ class Hessian:
 
     @cached_property
     def terms(self) -> sparse.csc_array:
-        """T, second derivatives of the terms by (r; y), sparse (2·frames·cells, 2·frames·cells)."""
-        matrix = with_entries(self.at.cost.functions.hessian.structure, self._smooth_terms)
-        if not len(self.at.cost.slope):
-            return matrix
-        # T = T_smooth + (∂x/∂(r; y))ᵀ diag(w·ψ'') (∂x/∂(r; y)), ψ the smoothed absolute loss of
-        # residuals x
-        jacobian = self.smoothing.jacobian(self.at)
-        weight = self.at.cost.slope * self.smoothing.stiffness(self.at.nonsmooth)
-        return sparse.csc_array(matrix + jacobian.T @ (sparse.diags_array(weight) @ jacobian))
+        """T without the stiffness of absolute losses, sparse (2·frames·cells, 2·frames·cells).
+
+        T = terms + (∂x/∂(r; y))ᵀ diag(w·ψ'') (∂x/∂(r; y)), ψ the smoothed loss of residuals x.
+        """
+        return with_entries(self.at.cost.functions.hessian.structure, self._smooth_terms)
+
+    @cached_property
+    def _kinks(self) -> Array:
+        """Weighted second derivatives w·ψ''(x) of the smoothed absolute losses, (residuals,)."""
+        return self.at.cost.slope * self.smoothing.stiffness(self.at.nonsmooth)
+
+    @cached_property
+    def _kinked(self) -> sparse.csc_array:
+        """∂x/∂(r; y) of the residuals with absolute losses, sparse (residuals, 2·cells)."""
+        return self.smoothing.jacobian(self.at)
 
     @cached_property
     def diagonal_of_terms(self) -> Array:
         """Diagonal of T, (2·frames·cells): cells, then readings."""
-        entries, values = self._entries
-        numbers, places = entries.on_diagonal
+        numbers, places = self.at.cost.functions.entries.on_diagonal
         diagonal = np.zeros(2 * self.at.cell_resistance.size)
-        diagonal[places] = values[numbers]
+        diagonal[places] = self._smooth_terms[numbers]
+        if len(self.at.cost.slope):
+            diagonal += self._kinked.power(2).T @ self._kinks
         return diagonal
 
     @property
@@ -171,6 +178,8 @@ class Hessian:
         # (diag r; J)ᵀ T (diag r; J)·p: T applied to the changes (δr; δy) = (r·p; J·p)
         move = np.concatenate([cells.ravel() * step, *(change.ravel() for change in changes)])
         force = self.terms @ move
+        if len(self._kinks):
+            force += self._kinked.T @ (self._kinks * (self._kinked @ move))
         through = self.adjoint(force[step.size :].reshape(cells.shape))
         # + N·p + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y)·p
         force_of = (
@@ -212,10 +221,9 @@ class Hessian:
         if not len(part.term):
             return sparse.csr_array((size, size))
         # P = ∂x/∂u = (∂x/∂r)·diag(r)
-        slopes = part.jacobian("cell_resistance", self.at) @ sparse.diags_array(
-            self.at.cell_resistance.ravel()
-        )
-        return sparse.csr_array(slopes.T @ (sparse.diags_array(self._stiffness(part)) @ slopes))
+        slopes = by_log(part.jacobian("cell_resistance", self.at), self.at.cell_resistance)
+        weight = self._stiffness(part)[slopes.indices]
+        return sparse.csr_array(slopes.T @ with_entries(slopes, weight * slopes.data))
 
     def _stiffness(self, part: Part) -> Array:
         """Return weight·ρ'(x)/x of the residuals x of a part, (rows,).
@@ -228,11 +236,10 @@ class Hessian:
         for number, term in enumerate(cost.terms):
             rows = part.term == number
             if rows.any() and term.loss.enters == "dual":
-                dual = self.smoothing.dual[cost.functions.nonsmooth_terms == number]
-                stiffness[rows] = replace(self.smoothing, dual=dual).stiffness(value[rows])
+                stiffness[rows] = self._kinks[cost.functions.nonsmooth_terms == number]
             elif rows.any():
-                stiffness[rows] = 2 * term.loss.stiffness(value[rows])
-        return np.asarray(self.at.weights[part.term] * stiffness)
+                stiffness[rows] = 2 * self.at.weights[number] * term.loss.stiffness(value[rows])
+        return stiffness
 
     @cached_property
     def only_data(self) -> bool:
@@ -272,7 +279,7 @@ class Hessian:
         jacobian = self.jacobian
         cells = self._flat(self.at.cell_resistance)
         count = cells.shape[-1]
-        entries, values = self._entries
+        entries, values = self.at.cost.functions.entries, self._smooth_terms
         # N + diag(r) T_rr diag(r)
         row, column = entries.at_cells
         matrix[..., row, column] += (
@@ -289,6 +296,8 @@ class Hessian:
             # + diag(r) T_ry J and its transpose
             cross = cells[:, None] * (self.terms[:count, count:] @ jacobian)
             matrix += cross + cross.T
+        if len(self.at.cost.slope):
+            matrix += self._kinked_matrix
         # + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y)
         np.einsum("...ii->...i", matrix)[...] += self.direct - self.through
         return matrix
@@ -301,18 +310,28 @@ class Hessian:
             + self.penalty_matrix.toarray()
         )
 
-    @cached_property
-    def _entries(self) -> tuple[Entries, Array]:
-        """Places and values of the nonzero entries of T."""
-        functions = self.at.cost.functions
-        if not len(self.at.cost.slope):
-            return functions.entries, self._smooth_terms
-        matrix = sparse.coo_array(self.terms)
-        return Entries.of(matrix.row, matrix.col, self.at.cell_resistance.size), matrix.data
+    @property
+    def _kinked_matrix(self) -> Array:
+        """Part (∂x/∂u)ᵀ diag(w·ψ'') ∂x/∂u of the absolute losses in the Hessian, dense."""
+        cells = self.at.cell_resistance
+        numbers, columns, begins = self.at.cost.functions.nonsmooth_by_cells
+        entries = self._kinked.data[numbers] * cells.ravel()[columns]
+        rows = sparse.csr_array((entries, columns, begins), (len(self._kinks), cells.size))
+        if len(numbers) == self._kinked.nnz:
+            return squares(rows, self._kinks)
+        by_reading = self._kinked[:, cells.size :]
+        return weighted_square(rows.toarray() + by_reading @ self.jacobian, self._kinks)
 
     @cached_property
     def _smooth_terms(self) -> Array:
-        return self.at.call(self.at.cost.functions.hessian, self.smoothing.dual)
+        slope = self.smoothing.slope(self.at.nonsmooth)
+        return self.at.call(self.at.cost.functions.hessian, slope)
+
+
+def by_log(jacobian: sparse.csc_array, cells: Array) -> sparse.csc_array:
+    """Return ∂x/∂u = (∂x/∂r)·diag(r), sparse (rows, frames · cells)."""
+    along = np.repeat(cells.ravel(), np.diff(jacobian.indptr))
+    return with_entries(jacobian, jacobian.data * along)
 
 
 def block_diagonal(blocks: Sequence[Array]) -> Array:

@@ -88,18 +88,28 @@ class Iterate:
 
     def sharp(self, tolerance: float) -> bool:
         """Return whether the duality gap of the smoothing is at most `tolerance` of the cost."""
-        # The reference is the cost itself, but at least min_smoothed_cost and at most one cost
-        # scale.
-        return self.gap <= tolerance * min(
-            1.0, max(self.at.objective / self.at.cost_scale, STEPS.min_smoothed_cost)
-        )
+        return self.gap <= tolerance * self._smoothed_cost
 
-    def sharpened(self) -> "Iterate":
-        """Return the same point with a tenth of the smoothing width."""
-        smoothing = self.hessian.smoothing
-        return Iterate.of(
-            self.at, replace(smoothing, width=smoothing.width / 10), convex=self.convex
-        )
+    @property
+    def _smoothed_cost(self) -> float:
+        """Cost over its scale, at least min_smoothed_cost and at most 1."""
+        return min(1.0, max(self.at.objective / self.at.cost_scale, STEPS.min_smoothed_cost))
+
+    def centred(self) -> "Iterate":
+        """Return the same point with the duals z = ψ'(x) of the absolute losses."""
+        smoothing = self.hessian.smoothing.centred(self.at)
+        return replace(self, hessian=replace(self.hessian, smoothing=smoothing))
+
+    def sharpened(self, tolerance: float) -> "Iterate":
+        """Return the same point with the smoothing of the next step.
+
+        The smoothing stays once its gap is `tolerance` of the cost: slopes of narrower corners have
+        no digits where heavy weights hold residuals at 0.
+        """
+        before = self.hessian.smoothing
+        least = tolerance * self._smoothed_cost * self.at.cost_scale
+        smoothing = before.narrowed(self.at, least)
+        return self if smoothing is before else Iterate.of(self.at, smoothing, convex=self.convex)
 
     def certified(self) -> "Iterate":
         """Return this point with its certificate.

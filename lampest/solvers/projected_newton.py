@@ -29,6 +29,9 @@ from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Solver, Status
 from lampest.solvers.steps import STEPS
 
+# Of a solver's tolerance with absolute losses: their optima then agree to 1e-9 of the cost.
+KINKED_SHARE = 0.1
+
 
 @dataclass(frozen=True)
 class NewtonParts:
@@ -107,33 +110,32 @@ class ProjectedNewton(Solver):
         history = list[tuple[float, float]]()
         unsettled = 0
         tolerance = self.settings.tolerance
+        if len(start.cost.slope):
+            tolerance *= KINKED_SHARE
         while iteration < self.settings.max_iterations:
             history.append((iterate.objective, iterate.residual))
             status = self.parts.termination(data, history)
             if status is not None:
                 return iterate.outcome(status, iteration)
-            # Absolute losses: narrow the smoothing once its error exceeds what is left of the
-            # gradient.
             stationary = iterate.residual <= tolerance
             sharp = iterate.sharp(tolerance)
-            reached = stationary or iterate.residual <= iterate.gap / 2
             # At an optimum of the smoothed cost: end where the certificate holds.
-            if reached and sharp:
+            if stationary and sharp:
                 iterate = iterate.certified()
                 if iterate.settled or unsettled == STEPS.max_tries:
                     return iterate.outcome(Status.OPTIMUM, iteration)
                 unsettled += 1
             trial = None
-            if sharp or not reached:
+            if sharp or not stationary:
                 iterate, trial = self._stepped(iterate, stationary=stationary)
             # Without a step the solve ends unless absolute losses can still be smoothed less.
             if trial is None and sharp:
                 status = Status.OPTIMUM if stationary else Status.BREAKDOWN
                 return iterate.outcome(status, iteration)
-            if trial is None:
-                trial = iterate.sharpened()
+            reached = trial or iterate.centred()
+            iterate = reached.sharpened(tolerance)
+            if iterate is not reached:
                 history = []
-            iterate = trial
             iteration += 1
         return iterate.outcome(Status.ITERATIONS, iteration)
 

@@ -1,11 +1,17 @@
-"""Smoothing of absolute losses for a Newton method.
+"""Absolute losses as an interior-point method takes them: their duals z stay within |z| < 1.
 
-Σ √(x² + β²) replaces Σ |x|, with the duals as further unknowns.
+Σ w |x| is the least Σ w t with t ± x ≥ 0. A barrier of parameter μ = w β, one for all rows, keeps
+both slacks positive. With t eliminated, the loss is
 
-Source: Chan, Golub & Mulet, SIAM J. Sci. Comput. 20, 1999 (primal-dual method for total variation).
+    ψ(x) = t − β log(t/2β) − 2β,   t = β + √(β² + x²),   ψ'(x) = x/t
+
+and with the duals as further unknowns, (1 − z²) x = 2β z, its second derivative is
+(1 − z²)/(t + z x). After every step μ is a tenth of the mean complementarity, which is large while
+duals are far from their residuals.
+Source: Nocedal & Wright, Numerical Optimization, 2006, sections 16.6 and 19.2.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -14,49 +20,46 @@ from lampest.cost.problem import Evaluation
 from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array
 
+REDUCTION = 0.1  # of the mean complementarity: μ of the next step
+TO_BOUNDARY = 0.99  # share of the way to the first dual that reaches ±1
+LEVEL_SHARE = 1e-3  # of the cost: w β of all rows at a start whose residuals are all zero
+
 
 @dataclass(frozen=True, eq=False)
 class Smoothing:
-    """Smoothing of absolute losses.
-
-    Without absolute losses all arrays are empty.
+    """Smoothing of absolute losses; without such losses all arrays are empty.
 
     Attributes
     ----------
-    width : float
-        β in the unit of the residuals.
+    width : array or float
+        β of each row, or of all rows, in the unit of the residuals.
     dual : array
-        Duals z, |z| ≤ 1, one for each residual; they replace x/√(x² + β²) in second derivatives.
+        Duals z of the rows, |z| < 1.
     """
 
-    width: float
+    width: Array | float
     dual: Array
 
+    def _size(self, residual: Array) -> Array:
+        """Return t = β + √(β² + x²)."""
+        return np.asarray(self.width + np.sqrt(self.width**2 + residual**2))
+
     def slope(self, residual: Array) -> Array:
-        """Return x/√(x² + β²), the derivative of the smoothed loss."""
-        slope: Array = residual / np.sqrt(residual**2 + self.width**2)
-        return slope
+        """Return ψ'(x) = x/t."""
+        return np.asarray(residual / self._size(residual))
 
     def stiffness(self, residual: Array) -> Array:
-        """Return (1 − z·x/√(x² + β²))/√(x² + β²), the second derivative of the smoothed loss.
-
-        The derivative is that of a system with the duals z as further unknowns.
-        """
-        size = np.sqrt(residual**2 + self.width**2)
-        stiffness: Array = (1 - self.dual * residual / size) / size
-        return stiffness
+        """Return the second derivative (1 − z²)/(t + z x) with the duals as unknowns."""
+        return np.asarray((1 - self.dual**2) / (self._size(residual) + self.dual * residual))
 
     def objective(self, at: Evaluation) -> float:
-        """Return φ with √(x² + β²) − β in place of |x|.
-
-        The constant β is subtracted so that rows of large weight whose residual is zero cost no
-        digits.
-        """
+        """Return φ with ψ(x) in place of |x|."""
         if not len(at.nonsmooth):
             return at.objective
         squares = at.nonsmooth**2
-        # √(x² + β²) − β = x²/(√(x² + β²) + β), without cancellation
-        smoothed = squares / (np.sqrt(squares + self.width**2) + self.width)
+        # s = t − 2β = x²/(√(x² + β²) + β), without cancellation; ψ = s − β log(1 + s/2β)
+        excess = squares / (np.sqrt(squares + self.width**2) + self.width)
+        smoothed = excess - self.width * np.log1p(excess / (2 * self.width))
         return float(
             np.delete(at.costs, np.unique(at.cost.functions.nonsmooth_terms)).sum()
             + at.cost.slope @ smoothed
@@ -69,25 +72,40 @@ class Smoothing:
 
     @classmethod
     def start(cls, at: Evaluation) -> "Smoothing":
-        """Return the smoothing of a first point.
-
-        β is a tenth of the largest residual, and z = x/√(x² + β²).
-        """
-        width = 0.1 * float(np.abs(at.nonsmooth).max(initial=0)) or 1.0
-        return cls(width, at.nonsmooth / np.sqrt(at.nonsmooth**2 + width**2))
+        """Return the smoothing of a first point: z = 0, and μ a tenth of the mean w |x|/2."""
+        slope = at.cost.slope
+        level = REDUCTION * float(slope @ np.abs(at.nonsmooth)) / 2
+        level = (level or LEVEL_SHARE * at.cost_scale) / max(len(slope), 1)
+        return cls(level / np.where(slope > 0, slope, level), np.zeros(len(slope)))
 
     def moved(self, before: Evaluation, after: Evaluation) -> "Smoothing":
         """Return the smoothing after a step.
 
-        The duals are from their linearised equation, clipped to |z| ≤ 1.
+        The duals are from their linearised equation, all along the share of it that keeps every
+        one within ±1: duals cut one by one misjudge how near the others are to their optimum.
         """
         if not len(self.dual):
             return self
-        moves = [
-            after.cell_resistance - before.cell_resistance,
-            after.reading - before.reading,
-        ]
-        change = self.jacobian(before) @ np.concatenate([move.ravel() for move in moves])
-        # z⁺ = x/√(x² + β²) + (1 − z·x/√(x² + β²))/√(x² + β²)·δx
-        dual = self.slope(before.nonsmooth) + self.stiffness(before.nonsmooth) * change
-        return Smoothing(self.width, np.clip(dual, -1, 1))
+        # z⁺ = z + ((1 − z²) x⁺ − 2β z)/(t + z x)
+        size = self._size(before.nonsmooth) + self.dual * before.nonsmooth
+        change = ((1 - self.dual**2) * after.nonsmooth - 2 * self.width * self.dual) / size
+        room = np.where(change > 0, 1 - self.dual, 1 + self.dual)
+        reach = float(np.min(room / np.maximum(np.abs(change), np.finfo(float).tiny)))
+        return replace(self, dual=self.dual + min(1.0, TO_BOUNDARY * reach) * change)
+
+    def centred(self, at: Evaluation) -> "Smoothing":
+        """Return the smoothing with the duals z = ψ'(x)."""
+        return replace(self, dual=self.slope(at.nonsmooth))
+
+    def narrowed(self, at: Evaluation, gap: float) -> "Smoothing":
+        """Return the smoothing of the next step, whose duality gap need not fall below `gap`.
+
+        μ is REDUCTION of the mean of (t − z x)/2β, in units of μ, unless it is smaller already.
+        """
+        if not len(self.dual):
+            return self
+        size = self._size(at.nonsmooth)
+        complementarity = float(np.mean((size - self.dual * at.nonsmooth) / (2 * self.width)))
+        least = gap / max(float(at.cost.slope @ self.width), np.finfo(float).tiny)
+        factor = min(1.0, max(REDUCTION * complementarity, least))
+        return self if factor == 1.0 else replace(self, width=factor * self.width)

@@ -55,6 +55,7 @@ DOORS: dict[str, tuple[str, ...]] = {
         "files.process",
         "panel.compiled",
         "panel.least_squares",
+        "panel.sparse_rows",
         "panel.readouts",
         "panel.response",
         "apps.recognition",

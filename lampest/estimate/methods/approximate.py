@@ -144,7 +144,9 @@ class LinearisedMethod(Method):
                 step = np.clip(-inverse(Hessian(at, smoothing).gradient), -MAX_STEP, MAX_STEP)
                 cells = at.cell_resistance * np.exp(step).reshape(at.cell_resistance.shape)
                 return approximation(
-                    solver.cost, data, Outcome(cells, smoothing.dual, Status.APPROXIMATE, 1)
+                    solver.cost,
+                    data,
+                    Outcome(cells, smoothing.slope(at.nonsmooth), Status.APPROXIMATE, 1),
                 )
         return OptimalMethod("reduced").solution(solver, data, previous, None)
 
