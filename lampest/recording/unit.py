@@ -67,7 +67,7 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source
         recorded = scaled
     elif unit == "code":
         refuse(
-            (finite < 0) | (finite > 2**readout.adc_bits - 1),
+            (finite < readout.codes[0]) | (finite > readout.codes[1]),
             f"is no code of a {readout.adc_bits}-bit converter",
         )
         floored = finite <= (readout.floor_code or -1)

@@ -447,8 +447,11 @@ def check_scene(scene: Scene) -> None:
         if is_lacking:
             raise InputError(f"the C library {sentence}")
     readout = scene.circuit
-    if readout.characteristic.curve is not None or readout.code_sign < 0:
-        raise InputError("the C library has converters with a straight, rising line only")
+    characteristic = readout.characteristic
+    if characteristic.curve is not None or characteristic.signed or readout.code_sign < 0:
+        raise InputError(
+            "the C library has converters of codes from 0 and a straight, rising line only"
+        )
     keys = ("idle_volt", "load_volt", "idle_load_volt", "driven_groups")
     named = [key for key in keys if getattr(readout, key, None) is not None]
     if named:

@@ -36,19 +36,21 @@ MIN_VOLT = 1e-3  # V: that of a thermocouple
 class Characteristic(Configuration):
     """Voltages that the codes of a converter stand for.
 
-    Code c stands for zero_volt + c·(full_volt − zero_volt)/2^bits, or for the voltage that a curve
-    gives. Codes fall with the voltage where full_volt is below zero_volt, as behind an inverting
-    amplifier.
+    Code c stands for zero_volt + c·(full_volt − zero_volt)/n with n = 2^bits, or 2^(bits−1) of
+    signed codes, or for the voltage that a curve gives. Codes fall with the voltage where full_volt
+    is below zero_volt, as behind an inverting amplifier.
 
     Attributes
     ----------
     zero_volt : float or {'estimated'}
         Voltage of code 0.
     full_volt : float, or None
-        Voltage of code 2^bits; None: the end of the converter's range. No frame shows it, so that
-        'estimated' is refused.
+        Voltage of code n, one above the largest; None: the end of the converter's range. No frame
+        shows it, so that 'estimated' is refused.
     curve : tuple of (float, float), or None
         Points (volt, code) of the curve, straight between them. None: a straight line.
+    signed : bool
+        Whether codes run from −2^(bits−1) to 2^(bits−1) − 1, as those of differential converters.
 
     Raises ValueError if a voltage is out of range, if both ends are one, if full_volt is to be
     estimated, or if the points of a curve do not rise or fall throughout.
@@ -60,6 +62,7 @@ class Characteristic(Configuration):
     zero_volt: float | Literal["estimated"] = 0.0
     full_volt: float | Literal["estimated"] | None = None
     curve: tuple[tuple[float, float], ...] | None = None
+    signed: bool = False
 
     def __post_init__(self) -> None:
         if isinstance(self.full_volt, str):
@@ -104,7 +107,8 @@ class Characteristic(Configuration):
         if self.zero_volt == "estimated":
             return "zero of the converter estimated"
         end = "" if self.full_volt is None else f" to {self.full_volt:.6g} V"
-        return f"codes from {self.zero_volt:.6g} V{end}"
+        start = "signed codes, 0 at" if self.signed else "codes from"
+        return f"{start} {self.zero_volt:.6g} V{end}"
 
 
 Known = Literal["esp32", "avr", "inverting amplifier"]
@@ -129,10 +133,10 @@ def known(name: Known, full_scale_volt: float) -> Characteristic:
 
 @dataclass(frozen=True, kw_only=True)
 class Converter(Configuration):
-    """Converter with codes from 0 to 2^bits − 1.
+    """Converter with codes from 0 to 2^bits − 1, or signed ones.
 
     Code c stands for c steps of 2^−bits of the range, which by default reaches from 0 to the
-    supply.
+    supply. The range of signed codes reaches as far below the voltage of code 0 as above it.
 
     Attributes
     ----------
@@ -181,10 +185,11 @@ class Converter(Configuration):
             raise ValueError(
                 f"noise_lsb must not exceed the converter's range, {2**self.adc_bits} LSB"
             )
-        check_ranges(self, 0, 2**self.adc_bits - 3, "floor_code")
+        lowest, highest = self.codes
+        check_ranges(self, lowest, highest - 2, "floor_code")
         curve = self.characteristic.curve
-        if curve is not None and not all(0 <= code <= 2**self.adc_bits for _, code in curve):
-            raise ValueError(f"converter.curve: codes lie between 0 and {2**self.adc_bits}")
+        if curve is not None and not all(lowest <= code <= highest + 1 for _, code in curve):
+            raise ValueError(f"converter.curve: codes lie between {lowest} and {highest + 1}")
         if self._ends[0] == self._ends[1]:
             raise ValueError(f"converter: code 0 stands at the end of the range, {self._ends[0]} V")
         if isinstance(self.passes_volt, str | None):
@@ -209,8 +214,17 @@ class Converter(Configuration):
         return known("avr" if self.converter is None else self.converter, self.full_scale_volt)
 
     @property
+    def codes(self) -> tuple[int, int]:
+        """Lowest and highest code: 0 and 2^bits − 1, or −2^(bits−1) and 2^(bits−1) − 1."""
+        lowest = -(2 ** (self.adc_bits - 1)) if self.characteristic.signed else 0
+        return lowest, lowest + 2**self.adc_bits - 1
+
+    @property
     def _ends(self) -> tuple[float, float]:
-        """Voltages of code 0 and of code 2^bits; those to be estimated as without `converter`."""
+        """Voltages of code 0 and of the one above the highest.
+
+        A voltage to be estimated is that of a scene without `converter`.
+        """
         characteristic = self.characteristic
         if characteristic.curve is not None:
             volt, _ = characteristic.points
@@ -230,7 +244,10 @@ class Converter(Configuration):
     @property
     def range_volt(self) -> tuple[float, float]:
         """Least and largest voltage of the converter's range, in this order."""
-        return min(self._ends), max(self._ends)
+        zero, full = self._ends
+        if self.characteristic.signed and self.characteristic.curve is None:
+            zero = 2 * zero - full
+        return min(zero, full), max(zero, full)
 
     @property
     def code_sign(self) -> float:
@@ -284,10 +301,10 @@ class Converter(Configuration):
 
     @property
     def lsb_volt(self) -> float:
-        """One least significant bit in volt: range / 2^bits; of a curve, its mean step."""
+        """One least significant bit in volt: range/2^bits; of a curve, its mean step."""
         curve = self.characteristic.curve
         if curve is None:
-            return abs(self._ends[1] - self._ends[0]) / 2.0**self.adc_bits
+            return abs(self._ends[1] - self._ends[0]) / (self.codes[1] + 1.0)
         volt, code = self.characteristic.points
         return float(abs(volt[-1] - volt[0]) / (code[-1] - code[0]))
 
@@ -300,8 +317,8 @@ class Converter(Configuration):
         return np.asarray(np.interp(volt, points[order], codes[order]))
 
     def code_from_volt(self, volt: Array) -> NDArray[np.int64]:
-        """Return the nearest code, clipped to 0 and 2^bits − 1; any shape."""
-        code = np.clip(np.rint(self.steps_from_volt(volt)), 0, 2**self.adc_bits - 1)
+        """Return the nearest code, clipped to the lowest and the highest one; any shape."""
+        code = np.clip(np.rint(self.steps_from_volt(volt)), *self.codes)
         return np.asarray(code, dtype=np.int64)
 
     def volt_from_code(self, mean_code: Array) -> Array:
@@ -423,10 +440,11 @@ class Converter(Configuration):
         least, most : float
             Recorded values, in the readout's unit.
         """
-        top = 2.0**self.adc_bits - 1
+        lowest, top = self.codes
+        floor = lowest if self.floor_code is None else self.floor_code
         # Lower edge of the first valid code, and of the last code; stages before the converter may
         # narrow the range.
-        edges = np.sort(self.volt_from_code(np.array([(self.floor_code or 0) + 0.5, top - 0.5])))
+        edges = np.sort(self.volt_from_code(np.array([floor + 0.5, top - 0.5])))
         if not isinstance(self.passes_volt, str | None):
             within = np.add(
                 self.passes_volt,

@@ -340,7 +340,9 @@ def sums_of_codes(
             codes = readout.code_from_volt(exact + sigma * noise.standard_normal(shape))
             if unmodelled.outlier_probability > 0:
                 hit = outliers.random(shape) < unmodelled.outlier_probability
-                codes = np.where(hit, outliers.integers(0, 2**readout.adc_bits, shape), codes)
+                codes = np.where(
+                    hit, outliers.integers(readout.codes[0], readout.codes[1] + 1, shape), codes
+                )
             sums[frame] += codes.sum(axis=0)
         on_frame()
     return sums
@@ -349,9 +351,12 @@ def sums_of_codes(
 def raw_sums(readout: Readout | None, sums: NDArray[np.int64] | None) -> NDArray[np.uint16] | None:
     """Return the sums as 16-bit integers for a recording, or None if they do not fit.
 
-    The largest sum is readings · (2^bits − 1).
+    The largest sum is `readings` times the highest code. Signed codes have negative sums.
     """
-    if readout is None or sums is None or readout.readings * (2**readout.adc_bits - 1) >= 2**16:
+    if readout is None or sums is None:
+        return None
+    lowest, highest = readout.codes
+    if lowest < 0 or readout.readings * highest >= 2**16:
         return None
     return sums.astype(np.uint16)
 
