@@ -62,10 +62,10 @@ from .panel.readouts.converter import Characteristic as Characteristic
 from .panel.readouts.diode import Diode as Diode
 from .panel.readouts.driven_readout import DrivenReadout as DrivenReadout
 from .panel.readouts.floating import two_point_resistance as two_point_resistance
+from .panel.readouts.grounded import GroundedReadout as GroundedReadout
 from .panel.readouts.lines import SeriesPerLine as SeriesPerLine
-from .panel.readouts.presets import GroundedReadout as GroundedReadout
-from .panel.readouts.presets import LoadedColumnsReadout as LoadedColumnsReadout
-from .panel.readouts.presets import VirtualGroundReadout as VirtualGroundReadout
+from .panel.readouts.loaded_columns import LoadedColumnsReadout as LoadedColumnsReadout
+from .panel.readouts.virtual_ground import VirtualGroundReadout as VirtualGroundReadout
 from .panel.readouts.wiring import ContactPrior as ContactPrior
 from .panel.readouts.wiring import Contacts as Contacts
 from .panel.readouts.wiring import Lines as Lines

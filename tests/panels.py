@@ -11,14 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lampest
-from lampest import Panel, Recording, Scene
-from lampest.panel.panel import Array
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.presets import (
+from lampest import (
     GroundedReadout,
     LoadedColumnsReadout,
+    Panel,
+    Recording,
+    Scene,
     VirtualGroundReadout,
 )
+from lampest.panel.panel import Array
+from lampest.panel.readouts import TwoPointReadout
 
 BITS = {"adc_bits": 12, "readings": 1, "noise_lsb": 1.0}
 READOUTS: dict[str, Any] = {

@@ -19,13 +19,16 @@ from lampest import (
     Absolute,
     Data,
     Faults,
+    GroundedReadout,
     Huber,
+    LoadedColumnsReadout,
     Misfit,
     OptimalMethod,
     Panel,
     Readings,
     Squared,
     Step,
+    VirtualGroundReadout,
     term_types,
 )
 from lampest.cost.cost import Cost
@@ -34,11 +37,6 @@ from lampest.estimate.stream import Stream
 from lampest.files.errors import BROKEN
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.readouts.presets import (
-    GroundedReadout,
-    LoadedColumnsReadout,
-    VirtualGroundReadout,
-)
 from lampest.panel.scene import Scene
 from lampest.solvers.by_ipopt import Ipopt
 from lampest.solvers.multistart import evaluated

@@ -14,6 +14,7 @@ from time import process_time
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest import LoadedColumnsReadout
 from lampest.cost.losses import Student
 from lampest.cost.terms import (
     Arrival,
@@ -28,7 +29,6 @@ from lampest.estimate.methods.smoother import SmootherMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic

@@ -17,11 +17,10 @@ from fuzz.readers import REFUSED, TAKEN, cleared, receive
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lampest import InputError, Panel, Recording, Scene, import_file, read_run
+from lampest import InputError, LoadedColumnsReadout, Panel, Recording, Scene, import_file, read_run
 from lampest.files.checksums import DATASETS
 from lampest.files.document import MAX_SIZE, parse_document
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.runs.case import check_name
 
 # Other files contain the time at which they were written.

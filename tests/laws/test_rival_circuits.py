@@ -14,8 +14,8 @@ from lampest.inference.circuits.compared_frames import broken_law
 from lampest.inference.circuits.rivals import Rival, rivals_of
 from lampest.inference.prepared import Prepared
 from lampest.panel.effects.loose_contact import LooseContact
-from lampest.panel.readouts.driven_starts import UNIFORM_KNOTS, uniform_readings
 from lampest.panel.readouts.readout import Readout
+from lampest.panel.readouts.starts import UNIFORM_KNOTS, uniform_readings
 from lampest.recording.readings import Readings
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.posed import cost_of_solve

@@ -16,6 +16,7 @@ from lampest import (
     Scene,
     Simulation,
     Solution,
+    VirtualGroundReadout,
     simulate,
     two_point_resistance,
 )
@@ -31,7 +32,6 @@ from lampest.cost.terms import (
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.presets import VirtualGroundReadout
 from lampest.panel.sizes import Systematic
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.covariance import DenseErrors

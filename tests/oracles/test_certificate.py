@@ -12,7 +12,20 @@ from promises import promise
 from scipy.linalg import lapack
 from scipy.optimize import brentq
 
-from lampest import LogRatio, Misfit, Outcome, Readings, Recording, Scene, Squared, Stream, Term
+from lampest import (
+    GroundedReadout,
+    LoadedColumnsReadout,
+    LogRatio,
+    Misfit,
+    Outcome,
+    Readings,
+    Recording,
+    Scene,
+    Squared,
+    Stream,
+    Term,
+    VirtualGroundReadout,
+)
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data, Evaluation
@@ -20,11 +33,6 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.presets import (
-    GroundedReadout,
-    LoadedColumnsReadout,
-    VirtualGroundReadout,
-)
 from lampest.solvers.certificate import certificate, clear_of_rounding
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.posed import Bounds

@@ -20,11 +20,14 @@ from lampest import (
     Diode,
     Estimator,
     Faults,
+    GroundedReadout,
     InputError,
+    LoadedColumnsReadout,
     Panel,
     Recording,
     Settings,
     Squared,
+    VirtualGroundReadout,
     simulate,
 )
 from lampest.audit.verdict import verdict
@@ -35,11 +38,6 @@ from lampest.inference.prepared import Prepared
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.driven_readout import DrivenReadout
 from lampest.panel.readouts.lines import SeriesPerLine
-from lampest.panel.readouts.presets import (
-    GroundedReadout,
-    LoadedColumnsReadout,
-    VirtualGroundReadout,
-)
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.recording.simulation.simulation import Simulation

@@ -17,6 +17,8 @@ from lampest import (
     Array,
     Course,
     Estimator,
+    GroundedReadout,
+    LoadedColumnsReadout,
     OralDisc,
     Panel,
     Readings,
@@ -24,6 +26,7 @@ from lampest import (
     Solution,
     Stream,
     Unmodelled,
+    VirtualGroundReadout,
     Water,
 )
 from lampest.cost.given import Background
@@ -33,11 +36,6 @@ from lampest.cost.terms import Gradient, Misfit, Term, TotalVariation, term_type
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.presets import (
-    GroundedReadout,
-    LoadedColumnsReadout,
-    VirtualGroundReadout,
-)
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton

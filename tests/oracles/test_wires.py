@@ -16,7 +16,18 @@ from numpy.testing import assert_allclose
 from promises import promise
 from scipy.optimize import minimize
 
-from lampest import Estimates, Faults, InputError, Recording, Rod, Scene, Squared, Status, read_run
+from lampest import (
+    Estimates,
+    Faults,
+    InputError,
+    LoadedColumnsReadout,
+    Recording,
+    Rod,
+    Scene,
+    Squared,
+    Status,
+    read_run,
+)
 from lampest.cost.terms import Gradient, LogRatio, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.approximate import TruncatedMethod
@@ -24,7 +35,6 @@ from lampest.estimate.sequence import reconstruct
 from lampest.panel.network import SolvedNetwork
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.panel.readouts.readout import with_memory, without_memory
 from lampest.panel.readouts.wired_network import wire_responses
 from lampest.panel.readouts.wiring import (

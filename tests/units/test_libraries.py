@@ -155,7 +155,7 @@ def loaded_modules(code: str) -> set[str]:
 def test_a_process_imports_only_needed_libraries() -> None:
     for code, absent in (
         (LOAD_RECORDING, ("scipy.linalg", "scipy.sparse", "casadi", "matplotlib", "pandas")),
-        ("import lampest.panel.readouts.presets", ("scipy.linalg", "scipy.special", "casadi")),
+        ("import lampest.panel.readouts.grounded", ("scipy.linalg", "scipy.special", "casadi")),
         (
             "import lampest.report.info, lampest.report.compare",
             ("scipy.linalg", "casadi", "lampest.estimate"),

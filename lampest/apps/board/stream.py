@@ -12,7 +12,7 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.lines import as_tuple
-from lampest.panel.readouts.presets import LoadedColumnsReadout
+from lampest.panel.readouts.loaded_columns import LoadedColumnsReadout
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import COUNTER, recorded_of_sums
 

@@ -32,7 +32,7 @@ from lampest.inference.circuits.rivals import (
 from lampest.inference.evidence import PARAMETER_COST, mostly_still
 from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation
 from lampest.panel.panel import Array
-from lampest.panel.readouts.presets import VirtualGroundReadout
+from lampest.panel.readouts.virtual_ground import VirtualGroundReadout
 
 SAME_SCORE = 1e-3  # scores that differ by less are rounding's
 # Fits end within some hundredths of their smallest χ², rivals within SMALL_CHI_SQUARE.

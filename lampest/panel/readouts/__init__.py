@@ -17,9 +17,9 @@ AnyReadout = Annotated[
         {
             "two_point": "lampest.panel.readouts.two_point:TwoPointReadout",
             "driven": "lampest.panel.readouts.driven_readout:DrivenReadout",
-            "loaded_columns": "lampest.panel.readouts.presets:LoadedColumnsReadout",
-            "grounded": "lampest.panel.readouts.presets:GroundedReadout",
-            "virtual_ground": "lampest.panel.readouts.presets:VirtualGroundReadout",
+            "loaded_columns": "lampest.panel.readouts.loaded_columns:LoadedColumnsReadout",
+            "grounded": "lampest.panel.readouts.grounded:GroundedReadout",
+            "virtual_ground": "lampest.panel.readouts.virtual_ground:VirtualGroundReadout",
         },
     ),
 ]

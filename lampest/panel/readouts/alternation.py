@@ -7,16 +7,15 @@ potentials of their own, it moves away from the cells, and ends as soon as a rou
 the one before. Conductances stay within MIN_RATIO and MAX_RATIO of those of the closed form.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from lampest.panel.circuit import Equation
 from lampest.panel.difference_network import excitations
 from lampest.panel.kirchhoff import laplacian
 from lampest.panel.panel import Array
-from lampest.panel.readouts.equation import Equation
-from lampest.panel.readouts.lines import Side, of_side
+from lampest.panel.readouts.lines import of_side
 
 # Rounds, change of log g at convergence, and range of conductances about those of the closed form,
 # beyond which a reading no longer depends on its cell (tests/oracles).
@@ -34,21 +33,12 @@ class Alternation:
     ----------
     equation : Equation
         Numbers of the circuit on a panel.
-    ties : array, shape (addresses, lines)
+    ties : array, shape (lines,) or (addresses, lines)
         Ties of the panel's lines to ground, siemens.
-    driven : Side
-        Side that is driven.
-    driving_volt : float
-        Voltage of the source of a driven line.
-    driven_volt : callable
-        Potential of a driven line, volt, by its current and its Rd.
     """
 
     equation: Equation
     ties: Array
-    driven: Side
-    driving_volt: float
-    driven_volt: Callable[[Array, Array | float], Array]
 
     def cells(self, measured: Array, uniform: Array, near: Array | None) -> Array:
         """Return the cells, (rows, columns) ohm.
@@ -62,7 +52,7 @@ class Alternation:
         near : array, same shape, or None
             Cells at which the alternation begins; None: at those of the closed form.
         """
-        load = self.equation.states.load
+        load = self.equation.sensing.own.ohm
         volt = self._turned(measured / self.equation.gain)
         ideal = self._turned(1 / uniform)
         least = MIN_RATIO * ideal
@@ -85,7 +75,7 @@ class Alternation:
 
     def _turned(self, values: Array) -> Array:
         """Return values (rows, columns) as (driven, sensed), or the reverse."""
-        return values if self.driven == "rows" else values.T
+        return values if self.equation.terminations.driven == "rows" else values.T
 
     def _driven_potentials(self, conductance: Array, volt: Array) -> Array:
         """Return the potentials of driven lines p while j is read and i is driven.
@@ -98,21 +88,23 @@ class Alternation:
             Siemens, and voltages of the sensed lines.
         """
         equation = self.equation
-        states = equation.states
+        source = equation.source
         count = len(conductance)
-        if equation.together is None and np.isinf(states.idle).all():
+        if equation.together is None and np.isinf(equation.driving.base.ohm).all():
             # No current through floating lines, u_p Σ_j g_pj = Σ_j g_pj v_ij; Σ_j v_ij/Rs_j through
             # the driven one
             potentials = (volt @ conductance.T) / conductance.sum(axis=1)
             # The driven line is above every sensed one: a lower limit against noise.
-            driven = self.driven_volt((volt / states.load).sum(axis=1), states.drive)
+            current = (volt / equation.sensing.own.ohm).sum(axis=1)
+            driven = equation.driven_volt(current, equation.driving.own.ohm)
             np.fill_diagonal(potentials, np.maximum(driven, volt.max(axis=1) * (1 + 1e-6)))
             return np.asarray(potentials[None])
         drive, by_drive = map(self._turned, equation.drive_terms)
         load, by_load = map(self._turned, equation.load_terms)
         result = np.empty((volt.shape[1], count, count))
-        for of_address, read in zip(self.ties, equation.read_at, strict=True):
-            in_order = np.concatenate(of_side(self.driven, *np.split(of_address, [read.shape[0]])))
+        for of_address, read in zip(np.atleast_2d(self.ties), equation.read_at, strict=True):
+            sides = np.split(of_address, [read.shape[0]])
+            in_order = np.concatenate(of_side(equation.terminations.driven, *sides))
             entries, excited = excitations(laplacian(conductance), in_order)
             own_driven = np.diag(entries)[:count, None]
             own_sensed = np.diag(entries)[count:]
@@ -122,8 +114,8 @@ class Alternation:
             determinant = of_drive * of_load - mutual**2 * by_drive * by_load
             # Excitations of both lines, (driven i, sensed j), and the potentials of driven lines
             # that follow from them
-            excitation_driven = self.driving_volt * of_load / determinant
-            excitation_sensed = -self.driving_volt * by_load * mutual / determinant
+            excitation_driven = source * of_load / determinant
+            excitation_sensed = -source * by_load * mutual / determinant
             lines = excitation_driven.T[:, :, None] * excited[None, :count, :count]
             lines = lines + excitation_sensed.T[:, :, None] * excited[count:, None, :count]
             chosen = self._turned(read)[0] > 0

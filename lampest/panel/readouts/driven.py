@@ -1,128 +1,430 @@
 """Circuits that drive the lines of one side, one after the other, and sense the other side.
 
-This module has bounds of cells, inequalities of readings, and changes of the circuit. The equation
-stands in `lampest.panel.readouts.driven_network`, the starts of solves in
-`lampest.panel.readouts.driven_starts`.
+A kind is a file with its keys and one function from keys to ends, `DrivenCircuit.terminations`.
+Everything else follows from the ends: `lampest.panel.circuit` has the equation of the readings,
+`lampest.panel.readouts.starts` the cells at which solves begin, and
+`lampest.panel.readouts.inequalities` the bounds.
 """
 
+from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import replace
 from math import inf
-from typing import Any, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import check_ranges
-from lampest.panel.panel import Array
+from lampest.panel.circuit import (
+    FOLLOWS,
+    NOMINAL_LINES,
+    Ends,
+    Terminations,
+    equation_of,
+    nominal_terminations,
+)
+from lampest.panel.joined_network import JoinedNetwork
+from lampest.panel.network import Network
+from lampest.panel.panel import Array, connected_parts
+from lampest.panel.readouts import inequalities, starts
 from lampest.panel.readouts.channels import errors_of_channels
 from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
-from lampest.panel.readouts.driven_starts import DrivenStarts
+from lampest.panel.readouts.diode import Diode
 from lampest.panel.readouts.lines import (
+    Groups,
     LineNumber,
     PerLine,
+    Side,
     as_tuple,
+    check_apart,
+    check_groups,
+    check_resistors,
     lines_text,
+    listed_lines,
     of_side,
     opposite,
+    per_line,
     with_channels,
 )
 from lampest.panel.readouts.readout import (
+    SHORT_SHARE,
+    USUAL_OHM,
+    Address,
     FreeTest,
+    Readout,
     Surroundings,
 )
+from lampest.panel.readouts.unseen import Scale, unseen_scales
+from lampest.panel.readouts.wiring import Wiring
+
+LARGEST_OHM = 1e8  # of cells whose scale no reading shows: insulation beside usual ones
 
 
-class DrivenCircuit(DrivenStarts):
-    """Base of circuits with driven and sensed lines, with the attributes of `DrivenNetwork`."""
+class DrivenCircuit(Readout):
+    """Base of circuits with driven and sensed lines.
+
+    Kinds are dataclasses that declare their keys in the files' order.
+
+    Attributes
+    ----------
+    driven : {'rows', 'columns'}
+        Side that is driven.
+    drive_ohm : PerLine
+        Rd in ohm, between the source and the driven line.
+    sense_ohm : PerLine
+        Resistance of the channels of the sensed lines in ohm.
+    polarity : {'up', 'down'}
+        Whether loads lead to ground or to the supply.
+    diode : Diode, or None
+        Diode in series with Rd.
+    input_ohm : float, or None
+        Input resistance of the converter in ohm.
+    groups, driven_groups : tuple of tuple of int, or None
+        Sensed lines, and driven lines, behind one multiplexer each.
+    idle_volt : float or {'follows'}, or None
+        Potential in which idle driven lines end, in volt; 'follows': that of the sensed line, as
+        with voltage feedback. None: ground, or the supply with polarity: down.
+    load_volt, idle_load_volt : float, or None
+        Potential in which the load of a sensed line ends, and an idle sensed line, in volt. None:
+        ground, or the supply with polarity: down, and load_volt.
+    of_driven, of_sensed : tuple of str
+        Keys of resistances of driven, and of sensed lines; the first one of sensed lines is the
+        reference resistor of a reading.
+    may_be_zero, may_be_infinite : tuple of str
+        Keys of resistances that may be 0, or infinite.
+    """
+
+    of_driven: ClassVar[tuple[str, ...]] = ("drive_ohm",)
+    of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm",)
+    may_be_zero: ClassVar[tuple[str, ...]] = ("drive_ohm", "sense_ohm")
+    may_be_infinite: ClassVar[tuple[str, ...]] = ()
+    series_name: ClassVar[str] = "drive_ohm"
+    driven: Side
+    drive_ohm: PerLine
+    sense_ohm: PerLine = 0.0
+    polarity: Literal["up", "down"] = "up"
+    diode: Diode | None = None
+    input_ohm: float | None = None
+    groups: Groups | None = None
+    driven_groups: Groups | None = None
+    idle_volt: float | Literal["follows"] | None = None
+    load_volt: float | None = None
+    idle_load_volt: float | None = None
+
+    # Ends of the lines, which every kind states.
+
+    @abstractmethod
+    def terminations(self, driven: int, sensed: int) -> Terminations:
+        """Return the ends of the lines of a panel with so many driven and sensed lines."""
+
+    def driven_ends(self, count: int) -> Ends:
+        """Return the ends of driven lines while they are driven: the source behind drive_ohm."""
+        own = getattr(self, "drive_volt", None)
+        source = self.supply_volt if own is None else own
+        drive = per_line("drive_ohm", self.drive_ohm, count)
+        return Ends.of(drive, 0.0 if self.polarity == "down" else source)
+
+    def idle_ends(self, ohm: Array) -> Ends:
+        """Return the ends of idle driven lines behind resistances (lines,) ohm, at idle_volt."""
+        return Ends.of(ohm, self._ground if self.idle_volt is None else self.idle_volt)
+
+    def load_ends(self, count: int) -> Ends:
+        """Return the ends of sensed lines while they are read.
+
+        A load at load_volt and the converter's input to ground are beside each other.
+        """
+        volt = self._ground if self.load_volt is None else self.load_volt
+        load = Ends.of(per_line("load_ohm", getattr(self, self.of_sensed[0]), count), volt)
+        if self.input_ohm is None:
+            return load
+        return load.beside(Ends.of(np.full(count, self.input_ohm)))
+
+    @property
+    def _ground(self) -> float:
+        """Potential of the ends without one of their own: ground, or the supply, in volt."""
+        return self.supply_volt if self.polarity == "down" else 0.0
+
+    @property
+    def nominal_lines(self) -> tuple[int, int]:
+        """Numbers of driven and of sensed lines that lists and groups tell, otherwise two."""
+        sides = (self.of_driven, self.driven_groups), (self.of_sensed, self.groups)
+        driven, sensed = (
+            max(
+                NOMINAL_LINES,
+                *(len(as_tuple(getattr(self, key) or 0.0)) for key in keys),
+                0 if groups is None else max(listed_lines(groups)) + 1,
+            )
+            for keys, groups in sides
+        )
+        return driven, sensed
+
+    @property
+    def driving_volt(self) -> float:
+        """Voltage of the source against the reference of the line ends, in volt."""
+        ends = nominal_terminations(self)
+        return float(np.mean(ends.relative(ends.source)))
+
+    @property
+    def full_scale_volt(self) -> float:
+        own = getattr(self, "converter_volt", None)
+        return self.supply_volt if own is None else float(own)
+
+    # Keys.
+
+    def __post_init__(self) -> None:
+        own_volts = [name for name in ("drive_volt", "converter_volt") if hasattr(self, name)]
+        check_ranges(self, MIN_VOLT, MAX_VOLT, *own_volts)
+        super().__post_init__()
+        for name in (*self.of_driven, *self.of_sensed):
+            value = getattr(self, name)
+            limited = tuple(
+                ohm for ohm in as_tuple(value) if not (ohm == inf and name in self.may_be_infinite)
+            )
+            if value is not None and (limited or not as_tuple(value)):
+                check_resistors(name, limited, open_end=name not in self.may_be_zero)
+        if self.input_ohm is not None:
+            check_resistors("input_ohm", self.input_ohm, most=inf)
+        if self.groups is not None:
+            check_apart(self.groups)
+        if self.driven_groups is not None:
+            check_apart(self.driven_groups, "driven_groups")
+        self._check_potentials()
+
+    def _check_potentials(self) -> None:
+        """Raise ValueError if potentials contradict the circuit."""
+        for name in ("idle_volt", "load_volt", "idle_load_volt"):
+            volt = getattr(self, name)
+            if isinstance(volt, float | int) and not abs(volt) <= MAX_VOLT:
+                raise ValueError(f"{name} must lie within {MAX_VOLT:g} V of ground")
+        if self.idle_volt == FOLLOWS:
+            if self.groups is not None and len(self.groups) > 1:
+                raise ValueError(
+                    "idle_volt: follows needs one sensed line at a time, not groups in parallel"
+                )
+            if self.driven_groups is not None:
+                raise ValueError("idle_volt: follows has no place with driven_groups")
+        ends = nominal_terminations(self)
+        keeps_load = getattr(self, "idle_load_ohm", 0.0) is None
+        for name, connected, lines in (
+            ("idle_volt", ends.driving.connected(own=False).size, "idle driven lines"),
+            ("load_volt", ends.sensing.connected(own=True).size, "sensed lines"),
+            (
+                "idle_load_volt",
+                ends.sensing.connected(own=False).size and not keeps_load,
+                "idle sensed lines keep their load or",
+            ),
+        ):
+            if getattr(self, name) is not None and not connected:
+                raise ValueError(f"{name} has no place where {lines} float: name their resistor")
+        source = float(np.mean(ends.source))
+        if self.idle_volt != FOLLOWS and source == ends.reference:
+            raise ValueError(
+                f"all lines end at {source:g} V, as the driven one does: no current flows"
+            )
+
+    def check(self, scene: Surroundings) -> None:
+        """Raise ValueError as `Readout.check`, or if a list does not fit the panel's lines.
+
+        Resistances and groups may be lists.
+        """
+        super().check(scene)
+        driven, sensed = of_side(self.driven, *scene.panel.shape)
+        for name in (*self.of_driven, *self.of_sensed):
+            value = getattr(self, name)
+            if value is not None:
+                per_line(name, value, driven if name in self.of_driven else sensed)
+        check_groups(self.groups, opposite(self.driven), sensed)
+        check_groups(self.driven_groups, self.driven, driven, "driven_groups")
+        equation = equation_of(self, *scene.panel.shape)
+        if self.diode is not None and equation.potentials is not None:
+            raise ValueError("diode: circuits with several potentials have no diode in this model")
+        if self.diode is not None and self.driven_groups is not None:
+            raise ValueError("diode: circuits with driven_groups have no diode in this model")
+        if scene.wiring is not None and scene.wiring.joined and np.isinf(equation.ties).any():
+            raise ValueError(
+                "faults: lines that touch cannot be joined to idle ones that 0 ohm hold at ground"
+            )
+
+    @property
+    def _end_text(self) -> str:
+        """Description of the groups and of the converter, with its input resistance."""
+        text = ""
+        if self.groups is not None:
+            text += f", {len(self.groups)} {opposite(self.driven)} read in parallel"
+        if self.driven_groups is not None:
+            text += f", {len(self.driven_groups)} multiplexers of {self.driven}"
+        if self.idle_volt is not None:
+            volt = "those of the sensed line"
+            if self.idle_volt != FOLLOWS:
+                volt = f"{self.idle_volt:g} V"
+            text += f", idle {self.driven} at {volt}"
+        if self.load_volt is not None:
+            text += f", loads end at {self.load_volt:g} V"
+        if self.idle_load_volt is not None:
+            text += f", idle {opposite(self.driven)} at {self.idle_load_volt:g} V"
+        if self.input_ohm is not None:
+            text += f", converter input {self.input_ohm:g} ohm"
+        return f"{text}, {self.converter_description()}"
+
+    # Between recorded values and readings.
+
+    @property
+    def noisy_side(self) -> Side:
+        return self.driven
+
+    @property
+    def by_columns(self) -> bool:
+        return self.driven == "columns" if self.scan_order is None else super().by_columns
+
+    @property
+    def mirrored(self) -> bool:
+        return nominal_terminations(self).sign < 0
+
+    @property
+    def recorded_reference_volt(self) -> float:
+        """Recorded value of a network's reading of 0."""
+        return nominal_terminations(self).recorded_reference
+
+    def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
+        if not (self.mirrored or self.recorded_reference_volt):
+            return recorded
+        sign = nominal_terminations(self).sign
+        return np.asarray(sign * (recorded - self.recorded_reference_volt))
+
+    def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
+        if not (self.mirrored or self.recorded_reference_volt):
+            return reading
+        return np.asarray(self.recorded_reference_volt + nominal_terminations(self).sign * reading)
+
+    # Readings of cells.
+
+    def addresses(self, measured: Array) -> tuple[Address, ...]:
+        equation = equation_of(self, *measured.shape)
+        terms = equation.potentials
+        ties = np.atleast_2d(self.ties(measured))
+        ends: Sequence[Array | None] = [None] * len(ties)
+        if terms is not None and terms.sourced:
+            ends = list(terms.ends)
+        return tuple(
+            Address(of_address, read > 0, volts)
+            for of_address, read, volts in zip(ties, equation.read_at, ends, strict=True)
+        )
+
+    def ties(self, measured: Array) -> Array:
+        """Return the ties of the bases, (lines,) siemens, or (addresses, lines) of several.
+
+        Lines that 0 ohm hold have infinite ties.
+        """
+        return self.ties_of_parts(measured, None)
+
+    def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
+        equation = equation_of(self, *measured.shape[-2:])
+        ties = equation.ties_of_parts(parts, lambda: self.apparent_resistance(measured))
+        return ties[0] if len(ties) == 1 else ties
+
+    def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
+        """Return the solved network for ties (lines,), or (addresses, lines) of several bases."""
+        equation = equation_of(self, *cell_resistance.shape)
+        each = np.atleast_2d(ties)
+        networks = [
+            self.solved_network(cell_resistance, of_address, wiring, excitation)
+            for of_address, excitation in zip(each, equation.excitations(each), strict=True)
+        ]
+        if ties.ndim == 1:
+            return networks[0]
+        return JoinedNetwork.addressed(networks, equation.read_at > 0)
+
+    def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
+        """Return the readings of cells of any contrast.
+
+        Open cells may divide the panel into parts.
+        """
+        if cell_resistance.ndim == 3:
+            return np.stack([self.exact_reading(frame, wiring) for frame in cell_resistance])
+        volt = np.full(cell_resistance.shape, self.driving_volt / 2)
+        ties = self.ties_of_parts(volt, connected_parts(np.isfinite(cell_resistance)))
+        with np.errstate(divide="ignore"):
+            return self.network(cell_resistance, ties, wiring).reading()
+
+    def reading(self, row: Any, column: Any, mutual: Any, *potentials: Any) -> Any:
+        """Return the readings; see `lampest.panel.circuit.Equation.reading`."""
+        return equation_of(self, *mutual.shape).reading(row, column, mutual, *potentials)
+
+    # Cells at which solves begin, and their bounds.
+
+    def apparent_resistance(self, measured: Array) -> Array:
+        return starts.apparent_resistance(self, measured)
+
+    def uniform_start(self, measured: Array) -> Array:
+        return starts.uniform_start(self, measured)
+
+    def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
+        return starts.start(self, measured, upper, near)
+
+    def several_panels(self, rows: int, columns: int) -> bool:
+        return starts.several_panels(self, rows, columns)
+
+    def every_panel(
+        self,
+        measured: Array,
+        limits: tuple[Array, Array],
+        tolerance: float,
+        firsts: Sequence[Array] = (),
+    ) -> list[Array]:
+        return starts.panels_beyond_folds(self, measured, limits, tolerance, firsts)
+
+    def panels_alike(self, measured: Array) -> list[tuple[float, Array]]:
+        return starts.uniform_branches(self, measured)
+
+    def unseen_scales(self, rows: int, columns: int) -> tuple[Scale, ...]:
+        equation = equation_of(self, rows, columns)
+        # A load, or nothing that conducts elsewhere, shows the scale
+        if np.isfinite(equation.load).all() or equation.floating:
+            return ()
+        return unseen_scales(self, rows, columns)
+
+    def resolution(self, measured: Array, sigma: Array) -> Array:
+        """Return the resolution limit, see `Readout.resolution`.
+
+        Without a scale it is that of any cell: no reading says more. Where no closed form gives a
+        cell by its reading, it is the largest limit of uniform panels: a press moves the readings
+        of other cells beyond those of any uniform panel.
+        """
+        rows, columns = measured.shape[-2:]
+        if self.unseen_scales(rows, columns):
+            return np.full(measured.shape, LARGEST_OHM)
+        if starts.by_uniform_panels(self, measured):
+            return np.asarray(starts.uniform_responses(self, rows, columns) / sigma)
+        return super().resolution(measured, sigma)
+
+    def nearly_shorted(self, measured: Array) -> Array:
+        """Return cells that count as shorts, (…, rows, columns) ohm.
+
+        A share of the uniform start bounds them, too, because with idle lines at ground the
+        apparent resistance is many times too large. So is the nearest uniform panel where a reading
+        lies beyond those of all.
+        """
+        start = self.uniform_start(measured)
+        if starts.by_uniform_panels(self, measured):
+            return SHORT_SHARE * np.minimum(start, USUAL_OHM)
+        return np.asarray(np.minimum(super().nearly_shorted(measured), SHORT_SHARE * start))
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        """Return the lower bounds r_ij ≥ u_i/I_i − Rs_j of the cells, where idle lines float.
-
-        Shape (…, rows, columns), ohm. I_i = Σ_j V_ij/Rs_j is the current of the driven line,
-        increased by its noise, and u_i = Vcc − Rd_i I_i − V_d its potential. The bound holds
-        because I_i is at least the current through each cell and its load alone. Where other lines
-        conduct to ground, cells can increase and decrease a reading, and r > 0 alone holds.
-        """
-        equation = self._equation(measured.shape)
-        least = super().least_cells(measured, sigma)
-        states = equation.states
-        quiet = equation.plain and (equation.together is None or np.isinf(states.idle_load).all())
-        if not (quiet and np.isinf(states.idle).all() and np.isfinite(states.load).all()):
-            return least
-        noise = np.zeros_like(measured)
-        if sigma is not None:
-            noise = np.where(np.isfinite(sigma), sigma, measured)
-        by_volt = 1 / (equation.gain * equation.load)
-        # Upper bound of the current, and with it a lower bound of the potential
-        current = self._sum_together(measured * by_volt)
-        current = current + NOISE_REACH * np.sqrt(self._sum_together((noise * by_volt) ** 2))
-        bound = np.maximum(self._driven_volt(current, equation.drive), 0) / current - equation.load
-        return np.asarray(np.maximum(bound, least))
+        equation = equation_of(self, *measured.shape[-2:])
+        least = self.nearly_shorted(measured)
+        bound = inequalities.least_cells(equation, measured, sigma)
+        return least if bound is None else np.asarray(np.maximum(bound, least))
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
-        """Return the tests v_ij ≤ Vcc − Rd_i Σ_k v_ik/Rs_k and Σ_i v_ij ≤ Vcc.
-
-        The sum over k is over simultaneous loads. The first one: no sensed line has a higher
-        potential than the driven one, which is below the supply by the loads' current through its
-        Rd. The second one, for idle lines at ground through no more than Rd: if all driven lines
-        were at the supply, no sensed line would be above it (superposition, Z·t ≤ 1).
-        """
-        equation = self._equation(measured.shape)
-        if equation.potentials is not None:
-            return self._tests_of_potentials(measured, sigma)
-        load = equation.load
-        volt, noise = np.where(np.isfinite(sigma), (measured, sigma), 0.0) / equation.gain
-        # Vcc ≥ v_ij + Rd_i Σ_k v_ik/Rs_k + V_d, with the propagated noise of both terms
-        simultaneous = equation.together is None or len(equation.ties) > 1
-        drop = (equation.drive if simultaneous else 0.0) / load
-        driven = -3 - self._along_sensed
-        lost = self._lost(self._sum_together(volt / load))
-        below = volt + self._sum_together(volt * drop) + lost
-        spread = np.hypot(noise, np.sqrt(self._sum_together((noise * drop) ** 2)))
-        law = f"no sensed line stands above the driven one behind its {lines_text(self.drive_ohm)}"
-        tests = [(law, below, np.where(noise > 0, spread, 0.0))]
-        if equation.grounded:
-            law = "readings of a sensed line add up to no more than the supply"
-            tests = [(law, volt.sum(axis=driven), np.sqrt((noise**2).sum(axis=driven))), *tests]
-        results = []
-        for law, value, spread in tests:
-            excess = np.where(
-                spread > 0, (value - self.driving_volt) / np.where(spread > 0, spread, 1.0), -np.inf
-            )
-            results.append(FreeTest(law, excess.reshape(len(value), -1).max(axis=1), value[0].size))
-        return tuple(results)
-
-    def _tests_of_potentials(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
-        """Return the test that no line is beyond the potentials in which lines end."""
-        terms = self._equation(measured.shape).potentials
-        assert terms is not None
-        most = max(self.driving_volt, float(terms.ends.max()), float(terms.load_volt.max()))
-        gain = self._equation(measured.shape).gain
-        end = self._end_volt(terms.load_volt)
-        volt = terms.load_volt + (measured - end) / gain
-        known = np.isfinite(sigma) & (sigma > 0)
-        spread = np.where(known, sigma, 1.0) / gain
-        excess = np.where(known, np.maximum(volt - most, -volt) / spread, -np.inf)
-        law = "no sensed line stands beyond the potentials in which lines end"
-        return (FreeTest(law, excess.reshape(len(excess), -1).max(axis=1), excess[0].size),)
+        equation = equation_of(self, *measured.shape[-2:])
+        return inequalities.free_tests(equation, lines_text(self.drive_ohm), measured, sigma)
 
     def most_in_series(self, measured: Array, sigma: Array) -> float:
-        """Return the upper bound of Rd, min_i (Vcc − V_d − max_j v_ij)/Σ_j v_ij/Rs_j, ohm.
+        equation = equation_of(self, *measured.shape[-2:])
+        return inequalities.largest_drive_ohm(equation, measured, sigma)
 
-        The sum is over simultaneous loads; with one load at a time each reading is taken alone.
-        """
-        equation = self._equation(measured.shape)
-        if not equation.plain:
-            return 0.0
-        volt = np.where(np.isfinite(sigma), measured, 0.0) / equation.gain
-        current = self._sum_together(volt / equation.load)
-        if equation.together is None:
-            volt = volt.max(axis=self._along_sensed, keepdims=True)
-        # Voltage across Rd and the current through it: Rd ≤ (Vcc − V_d − v)/I
-        drop = self._driven_volt(current, 0.0) - volt
-        return float(
-            np.min(np.where(current > 0, drop / np.where(current > 0, current, 1.0), np.inf))
-        )
+    # Changes of the circuit.
 
     def simulated(
         self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array
@@ -168,30 +470,3 @@ class DrivenCircuit(DrivenStarts):
         )
         diode = () if self.diode is None else (LineNumber("diode.drop_volt", (), unit="volt"),)
         return drive, *resistors, *diode
-
-
-class SourcedCircuit(DrivenCircuit):
-    """Base of circuits whose source and converter may have voltages of their own.
-
-    Attributes
-    ----------
-    drive_volt : float, or None
-        Source of a driven line in volt; None: supply_volt.
-    converter_volt : float, or None
-        End of the converter's range in volt; None: supply_volt.
-    """
-
-    drive_volt: float | None = None
-    converter_volt: float | None = None
-
-    def __post_init__(self) -> None:
-        check_ranges(self, MIN_VOLT, MAX_VOLT, "drive_volt", "converter_volt")
-        super().__post_init__()
-
-    @property
-    def source_volt(self) -> float:
-        return super().source_volt if self.drive_volt is None else self.drive_volt
-
-    @property
-    def full_scale_volt(self) -> float:
-        return self.supply_volt if self.converter_volt is None else self.converter_volt

@@ -6,9 +6,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from lampest.panel.circuit import Ends, Terminations, scanned
 from lampest.panel.readouts.diode import Diode
-from lampest.panel.readouts.driven import SourcedCircuit
-from lampest.panel.readouts.equation import LineStates
+from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.readouts.lines import (
     Groups,
     PerLine,
@@ -16,18 +16,17 @@ from lampest.panel.readouts.lines import (
     as_tuple,
     lines_text,
     opposite,
-    parallel,
     per_line,
 )
 
 
 @dataclass(frozen=True, kw_only=True)
-class DrivenReadout(SourcedCircuit):
+class DrivenReadout(DrivenCircuit):
     """Circuit with driven and sensed lines, named by the resistances of its lines.
 
     Each resistance holds while a line is used, or while it is idle. Loaded columns, grounded lines
     and virtual grounds are presets of this circuit. The equation stands in
-    `lampest.panel.readouts.driven_network`.
+    `lampest.panel.circuit`.
 
     Attributes
     ----------
@@ -151,29 +150,27 @@ class DrivenReadout(SourcedCircuit):
             f"{self.supply_volt:g} V{diode}{self._end_text}"
         )
 
-    @property
-    def idle_connected(self) -> bool:
-        return self.driven_groups is not None or min(as_tuple(self.idle_ohm)) < inf
-
-    @property
-    def loads_connected(self) -> tuple[bool, bool]:
-        loads = min(as_tuple(self.load_ohm)) < inf or self.input_ohm is not None
-        if self.idle_load_ohm is None:
-            return loads, False
-        return loads, min(as_tuple(self.idle_load_ohm)) < inf
-
-    def states(self, driven: int, sensed: int) -> LineStates:
-        load = parallel(per_line("load_ohm", self.load_ohm, sensed), self.input_ohm)
-        total = load + per_line("sense_ohm", self.sense_ohm, sensed)
+    def terminations(self, driven: int, sensed: int) -> Terminations:
+        """Return the ends that the keys state."""
+        drive = self.driven_ends(driven)
+        idle = self.idle_ends(per_line("idle_ohm", self.idle_ohm, driven))
+        load = self.load_ends(sensed)
+        total = load.behind(per_line("sense_ohm", self.sense_ohm, sensed))
+        idle_load = total if self.groups is None else Ends.floating(sensed)
         if self.idle_load_ohm is not None:
-            idle_load = per_line("idle_load_ohm", self.idle_load_ohm, sensed)
-        else:
-            idle_load = total if self.groups is None else np.full(sensed, inf)
+            ohm = per_line("idle_load_ohm", self.idle_load_ohm, sensed)
+            load_volt = self._ground if self.load_volt is None else self.load_volt
+            volt = load_volt if self.idle_load_volt is None else self.idle_load_volt
+            idle_load = Ends.of(ohm, volt)
         with np.errstate(invalid="ignore"):
-            gain = np.where(np.isinf(load), 1.0, load / total)
-        drive, idle = (per_line(name, getattr(self, name), driven) for name in self.of_driven)
-        share = self.load_shares(sensed)
-        return LineStates(drive, idle, total, idle_load, gain, share)
+            gain = np.where(np.isinf(load.ohm), 1.0, load.ohm / total.ohm)
+        return Terminations(
+            self.driven,
+            scanned(drive, idle, self.driven_groups, self.idle_ends(drive.ohm)),
+            scanned(total, idle_load, self.groups),
+            gain,
+            diode=self.diode,
+        )
 
 
 def _state(ohm: PerLine) -> str:

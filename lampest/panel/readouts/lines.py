@@ -13,8 +13,8 @@ from lampest.files.typed import Configuration
 from lampest.panel.panel import Array, Panel
 
 PerLine = float | tuple[float, ...]
-# Lines behind one multiplexer each, in the order of its addresses.
-Groups = tuple[tuple[int, ...], ...]
+# Lines behind one multiplexer each, in the order of its addresses; None: a channel without a line.
+Groups = tuple[tuple[int | None, ...], ...]
 Side = Literal["rows", "columns"]
 # Limits of resistances next to cells of kilo-ohms: a wire, and an insulator that leaves ten of
 # sixteen digits.
@@ -130,19 +130,16 @@ def parallel(ohm: Array, shunt: float | None) -> Array:
     return ohm if shunt is None else np.asarray(1 / (1 / ohm + 1 / shunt))
 
 
-def load_share(load_ohm: PerLine, input_ohm: float | None) -> PerLine:
-    """Return the share of a load's potential that the converter's input to ground leaves."""
-    if input_ohm is None:
-        return 1.0
-    shares = tuple(1 / (1 + ohm / input_ohm) for ohm in as_tuple(load_ohm))
-    return shares if isinstance(load_ohm, tuple) else shares[0]
+def listed_lines(groups: Groups) -> list[int]:
+    """Return the lines of all groups, without channels that have none."""
+    return [line for line in chain.from_iterable(groups) if line is not None]
 
 
 def check_apart(groups: Groups, key: str = "groups") -> None:
     """Raise ValueError unless groups are not empty and name every line once."""
-    if not groups or not all(groups):
+    if not groups or not all(listed_lines((group,)) for group in groups):
         raise ValueError(f"{key}: every multiplexer has at least one line")
-    lines = list(chain.from_iterable(groups))
+    lines = listed_lines(groups)
     twice = next((line for line in lines if lines.count(line) > 1), None)
     if twice is not None:
         raise ValueError(
@@ -154,7 +151,7 @@ def check_groups(groups: Groups | None, side: Side, count: int, key: str = "grou
     """Raise ValueError unless groups, if any, name every one of `count` lines of a side."""
     if groups is None:
         return
-    lines = set(chain.from_iterable(groups))
+    lines = set(listed_lines(groups))
     name = side.removesuffix("s")
     beyond = sorted(lines - set(range(count)))
     if beyond:

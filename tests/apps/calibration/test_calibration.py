@@ -13,7 +13,9 @@ from known_loads import Bench, moved_over
 from lampest import (
     Array,
     Estimator,
+    GroundedReadout,
     InputError,
+    LoadedColumnsReadout,
     Misfit,
     Panel,
     Recording,
@@ -37,7 +39,6 @@ from lampest.files.document import parse_document, validated
 from lampest.panel.conditions import MeasuredSubject
 from lampest.panel.readouts import AnyReadout, TwoPointReadout
 from lampest.panel.readouts.floating import two_point_resistance
-from lampest.panel.readouts.presets import GroundedReadout, LoadedColumnsReadout
 from lampest.panel.response import PUBLISHED, PowerResponse
 from lampest.panel.sizes import Systematic
 from tests.estimates import recording_of, rms

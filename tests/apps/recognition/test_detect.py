@@ -15,6 +15,7 @@ from laws.recognised import answered, every_frame
 from lampest import (
     Block,
     InputError,
+    LoadedColumnsReadout,
     LogRatio,
     Misfit,
     OralDisc,
@@ -42,7 +43,6 @@ from lampest.apps.recognition.detect.detection import (
 from lampest.apps.recognition.detect.of_results import detect_results, known_of_case
 from lampest.inference.prepared import Prepared
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.shapes import AnyShape
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, Unmodelled, simulate

@@ -18,6 +18,8 @@ from lampest import (
     Array,
     Block,
     Film,
+    GroundedReadout,
+    LoadedColumnsReadout,
     OralDisc,
     Panel,
     Recording,
@@ -27,6 +29,7 @@ from lampest import (
     Shape,
     SuctionCup,
     TwoPointReadout,
+    VirtualGroundReadout,
 )
 from lampest.apps.recognition.attachment import Attachment, attachments_of
 from lampest.apps.recognition.candidates import AND, UNIFORM, Several
@@ -48,11 +51,6 @@ from lampest.apps.recognition.verdict import Verdict
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.files.levels import MAX_MEAN_SQUARE
-from lampest.panel.readouts.presets import (
-    GroundedReadout,
-    LoadedColumnsReadout,
-    VirtualGroundReadout,
-)
 from lampest.recording.shapes.disc import Disc
 from lampest.recording.shapes.kinds import RoundCandidate
 from lampest.recording.shapes.shape import Candidate

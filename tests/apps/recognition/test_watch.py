@@ -13,6 +13,7 @@ from laws.recognised import answered, every_frame, known_before
 from promises import promise
 
 from lampest import (
+    LoadedColumnsReadout,
     OralDisc,
     Panel,
     Readout,
@@ -33,7 +34,6 @@ from lampest.apps.recognition.observation import leaking_network
 from lampest.panel.effects.line_effect import effect_on_readings
 from lampest.panel.effects.line_leak import LineLeak, neighbours
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.recording.simulation.measure import measured
 
 TWO_POINT = TwoPointReadout(noise_lsb=0.7)

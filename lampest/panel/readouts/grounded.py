@@ -1,0 +1,115 @@
+"""Grounded lines: a line is driven, the other ones of its side are held at ground."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from lampest.panel.circuit import Ends, Terminations, scanned
+from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.readouts.lines import (
+    MIN_OHM,
+    Groups,
+    PerLine,
+    Side,
+    lines_text,
+    opposite,
+    per_line,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroundedReadout(DrivenCircuit):
+    """Grounded readout: driven line i is at the supply, idle driven lines at ground.
+
+    Each is connected through its Rd. V = Vcc·Z_ij/Rd_i·Rs_j/(Rc_j + Rs_j)/k_j. With sense: all,
+    every sensed line j has its load Rs_j, behind its channel Rc_j, all the time: ties 1/Rd_i and
+    1/(Rc_j + Rs_j), k_j = 1. With sense: one, a multiplexer connects the load to one sensed line
+    after the other, and idle sensed lines float: ties 1/Rd_i only, and k_j = 1 + Z_jj/(Rc_j + Rs_j)
+    is the effect of the load on the line that is read.
+
+    Attributes
+    ----------
+    driven : Side
+        Side whose lines are driven, one after the other.
+    sense : {'all', 'one'}
+        Loads that are connected at the same time, see above.
+    polarity : {'up', 'down'}
+        'up': the driven line is at the supply, idle ones and loads lead to ground; 'down': the
+        driven line is at ground, idle ones and loads (internal pull-ups) lead to the supply, and
+        the voltage at the converter is Vcc − V.
+    load_ohm : PerLine
+        Rs in ohm, a number or one for each sensed line.
+    drive_ohm : PerLine
+        Rd in ohm, output and channel of every driven line; a number or one for each driven line.
+        Zero counts as a micro-ohm.
+    sense_ohm : PerLine
+        Rc in ohm, the channel between every sensed line and its load; a number or one for each
+        sensed line.
+    input_ohm : float, or None
+        Input resistance of the converter to ground in ohm, at the load; None: negligible.
+    groups : tuple of tuple of int, or None
+        Sensed lines behind one multiplexer each, with their load behind it; one line of each group
+        is read at every address, and idle ones float, as with sense: one. None: as `sense` says.
+    idle_volt : float or {'follows'}, or None
+        Potential in which idle driven lines end, in volt; 'follows': that of the sensed line, as
+        with voltage feedback. None: ground, or the supply with polarity: down.
+    load_volt : float, or None
+        Potential in which the loads end, in volt; None: ground, or the supply with polarity: down.
+    supply_volt, adc_bits, readings, noise_lsb
+        See `Converter`.
+
+    The network's reading is the voltage across the load, for either polarity. No bound except r > 0
+    holds, because other cells can increase and decrease a reading. Raises ValueError if a number is
+    out of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹.
+
+    >>> lampest.GroundedReadout(load_ohm=1000.0).unit
+    'volt'
+    """
+
+    of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm", "sense_ohm")
+    kind: Literal["grounded"] = "grounded"
+    driven: Side = "rows"
+    sense: Literal["all", "one"] = "all"
+    polarity: Literal["up", "down"] = "up"
+    load_ohm: PerLine = 1000.0
+    drive_ohm: PerLine = 50.0
+    sense_ohm: PerLine = 0.0
+    input_ohm: float | None = None
+    groups: Groups | None = None
+    idle_volt: float | Literal["follows"] | None = None
+    load_volt: float | None = None
+
+    def description(self) -> str:
+        sensed = opposite(self.driven)
+        loads = f"one of the {sensed} loaded, the others floating"
+        if self.all_loaded:
+            loads = f"all {sensed} loaded"
+        channel = f", sense channels {lines_text(self.sense_ohm)}" if self.sense_ohm else ""
+        return (
+            f"grounded, {self.driven} driven {self.polarity} while the others are held, {loads}, "
+            f"{self.supply_volt:g} V, load {lines_text(self.load_ohm)}, "
+            f"drive {lines_text(self.drive_ohm)}{channel}{self._end_text}"
+        )
+
+    @property
+    def all_loaded(self) -> bool:
+        """Whether every sensed line has its load all the time."""
+        return self.sense == "all" and self.groups is None
+
+    def terminations(self, driven: int, sensed: int) -> Terminations:
+        """Return the ends: idle driven lines end through their Rd, as the driven one does.
+
+        Idle sensed lines are loaded or floating.
+        """
+        drive = self.driven_ends(driven)
+        drive = Ends.of(np.maximum(drive.ohm, MIN_OHM), drive.volt)
+        load = self.load_ends(sensed)
+        total = load.behind(per_line("sense_ohm", self.sense_ohm, sensed))
+        idle_load = total if self.all_loaded else Ends.floating(sensed)
+        return Terminations(
+            self.driven,
+            scanned(drive, self.idle_ends(drive.ohm)),
+            scanned(total, idle_load, self.groups),
+            gain=load.ohm / total.ohm,
+        )

@@ -1,0 +1,100 @@
+"""Inequalities of cells and readings that circuits with driven lines satisfy.
+
+All are functions of the numbers of a circuit's equation, `lampest.panel.circuit.Equation`.
+"""
+
+import numpy as np
+
+from lampest.files.levels import NOISE_REACH
+from lampest.panel.circuit import Equation
+from lampest.panel.panel import Array
+from lampest.panel.readouts.readout import FreeTest
+
+
+def least_cells(equation: Equation, measured: Array, sigma: Array | None) -> Array | None:
+    """Return the lower bounds r_ij ≥ u_i/I_i − Rs_j of the cells, where idle lines float.
+
+    Shape (…, rows, columns), ohm. I_i = Σ_j V_ij/Rs_j is the current of the driven line, increased
+    by its noise, and u_i = U − Rd_i I_i − V_d its potential. The bound holds because I_i is at
+    least the current through each cell and its load alone. Where other lines conduct to ground,
+    cells can increase and decrease a reading, r > 0 alone holds, and the result is None.
+    """
+    table = equation.terminations.sensing
+    loaded_or_floating = (table.ohm == equation.sensing.own.ohm) | np.isinf(table.ohm)
+    idle_float = np.isinf(equation.driving.base.ohm).all() and loaded_or_floating.all()
+    if not (equation.plain and idle_float and np.isfinite(equation.load).all()):
+        return None
+    noise = np.zeros_like(measured)
+    if sigma is not None:
+        noise = np.where(np.isfinite(sigma), sigma, measured)
+    by_volt = 1 / (equation.gain * equation.load)
+    # Upper bound of the current, and with it a lower bound of the potential
+    current = equation.sum_together(measured * by_volt)
+    current = current + NOISE_REACH * np.sqrt(equation.sum_together((noise * by_volt) ** 2))
+    driven = np.maximum(equation.driven_volt(current, equation.drive), 0)
+    return np.asarray(driven / current - equation.load)
+
+
+def free_tests(
+    equation: Equation, drive_text: str, measured: Array, sigma: Array
+) -> tuple[FreeTest, ...]:
+    """Return the tests v_ij ≤ U − Rd_i Σ_k v_ik/Rs_k and Σ_i v_ij ≤ U; see `Readout.free_tests`.
+
+    The sum over k is over simultaneous loads. The first one: no sensed line has a higher potential
+    than the driven one, which is below the source by the loads' current through its Rd, in words
+    `drive_text`. The second one, for idle lines at ground through no more than Rd: if all driven
+    lines were at the source, no sensed line would be above it (superposition, Z·t ≤ 1).
+    """
+    if equation.potentials is not None:
+        return _tests_of_potentials(equation, measured, sigma)
+    load = equation.load
+    volt, noise = np.where(np.isfinite(sigma), (measured, sigma), 0.0) / equation.gain
+    # U ≥ v_ij + Rd_i Σ_k v_ik/Rs_k + V_d, with the propagated noise of both terms
+    simultaneous = equation.together is None or len(equation.ties) > 1
+    drop = (equation.drive if simultaneous else 0.0) / load
+    lost = equation.lost(equation.sum_together(volt / load))
+    below = volt + equation.sum_together(volt * drop) + lost
+    spread = np.hypot(noise, np.sqrt(equation.sum_together((noise * drop) ** 2)))
+    law = f"no sensed line stands above the driven one behind its {drive_text}"
+    tests = [(law, below, np.where(noise > 0, spread, 0.0))]
+    if equation.grounded:
+        driven = -2 if equation.terminations.driven == "rows" else -1
+        law = "readings of a sensed line add up to no more than the supply"
+        tests = [(law, volt.sum(axis=driven), np.sqrt((noise**2).sum(axis=driven))), *tests]
+    results = []
+    for law, value, spread in tests:
+        known = np.where(spread > 0, spread, 1.0)
+        excess = np.where(spread > 0, (value - equation.source) / known, -np.inf)
+        results.append(FreeTest(law, excess.reshape(len(value), -1).max(axis=1), value[0].size))
+    return tuple(results)
+
+
+def _tests_of_potentials(equation: Equation, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
+    """Return the test that no line is beyond the potentials in which lines end."""
+    terms = equation.potentials
+    assert terms is not None
+    most = max(equation.source, float(terms.ends.max()), float(terms.load_volt.max()))
+    volt = terms.load_volt + (measured - terms.level) / equation.gain
+    known = np.isfinite(sigma) & (sigma > 0)
+    spread = np.where(known, sigma, 1.0) / equation.gain
+    excess = np.where(known, np.maximum(volt - most, -volt) / spread, -np.inf)
+    law = "no sensed line stands beyond the potentials in which lines end"
+    return (FreeTest(law, excess.reshape(len(excess), -1).max(axis=1), excess[0].size),)
+
+
+def largest_drive_ohm(equation: Equation, measured: Array, sigma: Array) -> float:
+    """Return the upper bound of Rd, min_i (U − V_d − max_j v_ij)/Σ_j v_ij/Rs_j, ohm.
+
+    The sum is over simultaneous loads; with one load at a time each reading is taken alone.
+    """
+    if not equation.plain:
+        return 0.0
+    volt = np.where(np.isfinite(sigma), measured, 0.0) / equation.gain
+    current = equation.sum_together(volt / equation.load)
+    if equation.together is None:
+        axis = -1 if equation.terminations.driven == "rows" else -2
+        volt = volt.max(axis=axis, keepdims=True)
+    # Voltage across Rd and the current through it: Rd ≤ (U − V_d − v)/I
+    drop = equation.driven_volt(current, 0.0) - volt
+    flows = current > 0
+    return float(np.min(np.where(flows, drop / np.where(flows, current, 1.0), np.inf)))

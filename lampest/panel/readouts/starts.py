@@ -1,0 +1,253 @@
+"""Starts of solves on circuits that drive lines: closed forms, uniform panels, exact readings.
+
+All are functions of a circuit whose lines end as `lampest.panel.circuit` says.
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+
+from lampest.panel.circuit import CircuitOfLines, Equation, equation_of
+from lampest.panel.network import Network
+from lampest.panel.panel import Array
+from lampest.panel.readouts import branches
+from lampest.panel.readouts.alternation import Alternation
+from lampest.panel.readouts.branches import LEVELS, MAX_CELLS, MAX_MISFIT, MIN_FOLD, misfit
+from lampest.panel.readouts.floating import convex_start, uniform_factor
+from lampest.panel.readouts.readout import MIN_LOAD_SHARE, USUAL_OHM
+from lampest.panel.readouts.wiring import Wiring
+
+UNIFORM_LEVELS = 140  # of uniform panels, from 10 ohm to 100 Mohm: 12 % from one to the next
+UNIFORM_KNOTS = 48  # of these levels that networks are solved for; the others are interpolated
+OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
+
+
+class SolvableCircuit(CircuitOfLines, Protocol):
+    """Interface of a readout whose cells are searched for."""
+
+    def ties(self, measured: Array) -> Array:
+        """Return the ties of the lines, see `Readout.ties`."""
+
+    def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
+        """Return the solved network, see `Readout.network`."""
+
+    def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
+        """Return the readings of cells (…, rows, columns) ohm."""
+
+    def unseen_scales(self, rows: int, columns: int) -> tuple[str, ...]:
+        """Return the scales of cells that no reading shows."""
+
+
+def _equation(circuit: CircuitOfLines, measured: Array) -> Equation:
+    """Return the numbers of the equation for readings (…, rows, columns)."""
+    return equation_of(circuit, *measured.shape[-2:])
+
+
+def _reference(equation: Equation) -> Array:
+    """Return the resistor Rs that scales a reading, (rows, columns) ohm.
+
+    Where no resistor sets the scale of cells, the usual resistance of cells takes its place.
+    """
+    return np.where(np.isfinite(equation.load), equation.load, USUAL_OHM)
+
+
+def apparent_resistance(circuit: SolvableCircuit, measured: Array) -> Array:
+    """Return the resistance of a single divider with a reading, (…, rows, columns) ohm.
+
+    For a reading V the resistance is Rs·((U − V_d)·c/V − 1) − Rd.
+    """
+    equation = _equation(circuit, measured)
+    if by_uniform_panels(circuit, measured):
+        return _of_uniform_panels(circuit, measured)
+    load = _reference(equation)
+    volt = np.maximum(measured, OPEN_SHARE * equation.source) / equation.gain
+    # (U − V_d)/I with the current I = V/(c·Rs): the sum of cell, load and drive
+    total = load * (equation.source - equation.lost(volt / load)) / volt
+    return np.asarray(np.maximum(total - load - equation.drive, MIN_LOAD_SHARE * total))
+
+
+def uniform_start(circuit: SolvableCircuit, measured: Array) -> Array:
+    """Return r_ij = Rs_j·(1 − Σ_k v_kj)/v_ij, (…, rows, columns) ohm, for idle lines at ground.
+
+    The formula is exact for Rd = Rp = 0, where no sensed line depends on another one or on its
+    load. Where idle lines float, or are at ground through more than a cell has, the start is the
+    apparent resistance.
+    """
+    equation = _equation(circuit, measured)
+    if by_uniform_panels(circuit, measured):
+        return _of_uniform_panels(circuit, measured)
+    if equation.floating:
+        factor = uniform_factor(*measured.shape[-2:])
+        return np.asarray(apparent_resistance(circuit, measured) / factor)
+    if not equation.grounded:
+        apparent = apparent_resistance(circuit, measured)
+        if np.mean(equation.driving.base.ohm) > np.median(apparent):
+            return apparent
+    driven = -2 if equation.terminations.driven == "rows" else -1
+    # Voltages over the supply, with a lower limit for open cells.
+    share = measured / (equation.source * equation.gain)
+    share = np.maximum(share, OPEN_SHARE * share.max(axis=(-2, -1), keepdims=True))
+    remainder = 1 - share.sum(axis=driven, keepdims=True)
+    # A negative remainder is noise, or the substitute of a dead line. Then the load counts as one
+    # more cell.
+    remainder = np.where(remainder > MIN_LOAD_SHARE, remainder, 1 / (1 + share.shape[driven]))
+    return np.asarray(_reference(equation) * remainder / share)
+
+
+def by_uniform_panels(circuit: SolvableCircuit, measured: Array) -> bool:
+    """Return whether no closed form gives a cell by its reading, but a uniform panel does."""
+    equation = _equation(circuit, measured)
+    if equation.plain and np.isfinite(equation.load).all():
+        return False
+    return not circuit.unseen_scales(*measured.shape[-2:])
+
+
+def _of_uniform_panels(circuit: SolvableCircuit, measured: Array) -> Array:
+    """Return the uniform panels that come nearest to each reading, (…, rows, columns) ohm."""
+    rows, columns = measured.shape[-2:]
+    levels, readings = uniform_readings(circuit, rows, columns)
+    flat = measured.reshape(-1, rows, columns)
+    distance = np.abs(readings[None] - flat[:, None])
+    return np.asarray(levels[np.argmin(distance, axis=1)]).reshape(measured.shape)
+
+
+def start(
+    circuit: SolvableCircuit, measured: Array, upper: Array, near: Array | None = None
+) -> Array:
+    """Return cells that reproduce the readings, (rows, columns) ohm.
+
+    The search alternates between potentials and cells (`Alternation`). Where this moves away or
+    several panels give the same readings, Newton's method starts from uniform panels. Without loads
+    the equations of floating lines determine ratios of cells alone, and the start is the uniform
+    one.
+    """
+    equation = _equation(circuit, measured)
+    if equation.floating:
+        return convex_start(apparent_resistance(circuit, measured), upper, near)
+    positive = np.maximum(measured, OPEN_SHARE * measured.max())
+    if near is not None:
+        firsts = [near]
+    elif circuit.unseen_scales(*measured.shape):
+        firsts = [uniform_start(circuit, measured)]
+    else:
+        firsts = branches.uniform_panels(log_medians(circuit, *measured.shape), positive)
+    if len(firsts) == 1 and equation.plain and np.isfinite(equation.load).all():
+        alternation = Alternation(equation, circuit.ties(measured))
+        alternated = alternation.cells(measured, uniform_start(circuit, measured), near)
+        cells = np.minimum(alternated, upper)
+        if misfit(circuit.network(cells, circuit.ties(measured)), positive) < MAX_MISFIT:
+            return np.asarray(cells)
+        firsts.append(cells)
+    panels = _panels_from(circuit, positive, firsts, upper)
+    return panels[0][1] if panels else np.minimum(uniform_start(circuit, measured), upper)
+
+
+def several_panels(circuit: SolvableCircuit, rows: int, columns: int) -> bool:
+    """Return whether readings rise and fall with the conductance of the cells.
+
+    They do where idle lines hold the driven one harder than its driver does. The readings of
+    uniform panels show it.
+    """
+    equation = equation_of(circuit, rows, columns)
+    # Where no idle line is held, or the driven one has no resistance, readings only rise
+    held = any(
+        np.any(np.isfinite(side.base.ohm) & (side.base.ohm != side.own.ohm))
+        for side in (equation.driving, equation.sensing)
+    )
+    if not held or equation.drive.max() == 0 or circuit.unseen_scales(rows, columns):
+        return False
+    medians = log_medians(circuit, rows, columns)
+    return bool(medians.max() - medians[0] > MIN_FOLD)
+
+
+def panels_beyond_folds(
+    circuit: SolvableCircuit,
+    measured: Array,
+    limits: tuple[Array, Array],
+    tolerance: float,
+    firsts: Sequence[Array] = (),
+) -> list[Array]:
+    """Return panels that give readings; see `Readout.every_panel`."""
+    if measured.size > MAX_CELLS or not several_panels(circuit, *measured.shape):
+        return []
+    positive = np.maximum(measured, OPEN_SHARE * np.nanmax(measured))
+    uniform = branches.uniform_panels(log_medians(circuit, *measured.shape), positive)
+    return branches.every_panel(
+        lambda cells: circuit.network(cells, circuit.ties(measured)),
+        positive,
+        [*firsts, *uniform],
+        limits,
+        tolerance,
+        0 if _equation(circuit, measured).terminations.driven == "rows" else 1,
+    )
+
+
+def uniform_branches(circuit: SolvableCircuit, measured: Array) -> list[tuple[float, Array]]:
+    """Return the panels that give readings; see `Readout.panels_alike`."""
+    if _equation(circuit, measured).floating or circuit.unseen_scales(*measured.shape):
+        return []
+    positive = np.maximum(measured, OPEN_SHARE * measured.max())
+    firsts = branches.uniform_panels(log_medians(circuit, *measured.shape), positive)
+    if len(firsts) == 1:
+        return []
+    return _panels_from(circuit, positive, firsts, np.full(measured.shape, np.inf))
+
+
+def _panels_from(
+    circuit: SolvableCircuit, measured: Array, firsts: Sequence[Array], upper: Array
+) -> list[tuple[float, Array]]:
+    """Return the panels that give the readings, as `panels_alike`, from the first ones."""
+    return branches.panels_alike(
+        lambda cells: circuit.network(cells, circuit.ties(measured)), measured, firsts, upper
+    )
+
+
+@lru_cache(maxsize=128)
+def log_medians(circuit: SolvableCircuit, rows: int, columns: int) -> Array:
+    """Return the logarithms of the median readings of uniform panels of LEVELS, (levels,).
+
+    The check of a circuit asks for some ten circuits, the same for each recording of a panel.
+    """
+    panels = (np.full((rows, columns), level) for level in LEVELS)
+    return np.array([np.log(np.median(circuit.exact_reading(cells))) for cells in panels])
+
+
+@lru_cache(maxsize=32)
+def uniform_readings(circuit: SolvableCircuit, rows: int, columns: int) -> tuple[Array, Array]:
+    """Return uniform panels and their readings.
+
+    Returns
+    -------
+    levels : array, shape (levels,)
+        Resistances of the panels in ohm.
+    readings : array, shape (levels, rows, columns)
+    """
+    knots = np.geomspace(LEVELS[0], LEVELS[-1], UNIFORM_KNOTS)
+    panels = np.broadcast_to(knots[:, None, None], (len(knots), rows, columns))
+    solved = circuit.exact_reading(panels)
+    # Cubic polynomials in the logarithm through the four knots about each level
+    place = np.linspace(0, UNIFORM_KNOTS - 1, UNIFORM_LEVELS)
+    first = np.clip(place.astype(int) - 1, 0, UNIFORM_KNOTS - 4)
+    readings = np.zeros((UNIFORM_LEVELS, rows, columns))
+    for knot in range(4):
+        others = [other for other in range(4) if other != knot]
+        weight = np.prod([(place - first - other) / (knot - other) for other in others], axis=0)
+        readings += weight[:, None, None] * solved[first + knot]
+    return np.geomspace(LEVELS[0], LEVELS[-1], UNIFORM_LEVELS), readings
+
+
+@lru_cache(maxsize=32)
+def uniform_responses(circuit: SolvableCircuit, rows: int, columns: int) -> Array:
+    """Return the largest |∂y/∂g|, (rows, columns), of each cell of uniform panels of LEVELS.
+
+    The unit is volt·ohm. Divided by the noise, the response is the largest resistance that differs
+    from an open cell.
+    """
+    responses = []
+    for level in LEVELS:
+        cells = np.full((rows, columns), level)
+        network = circuit.network(cells, circuit.ties(cells))
+        responses.append(np.abs(network.own_response()) * level)
+    return np.asarray(np.max(responses, axis=0))
