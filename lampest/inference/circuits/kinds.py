@@ -33,6 +33,7 @@ OF_ONE_KEY = {
     "groups": "read in parallel",
     "driven_groups": "multiplexers of driven lines",
     "load_volt": "loads end at half the supply",
+    "idle_load_ohm": "idle sensed lines are held",
     "input_ohm": "of the converter",
 }
 OF_STATES = ("idle_ohm", "idle_volt", "idle_load_ohm")  # that name a driven circuit
@@ -57,6 +58,9 @@ def with_potentials(specified: Any, scene: Scene) -> Iterator[Any]:
     if getattr(specified, "load_volt", 0.0) is None and specified.polarity == "up":
         with suppress(ValueError):
             yield replace(specified, load_volt=specified.driving_volt / 2)
+    if getattr(specified, "idle_load_ohm", 0.0) is None:
+        with suppress(ValueError):
+            yield replace(specified, idle_load_ohm=0.0)
     if getattr(specified, "driven_groups", 0) is None:
         yield from _with_groups(specified, scene, "driven_groups", _driven_side(specified))
     to_supply = getattr(specified, "polarity", "up") == "down"
@@ -205,11 +209,16 @@ def entries_of(circuit: Readout, specified: Readout) -> dict[str, Any]:
     """
     groups = getattr(circuit, "groups", None)
     specified_groups = getattr(specified, "groups", None)
-    for name in OF_ONE_KEY:
-        value = getattr(circuit, name, None)
-        same_kind = type(circuit) is type(specified)
-        if same_kind and value not in (None, getattr(specified, name, None)):
-            return {name: [list(group) for group in value] if "groups" in name else value}
+    same_kind = type(circuit) is type(specified)
+    changed = [
+        setting.name
+        for setting in fields(circuit)
+        if same_kind and getattr(circuit, setting.name) != getattr(specified, setting.name)
+    ]
+    if len(changed) == 1 and changed[0] in OF_ONE_KEY and getattr(circuit, changed[0]) is not None:
+        (name,) = changed
+        value = getattr(circuit, name)
+        return {name: [list(group) for group in value] if "groups" in name else value}
     ungrouped = {"groups": None} if specified_groups is not None and groups is None else {}
     words = {name: getattr(circuit, name) for name in choices(type(circuit))}
     if isinstance(circuit, DrivenReadout):

@@ -140,6 +140,13 @@ class DrivenCircuit(Readout):
             return load
         return load.beside(Ends.of(np.full(count, self.input_ohm)))
 
+    def idle_load_ends(self, count: int) -> Ends:
+        """Return the ends of idle sensed lines that have one of their own, else floating ones."""
+        ohm = getattr(self, "idle_load_ohm", None)
+        end = self._ground if self.load_volt is None else self.load_volt
+        volt = end if self.idle_load_volt is None else self.idle_load_volt
+        return Ends.of(per_line("idle_load_ohm", inf if ohm is None else ohm, count), volt)
+
     @property
     def _ground(self) -> float:
         """Potential of the ends without one of their own: ground, or the supply, in volt."""

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from lampest.panel.circuit import Ends, Terminations, scanned
+from lampest.panel.circuit import FOLLOWS, Terminations, scanned
 from lampest.panel.readouts.diode import Diode
 from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.readouts.lines import (
@@ -41,6 +41,9 @@ class DrivenReadout(DrivenCircuit):
     idle_ohm : PerLine
         Rp in ohm, between an idle driven line and ground: a resistor, an output at LOW, 0 if it is
         held without any resistance, infinite if it floats.
+    idle_stays : bool
+        Whether the resistors idle_ohm stay at their lines while these are driven, as pull-downs
+        behind a multiplexer do. With `driven_groups` every line has one.
     load_ohm : PerLine
         Rs in ohm, between a sensed line and ground while it is read, behind its channel; infinite:
         none.
@@ -86,6 +89,7 @@ class DrivenReadout(DrivenCircuit):
     polarity: Literal["up", "down"] = "up"
     drive_ohm: PerLine = 0.0
     idle_ohm: PerLine = inf
+    idle_stays: bool = False
     load_ohm: PerLine = 10_000.0
     sense_ohm: PerLine = 0.0
     idle_load_ohm: PerLine | None = None
@@ -108,9 +112,12 @@ class DrivenReadout(DrivenCircuit):
                 "drive_volt and converter_volt have no place with polarity: down, "
                 "where the driven line is at ground"
             )
-        if self.driven_groups is not None and min(as_tuple(self.idle_ohm)) < inf:
+        if self.idle_stays:
+            self._check_stays()
+        elif self.driven_groups is not None and min(as_tuple(self.idle_ohm)) < inf:
             raise ValueError(
-                "idle_ohm has no place with driven_groups, whose other lines float: leave it out"
+                "idle_ohm has no place with driven_groups, whose other lines float: leave it out, "
+                "or say that resistors stay at all lines (idle_stays: true)"
             )
         to_ground = [
             *(as_tuple(self.idle_ohm) if self.driven_groups is None else as_tuple(self.drive_ohm)),
@@ -131,6 +138,18 @@ class DrivenReadout(DrivenCircuit):
                 "readings then depend on ratios of cells alone"
             )
 
+    def _check_stays(self) -> None:
+        """Raise ValueError if the resistors that stay contradict the circuit."""
+        ohm = as_tuple(self.idle_ohm)
+        if max(ohm) == inf:
+            raise ValueError("idle_stays: idle_ohm names no resistor that could stay")
+        if min(ohm) == 0:
+            raise ValueError("idle_stays: a line that 0 ohm hold cannot be driven; see idle_ohm")
+        if self.idle_volt == FOLLOWS:
+            raise ValueError("idle_stays has no place with idle_volt: follows")
+        if self.diode is not None:
+            raise ValueError("idle_stays: a diode beside resistors that stay is not in this model")
+
     def description(self) -> str:
         diode = "" if self.diode is None else f", {self.diode.description()}"
         channel = f", sense channels {lines_text(self.sense_ohm)}" if self.sense_ohm else ""
@@ -145,7 +164,7 @@ class DrivenReadout(DrivenCircuit):
         return (
             f"{self.driven} driven {self.polarity}{source} "
             f"one after the other through {lines_text(self.drive_ohm)}, "
-            f"idle ones {_state(self.idle_ohm)}, "
+            f"idle ones {_state(self.idle_ohm)}{' all the time' if self.idle_stays else ''}, "
             f"load {lines_text(self.load_ohm)}{channel}, {load}, "
             f"{self.supply_volt:g} V{diode}{self._end_text}"
         )
@@ -153,20 +172,20 @@ class DrivenReadout(DrivenCircuit):
     def terminations(self, driven: int, sensed: int) -> Terminations:
         """Return the ends that the keys state."""
         drive = self.driven_ends(driven)
+        together = self.idle_ends(drive.ohm)
         idle = self.idle_ends(per_line("idle_ohm", self.idle_ohm, driven))
+        if self.idle_stays:
+            drive = drive.beside(idle)
+            together = together.beside(idle)
         load = self.load_ends(sensed)
         total = load.behind(per_line("sense_ohm", self.sense_ohm, sensed))
-        idle_load = total if self.groups is None else Ends.floating(sensed)
-        if self.idle_load_ohm is not None:
-            ohm = per_line("idle_load_ohm", self.idle_load_ohm, sensed)
-            load_volt = self._ground if self.load_volt is None else self.load_volt
-            volt = load_volt if self.idle_load_volt is None else self.idle_load_volt
-            idle_load = Ends.of(ohm, volt)
+        stays = self.idle_load_ohm is None and self.groups is None
+        idle_load = total if stays else self.idle_load_ends(sensed)
         with np.errstate(invalid="ignore"):
             gain = np.where(np.isinf(load.ohm), 1.0, load.ohm / total.ohm)
         return Terminations(
             self.driven,
-            scanned(drive, idle, self.driven_groups, self.idle_ends(drive.ohm)),
+            scanned(drive, idle, self.driven_groups, together),
             scanned(total, idle_load, self.groups),
             gain,
             diode=self.diode,

@@ -46,6 +46,9 @@ class GroundedReadout(DrivenCircuit):
     sense_ohm : PerLine
         Rc in ohm, the channel between every sensed line and its load; a number or one for each
         sensed line.
+    idle_load_ohm : PerLine, or None
+        Rq in ohm, between an idle sensed line and the end of the loads, with sense: one: 0 of an
+        output at LOW. None: idle sensed lines float.
     input_ohm : float, or None
         Input resistance of the converter to ground in ohm, at the load; None: negligible.
     groups : tuple of tuple of int, or None
@@ -67,7 +70,9 @@ class GroundedReadout(DrivenCircuit):
     'volt'
     """
 
-    of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm", "sense_ohm")
+    of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm", "sense_ohm", "idle_load_ohm")
+    may_be_zero: ClassVar[tuple[str, ...]] = ("drive_ohm", "sense_ohm", "idle_load_ohm")
+    may_be_infinite: ClassVar[tuple[str, ...]] = ("idle_load_ohm",)
     kind: Literal["grounded"] = "grounded"
     driven: Side = "rows"
     sense: Literal["all", "one"] = "all"
@@ -75,16 +80,27 @@ class GroundedReadout(DrivenCircuit):
     load_ohm: PerLine = 1000.0
     drive_ohm: PerLine = 50.0
     sense_ohm: PerLine = 0.0
+    idle_load_ohm: PerLine | None = None
     input_ohm: float | None = None
     groups: Groups | None = None
     idle_volt: float | Literal["follows"] | None = None
     load_volt: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.idle_load_ohm is not None and self.all_loaded:
+            raise ValueError(
+                "idle_load_ohm has no place with sense: all, where every sensed line keeps its load"
+            )
 
     def description(self) -> str:
         sensed = opposite(self.driven)
         loads = f"one of the {sensed} loaded, the others floating"
         if self.all_loaded:
             loads = f"all {sensed} loaded"
+        elif self.idle_load_ohm is not None:
+            idle = lines_text(self.idle_load_ohm)
+            loads = f"one of the {sensed} loaded, the others held through {idle}"
         channel = f", sense channels {lines_text(self.sense_ohm)}" if self.sense_ohm else ""
         return (
             f"grounded, {self.driven} driven {self.polarity} while the others are held, {loads}, "
@@ -106,7 +122,7 @@ class GroundedReadout(DrivenCircuit):
         drive = Ends.of(np.maximum(drive.ohm, MIN_OHM), drive.volt)
         load = self.load_ends(sensed)
         total = load.behind(per_line("sense_ohm", self.sense_ohm, sensed))
-        idle_load = total if self.all_loaded else Ends.floating(sensed)
+        idle_load = total if self.all_loaded else self.idle_load_ends(sensed)
         return Terminations(
             self.driven,
             scanned(drive, self.idle_ends(drive.ohm)),
