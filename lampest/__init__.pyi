@@ -69,6 +69,7 @@ from .panel.readouts.virtual_ground import VirtualGroundReadout as VirtualGround
 from .panel.readouts.wiring import ContactPrior as ContactPrior
 from .panel.readouts.wiring import Contacts as Contacts
 from .panel.readouts.wiring import Lines as Lines
+from .panel.readouts.wiring import NeighbourLeaks as NeighbourLeaks
 from .panel.response import Film as Film
 from .panel.response import PowerResponse as PowerResponse
 from .panel.response import PublishedResponse as PublishedResponse

@@ -125,14 +125,20 @@ class Circuit:
         links = scipy.sparse.coo_array((np.ones(touching.shape[1]), touching), shape=(total, total))
         count, node = scipy.sparse.csgraph.connected_components(links, directed=False)
         resisting = ohm > 0
+        branches = ends[:, resisting]
+        siemens = 1 / ohm[resisting]
+        if wiring.leaks is not None:
+            between, of_leaks = wiring.leaks.between(shape)
+            branches = np.concatenate([branches, between], axis=1)
+            siemens = np.concatenate([siemens, of_leaks])
         cell_ends = node[np.stack([on_row.ravel(), on_column.ravel()])]
         return cls(
             shape,
             count=int(count),
             terminals=node[lines],
             cell_ends=cell_ends,
-            wire_ends=node[ends[:, resisting]],
-            wire_siemens=1 / ohm[resisting],
+            wire_ends=node[branches],
+            wire_siemens=siemens,
             held=held,
             read=read,
         )

@@ -124,8 +124,6 @@ class Terminations:
         Voltage at the converter per voltage across the end of the line that is read.
     amplified : bool
         Whether 0 is recorded of a line that is read without current, not the potential of its end.
-    offset : array, shape (sensed,), or None
-        Voltage that is added to what is recorded of each sensed line.
     diode : Diode, or None
         Diode in series with the end of the driven line.
     """
@@ -135,7 +133,6 @@ class Terminations:
     sensing: Ends
     gain: Array
     amplified: bool = False
-    offset: Array | None = None
     diode: Diode | None = None
 
     @property

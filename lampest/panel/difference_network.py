@@ -52,13 +52,20 @@ class DifferenceNetwork(SolvedNetwork):
 
     @classmethod
     def held(
-        cls, cell_resistance: Array, ties: Array, law: Law, sources: Array | None = None
+        cls,
+        cell_resistance: Array,
+        ties: Array,
+        law: Law,
+        sources: Array | None = None,
+        leaks: Array | None = None,
     ) -> "DifferenceNetwork":
         """Return the network of cells (rows, columns) ohm, some of whose lines are held at ground.
 
-        Raises numpy.linalg.LinAlgError if a line is not connected.
+        `leaks` are the admittance of conductances between lines, (lines, lines) siemens. Raises
+        numpy.linalg.LinAlgError if a line is not connected.
         """
-        entries, potentials = excitations(laplacian(1 / cell_resistance), ties)
+        admittance = laplacian(1 / cell_resistance)
+        entries, potentials = excitations(admittance if leaks is None else admittance + leaks, ties)
         return cls(cell_resistance, entries, law, ties, potentials, sources=sources)
 
     @classmethod
@@ -76,7 +83,8 @@ class DifferenceNetwork(SolvedNetwork):
         touching lines as one node. Raises numpy.linalg.LinAlgError if a line is not connected.
         """
         wire = Wire.of(cell_resistance, wiring)
-        admittance = wire.admittance
+        leaks = wiring.leak_admittance(cell_resistance.shape)
+        admittance = wire.admittance if leaks is None else wire.admittance + leaks
         nodes = wiring.nodes(len(admittance))
         # Touching lines are one node, with the sum of their ties: E (Eᵀ (BC + diag t) E)⁻¹ Eᵀ
         node_ties = np.where(nodes > 0, ties[:, None], 0.0).sum(axis=0)

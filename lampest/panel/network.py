@@ -21,6 +21,7 @@ from lampest.panel.kirchhoff import (
     bipartite,
     injected,
     inverse_of,
+    laplacian,
     line_sums,
     square_by_lines,
 )
@@ -182,13 +183,23 @@ class SolvedNetwork(Network):
 
     @classmethod
     def tied(
-        cls, cell_resistance: Array, ties: Array, law: Law, sources: Array | None = None
+        cls,
+        cell_resistance: Array,
+        ties: Array,
+        law: Law,
+        sources: Array | None = None,
+        leaks: Array | None = None,
     ) -> Self:
         """Return the network of cells (…, rows, columns) ohm with ties (…, lines) siemens.
 
-        Raises numpy.linalg.LinAlgError if a line is not connected.
+        `leaks` are the admittance of conductances between lines, (lines, lines) siemens. Raises
+        numpy.linalg.LinAlgError if a line is not connected.
         """
-        return cls(cell_resistance, inverse_of(1 / cell_resistance, ties), law, sources=sources)
+        if leaks is None:
+            impedance = inverse_of(1 / cell_resistance, ties)
+        else:
+            impedance = np.linalg.inv(laplacian(1 / cell_resistance) + np.diag(ties) + leaks)
+        return cls(cell_resistance, impedance, law, sources=sources)
 
     @classmethod
     def floating(cls, conductance: Array, ties: Array) -> Self:

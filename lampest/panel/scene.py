@@ -25,7 +25,7 @@ from lampest.panel.readouts.lines import (
     lines_text,
     per_line,
 )
-from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
+from lampest.panel.readouts.wiring import Contacts, Lines, NeighbourLeaks, Wiring
 from lampest.panel.response import AnyResponse, Film
 from lampest.panel.sizes import SIZED, Size, Systematic, check_sizes, plain_size
 
@@ -78,6 +78,9 @@ class Scene(Configuration):
         kind, see `lampest.panel.effects`. None, 'none': absent.
     lines : Lines, or None
         Resistance of rows and columns themselves; None: zero.
+    leak_ohm : NeighbourLeaks or None
+        Constant resistances between neighbouring lines, as one sheet of film under all strips has
+        them; None: none.
     converter_memory : float or 'estimated', or None
         Fraction of the previously converted channel that remains in a reading, in volt at the
         converter; see `lampest.panel.readouts.readout`. None: zero.
@@ -134,6 +137,7 @@ class Scene(Configuration):
     temperature: Temperature | None = None
     systematic: Systematic | Literal["typical", "none"] | None = None
     lines: Lines | None = None
+    leak_ohm: NeighbourLeaks | None = None
     converter_memory: Size | None = None
     contacts: Contacts | Literal["estimated"] | None = None
     leaks: Literal["estimated"] | None = None
@@ -181,6 +185,8 @@ class Scene(Configuration):
             # Lists of the wrong length raise.
             self.contact_prior.mean(self.panel.shape)
             self.contact_prior.deviation(self.panel.shape)
+        if self.leak_ohm is not None:
+            self.leak_ohm.check(self.panel.shape)
         (self.readout or self.circuit).check(self)
 
     def own(self, key: str) -> Any:
@@ -405,18 +411,20 @@ class Scene(Configuration):
         """Number of the connected part of each line, (lines,); None if cells connect all lines."""
         if self.whole:
             return None
-        return connected_parts(~self.open_cells)
+        conducting = ~self.open_cells
+        return connected_parts(
+            conducting if self.wiring is None else self.wiring.connecting(conducting)
+        )
 
     @cached_property
     def wiring(self) -> Wiring | None:
-        """Wire, contacts and touching lines between terminals and cells.
+        """Wire, contacts and touching lines between terminals and cells, and leaks of lines.
 
         The value is None without any of them.
         """
         joined = () if self.faults is None else self.faults.joined(self.panel)
-        lines = self.lines or Lines()
-        wired = joined or lines.resist or self.contact_prior is not None
-        return Wiring(lines, joined, self.contact_prior) if wired else None
+        wiring = Wiring(self.lines or Lines(), joined, self.contact_prior, self.leak_ohm)
+        return None if wiring.at_terminals and wiring.leaks is None else wiring
 
 
 def specified(scene: Scene, key: str) -> Any:

@@ -440,7 +440,7 @@ def check_scene(scene: Scene) -> None:
             max(rows, columns) > MAX_LINES,
             f"has up to {MAX_LINES} lines a side, not {rows} × {columns}",
         ),
-        (scene.wiring is not None, "has no line resistance, contacts or touching lines"),
+        (scene.wiring is not None, "has no line resistance, contacts, touching lines or leaks"),
         (scene.converter_memory is not None, "has no converter memory"),
         (scene.faults is not None, "has no faults: list the panel's sound cells under panel.cells"),
     ):

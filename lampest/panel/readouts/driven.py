@@ -36,6 +36,7 @@ from lampest.panel.readouts.lines import (
     LineNumber,
     PerLine,
     Side,
+    along,
     as_tuple,
     check_apart,
     check_groups,
@@ -58,6 +59,7 @@ from lampest.panel.readouts.readout import (
 from lampest.panel.readouts.unseen import Scale, unseen_scales
 from lampest.panel.readouts.wiring import Wiring
 
+MAX_OFFSET_VOLT = 1.0  # amplifiers without trimming: 15 mV (data sheet of the LM324)
 LARGEST_OHM = 1e8  # of cells whose scale no reading shows: insulation beside usual ones
 
 
@@ -88,6 +90,8 @@ class DrivenCircuit(Readout):
     load_volt, idle_load_volt : float, or None
         Potential in which the load of a sensed line ends, and an idle sensed line, in volt. None:
         ground, or the supply with polarity: down, and load_volt.
+    offset_volt : PerLine
+        Offset of each sensed line's amplifier in volt, which is recorded in addition.
     of_driven, of_sensed : tuple of str
         Keys of resistances of driven, and of sensed lines; the first one of sensed lines is the
         reference resistor of a reading.
@@ -111,6 +115,7 @@ class DrivenCircuit(Readout):
     idle_volt: float | Literal["follows"] | None = None
     load_volt: float | None = None
     idle_load_volt: float | None = None
+    offset_volt: PerLine = 0.0
 
     # Ends of the lines, which every kind states.
 
@@ -159,7 +164,7 @@ class DrivenCircuit(Readout):
         driven, sensed = (
             max(
                 NOMINAL_LINES,
-                *(len(as_tuple(getattr(self, key) or 0.0)) for key in keys),
+                *(len(as_tuple(getattr(self, key) or 0.0)) for key in (*keys, "offset_volt")),
                 0 if groups is None else max(listed_lines(groups)) + 1,
             )
             for keys, groups in sides
@@ -204,6 +209,8 @@ class DrivenCircuit(Readout):
             volt = getattr(self, name)
             if isinstance(volt, float | int) and not abs(volt) <= MAX_VOLT:
                 raise ValueError(f"{name} must lie within {MAX_VOLT:g} V of ground")
+        if not all(abs(volt) <= MAX_OFFSET_VOLT for volt in as_tuple(self.offset_volt)):
+            raise ValueError(f"offset_volt must lie within {MAX_OFFSET_VOLT:g} V of zero")
         if self.idle_volt == FOLLOWS:
             if self.groups is not None and len(self.groups) > 1:
                 raise ValueError(
@@ -241,6 +248,7 @@ class DrivenCircuit(Readout):
             value = getattr(self, name)
             if value is not None:
                 per_line(name, value, driven if name in self.of_driven else sensed)
+        per_line("offset_volt", self.offset_volt, sensed)
         check_groups(self.groups, opposite(self.driven), sensed)
         check_groups(self.driven_groups, self.driven, driven, "driven_groups")
         equation = equation_of(self, *scene.panel.shape)
@@ -270,6 +278,8 @@ class DrivenCircuit(Readout):
             text += f", loads end at {self.load_volt:g} V"
         if self.idle_load_volt is not None:
             text += f", idle {opposite(self.driven)} at {self.idle_load_volt:g} V"
+        if self.offset_volt:
+            text += f", amplifiers off by {lines_text(self.offset_volt, 'V')}"
         if self.input_ohm is not None:
             text += f", converter input {self.input_ohm:g} ohm"
         return f"{text}, {self.converter_description()}"
@@ -293,16 +303,28 @@ class DrivenCircuit(Readout):
         """Recorded value of a network's reading of 0."""
         return nominal_terminations(self).recorded_reference
 
+    def _offset(self, shape: tuple[int, ...]) -> Array | float:
+        """Return what amplifiers add to recorded values, to be broadcast to (rows, columns)."""
+        if self.offset_volt == 0.0:
+            return 0.0
+        sensed = of_side(self.driven, *shape[-2:])[1]
+        offset = along(opposite(self.driven), per_line("offset_volt", self.offset_volt, sensed))
+        # An inverting amplifier is recorded below its reference
+        return -offset if nominal_terminations(self).amplified else offset
+
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
-        if not (self.mirrored or self.recorded_reference_volt):
+        ends = nominal_terminations(self)
+        level = ends.recorded_reference + self._offset(recorded.shape)
+        if ends.sign > 0 and not np.any(level):
             return recorded
-        sign = nominal_terminations(self).sign
-        return np.asarray(sign * (recorded - self.recorded_reference_volt))
+        return np.asarray(ends.sign * (recorded - level))
 
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
-        if not (self.mirrored or self.recorded_reference_volt):
+        ends = nominal_terminations(self)
+        level = ends.recorded_reference + self._offset(reading.shape)
+        if ends.sign > 0 and not np.any(level):
             return reading
-        return np.asarray(self.recorded_reference_volt + nominal_terminations(self).sign * reading)
+        return np.asarray(level + ends.sign * reading)
 
     # Readings of cells.
 
@@ -350,7 +372,10 @@ class DrivenCircuit(Readout):
         if cell_resistance.ndim == 3:
             return np.stack([self.exact_reading(frame, wiring) for frame in cell_resistance])
         volt = np.full(cell_resistance.shape, self.driving_volt / 2)
-        ties = self.ties_of_parts(volt, connected_parts(np.isfinite(cell_resistance)))
+        conducting = np.isfinite(cell_resistance)
+        if wiring is not None:
+            conducting = wiring.connecting(conducting)
+        ties = self.ties_of_parts(volt, connected_parts(conducting))
         with np.errstate(divide="ignore"):
             return self.network(cell_resistance, ties, wiring).reading()
 

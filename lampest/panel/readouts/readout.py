@@ -251,12 +251,14 @@ class Readout(Converter, ABC):
         Infinite ties hold lines at ground, and `sources` are the excitations of the lines by the
         potentials in which they end, (lines,); see `network`.
         """
-        if wiring is None and not np.isinf(ties).any():
-            return SolvedNetwork.tied(cell_resistance, ties, self.law, sources)
+        leaks = None if wiring is None else wiring.leak_admittance(cell_resistance.shape)
+        at_terminals = wiring is None or wiring.at_terminals
+        if at_terminals and not np.isinf(ties).any():
+            return SolvedNetwork.tied(cell_resistance, ties, self.law, sources, leaks)
         from lampest.panel.difference_network import DifferenceNetwork  # for wire and held lines
 
-        if wiring is None:
-            return DifferenceNetwork.held(cell_resistance, ties, self.law, sources)
+        if wiring is None or at_terminals:
+            return DifferenceNetwork.held(cell_resistance, ties, self.law, sources, leaks)
         return DifferenceNetwork.wired(cell_resistance, ties, self.law, wiring, sources)
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 
 from lampest.panel.circuit import Ends, Terminations, nominal_terminations, scanned
 from lampest.panel.readouts.driven import DrivenCircuit
-from lampest.panel.readouts.lines import MIN_OHM, PerLine, Side, lines_text, per_line
+from lampest.panel.readouts.lines import MIN_OHM, PerLine, Side, as_tuple, lines_text, per_line
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +41,8 @@ class VirtualGroundReadout(DrivenCircuit):
     load_volt, idle_load_volt : float, or None
         Reference of the amplifiers, and potential of idle sensed lines, in volt. None: ground, and
         load_volt.
+    offset_volt : PerLine
+        Input offset of each amplifier in volt: its sensed line is held so far above the reference.
     supply_volt, adc_bits, readings, noise_lsb
         See `Converter`.
 
@@ -64,12 +66,14 @@ class VirtualGroundReadout(DrivenCircuit):
     idle_volt: float | Literal["follows"] | None = None
     load_volt: float | None = None
     idle_load_volt: float | None = None
+    offset_volt: PerLine = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         ends = nominal_terminations(self)
-        loads = ends.relative(ends.sensing.volt.diagonal())
-        if float(loads.min()) > 0:
+        offset = np.array(as_tuple(self.offset_volt))
+        loads = ends.relative(ends.sensing.volt.diagonal() - offset)
+        if float(loads.min()) > np.abs(offset).max():
             raise ValueError(
                 "idle_volt and idle_load_volt must not lie on the other side of load_volt than "
                 "the source: amplifiers then have currents of both signs, which this model lacks"
@@ -92,12 +96,13 @@ class VirtualGroundReadout(DrivenCircuit):
         drive = Ends.of(np.maximum(drive.ohm, MIN_OHM), drive.volt)
         channel = np.maximum(per_line("sense_ohm", self.sense_ohm, sensed), MIN_OHM)
         feedback = per_line("feedback_ohm", self.feedback_ohm, sensed)
+        offset = per_line("offset_volt", self.offset_volt, sensed)
         volt = 0.0 if self.load_volt is None else self.load_volt
         idle_volt = volt if self.idle_load_volt is None else self.idle_load_volt
         return Terminations(
             self.driven,
             scanned(drive, self.idle_ends(drive.ohm)),
-            scanned(Ends.of(channel, volt), Ends.of(channel, idle_volt)),
+            scanned(Ends.of(channel, volt + offset), Ends.of(channel, idle_volt + offset)),
             gain=feedback / channel,
             amplified=True,
         )

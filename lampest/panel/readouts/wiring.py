@@ -1,19 +1,22 @@
-"""Exact networks with wire resistance, contacts and touching lines between terminals and cells.
+"""Wire resistance, contacts, touching lines, and leaks between the lines of a panel.
 
 The path to every cell has one segment of wire more than the path to the previous cell; the first
 cell has one segment, as in badcrossbar (Joksas & Mehonic, SoftwareX 12, 2020). A contact is in
-series with the first segment. Lines touch between their contacts and their wire.
+series with the first segment. Lines touch between their contacts and their wire. Leaks lie between
+the terminals of neighbouring lines.
 """
 
 from dataclasses import dataclass
+from math import inf
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import PerLine, check_lines, per_line
+from lampest.panel.readouts.lines import PerLine, as_tuple, check_lines, check_resistors, per_line
 
 
 @dataclass(frozen=True)
@@ -122,8 +125,60 @@ class Contacts(Configuration):
 
 
 @dataclass(frozen=True)
+class NeighbourLeaks(Configuration):
+    """Constant leaks between neighbouring lines, as one sheet of film under all strips has them.
+
+    Attributes
+    ----------
+    rows, columns : PerLine
+        Resistance in ohm between each two neighbouring rows, and columns: a number, or one for each
+        gap. Infinite: none.
+
+    >>> lampest.NeighbourLeaks(rows=6000.0).columns
+    inf
+    """
+
+    rows: PerLine = inf
+    columns: PerLine = inf
+
+    def __post_init__(self) -> None:
+        for side in ("rows", "columns"):
+            finite = tuple(ohm for ohm in as_tuple(getattr(self, side)) if ohm != inf)
+            if finite or not as_tuple(getattr(self, side)):
+                check_resistors(f"leak_ohm.{side}", finite)
+        if min(*as_tuple(self.rows), *as_tuple(self.columns)) == inf:
+            raise ValueError("leak_ohm names no leak: give rows, columns or both")
+
+    def check(self, shape: tuple[int, int]) -> None:
+        """Raise ValueError if the leaks do not fit the lines of a panel."""
+        for side, value, lines in zip(
+            ("rows", "columns"), (self.rows, self.columns), shape, strict=True
+        ):
+            if lines == 1 and min(as_tuple(value)) < inf:
+                raise ValueError(f"leak_ohm.{side}: a single line has no neighbour to leak to")
+            if isinstance(value, tuple) and len(value) != lines - 1:
+                raise ValueError(
+                    f"leak_ohm.{side} lists {len(value)} numbers, but {lines} {side} have "
+                    f"{lines - 1} gaps"
+                )
+
+    def between(self, shape: tuple[int, ...]) -> tuple[NDArray[np.intp], Array]:
+        """Return the lines and the conductances of all leaks, (2, leaks) and (leaks,) siemens."""
+        rows, columns = shape
+        first = np.delete(np.arange(rows + columns - 1), rows - 1)
+        ohm = np.concatenate(
+            [
+                per_line("leak_ohm.rows", self.rows, rows - 1),
+                per_line("leak_ohm.columns", self.columns, columns - 1),
+            ]
+        )
+        leaking = np.isfinite(ohm)
+        return np.stack([first, first + 1])[:, leaking], 1 / ohm[leaking]
+
+
+@dataclass(frozen=True)
 class Wiring:
-    """Lines, contacts and joined lines of a panel.
+    """Lines, contacts, joined lines and leaks of a panel.
 
     Attributes
     ----------
@@ -133,11 +188,41 @@ class Wiring:
         Groups of lines that touch, by their numbers, rows first.
     contacts : Contacts or None
         Prior of the contacts.
+    leaks : NeighbourLeaks or None
+        Leaks between neighbouring lines.
     """
 
     lines: Lines = Lines()
     joined: tuple[tuple[int, ...], ...] = ()
     contacts: Contacts | None = None
+    leaks: NeighbourLeaks | None = None
+
+    @property
+    def at_terminals(self) -> bool:
+        """Whether cells lie at the terminals: no wire, contact or touching line is between them."""
+        return not (self.joined or self.lines.resist or self.contacts is not None)
+
+    def leak_admittance(self, shape: tuple[int, ...]) -> Array | None:
+        """Return the Laplacian of the leaks, (lines, lines) siemens; None without leaks."""
+        if self.leaks is None:
+            return None
+        (first, second), siemens = self.leaks.between(shape)
+        admittance = np.zeros((sum(shape),) * 2)
+        admittance[first, second] = admittance[second, first] = -siemens
+        np.einsum("ii->i", admittance)[:] = -admittance.sum(axis=1)
+        return admittance
+
+    def connecting(self, conducting: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return the crossings (rows, columns) that connect a row and a column, leaks included.
+
+        `conducting` are the crossings whose cells do. Lines count as one where all gaps of their
+        side leak.
+        """
+        if self.leaks is not None:
+            for axis, value in enumerate((self.leaks.rows, self.leaks.columns)):
+                if max(as_tuple(value)) < inf:
+                    conducting = conducting | conducting.any(axis=axis, keepdims=True)
+        return conducting
 
     def contact_ohm(self, shape: tuple[int, ...]) -> Array:
         """Return the mean contact resistances, (lines,) ohm; zero without contacts."""
