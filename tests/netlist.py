@@ -88,6 +88,15 @@ def resistors(cells: Array, scene: Scene) -> Iterable[Resistor]:
     yield from (
         (node, node + 1, float(ohm)) for node, ohm in zip(crossing.flat, cells.flat, strict=True)
     )
+    if scene.leak_ohm is not None:
+        gaps = (
+            per_line(scene.leak_ohm.rows, rows - 1),
+            per_line(scene.leak_ohm.columns, columns - 1),
+        )
+        yield from ((line, line + 1, ohm) for line, ohm in enumerate(gaps[0]) if ohm < np.inf)
+        yield from (
+            (rows + line, rows + line + 1, ohm) for line, ohm in enumerate(gaps[1]) if ohm < np.inf
+        )
     if faults is not None:
         yield from ((group[0], line, 0.0) for group in faults.joined_rows for line in group[1:])
         yield from (

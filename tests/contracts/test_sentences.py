@@ -322,6 +322,7 @@ CIRCUITS = [
     "two_mux",
     "parallel_mux",
     "pull_ups",
+    "pull_downs_on_columns",
     "pull_downs",
     "grounded",
     "grounded_one",

@@ -55,6 +55,8 @@ NEEDED = {
     "drive_volt": ("polarity",),
     "converter_volt": ("polarity",),
     "groups": ("measured_across",),
+    "idle_stays": ("idle_ohm", "idle_volt", "diode"),
+    "idle_load_ohm": ("sense",),
 }
 TRIES = 2000
 

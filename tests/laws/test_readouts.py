@@ -18,7 +18,7 @@ from lampest.files.typed import members_of
 from lampest.panel.network import Network
 from lampest.panel.readouts import AnyReadout
 from lampest.panel.readouts.wired_network import contact_responses
-from lampest.panel.readouts.wiring import Lines
+from lampest.panel.readouts.wiring import Lines, NeighbourLeaks
 from tests.laws.samples import examples
 from tests.netlist import impedance_of
 
@@ -32,6 +32,7 @@ WIRES = {
     "joined": (None, Faults(joined_rows=((0, 2),), joined_columns=((1, 2),))),
     "wire and joined": (Lines(30.0, 0.1), Faults(joined_rows=((1, 2),))),
 }
+LEAKS = NeighbourLeaks(rows=6000.0, columns=4000.0)
 STEP = 1e-4  # of ln r; a Taylor remainder falls with its square, a wrong derivative with itself
 ROUNDING = 1e-9  # relative: float64 times the condition of cells that differ by factors of 100
 CANCELLATION = 1e-12  # of the largest reading: products that are sums of both signs
@@ -76,6 +77,11 @@ def wired_scenes(kind: type) -> Iterator[tuple[str, Scene]]:
         for name, (lines, faults) in WIRES.items():
             yield f"{name}-{rows}x{columns}", Scene(panel, readout, faults=faults, lines=lines)
         yield f"contacts-{rows}x{columns}", Scene(panel, readout, contacts=contacts)
+        yield f"leaks-{rows}x{columns}", Scene(panel, readout, leak_ohm=LEAKS)
+        yield (
+            f"leaks and wire-{rows}x{columns}",
+            Scene(panel, readout, leak_ohm=LEAKS, lines=WIRES["wire"][0]),
+        )
         yield (
             f"contacts and wire-{rows}x{columns}",
             Scene(panel, readout, lines=WIRES["wire"][0], contacts=contacts),

@@ -6,14 +6,24 @@ The package solves one inverse for each base and two lines that change; the orac
 formula anew for every reading, with all lines that end anywhere.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import mpmath
 import numpy as np
 import pytest
 
-from lampest import Array, Panel, Scene
+from lampest import (
+    Array,
+    Diode,
+    DrivenReadout,
+    InputError,
+    NeighbourLeaks,
+    Panel,
+    Scene,
+    TwoPointReadout,
+    VirtualGroundReadout,
+)
 from lampest.panel.circuit import Ends, Terminations, equation_of, scanned
 from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.readouts.lines import PerLine, Side
@@ -103,11 +113,16 @@ def ends_of(circuit: RandomEnds, shape: tuple[int, int]) -> tuple[Array, Array, 
     return ohm, volt, read, table.gain
 
 
-def by_currents(cells: Array, ohm: Array, volt: Array, read: int) -> float:
-    """Return the potential of one line by the formula of the module."""
+def by_currents(
+    cells: Array, ohm: Array, volt: Array, read: int, leak_ohm: float = np.inf
+) -> float:
+    """Return the potential of one line by the formula of the module, beside leaks."""
     rows, columns = cells.shape
     matrix = np.zeros((rows + columns,) * 2)
     matrix[:rows, rows:] = -1 / cells
+    for line in range(rows + columns - 1):
+        if line != rows - 1:
+            matrix[line, line + 1] -= 1 / leak_ohm
     matrix += matrix.T
     inverse = np.linalg.pinv(matrix - np.diag(matrix.sum(axis=1)))
     ending = np.flatnonzero(np.isfinite(ohm))
@@ -152,6 +167,108 @@ def test_readings_are_those_of_the_currents_into_the_lines(seed: int) -> None:
     for at in np.ndindex(cells.shape):
         expected[at] = by_currents(cells, ohm[at], volt[at], read[at])
     assert np.abs(recorded - expected).max() < TOLERANCE * np.abs(volt).max()
+
+
+@pytest.mark.parametrize("seed", range(0, COUNT, 8))
+def test_leaks_between_neighbours_are_conductances_of_the_graph(seed: int) -> None:
+    circuit, cells = circuit_of(seed)
+    rows, columns = cells.shape
+    leaks = NeighbourLeaks(
+        rows=4700.0 if rows > 1 else np.inf, columns=4700.0 if columns > 1 else np.inf
+    )
+    scene = Scene(Panel(rows, columns), circuit, leak_ohm=leaks)
+    recorded = circuit.to_recorded(circuit.exact_reading(cells, scene.wiring), scene)
+    ohm, volt, read, _ = ends_of(circuit, cells.shape)
+    for at in np.ndindex(cells.shape):
+        expected = by_currents(cells, ohm[at], volt[at], read[at], 4700.0)
+        assert abs(recorded[at] - expected) < TOLERANCE * np.abs(volt).max()
+
+
+PULL_DOWNS = DrivenReadout(
+    drive_ohm=95.0, idle_ohm=10_000.0, idle_stays=True, load_ohm=10_000.0, sense_ohm=70.0
+)
+
+
+def expected_of(cells: Array, ends: dict[int, list[tuple[float, float]]], read: int) -> float:
+    """Return the potential of a line whose lines have several ends (ohm, volt) each."""
+    lines = sum(cells.shape)
+    ohm, volt = np.full(lines, np.inf), np.zeros(lines)
+    for line, several in ends.items():
+        siemens = sum(1 / own_ohm for own_ohm, _ in several)
+        ohm[line] = 1 / siemens
+        volt[line] = sum(own_volt / own_ohm for own_ohm, own_volt in several) / siemens
+    return by_currents(cells, ohm, volt, read)
+
+
+def test_pull_downs_stay_at_the_driven_line_and_behind_multiplexers() -> None:
+    cells = np.exp(np.log(3000) + np.random.default_rng(3).normal(size=(4, 3)))
+    load = 10_000 / 10_070
+    readings = replace(PULL_DOWNS, idle_load_ohm=np.inf).exact_reading(cells)
+    pulled = {line: [(10_000.0, 0.0)] for line in range(4)}
+    for row, column in np.ndindex(4, 3):
+        ends = pulled | {
+            row: [(10_000.0, 0.0), (95.0, 5.0)],
+            4 + column: [(10_070.0, 0.0)],
+        }
+        assert readings[row, column] == pytest.approx(load * expected_of(cells, ends, 4 + column))
+    groups = replace(PULL_DOWNS, driven_groups=((0, None, 1), (2, 3)), idle_load_ohm=np.inf)
+    readings = groups.exact_reading(cells)
+    together = {0: 2, 2: 0, 1: None, 3: None}  # 1 and 3 are at other addresses of the multiplexers
+    for row, column in np.ndindex(4, 3):
+        ends = pulled | {row: [(10_000.0, 0.0), (95.0, 5.0)], 4 + column: [(10_070.0, 0.0)]}
+        if together[row] is not None:
+            ends[together[row]] = [(10_000.0, 0.0), (95.0, 0.0)]
+        assert readings[row, column] == pytest.approx(load * expected_of(cells, ends, 4 + column))
+
+
+def test_offsets_hold_the_sensed_lines_of_inverting_amplifiers_and_are_recorded() -> None:
+    """An amplifier off by v holds its line v above the reference, and its output is v higher."""
+    cells = np.exp(np.log(3000) + np.random.default_rng(4).normal(size=(3, 3)))
+    offset = (0.004, -0.003, 0.001)
+    board = VirtualGroundReadout(
+        drive_volt=0.5, drive_ohm=30.0, sense_ohm=20.0, feedback_ohm=2200.0, offset_volt=offset
+    )
+    recorded = board.to_recorded(board.exact_reading(cells), Scene(Panel(3, 3), board))
+    for row, column in np.ndindex(3, 3):
+        ends = {line: [(30.0, 0.5 * (line == row))] for line in range(3)}
+        ends |= {3 + line: [(20.0, offset[line])] for line in range(3)}
+        line_volt = expected_of(cells, ends, 3 + column)
+        output = offset[column] - 2200 * (line_volt - offset[column]) / 20
+        assert recorded[row, column] == pytest.approx(-output)
+    follower = DrivenReadout(load_ohm=1000.0, offset_volt=offset)
+    plain = replace(follower, offset_volt=0.0)
+    scene = Scene(Panel(3, 3), follower)
+    added = follower.to_recorded(follower.exact_reading(cells), scene) - plain.exact_reading(cells)
+    assert added == pytest.approx(np.broadcast_to(offset, (3, 3)))
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"idle_ohm": np.inf}, "names no resistor that could stay"),
+        ({"idle_ohm": 0.0}, "a line that 0 ohm hold cannot be driven"),
+        ({"idle_volt": "follows", "idle_load_ohm": np.inf}, "no place with idle_volt: follows"),
+        ({"diode": Diode()}, "a diode beside resistors that stay"),
+        ({"idle_stays": False, "driven_groups": ((0,), (1,))}, "idle_stays: true"),
+        ({"offset_volt": 2.0}, "offset_volt must lie within 0.1 V of zero"),
+        ({"driven_groups": ((None,), (0, 1))}, "every multiplexer has at least one line"),
+    ],
+)
+def test_contradictory_ends_are_refused(keys: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        replace(PULL_DOWNS, **keys)
+
+
+def test_leaks_that_do_not_fit_a_panel_are_refused() -> None:
+    board = TwoPointReadout()
+    with pytest.raises(InputError, match=r"leak_ohm\.rows: a single line has no neighbour"):
+        Scene(Panel(1, 4), board, leak_ohm=NeighbourLeaks(rows=6000.0))
+    with pytest.raises(
+        InputError, match=r"leak_ohm\.columns lists 4 numbers, but 4 columns have 3"
+    ):
+        Scene(Panel(3, 4), board, leak_ohm=NeighbourLeaks(columns=(6000.0,) * 4))
+    with pytest.raises(InputError, match="leak_ohm names no leak"):
+        NeighbourLeaks()
 
 
 @pytest.mark.parametrize("seed", range(0, COUNT, 10))

@@ -59,7 +59,7 @@ from lampest.panel.readouts.readout import (
 from lampest.panel.readouts.unseen import Scale, unseen_scales
 from lampest.panel.readouts.wiring import Wiring
 
-MAX_OFFSET_VOLT = 1.0  # amplifiers without trimming: 15 mV (data sheet of the LM324)
+MAX_OFFSET_VOLT = 0.1  # amplifiers without trimming: 15 mV (data sheet of the LM324)
 LARGEST_OHM = 1e8  # of cells whose scale no reading shows: insulation beside usual ones
 
 

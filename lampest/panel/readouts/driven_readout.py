@@ -107,6 +107,8 @@ class DrivenReadout(DrivenCircuit):
     input_ohm: float | None = None
 
     def __post_init__(self) -> None:
+        if self.idle_stays:
+            self._check_stays()
         super().__post_init__()
         if self.polarity == "down" and (
             self.drive_volt is not None or self.converter_volt is not None
@@ -115,9 +117,8 @@ class DrivenReadout(DrivenCircuit):
                 "drive_volt and converter_volt have no place with polarity: down, "
                 "where the driven line is at ground"
             )
-        if self.idle_stays:
-            self._check_stays()
-        elif self.driven_groups is not None and min(as_tuple(self.idle_ohm)) < inf:
+        pulled = min(as_tuple(self.idle_ohm)) < inf and not self.idle_stays
+        if self.driven_groups is not None and pulled:
             raise ValueError(
                 "idle_ohm has no place with driven_groups, whose other lines float: leave it out, "
                 "or say that resistors stay at all lines (idle_stays: true)"
@@ -143,7 +144,7 @@ class DrivenReadout(DrivenCircuit):
 
     def _check_stays(self) -> None:
         """Raise ValueError if the resistors that stay contradict the circuit."""
-        ohm = as_tuple(self.idle_ohm)
+        ohm = as_tuple(self.idle_ohm) or (inf,)
         if max(ohm) == inf:
             raise ValueError("idle_stays: idle_ohm names no resistor that could stay")
         if min(ohm) == 0:

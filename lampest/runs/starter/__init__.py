@@ -13,6 +13,7 @@ from lampest.audit.widths import NOISE, Width, simulated_widths
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError, meant
 from lampest.files.whole import write_whole
+from lampest.panel.readouts import KINDS
 from lampest.recording.simulation import simulate
 from lampest.recording.simulation.simulation import simulation_of
 from lampest.runs.config import json_schema
@@ -74,7 +75,8 @@ class StarterCircuit:
 def circuit_called(word: str) -> StarterCircuit:
     """Return the circuit of a name. Raises InputError for an unknown name."""
     document = parse_document(_template("circuits.yaml"), "circuits.yaml")
-    known: dict[str, StarterCircuit] = validated(document, dict[str, StarterCircuit])
+    every: dict[str, StarterCircuit] = validated(document, dict[str, StarterCircuit])
+    known = {name: circuit for name, circuit in every.items() if circuit.kind in KINDS}
     if word not in known:
         raise InputError(
             f"--readout: there is no {word!r}; there are {', '.join(known)}{meant(word, known)}"

@@ -1,0 +1,53 @@
+"""A kind of readout is gone with its file: the others estimate, and no word offers it."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import lampest
+
+PRESETS = {
+    "loaded_columns": "pull_downs_on_columns",
+    "grounded": "grounded",
+    "virtual_ground": "amplifiers",
+}
+SCRIPT = """
+import json, sys
+import lampest
+from lampest.audit.advice import Audit
+from lampest.files.document import adapter
+from lampest.inference.prepared import Prepared
+from lampest.runs.starter import circuit_called
+
+kind, word = sys.argv[1:]
+assert f'"{kind}"' not in json.dumps(adapter(lampest.Scene).json_schema())
+try:
+    circuit_called(word)
+except lampest.InputError as error:
+    assert word not in str(error).partition("there are")[2].split(", ")
+else:
+    raise AssertionError("the word is offered")
+readout = lampest.DrivenReadout(load_ohm=4700.0, drive_ohm=40.0, adc_bits=12, readings=1)
+rod = lampest.Rod(centre_mm=(25.0, 25.0), diameter_mm=30.0, mass_g=500.0)
+scene = lampest.Scene(lampest.Panel(6, 5), readout)
+recording = lampest.simulate(lampest.Simulation(1, 1, scene, frames=3, loads=(rod,)))
+assert "verified" in lampest.reconstruct(recording, [lampest.Misfit()]).status[-1]
+assert Audit(Prepared(recording)).verdict.mark == "yes"
+"""
+
+
+@pytest.mark.parametrize(("kind", "word"), PRESETS.items())
+def test_a_preset_is_gone_with_its_file(kind: str, word: str, tmp_path: Path) -> None:
+    house = tmp_path / "lampest"
+    shutil.copytree(
+        Path(lampest.__file__).parent, house, ignore=shutil.ignore_patterns("__pycache__")
+    )
+    (house / "panel" / "readouts" / f"{kind}.py").unlink()
+    (tmp_path / "script.py").write_text(SCRIPT, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "script.py", kind, word], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
