@@ -39,7 +39,13 @@ assert Audit(Prepared(recording)).verdict.mark == "yes"
 """
 
 
-@pytest.mark.parametrize(("kind", "word"), PRESETS.items())
+@pytest.mark.parametrize(
+    ("kind", "word"),
+    [
+        pytest.param(kind, word, marks=[pytest.mark.slow] if kind != "grounded" else [])
+        for kind, word in PRESETS.items()
+    ],
+)
 def test_a_preset_is_gone_with_its_file(kind: str, word: str, tmp_path: Path) -> None:
     house = tmp_path / "lampest"
     shutil.copytree(
