@@ -236,7 +236,7 @@ def test_offsets_hold_the_sensed_lines_of_inverting_amplifiers_and_are_recorded(
         output = offset[column] - 2200 * (line_volt - offset[column]) / 20
         assert recorded[row, column] == pytest.approx(-output)
     follower = DrivenReadout(load_ohm=1000.0, offset_volt=offset)
-    plain = replace(follower, offset_volt=0.0)
+    plain = replace(follower, offset_volt=None)
     scene = Scene(Panel(3, 3), follower)
     added = follower.to_recorded(follower.exact_reading(cells), scene) - plain.exact_reading(cells)
     assert added == pytest.approx(np.broadcast_to(offset, (3, 3)))

@@ -90,7 +90,7 @@ class DrivenCircuit(Readout):
     load_volt, idle_load_volt : float, or None
         Potential in which the load of a sensed line ends, and an idle sensed line, in volt. None:
         ground, or the supply with polarity: down, and load_volt.
-    offset_volt : PerLine
+    offset_volt : PerLine, or None
         Offset of each sensed line's amplifier in volt, which is recorded in addition.
     of_driven, of_sensed : tuple of str
         Keys of resistances of driven, and of sensed lines; the first one of sensed lines is the
@@ -115,7 +115,7 @@ class DrivenCircuit(Readout):
     idle_volt: float | Literal["follows"] | None = None
     load_volt: float | None = None
     idle_load_volt: float | None = None
-    offset_volt: PerLine = 0.0
+    offset_volt: PerLine | None = None
 
     # Ends of the lines, which every kind states.
 
@@ -209,7 +209,9 @@ class DrivenCircuit(Readout):
             volt = getattr(self, name)
             if isinstance(volt, float | int) and not abs(volt) <= MAX_VOLT:
                 raise ValueError(f"{name} must lie within {MAX_VOLT:g} V of ground")
-        if not all(abs(volt) <= MAX_OFFSET_VOLT for volt in as_tuple(self.offset_volt)):
+        if self.offset_volt == ():
+            raise ValueError("offset_volt lists no number")
+        if not all(abs(volt) <= MAX_OFFSET_VOLT for volt in as_tuple(self.offset_volt or 0.0)):
             raise ValueError(f"offset_volt must lie within {MAX_OFFSET_VOLT:g} V of zero")
         if self.idle_volt == FOLLOWS:
             if self.groups is not None and len(self.groups) > 1:
@@ -248,7 +250,7 @@ class DrivenCircuit(Readout):
             value = getattr(self, name)
             if value is not None:
                 per_line(name, value, driven if name in self.of_driven else sensed)
-        per_line("offset_volt", self.offset_volt, sensed)
+        per_line("offset_volt", self.offset_volt or 0.0, sensed)
         check_groups(self.groups, opposite(self.driven), sensed)
         check_groups(self.driven_groups, self.driven, driven, "driven_groups")
         equation = equation_of(self, *scene.panel.shape)
@@ -305,7 +307,7 @@ class DrivenCircuit(Readout):
 
     def _offset(self, shape: tuple[int, ...]) -> Array | float:
         """Return what amplifiers add to recorded values, to be broadcast to (rows, columns)."""
-        if self.offset_volt == 0.0:
+        if self.offset_volt is None:
             return 0.0
         sensed = of_side(self.driven, *shape[-2:])[1]
         offset = along(opposite(self.driven), per_line("offset_volt", self.offset_volt, sensed))

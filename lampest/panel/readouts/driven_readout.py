@@ -64,7 +64,7 @@ class DrivenReadout(DrivenCircuit):
     load_volt, idle_load_volt : float, or None
         Potential in which a load ends, and an idle sensed line, in volt. None: ground, or the
         supply with polarity: down, and load_volt.
-    offset_volt : PerLine
+    offset_volt : PerLine, or None
         Voltage that the amplifier of each sensed line adds to what is recorded.
     diode : Diode, or None
         Diode in series with Rd.
@@ -100,7 +100,7 @@ class DrivenReadout(DrivenCircuit):
     idle_volt: float | Literal["follows"] | None = None
     load_volt: float | None = None
     idle_load_volt: float | None = None
-    offset_volt: PerLine = 0.0
+    offset_volt: PerLine | None = None
     diode: Diode | None = None
     drive_volt: float | None = None
     converter_volt: float | None = None

@@ -41,7 +41,7 @@ class VirtualGroundReadout(DrivenCircuit):
     load_volt, idle_load_volt : float, or None
         Reference of the amplifiers, and potential of idle sensed lines, in volt. None: ground, and
         load_volt.
-    offset_volt : PerLine
+    offset_volt : PerLine, or None
         Input offset of each amplifier in volt: its sensed line is held so far above the reference.
     supply_volt, adc_bits, readings, noise_lsb
         See `Converter`.
@@ -66,12 +66,12 @@ class VirtualGroundReadout(DrivenCircuit):
     idle_volt: float | Literal["follows"] | None = None
     load_volt: float | None = None
     idle_load_volt: float | None = None
-    offset_volt: PerLine = 0.0
+    offset_volt: PerLine | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         ends = nominal_terminations(self)
-        offset = np.array(as_tuple(self.offset_volt))
+        offset = np.array(as_tuple(self.offset_volt or 0.0))
         loads = ends.relative(ends.sensing.volt.diagonal() - offset)
         if float(loads.min()) > np.abs(offset).max():
             raise ValueError(
@@ -96,7 +96,7 @@ class VirtualGroundReadout(DrivenCircuit):
         drive = Ends.of(np.maximum(drive.ohm, MIN_OHM), drive.volt)
         channel = np.maximum(per_line("sense_ohm", self.sense_ohm, sensed), MIN_OHM)
         feedback = per_line("feedback_ohm", self.feedback_ohm, sensed)
-        offset = per_line("offset_volt", self.offset_volt, sensed)
+        offset = per_line("offset_volt", self.offset_volt or 0.0, sensed)
         volt = 0.0 if self.load_volt is None else self.load_volt
         idle_volt = volt if self.idle_load_volt is None else self.idle_load_volt
         return Terminations(
