@@ -28,10 +28,7 @@ from lampest import (
     Status,
     read_run,
 )
-<<<<<<< HEAD
 from lampest.audit.health import Health
-=======
->>>>>>> circuit
 from lampest.cost.terms import Gradient, LogRatio, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.approximate import TruncatedMethod

@@ -30,11 +30,7 @@ from lampest.inference.circuits.rivals import (
     rounded_down,
 )
 from lampest.inference.evidence import PARAMETER_COST, mostly_still
-<<<<<<< HEAD
 from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation, cell_factors
-=======
-from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation
->>>>>>> circuit
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import DrivenCircuit
