@@ -294,8 +294,8 @@ class MapPainter:
             pad=0.02,
         )
         bar.minorticks_off()
-        size = figure.get_figheight() if location == "right" else figure.get_figwidth()
-        label = style.wrapped(self.scale.label, int(SIGNS_PER_INCH * size))
+        extent = figure.bbox.height if location == "right" else figure.bbox.width
+        label = style.wrapped(self.scale.label, int(SIGNS_PER_INCH * extent / figure.dpi))
         bar.set_label(label, fontsize=style.TEXT_POINT)
         bar.ax.tick_params(labelsize=style.SMALL_POINT)
 
