@@ -59,12 +59,14 @@ def test_an_outlier_spoils_squares_but_not_absolute_values() -> None:
     Who believes it, sees a cell that is not there.
     """
     cells = truth((5, 6), 1, 11, spread=0.02)
-    recorded = recording(cells, 1e-4)
-    recorded.resistance[0, 2, 3] *= 1.2
+    readings = recording(cells, 1e-4)
+    wild = readings.recorded.copy()
+    wild[0, 2, 3] *= 1.2
+    readings = replace(readings, recorded=wild)
     errors = {}
     for loss in (Huber(corner=5.0), Absolute(), Squared()):
         estimate = reconstruct(
-            recorded, Estimator((Misfit(loss=loss), Gradient(weight=1e-3)))
+            readings, Estimator((Misfit(loss=loss), Gradient(weight=1e-3)))
         ).cell_resistance
         errors[loss.kind] = np.max(np.abs(estimate / cells - 1))
     assert errors["squared"] > SPOILT

@@ -86,8 +86,9 @@ def test_a_change_as_small_as_film_settling_is_not_a_touch() -> None:
     """The change is a fiftieth of that of a rod."""
     recording = recording_with((ROD, 8, 20))
     touched = recording_with((ROD, 2, 20))
-    recording.recorded[2:5] *= (touched.recorded[3] / recording.recorded[0]) ** 0.02
-    assert answered(recording).answer == PRESSES
+    recorded = recording.recorded.copy()
+    recorded[2:5] *= (touched.recorded[3] / recorded[0]) ** 0.02
+    assert answered(dataclasses.replace(recording, recorded=recorded)).answer == PRESSES
 
 
 @pytest.mark.parametrize(("frames", "steps"), [(1, False), (2, True)])
@@ -106,8 +107,9 @@ def test_a_change_of_a_single_frame_is_no_step(frames: int, steps: bool) -> None
 def test_readings_of_an_open_line_are_left_out_with_a_note() -> None:
     """The note is on two-point readings; circuits in volt show an open line otherwise."""
     recording = recording_with()
-    recording.recorded[9:, 2] *= 10
-    answer = answered(recording)
+    recorded = recording.recorded.copy()
+    recorded[9:, 2] *= 10
+    answer = answered(dataclasses.replace(recording, recorded=recorded))
     assert answer.answer == NOTHING
     assert "row 2 is open in frames from 9.0 s on; these are left out" in answer.notes
     usual = known_before(recording_with(readout=LoadedColumnsReadout(noise_lsb=0.7)))
@@ -171,7 +173,9 @@ def test_cells_of_an_uneven_film_are_not_taken_for_a_load_in_the_unloaded_frames
 
 def test_an_outlier_in_an_unloaded_frame_does_not_prevent_detection() -> None:
     recording = recording_with((ROD, 7, 14), frames=14)
-    recording.recorded[2, 1, 1] *= 3
+    recorded = recording.recorded.copy()
+    recorded[2, 1, 1] *= 3
+    recording = dataclasses.replace(recording, recorded=recorded)
     assert np.max(known_before(recording).watch().test.least()) < 10
     assert answered(recording).answer == PRESSES
 
