@@ -99,6 +99,8 @@ def words(value: dict[str, Any], labels: dict[str, str]) -> str:
 def container(value: dict[str, Any], labels: dict[str, str]) -> str:
     """A list, a mapping, or one value with its limits."""
     kind = value.get("type", "anything")
+    if isinstance(kind, list):
+        return ", ".join(kind)
     if kind == "array":
         inside = value.get("items") or (value.get("prefixItems") or [{}])[0]
         return f"list of {words(inside, labels)}" if inside else "list"
