@@ -438,7 +438,6 @@ def solve_part(part: tuple[Task, int]) -> None:
 def solve_case(task: Task) -> StoredCase:
     """Solve a case and write its result atomically."""
     recording = _recording(task.case.path, task.case.sha256)
-    inner_folder(task.folder, CASES).mkdir(exist_ok=True)
     if isinstance(recording, StoredRecording):
         return solve_long(task, recording)
     result = case_result(task.case, reconstruct(recording, task.case.estimator, _kept_frames(task)))
@@ -534,12 +533,13 @@ def _recording(path: Path, sha256: str) -> Prepared | StoredRecording:
 
 @contextmanager
 def exclusive(folder: Path) -> Iterator[None]:
-    """Lock the folder for one run.
+    """Lock the folder for one run, with a folder of its cases.
 
     Raises InputError if it cannot be written or another run uses it.
     """
-    inner_folder(output_folder(folder), CASES)
+    cases = inner_folder(output_folder(folder), CASES)
     try:
+        cases.mkdir(exist_ok=True)
         descriptor = opened_for_locking(folder / ".lock", make=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror})") from error
