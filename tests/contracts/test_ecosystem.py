@@ -167,17 +167,17 @@ def test_an_installation_takes_as_much_room_as_the_readme_says() -> None:
     )
 
 
-def test_the_help_of_init_lists_the_twelve_circuits_of_the_readme(
+def test_the_help_of_init_lists_the_thirteen_circuits_of_the_readme(
     lampest: Command, tmp_path: Path
 ) -> None:
-    assert "`lampest init --help` lists twelve circuits" in " ".join(
+    assert "`lampest init --help` lists thirteen circuits" in " ".join(
         (ROOT / "README.md").read_text().split()
     )
     shown = " ".join(re.findall(r"[\w,]+", lampest("init", "--help").out))
     listed = re.search(r"Your circuit (.+?) default", shown)
     assert listed is not None
     circuits = re.findall(r"\b(?!or\b)(\w+)", listed[1])
-    assert len(circuits) == len(set(circuits)) == 12, circuits
+    assert len(circuits) == len(set(circuits)) == 13, circuits
     kinds = set()
     for circuit in circuits:
         assert (
@@ -187,4 +187,4 @@ def test_the_help_of_init_lists_the_twelve_circuits_of_the_readme(
             == 0
         )
         kinds.add(lp.read_scene(tmp_path / circuit / "scene.yaml").readout)
-    assert len(kinds) == 12
+    assert len(kinds) == 13
