@@ -121,13 +121,16 @@ def documented(command: Callable[..., None]) -> tuple[str, inspect.Signature]:
 def _note_of(parameter: inspect.Parameter, kind: Any) -> Any:
     """Return Typer's description of a parameter of a type.
 
-    Truth values are flags, parameters without a default are arguments, and all others options,
-    unless their annotation has a description.
+    Truth values are flags, with the help of their annotation. Parameters without a default are
+    arguments, and all others options, unless their annotation has a description.
     """
+    described = get_origin(parameter.annotation) is Annotated
+    note = copy(get_args(parameter.annotation)[1]) if described else None
     if kind is bool:
-        return option("", f"--{parameter.name.strip('_').replace('_', '-')}")
-    if get_origin(parameter.annotation) is Annotated:
-        return copy(get_args(parameter.annotation)[1])
+        text = note.help if note is not None and note.help else ""
+        return option(text, f"--{parameter.name.strip('_').replace('_', '-')}")
+    if note is not None:
+        return note
     return typer.Argument() if parameter.default is parameter.empty else typer.Option()
 
 

@@ -33,6 +33,7 @@ from lampest import (
     write_results,
 )
 from lampest.apps.board.record import Progress, Recorded
+from lampest.apps.board.sample import LineOptions
 from lampest.apps.live.engine import Engine
 from lampest.apps.live.run import from_recording
 from lampest.apps.recognition.commands import _with_checks
@@ -368,6 +369,11 @@ def test_a_recording_ends_with_a_line_and_its_warnings(
         "2",
         "--period",
         "0.5",
+        "--lines",
+        "--baud",
+        "115200",
+        "--unit",
+        "kohm",
     )
     for ending, warning in ENDS_WITH_WARNINGS:
 
@@ -388,6 +394,7 @@ def test_a_recording_ends_with_a_line_and_its_warnings(
             "baseline": 2,
             "period": 0.5,
             "keys": "",
+            "options": LineOptions(lines=True, baud=115200, unit="kohm"),
         }
         assert (
             completed.out
