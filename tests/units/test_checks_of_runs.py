@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -98,8 +99,9 @@ def test_a_recording_that_has_changed_and_a_damaged_check_are_checked_again(
         run(folder)
     assert checked == ["mine"] * 5
     recording = lampest.Recording.load(folder / "mine.h5")
-    recording.recorded[0] *= 1.001
-    recording.save(folder / "mine.h5")
+    changed = recording.recorded.copy()
+    changed[0] *= 1.001
+    replace(recording, recorded=changed).save(folder / "mine.h5")
     run(folder)
     assert checked == ["mine"] * 6
 
