@@ -538,8 +538,10 @@ class Cleaned:
         readings are missing.
     frozen : boolean array, shape (rows, columns)
     garbled : tuple of GarbledLines
-    outliers : boolean array, shape (frames, rows, columns)
-        Readings that no cells allow, and outliers of one frame.
+    impossible : boolean array, shape (frames, rows, columns)
+        Readings that are larger than any cells allow.
+    outliers : boolean array, same shape
+        These, and outliers of one frame.
     deviation : array, same shape
         Readings over the predictions of their neighbours in time, less one.
     readings : Readings
@@ -550,6 +552,7 @@ class Cleaned:
     recording: Recording
     frozen: NDArray[np.bool_]
     garbled: tuple[GarbledLines, ...]
+    impossible: NDArray[np.bool_]
     outliers: NDArray[np.bool_]
     deviation: Array
     readings: Readings
@@ -574,32 +577,49 @@ class Cleaned:
         with np.errstate(divide="ignore", invalid="ignore"):
             deviation = every.value / expected - 1
         outliers = outlying | impossible
-        return cls(recording, frozen, garbled, outliers, deviation, readings.without(left_out))
+        readings = readings.without(left_out)
+        return cls(recording, frozen, garbled, impossible, outliers, deviation, readings)
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences on outliers: those that are missing, and those that stay."""
-        missing = self.outliers & (self.readings.seen == 0)
+        """Sentences on impossible readings, and on outliers that are missing or stay."""
+        missing = self.readings.seen == 0
         at_rest = (self.recording.role == UNLOADED)[:, None, None]
         excludes = self.recording.scene.outliers == "exclude"
+        exceed = "larger than any cells allow beside the others"
+        deviate = ("reading deviates in one frame", "readings deviate in one frame")
+        outlying = self.outliers & ~self.impossible
         kinds = (
-            (missing & at_rest, "left out, since no cell changes in unloaded frames"),
-            (missing & ~at_rest, "left out" if excludes else "left out, since no cell gives that"),
-            (self.outliers & ~missing, "kept; outliers: exclude leaves out such readings"),
+            (self.impossible, (f"reading is {exceed}", f"readings are {exceed}"), "left out"),
+            (
+                outlying & missing & at_rest,
+                deviate,
+                "left out, since no cell changes in unloaded frames",
+            ),
+            (
+                outlying & missing & ~at_rest,
+                deviate,
+                "left out" if excludes else "left out, since no cell gives that",
+            ),
+            (outlying & ~missing, deviate, "kept; outliers: exclude leaves out such readings"),
         )
-        return tuple(self._named(chosen, fate) for chosen, fate in kinds if chosen.any())
+        return tuple(
+            self._named(chosen, subjects, fate) for chosen, subjects, fate in kinds if chosen.any()
+        )
 
-    def _named(self, chosen: NDArray[np.bool_], fate: str) -> str:
-        """Return the places and sizes of outliers in words, the largest first."""
+    def _named(self, chosen: NDArray[np.bool_], subjects: tuple[str, str], fate: str) -> str:
+        """Return the places and sizes of outliers in words, the largest first.
+
+        The subjects are of one reading and of several.
+        """
         number = self.recording.number
         size = np.where(chosen, np.abs(np.nan_to_num(self.deviation)), -1.0)
         count = int(chosen.sum())
         places = []
-        for place in np.argsort(-size, axis=None)[:count].tolist():
+        for place in np.argsort(-size, axis=None, kind="stable")[:count].tolist():
             frame, row, column = np.unravel_index(place, chosen.shape)
             named = frame if number is None else number[frame]
             percent = 100 * self.deviation[frame, row, column]
             size_text = f" by {percent:+.2g} %" if np.isfinite(percent) else ""
             places.append(f"row {row}, column {column} of frame {named}{size_text}")
-        subject = "reading deviates" if count == 1 else "readings deviate"
-        return f"{count} {subject} in one frame: {first_and_more(places)}; {fate}"
+        return f"{count} {subjects[count > 1]}: {first_and_more(places)}; {fate}"

@@ -268,7 +268,10 @@ def test_an_impossible_reading_is_left_out() -> None:
     recording = recording_of(scene, spoilt, 1)
     noise = Prepared(recording).noise
     assert np.array_equal(np.argwhere(noise.outliers), [[frame, 2, 3] for frame in range(4)])
-    assert any("larger than any cells allow" in warning for warning in noise.warnings)
+    places = ", ".join(f"row 2, column 3 of frame {frame}" for frame in range(4))
+    assert noise.warnings == (
+        f"4 readings are larger than any cells allow beside the others: {places}; left out",
+    )
     assert Prepared(recording).check.mark == "yes"
     wrong = exact.copy()
     wrong[:, 2:4, 1:5] *= 4
