@@ -129,8 +129,19 @@ BREAKS = {
     "estimates_without_noise_have_no_error_bars": Break(
         "estimate/estimator.py", "Estimator.has_error_bars", "return True"
     ),
-    "a_tap_of_one_frame_stays_and_a_reading_that_no_cell_gives_is_missing": Break(
+    "a_tap_of_one_frame_stays": Break("inference/cleaning.py", "no_cell_moves", "return outlying"),
+    "a_reading_that_no_cell_gives_is_missing_and_named": Break(
         "inference/cleaning.py", "no_cell_moves", "return result & False"
+    ),
+    "an_outlier_of_an_unloaded_frame_is_left_out_of_the_mean": Break(
+        "inference/cleaning.py",
+        "outliers_of_one_frame",
+        "return result[0] & ~unloaded[:, None, None], result[1], result[2]",
+    ),
+    "an_outlier_stays_with_its_name_unless_the_scene_excludes_it": Break(
+        "inference/cleaning.py",
+        "Cleaned.of",
+        "recording = replace(recording, scene=replace(recording.scene, outliers='keep'))",
     ),
     "the_error_of_a_missing_library_names_its_extra_unlike_own_modules": Break(
         "files/errors.py", "PACKAGES", "{}"
@@ -159,7 +170,15 @@ BREAKS = {
     "a_number_that_a_recording_cannot_determine_has_a_reason": Break(
         "inference/resolve.py", "never_changes", "return False"
     ),
-    "two_swapped_lines_and_two_exchanged_bits_are_named": Break("audit/order.py", "RARER", "1e300"),
+    "two_swapped_lines_and_two_exchanged_bits_are_named_by_loads_in_several_places": Break(
+        "audit/order.py", "along_side", "return 0 * result"
+    ),
+    "two_feet_half_a_panel_apart_are_no_interleaved_lines": Break(
+        "audit/order.py", "COINCIDENCE", "1e-300"
+    ),
+    "lines_that_repeat_each_other_are_named": Break(
+        "audit/health.py", "_is_structured", "return False"
+    ),
     "loads_on_every_second_line_leave_the_order_open": Break(
         "audit/order.py", "COMBS", "{'row': (1, 1), 'column': (1, 1)}"
     ),
@@ -170,6 +189,9 @@ BREAKS = {
     ),
     "apply_writes_the_lines_into_the_scene": Break(
         "audit/finding.py", "with_lines", "return scene, (), ()"
+    ),
+    "printed_entries_replace_those_of_the_scene": Break(
+        "audit/finding.py", "advised_entries", "return result[:-1]"
     ),
     "info_prints_its_answer_before_the_verdict": Break(
         "report/info.py", "_health", "audit.prepared.check"
@@ -205,7 +227,9 @@ BREAKS = {
         "object.__setattr__(state, 'previous', step.solution.cell_resistance[-1])",
     ),
     "every_combination_of_potentials_agrees_with_its_netlist": Break(
-        "panel/readouts/equation.py", "_load_volts", "return result[0], 0.9 * result[1]"
+        "panel/readouts/driven.py",
+        "DrivenCircuit.load_ends",
+        "return replace(result, volt=0.9 * result.volt)",
     ),
     "codes_of_a_rounding_converter_leave_cells_unbiased": Break(
         "panel/readouts/converter.py",
