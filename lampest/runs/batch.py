@@ -540,7 +540,6 @@ def exclusive(folder: Path) -> Iterator[None]:
     """
     cases = inner_folder(output_folder(folder), CASES)
     try:
-        cases.mkdir(exist_ok=True)
         descriptor = opened_for_locking(folder / ".lock", make=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror})") from error
@@ -549,6 +548,10 @@ def exclusive(folder: Path) -> Iterator[None]:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise InputError(f"{folder}: another run is using this folder") from error
+        try:
+            cases.mkdir(exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be written ({error.strerror})") from error
         yield
 
 
