@@ -1,15 +1,19 @@
 """Reports of results: a page that needs no other file, and tables of presses."""
 
 import dataclasses
+from base64 import b64decode
 from html.parser import HTMLParser
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 from support import METHODS, invented_case
 
 from lampest import CaseResult, InputError, write_results
+from lampest.apps.page.all_frames import MAX_FRAMES, all_frames
 from lampest.apps.page.compared import Batch
 from lampest.apps.page.page import report, write_report
 from lampest.apps.recognition.detect.pressed import pressed_of
@@ -63,7 +67,7 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append((tag, dict(attrs)))
-        if tag not in ("meta", "link", "img", "br"):
+        if tag not in ("meta", "link", "img", "input", "br"):
             self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
@@ -89,8 +93,9 @@ def test_a_page_is_self_contained_and_recommends_nothing_without_truth_and_noise
         invented_case(name, "<img src=x onerror=alert(1)>", (2, 3, 3), **known) for name in names
     ]
     page = Page(report(batch(*cases)))
+    assert [tag for tag, _ in page.tags].count("script") == 1  # that of the slider
+    assert "alert(1)>" in page.text  # a name is text
     assert not {tag for tag, _ in page.tags} & {
-        "script",
         "iframe",
         "object",
         "embed",
@@ -133,6 +138,34 @@ def test_a_report_of_any_shape_is_written_despite_failures(shape: tuple[int, int
         "[ms]",
     ):
         assert word in page.text, word
+
+
+def test_a_slider_shows_the_maps_of_every_frame() -> None:
+    """Frames stand in a strip one under another, in the order of the labels."""
+    case = invented_case("LSM", shape=(4, 3, 5))
+    shown = all_frames([case], place=2)
+    assert shown is not None and shown.first == 2 and shown.shape == (3, 5) and not shown.left_out
+    assert shown.labels == tuple(
+        f"frame {n} at {time:.4g} s" for n, time in zip(case.frame, case.time, strict=True)
+    )
+    titles = [strip.title for strip in shown.strips]
+    assert titles == ["measured", "estimated: LSM", "truth"]
+    images = [imread(BytesIO(b64decode(strip.uri.split(",")[1]))) for strip in shown.strips]
+    assert all(image.shape == (4 * 3, 5, 4) for image in images)
+    changes = [np.nan_to_num(case.relative_change), images[1].reshape(4, 3, 5, 4)]
+    strongest = np.unravel_index(np.argmax(changes[0]), (4, 3, 5))
+    assert changes[1][strongest][0] > changes[1][strongest][2]  # a rise is red
+    page = Page(report(batch(case)))
+    sliders = [given for tag, given in page.tags if tag == "input" and given.get("type") == "range"]
+    assert [slider["max"] for slider in sliders] == ["3"]
+
+
+def test_a_slider_of_a_long_recording_leaves_frames_out_and_says_so() -> None:
+    case = invented_case("LSM", shape=(MAX_FRAMES + 50, 2, 2))
+    shown = all_frames([case], place=101)
+    assert shown is not None and MAX_FRAMES <= len(shown.labels) <= MAX_FRAMES + 1
+    assert shown.labels[shown.first].startswith(f"frame {case.frame[101]} ")
+    assert "frames between the shown ones are left out" in Page(report(batch(case))).text
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import numpy as np
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 
 from lampest.apps.page import compared
+from lampest.apps.page.all_frames import all_frames
 from lampest.apps.page.compared import HARD, NONE, Batch, Comparison, between, weights_text
 from lampest.files.errors import counted
 from lampest.files.levels import MAD_TO_SIGMA
@@ -136,6 +137,7 @@ def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> 
         "place": place,
         "table": case_table({estimator: [case] for estimator, case in by_estimator.items()}),
         "pictures": shown,
+        "frames": all_frames(cases, place) if in_full else None,
         "reference": reference_words(cases[0]),
         "undecided": in_full and len(cases) > 1 and not pairs,
         "failed": failures([*by_estimator.values()]),
