@@ -37,7 +37,7 @@ def table(run: dict[str, dict[str, dict[str, str]]]) -> str:
     for effect, own in run.items():
         first = next(iter(own.values()))
         rows = [own[name] for name in names]
-        alone = [f"{float(row['alone']):.0f} × {float(row['ratio']):.2f}" for row in rows]
+        alone = [f"{float(row['alone']):.0f}×{float(row['ratio']):.2f}" for row in rows]
         lines.append(
             [effect, *map(shares, rows), *alone, f"{first['reported']} of {first['recordings']}"]
         )
@@ -45,8 +45,8 @@ def table(run: dict[str, dict[str, dict[str, str]]]) -> str:
 
 
 def shares(row: dict[str, str]) -> str:
-    """'97 / 95 / 100'."""
-    return " / ".join(f"{float(row[name]):.0f}" for name in SHARES)
+    """Return '97/95/100'."""
+    return "/".join(f"{float(row[name]):.0f}" for name in SHARES)
 
 
 def with_table(text: str, new: str) -> str:

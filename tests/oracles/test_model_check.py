@@ -113,7 +113,7 @@ def test_a_verdict_says_whether_other_circuits_were_compared() -> None:
 
 
 @promise(
-    "theory/model_check: Between circuits, moved cells are either single ones or loads, "
+    "theory/model_check: Between circuits, changed cells are either single ones or loads, "
     "with equal probability."
 )
 def test_a_bar_over_whole_lines_is_no_other_circuit() -> None:

@@ -49,7 +49,11 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
         ("with three degrees of freedom", reference_fit.MODEL.degrees_of_freedom, 3),
     ],
     "docs/theory/model_check.md": [
-        ("A rival is named if its evidence is e¹⁸ times larger", nuisances.MIN_EVIDENCE_GAIN, 36),
+        (
+            "An alternative is named if its evidence is e¹⁸ times larger",
+            nuisances.MIN_EVIDENCE_GAIN,
+            36,
+        ),
         ("another circuit is better by 15 in", rival_parameters.DOUBTFUL_GAIN, 15),
         ("If more than a tenth of the readings is missing", model_check.MAX_MISSING, 0.1),
         ("up to three:", nuisances.MAX_CANDIDATES, 3),

