@@ -27,6 +27,7 @@ from lampest import Array, InputError, LoadedColumnsReadout, Panel, Recording, S
 from lampest.apps.board.record import Recorded, record
 from lampest.apps.board.sample import LineOptions
 from lampest.files.document import to_yaml
+from lampest.panel.panel import EachModule, Modules
 
 SHAPE = (4, 5)
 SCENE = Scene(Panel(*SHAPE), LoadedColumnsReadout(adc_bits=10, readings=1, noise_lsb=1.0))
@@ -160,3 +161,45 @@ def test_a_board_that_prints_needs_a_scene(tmp_path: Path) -> None:
         pytest.raises(InputError, match=r"prints '\d.*--scene says the rows, columns and circuit"),
     ):
         record(url, tmp_path / "r.h5", frames=2, options=LINES)
+
+
+def test_a_line_at_another_rate_is_said(tmp_path: Path) -> None:
+    """At a wrong rate bytes are no text; a pseudo-terminal has no rate that would help."""
+    noise = np.random.default_rng(1).integers(128, 255, (200, 60), np.uint8)
+    with on_terminal([row.tobytes() for row in noise]) as url:
+        for baud, words in ((None, r"at any usual rate; --baud N"), (9_600, "at 9600 baud")):
+            options = LineOptions(lines=True, baud=baud)
+            with pytest.raises(InputError, match=f"is no text {words}"):
+                recorded(url, tmp_path / "r.h5", options=options)
+    assert not (tmp_path / "r.h5").exists()
+
+
+def test_bytes_that_come_too_fast_are_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten frames that find no room are lost, and none of the others is mixed."""
+    monkeypatch.setattr("lampest.apps.board.source.MAX_WAITING", 400)
+    codes = mat_codes(60, SHAPE)
+    lines = printed(frame_with_millis, codes)
+    with in_datagrams([*lines[:30], b"".join(lines[30:40]), *lines[40:]], period=0.05) as url:
+        summary, recording = recorded(url, tmp_path / "r.h5", frames=45)
+    assert summary.too_fast
+    whole = np.concatenate([codes[:30], codes[40:55]])
+    np.testing.assert_array_equal(codes_of(recording), whole)
+
+
+def test_modules_that_print_are_one_image(tmp_path: Path) -> None:
+    """Each of two boards prints the lines of its module."""
+    panel = Panel(modules=Modules(1, 2, EachModule(*SHAPE)))
+    scene = Scene(panel, LoadedColumnsReadout(adc_bits=10, readings=1, noise_lsb=1.0))
+    both = CODES, mat_codes(FRAMES, SHAPE, seed=5)
+    with (
+        on_terminal(printed(frame_with_millis, both[0])) as left,
+        on_terminal(printed(frame_with_millis, both[1])) as right,
+    ):
+        record([left, right], tmp_path / "r.h5", frames=8, scene=scene, baseline=2, options=LINES)
+    codes = codes_of(Recording.load(tmp_path / "r.h5"))
+    assert codes.shape == (8, 4, 10)
+    for frame in codes:
+        for part, printed_codes in zip(np.split(frame, 2, axis=1), both, strict=True):
+            assert np.isnan(part).all() or (part == printed_codes).all(axis=(1, 2)).any()

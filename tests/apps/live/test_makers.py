@@ -6,7 +6,14 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from printing_board import frame_with_millis, on_terminal, printed, rows_and_a_blank_line
+from printing_board import (
+    frame_with_millis,
+    json_frames,
+    on_socket,
+    on_terminal,
+    printed,
+    rows_and_a_blank_line,
+)
 
 from lampest import Array, Recording, Scene, read_scene
 
@@ -61,3 +68,14 @@ def test_five_lines_lead_from_nothing_to_a_live_map(tmp_path: Path) -> None:
     change = recording.recorded[-1] / recording.recorded[0]
     assert np.all(np.abs(change[PRESSED] - 1) > 0.5)
     assert "model      no" not in run(tmp_path, info)
+
+
+def test_a_board_behind_a_socket_is_live(tmp_path: Path) -> None:
+    """Frames that an ESP32 sends over Wi-Fi are estimated as they come, and end with it."""
+    init, _, live, *_ = commands()
+    run(tmp_path, init)
+    frames = printed(json_frames, codes(read_scene(tmp_path / "mat" / "scene.yaml"), 2))
+    with on_socket(frames, period=0.25) as url:
+        live[live.index("--port") + 1] = url
+        output = run(tmp_path, [*live, "--http", "127.0.0.1:0", "--count", str(FRAMES - 4)])
+    assert "the board prints: " in output and f"{FRAMES - 4} frames" in output
