@@ -343,3 +343,13 @@ def test_two_ends_of_a_line_are_one_by_thevenin() -> None:
     assert np.isinf(floating.beside(floating).ohm[0])
     with pytest.raises(ValueError, match="0 ohm hold a line at two potentials"):
         Ends.of(np.array([0.0]), 1.5).beside(Ends.of(np.array([0.0]), 2.5))
+
+
+@pytest.mark.parametrize("lines", [(1, 3), (3, 1), (4, 6)])
+def test_lists_of_both_sides_may_differ_in_length(lines: tuple[int, int]) -> None:
+    """Each side has as many lines as its own lists tell, one line included."""
+    driven, sensed = lines
+    listed = VirtualGroundReadout(drive_ohm=(30.0,) * driven, offset_volt=(0.001,) * sensed)
+    single = VirtualGroundReadout(drive_ohm=30.0, offset_volt=0.001)
+    cells = np.full(lines, 2000.0)
+    np.testing.assert_allclose(listed.exact_reading(cells), single.exact_reading(cells), rtol=1e-9)

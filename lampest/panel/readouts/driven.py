@@ -160,12 +160,17 @@ class DrivenCircuit(Readout):
     @property
     def nominal_lines(self) -> tuple[int, int]:
         """Numbers of driven and of sensed lines that lists and groups tell, otherwise two."""
-        sides = (self.of_driven, self.driven_groups), (self.of_sensed, self.groups)
+        sides = (
+            (self.of_driven, self.driven_groups),
+            ((*self.of_sensed, "offset_volt"), self.groups),
+        )
         driven, sensed = (
             max(
-                NOMINAL_LINES,
-                *(len(as_tuple(getattr(self, key) or 0.0)) for key in (*keys, "offset_volt")),
-                0 if groups is None else max(listed_lines(groups)) + 1,
+                [
+                    *(len(value) for key in keys if isinstance(value := getattr(self, key), tuple)),
+                    *([] if groups is None else [max(listed_lines(groups)) + 1]),
+                ],
+                default=NOMINAL_LINES,
             )
             for keys, groups in sides
         )
