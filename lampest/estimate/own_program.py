@@ -30,6 +30,7 @@ from lampest.formulation.instance import Instance, ProgramResult
 from lampest.formulation.ipopt import Interface
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
+from lampest.formulation.scene_numbers import SymbolicReadout
 from lampest.inference.prepared import Prepared
 from lampest.panel.compiled import SymbolsOwner, guarded
 from lampest.recording.recording import UNLOADED, Recording
@@ -193,6 +194,7 @@ def program(
     formulation: str = "nodal",
     bounds: Bounds | None = None,
     solver: Settings | None = None,
+    numbers: Mapping[str, float] | None = None,
 ) -> OwnProgram:
     """Return the program of some frames, to which unknowns and constraints can be added.
 
@@ -207,12 +209,17 @@ def program(
     formulation : {'nodal', 'per_pixel'}
     bounds : Bounds, optional
     solver : Settings, optional
+    numbers : mapping of str to float, optional
+        Numbers of the scene that are unknown, by their dotted keys, such as 'series_resistance_ohm'
+        or 'readout.load_ohm', with the standard deviation of a Gaussian prior about the scene's
+        number. A list of numbers is one unknown for each line. All frames share them. Lower bounds
+        of the cells, which would follow from the scene's numbers, are then absent by default.
 
     Raises
     ------
     InputError
         If `terms` is no sequence of terms, a frame does not exist, the formulation has another
-        name, or the panel consists of modules.
+        name, the panel consists of modules, or a number is no resistance of the scene's circuit.
 
     Examples
     --------
@@ -225,7 +232,8 @@ def program(
     >>> program.subject_to("equal", program.cells()[0, 0] - program.cells()[1, 2]).solve().solved
     True
     """
-    estimator = _checked_estimator(terms, formulation, bounds or Bounds(), solver or Settings())
+    bounds = bounds or (Bounds(lower="none") if numbers else Bounds())
+    estimator = _checked_estimator(terms, formulation, bounds, solver or Settings())
     prepared = Prepared.of(recording)
     scene = prepared.resolved.scene
     if scene.panel.modules is not None:
@@ -260,8 +268,12 @@ def program(
         cost = estimator.cost(scene, 1, partial=readings.partial)
         evaluations.append(evaluated(cost, data, data.uniform_start))
     circuits = Circuit.of_readout(scene.circuit, scene.panel.shape, scene.wiring)
+    symbolic = None
+    if numbers:
+        typical = readings[chosen].mean().value
+        symbolic = SymbolicReadout.of(scene, numbers, typical)
     symbols = Program.build(
-        cost, scene.circuit, circuits, EXCITATIONS[formulation], blocks=len(chosen)
+        cost, scene.circuit, circuits, EXCITATIONS[formulation], len(chosen), symbolic
     )
     return OwnProgram(symbols, tuple(evaluations), circuits, estimator.solver, formulation, unread)
 

@@ -6,9 +6,11 @@ that are joined by no resistance are one node. Without wire, contacts and touchi
 are the lines, rows before columns.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import casadi
 import numpy as np
@@ -27,7 +29,7 @@ Nodes = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class ConductanceSymbols:
-    """Symbols of the conductances of one frame.
+    """Symbols of the conductances of one frame, and the equation of its readings.
 
     Attributes
     ----------
@@ -37,11 +39,14 @@ class ConductanceSymbols:
         Ties t of the terminals to ground in 1/`scale`.
     scale : casadi.SX
         Unit of resistances in ohm; voltages for unit currents have the same unit.
+    reading : callable
+        Equation of the readings, see `Readout.reading`.
     """
 
     conductance: casadi.SX
     tie: casadi.SX
     scale: casadi.SX
+    reading: Callable[..., Any]
 
 
 @dataclass(frozen=True, eq=False)

@@ -152,7 +152,7 @@ class Nodal(Excitation):
         at_ends, more = _at_ends(unknowns, circuit, symbols)
         return unknowns.network(
             casadi.vertcat(balance, more),
-            _reading(circuit, readout, impedance, symbols.scale, at_ends),
+            _reading(circuit, readout, impedance, symbols, at_ends),
         )
 
     def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
@@ -203,7 +203,7 @@ def _network_of_lines(
     at_ends, more = _at_ends(unknowns, circuit, symbols)
     return unknowns.network(
         casadi.vertcat(*equations, more),
-        _reading(circuit, readout, impedance, symbols.scale, at_ends),
+        _reading(circuit, readout, impedance, symbols, at_ends),
     )
 
 
@@ -249,7 +249,7 @@ class PerPixel(Excitation):
         balance = casadi.vertcat(balance, more)
         if at_ends is not None:
             entries_of_cells += [at_ends[row.tolist()], at_ends[column.tolist()]]
-        reading = readout.reading(*(_grid(circuit, entry) for entry in entries_of_cells))
+        reading = symbols.reading(*(_grid(circuit, entry) for entry in entries_of_cells))
         return unknowns.network(balance, casadi.vec(casadi.SX(reading).T))
 
     def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
@@ -394,13 +394,13 @@ def _reading(
     circuit: Circuit,
     readout: Readout,
     impedance: casadi.SX,
-    scale: casadi.SX,
+    symbols: ConductanceSymbols,
     at_ends: casadi.SX | None,
 ) -> casadi.SX:
     """Return the readings (cells, 1) from K between the lines.
 
-    K has shape (lines, lines), in units of `scale`; `at_ends` is v of the lines, (lines, 1), or
-    None without potentials.
+    K has shape (lines, lines), in units of the symbols' scale; `at_ends` is v of the lines, (lines,
+    1), or None without potentials.
     """
     rows, columns = circuit.shape
     own = casadi.diag(impedance)
@@ -410,17 +410,17 @@ def _reading(
         impedance[:rows, rows:],
     ]
     if readout.homogeneous and not circuit.held.any():
-        return casadi.vec(casadi.SX(scale * readout.reading(*entries)).T)
+        return casadi.vec(casadi.SX(symbols.scale * symbols.reading(*entries)).T)
     row, column = _lines_of_cells(circuit)
     pairs = ((row, row), (column, column), (row, column))
     scaled = [
-        _grid(circuit, _unit(circuit, first, second, scale)) * entry
+        _grid(circuit, _unit(circuit, first, second, symbols.scale)) * entry
         for (first, second), entry in zip(pairs, entries, strict=True)
     ]
     if at_ends is not None:
         scaled.append(casadi.repmat(at_ends[:rows], 1, columns))
         scaled.append(casadi.repmat(at_ends[rows:].T, rows, 1))
-    return casadi.vec(casadi.SX(readout.reading(*scaled)).T)
+    return casadi.vec(casadi.SX(symbols.reading(*scaled)).T)
 
 
 def _grid(circuit: Circuit, values: casadi.SX) -> casadi.SX:

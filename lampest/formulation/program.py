@@ -39,6 +39,7 @@ from lampest.formulation.patterns import (
     NetworkSymbols,
     joined_addresses,
 )
+from lampest.formulation.scene_numbers import SymbolicReadout
 from lampest.formulation.values import Values, unit_of
 from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.panel.panel import Array
@@ -85,7 +86,8 @@ class Blocks(CasadiOwner):
         return dict(zip(self.sizes, np.split(column, ends), strict=True))
 
 
-Rule = float | Callable[[Values], ArrayLike]  # a number, or a function of the values of the frames
+# Numbers, or a function of the values of the frames
+Rule = float | Array | Callable[[Values], ArrayLike]
 
 
 def value_of(rule: Rule, at: Values) -> ArrayLike:
@@ -238,6 +240,7 @@ class Program(CasadiOwner):
         circuits: Sequence[Circuit],
         patterns: Excitation,
         blocks: int = 1,
+        symbolic: SymbolicReadout | None = None,
     ) -> "Program":
         """Return the program of a cost, over a number of independent blocks of frames.
 
@@ -249,6 +252,8 @@ class Program(CasadiOwner):
             Circuit of each address of the readout.
         patterns : Excitation
         blocks : int
+        symbolic : SymbolicReadout or None
+            The readout with numbers that are unknown, the same in all frames.
         """
         frames = blocks * cost.frames
         rows, columns = cost.panel.shape
@@ -257,16 +262,18 @@ class Program(CasadiOwner):
             casadi.SX.sym(name) for name in ("scale", "cost_scale", "split_scale")
         )
         conductance = casadi.SX.sym("conductance", rows * columns, frames)
+        equation = readout.reading if symbolic is None else symbolic.reading
         networks = []
         for frame in range(frames):
             addresses = []
             for number, circuit in enumerate(circuits):
-                symbols = ConductanceSymbols(
-                    conductance[:, frame], tie[:, frame * len(circuits) + number], scale
-                )
+                tied = tie[:, frame * len(circuits) + number]
+                if symbolic is not None:
+                    tied = tied + scale * symbolic.tie[:, number]
+                symbols = ConductanceSymbols(conductance[:, frame], tied, scale, equation)
                 addresses.append(patterns.network(circuit, readout, symbols))
             networks.append(joined_addresses(circuits, addresses))
-        return cls(
+        program = cls(
             cost,
             (rows, columns),
             conductance,
@@ -279,6 +286,14 @@ class Program(CasadiOwner):
             cost_scale,
             split_scale,
         )
+        if symbolic is None:
+            return program
+        own = {
+            each.key: ProgramUnknown(symbolic.symbols[each.key], each.value, each.least)
+            for each in symbolic.numbers
+        }
+        program = replace(program, own=own, own_cost=symbolic.prior)
+        return program.with_reading(symbolic.as_the_scene_reads)
 
     def __repr__(self) -> str:
         """Return the program as a table of cost, unknowns and constraints, with their sizes."""

@@ -336,6 +336,8 @@ class PotentialTerms:
         Reading of a line that is read without current.
     ends : array, shape (addresses, lines)
         Potentials in which the lines end in each base.
+    loaded : bool
+        Whether a sensed line that is read has a potential of its own, F ≠ 0.
     follows : array, shape (rows, columns), or None
         Change of E by Vp, where idle driven lines follow the sensed one.
     """
@@ -347,17 +349,13 @@ class PotentialTerms:
     load_volt: Array
     level: Array
     ends: Array
+    loaded: bool
     follows: Array | None
 
     @cached_property
     def sourced(self) -> bool:
         """Whether potentials of the bases excite Z, so that readings depend on v."""
         return self.follows is not None or bool(self.ends.any())
-
-    @cached_property
-    def loaded(self) -> bool:
-        """Whether a sensed line that is read has a potential of its own, F ≠ 0."""
-        return bool(self.of_load.any())
 
     @cached_property
     def shares(self) -> tuple[Array, Array] | None:
@@ -676,6 +674,7 @@ def _potential_terms(
         load_volt=of_sensed(own),
         level=of_sensed(0.0 * own if ends.amplified else own),
         ends=tie_volts,
+        loaded=bool(of_load.any()),
         follows=of_driven(-driving.ratio) if follows else None,
     )
 

@@ -1,0 +1,401 @@
+"""Numbers of a scene as unknowns of a program: resistances in series, references, channels.
+
+Any voltage or current of a linear circuit is a ratio of polynomials that are linear in each of its
+resistances:
+
+    f(θ) = Σ_S a_S Π_{i∈S} θ_i / Σ_S b_S Π_{i∈S} θ_i,   S a subset of the numbers.
+
+So are the entries of a readout's equation, the ties of its lines, and the factors between the
+network's readings and the recorded ones. The polynomials follow from values of the readout at
+a grid of numbers. Further values test them, and a number that acts otherwise is refused. A
+readout therefore needs no statement of its own. Source: Bode, Network Analysis and Feedback
+Amplifier Design, 1945, chapter 1.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.errors import InputError, in_words
+from lampest.panel.circuit import Equation, equation_of
+from lampest.panel.compiled import CasadiOwner
+from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.scene import Scene, specified
+
+MAX_NUMBERS = 3  # keys: values at 3ⁿ points, and 2ⁿ⁺¹ coefficients of each entry
+GRID = (0.0, 1.0, 2.0)  # in steps from the scene's number
+TESTED = (0.5, 3.0)  # places beside the grid
+FARTHER = 1.5  # the second of two readings whose conversion is a straight line, over the first
+ROUNDING = 1e-9  # relative deviation of a value from its ratio of polynomials
+
+
+@dataclass(frozen=True, eq=False)
+class SceneNumber:
+    """Number of a scene, or list of numbers of its lines, that is unknown.
+
+    Attributes
+    ----------
+    key : str
+        Dotted key of the scene, such as 'readout.load_ohm'.
+    value : array, shape (n,)
+        Numbers of the scene.
+    sd : float
+        Standard deviation of the prior about them.
+    """
+
+    key: str
+    value: Array
+    sd: float
+
+    @classmethod
+    def of(cls, scene: Scene, key: str, sd: Any) -> "SceneNumber":
+        """Return the number at a key of a scene.
+
+        Raises InputError unless the scene has numbers there, and a prior is positive and finite.
+        """
+        entry = specified(scene, key) if isinstance(key, str) else None
+        listed = entry if isinstance(entry, tuple) else (entry,)
+        if not all(type(number) in (int, float) and np.isfinite(number) for number in listed):
+            raise InputError(f"numbers: the scene has no number {key!r}")
+        if type(sd) not in (int, float) or not 0 < sd < np.inf:
+            raise InputError(
+                f"numbers: {key} needs the standard deviation of its prior, a positive number, "
+                f"not {in_words(sd)}"
+            )
+        return cls(key, np.array(listed, dtype=float), float(sd))
+
+    @property
+    def least(self) -> float:
+        """Least possible number: no resistance is negative."""
+        return 0.0 if "_ohm" in self.key else -np.inf
+
+    @property
+    def step(self) -> Array:
+        """Distance of the points of the grid, (n,)."""
+        return np.maximum(np.abs(self.value) / 2, self.sd)
+
+    def stated(self, scene: Scene, value: Array) -> Scene:
+        """Return the scene with other numbers."""
+        listed = isinstance(specified(scene, self.key), tuple)
+        stated: Scene = _stated(
+            scene, self.key, tuple(value.tolist()) if listed else float(value[0])
+        )
+        return stated
+
+
+@dataclass(frozen=True, eq=False)
+class SymbolicReadout(CasadiOwner):
+    """Readout whose numbers are symbols.
+
+    Attributes
+    ----------
+    numbers : sequence of SceneNumber
+    symbols : mapping of str to casadi.SX
+        Symbols of the numbers by key, (n, 1) each.
+    reading : callable
+        Equation of the readings, see `Readout.reading`.
+    tie : casadi.SX, shape (lines, addresses)
+        Change of the ties of the lines from those of the scene, siemens.
+    slope, offset : casadi.SX, shape (cells, 1)
+        The scene takes slope·y + offset for a reading y of the network.
+    """
+
+    numbers: Sequence[SceneNumber]
+    symbols: Mapping[str, casadi.SX]
+    reading: Callable[..., Any]
+    tie: casadi.SX
+    slope: casadi.SX
+    offset: casadi.SX
+
+    @classmethod
+    def of(cls, scene: Scene, priors: Mapping[str, float], measured: Array) -> "SymbolicReadout":
+        """Return the readout of a scene with symbols in place of some numbers.
+
+        Parameters
+        ----------
+        scene : Scene
+        priors : mapping of str to float
+            Standard deviation of each unknown number about that of the scene, by its dotted key.
+        measured : array, shape (rows, columns)
+            Readings of the network.
+
+        Raises InputError for a number that is no resistance of this circuit.
+        """
+        _check_circuit(scene)
+        if len(priors) > MAX_NUMBERS:
+            raise InputError(f"numbers: at most {MAX_NUMBERS} keys, not {len(priors)}")
+        numbers = [SceneNumber.of(scene, key, sd) for key, sd in priors.items()]
+        symbols = {each.key: casadi.SX.sym(each.key, len(each.value)) for each in numbers}
+        circuit = scene.circuit
+        ratios = _Ratios.fitted(scene, numbers, measured)
+        values = ratios.expression(numbers, symbols)
+        cells = measured.size
+        first, last, values = values[:cells], values[cells : 2 * cells], values[2 * cells :]
+        reading = casadi.DM(measured.ravel())
+        slope = (last - first) / ((FARTHER - 1) * reading)
+        offset = first - slope * reading
+        if not isinstance(circuit, DrivenCircuit):
+            unchanged = casadi.SX(sum(measured.shape), 1)
+            return cls(numbers, symbols, circuit.reading, unchanged, slope, offset)
+        equation = equation_of(circuit, *measured.shape)
+        count = equation.ties.size
+        finite = np.where(np.isfinite(equation.ties), equation.ties, 0.0)
+        tied = casadi.reshape(values[:count], equation.ties.shape[1], len(equation.ties))
+        symbolic = _with_arrays(equation, values[count:])
+        change = tied - casadi.DM(finite.T)
+        return cls(numbers, symbols, symbolic.reading, change, slope, offset)
+
+    def as_the_scene_reads(self, reading: casadi.SX) -> casadi.SX:
+        """Return what the scene takes for readings of the network, (cells, frames)."""
+        frames = reading.shape[1]
+        slope, offset = (casadi.repmat(each, 1, frames) for each in (self.slope, self.offset))
+        return slope * reading + offset
+
+    @property
+    def prior(self) -> casadi.SX:
+        """Cost Σ ((θ − mean)/sd)² of the prior, (1, 1)."""
+        deviations = [
+            (self.symbols[number.key] - casadi.DM(number.value)) / number.sd
+            for number in self.numbers
+        ]
+        return casadi.sumsqr(casadi.vertcat(*deviations))
+
+
+@dataclass(frozen=True, eq=False)
+class _Ratios:
+    """Ratios of polynomials, one for each entry of a readout.
+
+    Attributes
+    ----------
+    value : array, shape (entries,)
+        Values at the scene's numbers.
+    place : array of int, shape (keys, entries)
+        Number of the list of each key on which an entry depends; −1: on none.
+    coefficients : sequence of array
+        Coefficients of numerator and denominator of each entry, (2, 2, …), with an axis of constant
+        and linear part for each key on which it depends.
+    """
+
+    value: Array
+    place: NDArray[np.intp]
+    coefficients: Sequence[Array]
+
+    @classmethod
+    def fitted(cls, scene: Scene, numbers: Sequence[SceneNumber], measured: Array) -> "_Ratios":
+        """Return the ratios of a scene; see `SymbolicReadout.of`."""
+        nominal = _entries(scene, scene, measured)
+
+        def moved(steps: Sequence[float | Array]) -> Array:
+            changed = scene
+            for number, step in zip(numbers, steps, strict=True):
+                changed = number.stated(changed, number.value + step * number.step)
+            return _entries(changed, scene, measured)
+
+        place = np.full((len(numbers), len(nominal)), -1)
+        for key, number in enumerate(numbers):
+            for entry, chosen in enumerate(np.eye(len(number.value))):
+                steps = [chosen if other == key else 0.0 for other in range(len(numbers))]
+                depends = ~_same(moved(steps), nominal)
+                if np.any(depends & (place[key] >= 0)):
+                    raise _refusal(number.key)
+                place[key][depends] = entry
+            if np.all(place[key] < 0):
+                raise InputError(f"numbers: no reading depends on {number.key}")
+        points = list(product(GRID, repeat=len(numbers)))
+        tests = list(product(TESTED, repeat=len(numbers)))
+        values = np.array([moved(point) for point in points + tests])
+        coefficients = []
+        for entry, of_entry in enumerate(values.T):
+            active = place[:, entry] >= 0
+            at = np.array(points + tests)[:, active]
+            fit = _ratio(at[: len(points)], of_entry[: len(points)])
+            if active.any() and not np.all(
+                np.abs(_at(fit, at) - of_entry) <= ROUNDING * np.abs(of_entry).max()
+            ):
+                raise _refusal(
+                    " and ".join(
+                        number.key for number, acts in zip(numbers, active, strict=True) if acts
+                    )
+                )
+            coefficients.append(fit)
+        return cls(nominal, place, coefficients)
+
+    def expression(
+        self, numbers: Sequence[SceneNumber], symbols: Mapping[str, casadi.SX]
+    ) -> casadi.SX:
+        """Return the entries as expressions of the symbols, (entries, 1)."""
+        steps = [
+            (symbols[number.key] - number.value) / casadi.DM(number.step) for number in numbers
+        ]
+        column = casadi.SX(casadi.DM(np.where(np.isfinite(self.value), self.value, 0.0)))
+        for entry in np.flatnonzero((self.place >= 0).any(axis=0)):
+            places = self.place[:, entry]
+            parts = [
+                step[int(place)] for step, place in zip(steps, places, strict=True) if place >= 0
+            ]
+            upper, lower = (
+                sum(
+                    float(coefficient) * casadi.SX(_power(parts, powers))
+                    for powers, coefficient in np.ndenumerate(polynomial)
+                )
+                for polynomial in self.coefficients[int(entry)]
+            )
+            column[int(entry)] = upper / lower
+        return column
+
+
+def _power(parts: Sequence[Any], powers: tuple[int, ...]) -> Any:
+    """Return the product of the parts with a power of 1."""
+    result: Any = 1.0
+    for part, power in zip(parts, powers, strict=True):
+        result = result * part if power else result
+    return result
+
+
+def _ratio(at: Array, values: Array) -> Array:
+    """Return the coefficients of a ratio of polynomials through values, (2, 2, …).
+
+    Parameters
+    ----------
+    at : array, shape (points, keys)
+    values : array, shape (points,)
+    """
+    if not at.shape[1]:
+        return np.array([values[0], 1.0])
+    shape = (2,) * at.shape[1]
+    powers = list(np.ndindex(*shape))
+    terms = np.array([[_power(point, power) for power in powers] for point in at])
+    size = np.abs(values).max()
+    # Σ a − f Σ b = 0 at every point: the vector of the least singular value
+    null = np.linalg.svd(np.hstack([terms, -values[:, None] / size * terms]))[2][-1]
+    upper, lower = null.reshape(2, -1)
+    return np.stack([size * upper.reshape(shape), lower.reshape(shape)])
+
+
+def _at(coefficients: Array, at: Array) -> Array:
+    """Return the values of a ratio at points, (points,)."""
+    powers = list(np.ndindex(*coefficients.shape[1:]))
+    terms = np.array([[_power(point, power) for power in powers] for point in at])
+    upper, lower = (terms @ polynomial.ravel() for polynomial in coefficients)
+    return np.asarray(upper / lower)
+
+
+def _entries(scene: Scene, nominal: Scene, measured: Array) -> Array:
+    """Return all entries of a scene's readout as one column.
+
+    These are the readings that the nominal scene takes for two others of the network, and, of a
+    circuit of line ends, ties and numbers of the equation.
+
+    Raises InputError for another circuit, and where a number changes more than these.
+    """
+    circuit = scene.circuit
+
+    def seen(reading: Array) -> Array:
+        volt = circuit.volt_from_recorded(circuit.to_recorded(reading, scene))
+        recorded = nominal.circuit.recorded_from_volt(volt)
+        return nominal.circuit.from_recorded(recorded, nominal)
+
+    first, middle, last = (
+        seen(factor * measured) for factor in (1.0, (1.0 + FARTHER) / 2, FARTHER)
+    )
+    if not np.allclose(middle - first, (last - first) / 2, rtol=ROUNDING):
+        raise InputError("numbers: the converter's input beside the sensor is not in this program")
+    conversion = [first.ravel(), last.ravel()]
+    if isinstance(circuit, TwoPointReadout):
+        return np.concatenate(conversion)
+    assert isinstance(circuit, DrivenCircuit)
+    equation = equation_of(circuit, *measured.shape)
+    if _structure(equation) != _structure(equation_of(_driven(nominal.circuit), *measured.shape)):
+        raise InputError("numbers: a line cannot pass from a resistance to none, or to another end")
+    arrays = [np.broadcast_to(array, measured.shape).ravel() for array in _arrays(equation)]
+    return np.concatenate([*conversion, equation.ties.ravel(), *arrays])
+
+
+def _check_circuit(scene: Scene) -> None:
+    """Raise InputError where numbers of a scene cannot be unknown."""
+    if scene.wiring is not None:
+        raise InputError("numbers: wire, contacts and touching lines are not in this program")
+    if type(scene.circuit) is not TwoPointReadout and not isinstance(scene.circuit, DrivenCircuit):
+        kind = type(scene.circuit).__name__
+        raise InputError(f"numbers: {kind} has no line ends of which a number could be unknown")
+
+
+def _driven(circuit: Readout) -> DrivenCircuit:
+    assert isinstance(circuit, DrivenCircuit)
+    return circuit
+
+
+def _arrays(equation: Equation) -> list[Any]:
+    """Return the numbers of an equation, to be broadcast to (rows, columns) each."""
+    arrays: list[Any] = [equation.source, equation.drive, equation.load, equation.gain]
+    arrays += [*equation.drive_terms, *equation.load_terms, *equation.current_terms]
+    terms = equation.potentials
+    if terms is not None:
+        arrays += [terms.of_drive, terms.of_load, terms.held_volt, terms.load_volt, terms.level]
+        arrays += [] if terms.follows is None else [terms.follows]
+    return arrays
+
+
+def _with_arrays(equation: Equation, column: casadi.SX) -> Equation:
+    """Return an equation with the numbers of `_arrays` from one column, row by row."""
+    rows, columns = equation.drive.shape
+    parts = [
+        casadi.reshape(part, columns, rows).T for part in casadi.vertsplit(column, rows * columns)
+    ]
+    source, drive, load, gain, *others = parts
+    changes: dict[str, Any] = {"source": source, "drive": drive, "load": load, "gain": gain}
+    for name in ("drive_terms", "load_terms", "current_terms"):
+        changes[name] = others.pop(0), others.pop(0)
+    if equation.potentials is not None:
+        names = ("of_drive", "of_load", "held_volt", "load_volt", "level", "follows")
+        of_ends: dict[str, Any] = dict(zip(names, others, strict=False))
+        changes["potentials"] = replace(equation.potentials, **of_ends)
+    return replace(equation, **changes)
+
+
+def _structure(equation: Equation) -> list[Any]:
+    """Return what an equation has beside numbers: which lines are held, tied and read together."""
+    terms = equation.potentials
+    structure = [
+        equation.terminations.diode,
+        equation.floating,
+        equation.read_at.tolist(),
+        None if equation.together is None else equation.together.tolist(),
+        np.isinf(equation.ties).tolist(),
+        (equation.ties == 0).tolist(),
+    ]
+    if terms is not None:
+        structure += [terms.held.tolist(), terms.loaded, terms.ends.tolist(), terms.follows is None]
+    return structure
+
+
+def _same(changed: Array, nominal: Array) -> NDArray[np.bool_]:
+    """Return which entries are equal but for rounding."""
+    rounding = ROUNDING**1.5 * np.abs(nominal)
+    with np.errstate(invalid="ignore"):
+        return np.asarray((changed == nominal) | (np.abs(changed - nominal) <= rounding))
+
+
+def _refusal(name: str) -> InputError:
+    return InputError(f"numbers: {name} does not act as a resistance of this circuit does")
+
+
+def _stated(part: Any, key: str, value: Any) -> Any:
+    """Return a part of a scene with another value at a dotted key.
+
+    Raises InputError where the part does not take it.
+    """
+    name, _, rest = key.partition(".")
+    inner = _stated(getattr(part, name), rest, value) if rest else value
+    changes: dict[str, Any] = {name: inner}
+    try:
+        return replace(part, **changes)
+    except ValueError as error:
+        raise InputError(f"numbers: {key} has no room for its prior: {error}") from error
