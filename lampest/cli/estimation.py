@@ -37,8 +37,7 @@ def init(
     folder
         Folder, created if missing; existing files are kept.
     readout
-        Your circuit: two_mux, parallel_mux, pull_ups, pull_downs_on_columns, pull_downs,
-        grounded, grounded_one, amplifiers, diodes, mid_supply, feedback, driven_mux or bare_inputs.
+        Your circuit, a word of the list below.
     rows
         Rows of your panel, such as 16.
     columns

@@ -1,11 +1,13 @@
 """The program: commands of the core and of applications, with their help and their checks."""
 
 from collections.abc import Callable
+from copy import copy
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+import typer.core
 
 from lampest.cli import estimation
 from lampest.cli.screen import (
@@ -99,6 +101,19 @@ def _renamed(old: str, new: str, flag: str, command: Callable[..., None]) -> Cal
     return called
 
 
+class StarterCommand(typer.core.TyperCommand):
+    """The command `init`, whose help ends with the words of circuits, one line each."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Write the help; the circuits are read for it alone."""
+        from lampest.runs.starter import circuits
+
+        lines = (f"{word}: {circuit.line}" for word, circuit in circuits().items())
+        listing = copy(self)
+        listing.epilog = "\n\n".join(("Circuits:", *lines, "", self.epilog or ""))
+        super(StarterCommand, listing).format_help(ctx, formatter)
+
+
 # The core's commands. Those of applications follow.
 CORE: dict[str, Command] = {
     name: Command(part=part, target=target, example=example, renamed=renamed)
@@ -185,7 +200,8 @@ def _build() -> None:
             warn(f"the command '{name}' cannot be loaded ({error})")
             continue
         panel = None if group else command.part
-        groups[group].command(word, epilog=epilog, rich_help_panel=panel)(called)
+        kind = StarterCommand if name == "init" else None
+        groups[group].command(word, cls=kind, epilog=epilog, rich_help_panel=panel)(called)
         for former in command.renamed:
             old, _, flag = former.partition(" --")
             hidden = _renamed(old, name, flag, called)

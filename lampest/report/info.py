@@ -275,10 +275,33 @@ def _scene(scene: Scene) -> Iterator[Sentence]:
         "unknown, resistances alone" if scene.readout is None else scene.readout.description(),
     )
     yield "assumed", scene.assumed and f"{scene.assumed_text}: the scene does not say"
+    excluded = _excluded_ends(scene)
+    yield "excluded", excluded and f"{excluded}; readings seldom show them"
     yield "series", scene.series_text if scene.circuit.unit == "ohm" else ""
     for name, part in plain_content(scene).items():
         if name not in ("panel", "readout", "assumed", "series_resistance_ohm"):
             yield name, _in_words(part) or "none"
+
+
+def _excluded_ends(scene: Scene) -> str:
+    """Return the ends of lines that a scene takes as none, with their keys; '' for none.
+
+    With leaks of a sheet, or with sensed lines that are held while they idle, readings are nearly
+    those of other cells on a circuit without.
+    """
+    ends = []
+    if scene.purpose == "mat" and scene.leak_ohm is None:
+        ends.append("leaks between neighbouring strips, which one uncut sheet has (leak_ohm)")
+    circuit: Any = scene.circuit
+    if getattr(circuit, "idle_load_ohm", 0.0) is None:
+        from lampest.panel.circuit import nominal_terminations  # for circuits with the key alone
+        from lampest.panel.readouts.lines import opposite
+
+        floating = not nominal_terminations(circuit).sensing.connected(own=False).size
+        if floating:
+            sensed = opposite(circuit.driven)
+            ends.append(f"ends of idle {sensed}, as of outputs at LOW (readout.idle_load_ohm)")
+    return "; ".join(ends)
 
 
 def _in_words(part: Any) -> str:

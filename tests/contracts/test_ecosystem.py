@@ -167,17 +167,22 @@ def test_an_installation_takes_as_much_room_as_the_readme_says() -> None:
     )
 
 
-def test_the_help_of_init_lists_the_thirteen_circuits_of_the_readme(
+def test_the_help_of_init_the_readme_and_the_guide_have_the_same_words_for_circuits(
     lampest: Command, tmp_path: Path
 ) -> None:
-    assert "`lampest init --help` lists thirteen circuits" in " ".join(
-        (ROOT / "README.md").read_text().split()
-    )
-    shown = " ".join(re.findall(r"[\w,]+", lampest("init", "--help").out))
-    listed = re.search(r"Your circuit (.+?) default", shown)
-    assert listed is not None
-    circuits = re.findall(r"\b(?!or\b)(\w+)", listed[1])
-    assert len(circuits) == len(set(circuits)) == 13, circuits
+    template = ROOT / "lampest" / "runs" / "starter" / "circuits.yaml"
+    lines = {word: entry["line"] for word, entry in YAML(typ="safe").load(template).items()}
+    assert len(lines) == len(set(lines.values())) == 13
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    guide = (ROOT / "docs" / "howto" / "readouts.md").read_text(encoding="utf-8")
+    shown = " ".join(lampest("init", "--help").out.split())
+    assert "`lampest init --help` lists thirteen circuits" in " ".join(readme.split())
+    for word, line in lines.items():
+        assert f"{word}: {line}" in shown
+        assert f"\n| {line} | `{word}` |\n" in readme
+        assert f" | `{word}` | [" in guide
+    assert set(re.findall(r"^\| .* \| `(\w+)` \| \[", guide, re.MULTILINE)) == set(lines)
+    circuits = list(lines)
     kinds = set()
     for circuit in circuits:
         assert (

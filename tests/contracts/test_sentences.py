@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import lampest
-from lampest import Panel, Recording, Scene, Simulation, TwoPointReadout, simulate
+from lampest import Panel, Recording, Scene, Simulation, TwoPointReadout, read_scene, simulate
 
 Command = Callable[..., SimpleNamespace]
 
@@ -317,6 +317,34 @@ def test_commands_distinguish_recordings_from_results(starter: Path, lampest: Co
         in lampest("run", starter / "example.h5").err
     )
     assert "a folder; name a file in it" in lampest("info", starter).err
+
+
+@pytest.mark.parametrize(
+    ("keys", "excluded"),
+    [
+        ("kind: grounded, sense: one", "leak_ohm ends of idle columns readout.idle_load_ohm"),
+        ("kind: grounded, sense: one, driven: columns, idle_load_ohm: 25", "leak_ohm"),
+        ("kind: grounded, sense: all", "leak_ohm"),
+        ("kind: two_point", "leak_ohm"),
+    ],
+)
+def test_info_of_a_mat_names_the_ends_that_readings_seldom_show(
+    keys: str, excluded: str, tmp_path: Path, lampest: Command
+) -> None:
+    path = tmp_path / "scene.yaml"
+    recording = tmp_path / "mat.h5"
+    for further in ("", "purpose: mat\n", "purpose: mat\nleak_ohm: {rows: 6000}\n"):
+        path.write_text(f"{PANEL}readout: {{{keys}, adc_bits: 12}}\n{further}", encoding="utf-8")
+        simulate(Simulation(1, 1, read_scene(path), frames=2)).save(recording)
+        shown = " ".join(lampest("info", recording).out.split())
+        recording.unlink()
+        named = re.search("excluded (.+); readings seldom show them", shown)
+        of_leaks = further == "purpose: mat\n"
+        words = excluded.removeprefix("leak_ohm").strip() if not of_leaks else excluded
+        assert (named is not None) is bool(words), further
+        for word in words.split(" "):
+            assert named is None or word in named[1]
+        assert named is None or ("(leak_ohm)" in named[1]) is of_leaks
 
 
 CIRCUITS = [

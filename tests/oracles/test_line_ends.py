@@ -7,6 +7,7 @@ formula anew for every reading, with all lines that end anywhere.
 """
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import mpmath
@@ -23,6 +24,7 @@ from lampest import (
     Scene,
     TwoPointReadout,
     VirtualGroundReadout,
+    read_scene,
 )
 from lampest.panel.circuit import Ends, Terminations, equation_of, scanned
 from lampest.panel.readouts.driven import DrivenCircuit
@@ -257,6 +259,35 @@ def test_offsets_hold_the_sensed_lines_of_inverting_amplifiers_and_are_recorded(
 def test_contradictory_ends_are_refused(keys: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         replace(PULL_DOWNS, **keys)
+
+
+@pytest.mark.parametrize(
+    ("readout", "place"),
+    [
+        (
+            "{kind: driven, load_ohm: [.inf, 1e4, .inf], idle_load_ohm: .inf}",
+            "2:25: readout.load_ohm: while row 0 is driven and column 0 is read no other line",
+        ),
+        (
+            "{kind: driven, driven: columns, load_ohm: [.inf, 1e4], idle_load_ohm: .inf}",
+            "2:42: readout.load_ohm: while column 0 is driven and row 0 is read no other line",
+        ),
+    ],
+)
+def test_a_line_that_is_read_while_nothing_ends_is_refused_with_its_place(
+    readout: str, place: str, tmp_path: Path
+) -> None:
+    scene = tmp_path / "scene.yaml"
+    shape = "{rows: 2, columns: 3, pitch_mm: 10}"
+    scene.write_text(f"panel: {shape}\nreadout: {readout}\n", encoding="utf-8")
+    with pytest.raises(InputError, match=f"scene.yaml:{place}"):
+        read_scene(scene)
+
+
+def test_idle_lines_that_end_let_a_line_be_read_without_a_resistor() -> None:
+    held = DrivenReadout(idle_ohm=40.0, load_ohm=(np.inf, 1e4, np.inf), idle_load_ohm=np.inf)
+    assert np.all(np.isfinite(held.exact_reading(np.full((2, 3), 3e3))))
+    assert Scene(Panel(2, 3), held).readout == held
 
 
 def test_leaks_that_do_not_fit_a_panel_are_refused() -> None:

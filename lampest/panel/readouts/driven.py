@@ -258,6 +258,7 @@ class DrivenCircuit(Readout):
         per_line("offset_volt", self.offset_volt or 0.0, sensed)
         check_groups(self.groups, opposite(self.driven), sensed)
         check_groups(self.driven_groups, self.driven, driven, "driven_groups")
+        self._check_ends(self.terminations(driven, sensed))
         equation = equation_of(self, *scene.panel.shape)
         if self.diode is not None and equation.potentials is not None:
             raise ValueError("diode: circuits with several potentials have no diode in this model")
@@ -266,6 +267,22 @@ class DrivenCircuit(Readout):
         if scene.wiring is not None and scene.wiring.joined and np.isinf(equation.ties).any():
             raise ValueError(
                 "faults: lines that touch cannot be joined to idle ones that 0 ohm hold at ground"
+            )
+
+    def _check_ends(self, ends: Terminations) -> None:
+        """Raise ValueError if no current flows at an address: one line at most ends somewhere."""
+        driving, sensing = np.isfinite(ends.driving.ohm), np.isfinite(ends.sensing.ohm)
+        side = self.driven.removesuffix("s")
+        if not driving.diagonal().all():
+            line = int(np.argmin(driving.diagonal()))
+            raise ValueError(f"readout.drive_ohm: {side} {line} ends nowhere while it is driven")
+        ending = driving.sum(axis=1)[:, None] + sensing.sum(axis=1)
+        if ending.min() < 2:
+            line, read = divmod(int(np.argmin(ending)), ending.shape[1])
+            raise ValueError(
+                f"readout.{self.of_sensed[0]}: while {side} {line} is driven and "
+                f"{opposite(self.driven).removesuffix('s')} {read} is read no other line ends "
+                "anywhere: no current flows; name the resistor of the line that is read"
             )
 
     @property

@@ -54,6 +54,8 @@ class StarterCircuit:
     ----------
     kind : str
         Kind of its readout.
+    line : str
+        One line on its idle driven lines and on its sensed lines, the same on every page.
     sketch : str
         Sketch of the wiring.
     readout : str
@@ -65,17 +67,23 @@ class StarterCircuit:
     """
 
     kind: str
+    line: str
     sketch: str
     readout: str
     parts: Mapping[str, tuple[str, str]]
     software: str
 
 
-def circuit_called(word: str) -> StarterCircuit:
-    """Return the circuit of a name. Raises InputError for an unknown name."""
+def circuits() -> dict[str, StarterCircuit]:
+    """Return the circuits by their words; those of a kind that is not installed are left out."""
     document = parse_document(_template("circuits.yaml"), "circuits.yaml")
     every: dict[str, StarterCircuit] = validated(document, dict[str, StarterCircuit])
-    known = {name: circuit for name, circuit in every.items() if circuit.kind in KINDS}
+    return {word: circuit for word, circuit in every.items() if circuit.kind in KINDS}
+
+
+def circuit_called(word: str) -> StarterCircuit:
+    """Return the circuit of a word. Raises InputError for an unknown one."""
+    known = circuits()
     if word not in known:
         raise InputError(
             f"--readout: there is no {word!r}; there are {', '.join(known)}{meant(word, known)}"
