@@ -452,7 +452,7 @@ def check_scene(scene: Scene) -> None:
         raise InputError(
             "the C library has converters of codes from 0 and a straight, rising line only"
         )
-    keys = ("idle_volt", "load_volt", "idle_load_volt", "driven_groups")
+    keys = ("idle_volt", "load_volt", "idle_load_volt", "driven_groups", "offset_volt")
     named = [key for key in keys if getattr(readout, key, None) is not None]
     if named:
         raise InputError(f"the C library has no {named[0]}")

@@ -286,6 +286,7 @@ def test_a_circuit_with_something_that_the_library_lacks_is_refused(circuit):
             {"driven_groups": ((0, 1, 2), (3, 4, 5)), "idle_ohm": np.inf},
             "the C library has no driven_groups",
         ),
+        ({"offset_volt": 0.01}, "the C library has no offset_volt"),
         (
             {"converter": lampest.Characteristic(curve=((0.0, 0.0), (2.0, 1000.0), (5.0, 4096.0)))},
             "a straight, rising line only",
@@ -295,6 +296,25 @@ def test_a_circuit_with_something_that_the_library_lacks_is_refused(circuit):
 def test_potentials_driven_groups_and_curved_converters_are_refused(keys, sentence):
     with pytest.raises(lampest.InputError, match=sentence):
         check_scene(scene_of("pull_downs", **keys))
+
+
+@pytest.mark.parametrize("held", [{}, {"idle_load_ohm": 30.0}, {"idle_load_ohm": np.inf}])
+def test_resistors_that_stay_and_idle_lines_that_end_are_in_the_constants(held):
+    stays = {"drive_ohm": 95.0, "idle_ohm": 1e4, "idle_stays": True, "load_ohm": 4700.0}
+    readout = lampest.DrivenReadout(**stays | held)
+    cells = np.geomspace(300.0, 3e4, 30).reshape(6, 5)
+    lines = CircuitLines.of(readout, (6, 5))
+    np.testing.assert_allclose(lines.readings(cells, "rows"), readout.exact_reading(cells), 1e-9)
+    switched = CircuitLines.of(
+        lampest.DrivenReadout(**stays | held | {"idle_stays": False}), (6, 5)
+    )
+    assert not np.allclose(switched.readings(cells, "rows"), lines.readings(cells, "rows"), 1e-3)
+
+
+def test_unwired_channels_of_multiplexers_in_parallel_are_refused():
+    readout = lampest.LoadedColumnsReadout(groups=((0, 1, None), (None, 2, 3)), drive_ohm=70.0)
+    with pytest.raises(lampest.InputError, match="no multiplexers in parallel"):
+        CircuitLines.of(readout, (6, 4))
 
 
 def test_constants_of_another_version_are_refused(tmp_path):
