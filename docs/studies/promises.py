@@ -237,7 +237,7 @@ BREAKS = {
         "return result + 0.5 * self.lsb_volt",
     ),
     "the_converter_memory_is_corrected_exactly_with_its_noise": Break(
-        "panel/readouts/readout.py", "without_memory", "fraction = 0.9 * fraction"
+        "panel/readouts/channel_memory.py", "without_memory", "fraction = 0.9 * fraction"
     ),
     "the_core_runs_without_any_application_and_names_the_missing_one": Break(
         "runs/batch.py", "run_batch", "import lampest.apps.board"

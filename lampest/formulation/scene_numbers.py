@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, in_words
-from lampest.panel.circuit import Equation, equation_of
 from lampest.panel.compiled import CasadiOwner
+from lampest.panel.equation import Equation, equation_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.driven import DrivenCircuit

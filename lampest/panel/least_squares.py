@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
 
@@ -133,8 +134,6 @@ class LevenbergMarquardt:
         point : linearised sum of squares
             The model at the position.
         """
-        from scipy.linalg import lapack  # not by readouts, which a recording loads
-
         low, high = (np.broadcast_to(bound, start.shape) for bound in bounds)
         position = np.clip(start, low, high)
         point = model(position)
@@ -145,17 +144,7 @@ class LevenbergMarquardt:
             free = ~(((position <= low) & (gradient > 0)) | ((position >= high) & (gradient < 0)))
             if not free.any():
                 break
-            # −(JᵀJ + μ diag(JᵀJ))⁻¹ Jᵀ f of the free unknowns, shortened to `longest`
-            damped = point.normal.copy() if free.all() else point.normal[np.ix_(free, free)]
-            scale = damped.diagonal()
-            damped[np.diag_indices(len(damped))] += damping * np.where(scale > 0, scale, 1.0)
-            step = np.zeros(len(free))
-            _, solution, failed = lapack.dposv(damped, point.gradient[free])
-            if failed:  # not positive definite in double precision
-                solution = np.linalg.solve(damped, point.gradient[free])
-            step[free] = -solution
-            share = float(np.min(self.longest / np.maximum(np.abs(step), MIN_LENGTH)))
-            step = step * min(1.0, share)
+            step = _damped_step(point, free, damping, self.longest)
             moved = np.clip(position + step, low, high)
             step = moved - position
             trial = model(moved)
@@ -174,3 +163,21 @@ class LevenbergMarquardt:
             if (predicted < least and not gain >= least) or damping > self.most_damping:
                 break
         return position, point
+
+
+def _damped_step(
+    point: Linearised, free: NDArray[np.bool_], damping: float, longest: Array | float
+) -> Array:
+    """Return −(JᵀJ + μ diag(JᵀJ))⁻¹ Jᵀf of the free unknowns, shortened to `longest`."""
+    from scipy.linalg import lapack  # not by readouts, which a recording loads
+
+    damped = point.normal.copy() if free.all() else point.normal[np.ix_(free, free)]
+    scale = damped.diagonal()
+    damped[np.diag_indices(len(damped))] += damping * np.where(scale > 0, scale, 1.0)
+    step = np.zeros(len(free))
+    _, solution, failed = lapack.dposv(damped, point.gradient[free])
+    if failed:  # not positive definite in double precision
+        solution = np.linalg.solve(damped, point.gradient[free])
+    step[free] = -solution
+    share = float(np.min(longest / np.maximum(np.abs(step), MIN_LENGTH)))
+    return step * min(1.0, share)

@@ -14,7 +14,6 @@ from lampest.files.errors import InputError, brief, in_words
 from lampest.files.levels import NOISE_REACH, UNUSUAL
 from lampest.files.typed import real_array
 from lampest.panel.panel import Array, Modules, beyond_any_panel, check_line_memory
-from lampest.panel.readouts.readout import without_memory
 from lampest.panel.scene import Scene
 
 
@@ -458,6 +457,10 @@ def _without_channel_before(
     recorded, side, sigma : array, shape of `recorded`
         Values within the rails, the sides of bounds, and standard deviations.
     """
+    from lampest.panel.readouts.channel_memory import (
+        without_memory,  # for a converter that remembers
+    )
+
     if scene.readout is None:
         raise InputError(
             "converter_memory needs a readout in the scene, of whose voltages it is a fraction"

@@ -25,7 +25,7 @@ from lampest.panel.effects import error_columns, own_errors, shared_effects
 from lampest.panel.effects.line_effect import effect_on_readings, line_effects
 from lampest.panel.kirchhoff import NormalByLines, Stencil
 from lampest.panel.panel import EachModule, Modules
-from lampest.panel.readouts import AnyReadout, readout, wired_network
+from lampest.panel.readouts import AnyReadout, channel_memory, wired_network
 from lampest.panel.response import BentSuction, ratio_from_pressure
 from lampest.panel.scene import OwnOfModule
 from lampest.panel.scene_file import scene_text
@@ -218,8 +218,8 @@ def readout_row(scene: lp.Scene) -> dict[str, Any]:
         row |= {
             "simulated": circuit.simulated(cells[None], scene, *channels),
             "beyond": circuit.beyond(network, scene, *channels),
-            "memory": readout.with_memory(circuit, 0.1, volt[None]),
-            "forgotten": readout.without_memory(circuit, 0.1, recorded, sigma),
+            "memory": channel_memory.with_memory(circuit, 0.1, volt[None]),
+            "forgotten": channel_memory.without_memory(circuit, 0.1, recorded, sigma),
         }
     return row
 

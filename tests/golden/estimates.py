@@ -34,7 +34,7 @@ from lampest.files.errors import InputError
 from lampest.inference.prepared import Prepared
 from lampest.panel.effects import Shared
 from lampest.panel.panel import EachModule, Modules
-from lampest.panel.readouts.readout import with_memory
+from lampest.panel.readouts.channel_memory import with_memory
 from lampest.panel.scene import OwnOfModule
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import (

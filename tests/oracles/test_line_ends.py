@@ -26,7 +26,8 @@ from lampest import (
     VirtualGroundReadout,
     read_scene,
 )
-from lampest.panel.circuit import Ends, Terminations, equation_of, scanned
+from lampest.panel.circuit import Ends, Terminations, scanned
+from lampest.panel.equation import equation_of
 from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.readouts.lines import PerLine, Side
 

@@ -21,7 +21,8 @@ from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.circuits.rivals import Rival
 from lampest.inference.effects.converter_memory import estimated_memory, memory_gain
 from lampest.inference.prepared import Prepared
-from lampest.panel.readouts.readout import Readout, with_memory
+from lampest.panel.readouts.channel_memory import with_memory
+from lampest.panel.readouts.readout import Readout
 
 FRAMES = 6  # unloaded ones, and as many loaded ones
 MAX_ERROR = 0.005  # a quarter of the smallest memory here

@@ -36,7 +36,7 @@ from lampest.estimate.sequence import reconstruct
 from lampest.panel.network import SolvedNetwork
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.readouts.readout import with_memory, without_memory
+from lampest.panel.readouts.channel_memory import with_memory, without_memory
 from lampest.panel.readouts.wired_network import wire_responses
 from lampest.panel.readouts.wiring import (
     ContactPrior,

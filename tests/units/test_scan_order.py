@@ -7,7 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lampest import GroundedReadout, InputError, Panel, Readings, Recording, Scene
-from lampest.panel.readouts.readout import in_panel_order, in_scan_order, with_memory
+from lampest.panel.readouts.channel_memory import with_memory
+from lampest.panel.readouts.readout import in_panel_order, in_scan_order
 
 SHAPE = (3, 4)
 MEMORY = 0.1

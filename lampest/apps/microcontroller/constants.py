@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lampest.apps.microcontroller.drift import frames_to_follow
 from lampest.files.document import parse_document
 from lampest.files.errors import InputError
-from lampest.panel.circuit import equation_of
+from lampest.panel.equation import equation_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.driven import DrivenCircuit

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lampest.panel.circuit import Equation
 from lampest.panel.difference_network import excitations
+from lampest.panel.equation import Equation
 from lampest.panel.kirchhoff import laplacian
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import of_side

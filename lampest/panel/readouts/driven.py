@@ -1,7 +1,7 @@
 """Circuits that drive the lines of one side, one after the other, and sense the other side.
 
 A kind is a file with its keys and one function from keys to ends, `DrivenCircuit.terminations`.
-Everything else follows from the ends: `lampest.panel.circuit` has the equation of the readings,
+Everything else follows from the ends: `lampest.panel.equation` has the equation of the readings,
 `lampest.panel.readouts.starts` the cells at which solves begin, and
 `lampest.panel.readouts.inequalities` the bounds.
 """
@@ -21,9 +21,9 @@ from lampest.panel.circuit import (
     NOMINAL_LINES,
     Ends,
     Terminations,
-    equation_of,
     nominal_terminations,
 )
+from lampest.panel.equation import equation_of
 from lampest.panel.joined_network import JoinedNetwork
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, connected_parts
@@ -404,7 +404,7 @@ class DrivenCircuit(Readout):
             return self.network(cell_resistance, ties, wiring).reading()
 
     def reading(self, row: Any, column: Any, mutual: Any, *potentials: Any) -> Any:
-        """Return the readings; see `lampest.panel.circuit.Equation.reading`."""
+        """Return the readings; see `lampest.panel.equation.Equation.reading`."""
         return equation_of(self, *mutual.shape).reading(row, column, mutual, *potentials)
 
     # Cells at which solves begin, and their bounds.

@@ -26,7 +26,7 @@ class DrivenReadout(DrivenCircuit):
 
     Each resistance holds while a line is used, or while it is idle. Loaded columns, grounded lines
     and virtual grounds are presets of this circuit. The equation stands in
-    `lampest.panel.circuit`.
+    `lampest.panel.equation`.
 
     Attributes
     ----------

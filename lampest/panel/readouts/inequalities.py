@@ -1,12 +1,12 @@
 """Inequalities of cells and readings that circuits with driven lines satisfy.
 
-All are functions of the numbers of a circuit's equation, `lampest.panel.circuit.Equation`.
+All are functions of the numbers of a circuit's equation, `lampest.panel.equation.Equation`.
 """
 
 import numpy as np
 
 from lampest.files.levels import NOISE_REACH
-from lampest.panel.circuit import Equation
+from lampest.panel.equation import Equation
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import FreeTest
 

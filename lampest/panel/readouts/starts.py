@@ -9,7 +9,8 @@ from typing import Protocol
 
 import numpy as np
 
-from lampest.panel.circuit import CircuitOfLines, Equation, equation_of
+from lampest.panel.circuit import CircuitOfLines
+from lampest.panel.equation import Equation, equation_of
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import branches

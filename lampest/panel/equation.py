@@ -1,0 +1,502 @@
+"""Equation of the readings of a circuit, found from the ends of its lines.
+
+With j the currents into the lines that end somewhere, v the level of the whole panel and L⁺ the
+pseudoinverse of the Laplacian of the cells, all readings follow from
+
+    (L⁺ + diag R) j + v = volt,   Σ j = 0,   V = L⁺ j + v
+
+Addresses share most of their ends. While line i is driven and line j is read, the ends of these two
+lines alone differ from those of a base that many addresses share: Z = (L(g) + diag(1/R))⁻¹ of the
+base serves all of them. With Rp, Vp the end of line i in the base and Rd, U its own, Rq, Vq and Rs,
+Vs those of line j, x the excitation of the lines by the potentials of the base (V/R, or V where a
+line is held) and v = Z·x,
+
+    (A + A' Z_ii) d + A' Z_ij s = E − A' v_i
+    B' Z_ij d + (B + B' Z_jj) s = F − B' v_j
+
+for the excitations d and s of both lines, and V_j = v_j + Z_ij d + Z_jj s. A = Rd, A' = 1 − Rd/Rp,
+E = U − Vp Rd/Rp, B = 1, B' = 1/Rs − 1/Rq, F = Vs/Rs − Vq/Rq. A line that 0 ohm hold in the base has
+A = 1, A' = −Rd, E = U − Vp, or B = 1/Rs, B' = −1, F = (Vs − Vq)/Rs, with the entries of
+`lampest.panel.difference_network` instead of Z, and V_j = Vq + s. Where one potential besides the
+source exists, V_ij = U Z_ij / ((A + A' Z_ii)(B + B' Z_jj) − A' B' Z_ij²).
+
+`Equation` has the bases and these numbers. Readings and potentials are counted from that of the
+ends that is furthest from the source.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from itertools import product
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.circuit import CircuitOfLines, Ends, Terminations, nominal_terminations
+from lampest.panel.panel import Array
+from lampest.panel.readouts.diode import Diode
+from lampest.panel.readouts.lines import along, of_side, opposite
+
+
+@dataclass(frozen=True, eq=False)
+class LineChange:
+    """Change of the ends of one side's lines from a base to an address; see the module.
+
+    Attributes
+    ----------
+    own, base : Ends, shape (lines,)
+        Ends of each line while it is used, and in the base of its address.
+    bases : Ends, shape (bases, lines)
+        Ends of all lines in each base.
+    of_base : boolean array, shape (bases, lines)
+        Lines whose addresses have the base.
+    """
+
+    own: Ends
+    base: Ends
+    bases: Ends
+    of_base: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, table: Ends, alone: Ends | None) -> Self:
+        """Return the bases of the ends of a side, (lines, lines).
+
+        Addresses share a base if their ends are those of the base but for the line that the address
+        names. `alone` are the ends, (lines,), in the base of an address that shares its own with no
+        other one; None: those of the address.
+        """
+        count = len(table.ohm)
+        lines = np.arange(count)
+        states = np.stack([table.ohm, table.volt])
+        waiting = np.ones(count, dtype=bool)
+        bases = list[Array]()
+        of_base = list[NDArray[np.bool_]]()
+
+        def sharing(base: Array, but_for: list[int]) -> NDArray[np.bool_]:
+            """Return the waiting addresses that differ from a base in their own line alone.
+
+            The ends of the lines `but_for` do not count.
+            """
+            differ = (states != base[:, None]).any(axis=0)
+            differ[lines, lines] = False
+            differ[:, but_for] = False
+            return np.asarray(waiting & ~differ.any(axis=1))
+
+        while waiting.any():
+            first = int(np.argmax(waiting))
+            base = states[:, first].copy()
+            single = states[:, first, first]
+            if alone is not None:
+                single = np.array([alone.ohm[first], alone.volt[first]])
+            others = np.flatnonzero(sharing(base, [first]) & (lines != first))
+            base[:, first] = states[:, others[0], first] if others.size else single
+            shared = sharing(base, [])
+            mixed = bool(bases) or not shared.all()
+            if mixed and np.isinf(base[0]).all() and np.isfinite(single[0]):
+                # Where other bases end somewhere, one that floats has no equation of its own
+                base[:, first] = single
+                shared = lines == first
+            bases.append(base)
+            of_base.append(shared)
+            waiting = waiting & ~shared
+        ohm, volt = np.stack(bases, axis=1)
+        used = np.array(of_base)
+        number = used.argmax(axis=0)
+        return cls(
+            own=Ends(table.ohm.diagonal(), table.volt.diagonal()),
+            base=Ends(ohm[number, lines], volt[number, lines], follows=table.follows),
+            bases=Ends(ohm, volt, follows=table.follows),
+            of_base=used,
+        )
+
+    @property
+    def stays(self) -> NDArray[np.bool_]:
+        """Whether a line ends in the base as it does while it is used, (lines,)."""
+        same_volt = (self.own.volt == self.base.volt) & (not self.base.follows)
+        return np.asarray((self.own.ohm == self.base.ohm) & same_volt)
+
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """Whether 0 ohm hold a line in its base, but not while it is used, (lines,)."""
+        return np.asarray((self.base.ohm == 0) & ~self.stays)
+
+    @cached_property
+    def ratio(self) -> Array:
+        """Rd/Rp, (lines,): 0 of lines that float in the base, 1 of lines that are held."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(self.own.ohm == self.base.ohm, 1.0, self.own.ohm / self.base.ohm)
+        return np.where(np.isinf(self.base.ohm), 0.0, np.where(self.base.ohm == 0, 1.0, ratio))
+
+
+@dataclass(frozen=True, eq=False)
+class PotentialTerms:
+    """Numbers of the equation with several potentials on a panel; see the module.
+
+    Attributes
+    ----------
+    of_drive, of_load : array, shape (rows, columns)
+        E and F.
+    held : boolean array, shape (rows, columns)
+        Whether the sensed line is held in the base.
+    held_volt : array, shape (rows, columns)
+        Vq.
+    load_volt : array, shape (rows, columns)
+        Vs.
+    level : array, shape (rows, columns)
+        Reading of a line that is read without current.
+    ends : array, shape (addresses, lines)
+        Potentials in which the lines end in each base.
+    loaded : bool
+        Whether a sensed line that is read has a potential of its own, F ≠ 0.
+    follows : array, shape (rows, columns), or None
+        Change of E by Vp, where idle driven lines follow the sensed one.
+    """
+
+    of_drive: Array
+    of_load: Array
+    held: NDArray[np.bool_]
+    held_volt: Array
+    load_volt: Array
+    level: Array
+    ends: Array
+    loaded: bool
+    follows: Array | None
+
+    @cached_property
+    def sourced(self) -> bool:
+        """Whether potentials of the bases excite Z, so that readings depend on v."""
+        return self.follows is not None or bool(self.ends.any())
+
+    @cached_property
+    def shares(self) -> tuple[Array, Array] | None:
+        """1 where sensed lines are held in the base, and where they are not; None: none is held."""
+        held = self.held.astype(float)
+        return (held, 1 - held) if self.held.any() else None
+
+
+@dataclass(frozen=True, eq=False)
+class Equation:
+    """Numbers of the equation of the readings on a panel.
+
+    Arrays without another shape are (rows, columns).
+
+    Attributes
+    ----------
+    terminations : Terminations
+        Ends of the lines.
+    driving, sensing : LineChange
+        Bases of both sides.
+    source : float
+        U from the reference, volt; the mean of unlike ones.
+    drive, load, gain : array
+        Rd, Rs and the gain of every reading.
+    drive_terms : tuple of two arrays
+        A and A'.
+    load_terms : tuple of two arrays
+        B and B'; B' is 0 where the end of a sensed line is that of the base.
+    current_terms : tuple of two arrays
+        The current through Rd is the excitation of line i times the first one plus its potential
+        times the second one.
+    floating : bool
+        Whether no line ends anywhere in the base. Then readings follow from R = Z_ii + Z_jj − 2
+        Z_ij.
+    grounded : bool
+        Whether idle driven lines end in no more than Rd, in one base.
+    ties : array, shape (addresses, lines)
+        Ties of the lines in every base, siemens; infinite where a line is held.
+    read_at : array, shape (addresses, rows, columns)
+        1 for the readings of each base, else 0.
+    together : array, shape (sensed, sensed), or None
+        1 for sensed lines that have their loads at the same time; None: all have.
+    potentials : PotentialTerms or None
+        Numbers of the equation with potentials; None where one potential but the source's exists.
+    """
+
+    terminations: Terminations
+    driving: LineChange
+    sensing: LineChange
+    source: float
+    drive: Array
+    load: Array
+    gain: Array
+    drive_terms: tuple[Array, Array]
+    load_terms: tuple[Array, Array]
+    current_terms: tuple[Array, Array]
+    floating: bool
+    grounded: bool
+    ties: Array
+    read_at: Array
+    together: Array | None
+    potentials: PotentialTerms | None = field(default=None)
+
+    @property
+    def several_driven(self) -> bool:
+        """Whether the bases of driven lines differ from address to address."""
+        return len(self.driving.of_base) > 1
+
+    @property
+    def plain(self) -> bool:
+        """Whether one source drives all currents, and one set of idle driven lines is tied."""
+        return self.potentials is None and not self.several_driven
+
+    @property
+    def diode(self) -> Diode | None:
+        """Diode in series with the end of the driven line."""
+        return self.terminations.diode
+
+    def reading(self, row: Any, column: Any, mutual: Any, *potentials: Any) -> Any:
+        """Return the readings of impedances Z_jj, Z_kk, Z_jk (rows, columns) and of v_j, v_k.
+
+        The arguments are arrays of NumPy or matrices of CasADi; see the module.
+        """
+        driven = self.terminations.driven
+        own_driven, own_sensed = of_side(driven, row, column)
+        terms = self.potentials
+        if terms is not None:
+            at_lines = of_side(driven, *potentials) if potentials else (0.0, 0.0)
+            volt = self._line_volt((own_driven, own_sensed, mutual), at_lines, terms)
+            return terms.level + self.gain * (volt - terms.load_volt)
+        if self.floating:
+            # Nothing but the read lines conducts elsewhere: one loop of Rd, R and Rs
+            loop = (own_driven + own_sensed - 2 * mutual) + (self.drive + self.load)
+            return self._supply(loop) * (self.load * self.gain) / loop
+        drive, by_drive = self.drive_terms
+        load, by_load = self.load_terms
+        of_load = own_sensed * by_load + load
+        of_drive = own_driven * by_drive + drive
+        determinant = of_drive * of_load - mutual * mutual * (by_drive * by_load)
+        if self.diode is None:
+            return mutual * (self.gain * self.source) / determinant
+        # Resistance U/I of the driven path, from the excitation x and the potential u of the driven
+        # line: x = U of_load/determinant, u = U (Z_ii of_load − B' Z_ij²)/determinant
+        by_excitation, by_potential = self.current_terms
+        potential = own_driven * of_load - mutual * mutual * by_load
+        current = of_load * by_excitation + potential * by_potential
+        return mutual * self.gain * self._supply(determinant / current) / determinant
+
+    def _line_volt(
+        self, entries: tuple[Any, Any, Any], at_lines: tuple[Any, Any], terms: PotentialTerms
+    ) -> Any:
+        """Return V_j from the entries Z_ii, Z_jj, Z_ij and the potentials v_i, v_j."""
+        if terms.follows is None:
+            return self._solved(entries, at_lines, terms, terms.of_drive, terms.of_load)
+        # V_j = V_0 + V_1 Vp with Vp = V_j, where V_1 is excited by idle driven lines alone
+        alone = (0.0 * at_lines[0], 0.0 * at_lines[1])
+        without = self._solved(entries, alone, terms, terms.of_drive, terms.of_load)
+        share = self._solved(entries, at_lines, terms, terms.follows, 0.0 * terms.of_load)
+        return without / (1 - share)
+
+    def _solved(
+        self,
+        entries: tuple[Any, Any, Any],
+        at_lines: tuple[Any, Any],
+        terms: PotentialTerms,
+        of_drive: Array,
+        of_load: Array,
+    ) -> Any:
+        """Return V_j of the two equations of the module, for E and F."""
+        drive, by_drive = self.drive_terms
+        load, by_load = self.load_terms
+        own_driven, own_sensed, mutual = entries
+        driven_volt, sensed_volt = at_lines
+        driving = drive + own_driven * by_drive
+        square = mutual * mutual
+        determinant = driving * (load + own_sensed * by_load) - square * (by_drive * by_load)
+        lifted = sensed_volt
+        held, free = terms.shares or (None, 1.0)
+        if terms.loaded:
+            # Of a sensed line that is tied in the base B = 1, and 1/Rs of one that is held
+            through = own_sensed if held is None else free * own_sensed + held
+            lifted = sensed_volt + through * of_load
+        rises = mutual * (of_drive - driven_volt * by_drive) + driving * lifted
+        if terms.loaded:
+            rises = rises - free * (of_load * by_drive) * square
+        volt = rises / determinant
+        return volt if held is None else volt + held * terms.held_volt
+
+    def _supply(self, resistance: Any) -> Any:
+        """Return U behind the diode for a resistance of the driven path; NumPy and CasADi."""
+        if self.diode is None:
+            return self.source
+        return self.diode.resistor_volt(self.source, resistance)
+
+    def lost(self, current: Array) -> Array:
+        """Return the voltage of the diode for a current through the driven line, volt."""
+        return np.zeros(1) if self.diode is None else self.diode.drop(current)
+
+    def driven_volt(self, current: Array, drive: Array | float) -> Array:
+        """Return the potential U − Rd I − V_d(I) of a driven line with the current I, volt."""
+        return np.asarray(self.source - drive * current - self.lost(current))
+
+    def sum_together(self, values: Array) -> Array:
+        """Return sums of values (…, rows, columns) over the sensed lines with simultaneous loads.
+
+        The result has the shape of the values.
+        """
+        axis = -1 if self.terminations.driven == "rows" else -2
+        if self.together is None:
+            return np.broadcast_to(values.sum(axis=axis, keepdims=True), values.shape)
+        by_rows = self.terminations.driven == "rows"
+        return np.asarray(values @ self.together if by_rows else self.together @ values)
+
+    def ties_of_parts(self, parts: NDArray[np.intp] | None, cells: Callable[[], Array]) -> Array:
+        """Return the ties (addresses, lines) of a panel that open cells may divide into parts.
+
+        In a part that has none, a single line gets one: it carries no current, and its size has no
+        effect. `parts`, (lines,), is the number of each line's part, None for a connected panel;
+        `cells` gives resistances such as those of the cells.
+        """
+        ties = self.ties
+        parts = np.zeros(ties.shape[1], dtype=np.intp) if parts is None else parts
+        member = parts == np.unique(parts)[:, None]
+        # Whether a part has a tie at an address, (addresses, parts)
+        tied = (ties > 0) @ member.T
+        if tied.all():
+            return ties
+        ties = ties.copy()
+        for address, part in zip(*np.nonzero(~tied), strict=True):
+            ties[address, np.argmax(member[part])] = 1 / np.median(cells())
+        return ties
+
+    def excitations(self, ties: Array) -> list[Array | None]:
+        """Return the excitation x of the lines by the potentials of each base; None without any.
+
+        x is the potential of a held line, and the current V/R into any other one.
+        """
+        terms = self.potentials
+        if terms is None or not terms.sourced:
+            return [None] * len(ties)
+        return list(np.where(np.isinf(ties), 1.0, ties) * terms.ends)
+
+
+@lru_cache(maxsize=256)
+def equation_of(circuit: CircuitOfLines, rows: int, columns: int) -> Equation:
+    """Return the numbers of a circuit's equation on a panel, found from its terminations."""
+    nominal = nominal_terminations(circuit)
+    driven_count, sensed_count = of_side(nominal.driven, rows, columns)
+    ends = circuit.terminations(driven_count, sensed_count)
+    side = ends.driven
+
+    def of_driven(values: Array) -> Array:
+        return np.broadcast_to(along(side, values), (rows, columns)).copy()
+
+    def of_sensed(values: Array) -> Array:
+        return np.broadcast_to(along(opposite(side), values), (rows, columns)).copy()
+
+    sensing = LineChange.of(ends.sensing, None)
+    # A driven line that no other address shows idle rests behind its resistance, or floats if it
+    # has none, unless nothing else ends
+    resting = ends.driving.ohm.diagonal()
+    if np.isfinite(sensing.bases.ohm).any(axis=1).all():
+        resting = np.where(resting > 0, resting, np.inf)
+    driving = LineChange.of(ends.driving, Ends.of(resting, nominal.reference))
+    ties = []
+    tie_volts = []
+    read_at = []
+    idle_volt = driving.bases.volt
+    idle_volt = np.ones(idle_volt.shape) if driving.base.follows else nominal.relative(idle_volt)
+    load_volt = nominal.relative(sensing.bases.volt)
+    for one, other in product(range(len(driving.of_base)), range(len(sensing.of_base))):
+        siemens = driving.bases.siemens[one], sensing.bases.siemens[other]
+        ties.append(np.concatenate(of_side(side, *siemens)))
+        at_ends = np.concatenate(of_side(side, idle_volt[one], load_volt[other]))
+        tie_volts.append(np.where(ties[-1] > 0, at_ends, 0.0))
+        read = np.multiply.outer(driving.of_base[one], sensing.of_base[other]) * 1.0
+        read_at.append(read if side == "rows" else read.T)
+    together = (ends.sensing.ohm == sensing.own.ohm) & (ends.sensing.volt == sensing.own.volt)
+    drive_terms, current_terms = _drive_terms(driving)
+    load_terms = _load_terms(sensing)
+    idle = driving.base.ohm
+    return Equation(
+        terminations=ends,
+        driving=driving,
+        sensing=sensing,
+        source=float(np.mean(nominal.relative(ends.source))),
+        drive=of_driven(driving.own.ohm),
+        load=of_sensed(sensing.own.ohm),
+        gain=of_sensed(ends.gain),
+        drive_terms=(of_driven(drive_terms[0]), of_driven(drive_terms[1])),
+        load_terms=(of_sensed(load_terms[0]), of_sensed(load_terms[1])),
+        current_terms=(of_driven(current_terms[0]), of_driven(current_terms[1])),
+        floating=not np.any(ties),
+        grounded=bool(np.all(idle <= driving.own.ohm)) and len(driving.of_base) == 1,
+        ties=np.stack(ties),
+        read_at=np.stack(read_at),
+        together=None if together.all() else together.T * 1.0,
+        potentials=_potential_terms(
+            ends, nominal, (driving, sensing), np.stack(tie_volts), (of_driven, of_sensed)
+        ),
+    )
+
+
+def _potential_terms(
+    ends: Terminations,
+    nominal: Terminations,
+    changes: tuple[LineChange, LineChange],
+    tie_volts: Array,
+    on_panel: tuple[Any, Any],
+) -> PotentialTerms | None:
+    """Return E, F and the potentials of the ends; None where only the source has one.
+
+    Parameters
+    ----------
+    ends, nominal : Terminations
+        Those of the panel, and those that define the reference.
+    changes : tuple of LineChange
+        Of the driven and of the sensed side.
+    tie_volts : array, shape (addresses, lines)
+        Potentials in which the tied lines end in every base, V.
+    on_panel : tuple of callables
+        Values of driven, and of sensed lines → (rows, columns).
+    """
+    driving, sensing = changes
+    of_driven, of_sensed = on_panel
+    own, base = (
+        np.where(np.isinf(state.ohm), 0.0, nominal.relative(state.volt))
+        for state in (sensing.own, sensing.base)
+    )
+    held = sensing.held
+    with np.errstate(divide="ignore", invalid="ignore"):
+        of_load = np.where(
+            held, (own - base) / sensing.own.ohm, own / sensing.own.ohm - base / sensing.base.ohm
+        )
+    of_load = np.where(sensing.stays, 0.0, of_load)
+    source = nominal.relative(ends.source)
+    follows = driving.base.follows
+    several = follows or np.any(tie_volts) or of_load.any() or own.any() or np.ptp(source) > 0
+    if not several:
+        return None
+    idle_volt = 0.0 if follows else nominal.relative(driving.base.volt)
+    return PotentialTerms(
+        of_drive=of_driven(source - idle_volt * driving.ratio),
+        of_load=of_sensed(of_load),
+        held=of_sensed(held.astype(float)) > 0,
+        held_volt=of_sensed(base),
+        load_volt=of_sensed(own),
+        level=of_sensed(0.0 * own if ends.amplified else own),
+        ends=tie_volts,
+        loaded=bool(of_load.any()),
+        follows=of_driven(-driving.ratio) if follows else None,
+    )
+
+
+def _drive_terms(driving: LineChange) -> tuple[Array, Array]:
+    """Return (A, A'), and the terms of the current, (2, driven) each; see `Equation`."""
+    own = driving.own.ohm
+    ones = np.ones(len(own))
+    held = driving.base.ohm == 0
+    with np.errstate(divide="ignore"):
+        siemens = 1 / driving.base.ohm
+    drive_terms = np.where(held, (ones, -own), (own, 1 - driving.ratio))
+    current_terms = np.where(held, [[0.0], [-1.0]], (ones, -siemens))
+    return drive_terms, current_terms
+
+
+def _load_terms(sensing: LineChange) -> Array:
+    """Return (B, B'), (2, sensed); see `Equation`."""
+    ones = np.ones(len(sensing.own.ohm))
+    siemens = sensing.own.siemens
+    with np.errstate(invalid="ignore"):
+        change = np.where(sensing.stays, 0.0, siemens - sensing.base.siemens)
+    return np.where(sensing.held, (siemens, -ones), (ones, change))
