@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logit
+from scipy.special import expit, logit
 
 from lampest.apps.recognition.breath import breath
 from lampest.apps.recognition.breathing import MAX_LOG_ODDS, MIN_WINDOW_S, WINDOW_S, Breathing
@@ -30,6 +30,9 @@ from lampest.panel.panel import Array, Panel
 from lampest.recording.shapes.shape import Candidate
 
 Pair = tuple[float, float]
+# Largest ln odds of suction that one recognition leaves to later ones: all have the same film and
+# unloaded frames, and err together.
+MAX_LOOK_LOG_ODDS = 3.0
 JUDGED_S = 1.0  # between two judgements of breath
 # Recognitions of an attachment whose suction is kept: four hours, and then every second one.
 MAX_SUCTIONS = 256
@@ -43,7 +46,7 @@ class Attachment:
     Attributes
     ----------
     sucks : float
-        Probability that it sucks; at least 1/2 where that would not show.
+        Probability that it sucks, by all recognitions; at least 1/2 where that would not show.
     since_s, until_s : float, float or None
         Times of arrival and departure, s; `until_s` is None while it is present.
     x_mm, y_mm, diameter_mm, area_mm2 : (float, float) or None
@@ -56,6 +59,8 @@ class Attachment:
         Number of touched cells.
     conductance_s : (float, float) or None
         Increase of their conductance since rest, S, and its standard deviation.
+    suction_odds : float
+        ln odds that it sucks, by the cells of all recognitions, each within MAX_LOOK_LOG_ODDS.
     breath : Breathing
         Breath of its suction, from all windows.
     sucks_s : float or None
@@ -85,6 +90,7 @@ class Attachment:
     area_mm2: Pair | None = None
     conductance_s: Pair | None = None
     until_s: float | None = None
+    suction_odds: float = 0.0
     breath: Breathing = Breathing()
     sucks_s: float | None = None
     moved_s: tuple[float, ...] = ()
@@ -213,14 +219,31 @@ class Attachment:
         """
         return self if self.track is None else replace(self, track=self.track.interrupted())
 
+    def sucks_with(self, later: "Attachment") -> float:
+        """Return the probability that it sucks after a later recognition.
+
+        Its odds are those of the later recognition times those of the cells in all earlier ones.
+        """
+        own = float(np.clip(logit(later.sucks), -MAX_LOG_ODDS, MAX_LOG_ODDS))
+        return float(expit(self.suction_odds + own))
+
+    def outlasts(self, later: "Attachment") -> bool:
+        """Return whether it still sucks after a recognition that does not show it.
+
+        Leaking suction, or one beside another load, has no clear shape.
+        """
+        return min(self.sucks, self.sucks_with(later)) > 0.5 >= later.sucks
+
     def continued(self, later: "Attachment") -> "Attachment":
         """Return the later state of the same load, with its history.
 
-        The earlier state is kept if the load sucked and is now less clear, because leaking suction
-        has no clear shape.
+        A recognition that it outlasts changes the odds of its suction alone.
         """
-        if self.sucks > 0.5 > later.sucks and later.clear < self.clear:
-            return self
+        odds = float(np.clip(self.suction_odds + later.suction_odds, -MAX_LOG_ODDS, MAX_LOG_ODDS))
+        sucks = self.sucks_with(later)
+        if self.outlasts(later):
+            return replace(self, suction_odds=odds, sucks=sucks)
+        later = replace(later, suction_odds=odds, sucks=sucks)
         # a move: farther than three standard deviations of the distance, and than 3 mm
         distance_sd = max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         is_far = self.distance(later.place) > NOISE_REACH * distance_sd
@@ -348,6 +371,7 @@ def attachments_of(
         covariance = best.covariance[own, own]
         first = own.stop
         sucks = verdict.sucks_at(disc)
+        by_cells = 0.0 if verdict.by_shapes else float(logit(sucks))
         shape: dict[str, Any] = {}
         if disc is None:
             groups = _contacts(frame)
@@ -369,6 +393,7 @@ def attachments_of(
             conductance = float(more[group].sum()), float(np.hypot.reduce(errors[group]))
             attachment = Attachment(
                 sucks=sucks,
+                suction_odds=float(np.clip(by_cells, -MAX_LOOK_LOG_ODDS, MAX_LOOK_LOG_ODDS)),
                 since_s=since,
                 placed_s=since,
                 clear=clear,
@@ -378,8 +403,8 @@ def attachments_of(
             )
             if not any_form and sucks < 0.5:
                 diameter_mm = attachment.width if disc else attachment.width * (4 / np.pi) ** 0.5
-                small = not would_show(frame.panel, attachment.place, diameter_mm)
-                attachment = replace(attachment, small=small, sucks=0.5 if small else sucks)
+                if not would_show(frame.panel, attachment.place, diameter_mm):
+                    attachment = replace(attachment, small=True, suction_odds=0.0, sucks=0.5)
             attachments.append(attachment)
     return attachments
 
@@ -454,8 +479,8 @@ def continued_by(
 ) -> tuple[Attachment, ...]:
     """Return all attachments after a recognition.
 
-    Each load continues the nearest attachment that is present. Where a clearer earlier recognition
-    is kept, contacts under its disc are parts of that load.
+    Each load continues the nearest attachment that is present. Contacts under the disc of one that
+    outlasts the recognition are parts of that load.
 
     Parameters
     ----------
@@ -488,9 +513,9 @@ def continued_by(
             former = attachments[near]
             attachments[near] = former.continued(load)
             unmatched.remove(near)
-            if attachments[near] is former:
+            if former.outlasts(load):
                 kept.append(former)
-        elif not any(clearer.contains(load) for clearer in kept):
+        elif not any(former.contains(load) for former in kept):
             attachments.append(load)
     if again:
         return tuple(

@@ -1,17 +1,17 @@
 """Suction without a shape: cells that have risen, enclosed by cells that have fallen.
 
-Suction lifts the film from its electrodes, and resistance rises; nothing else has this effect. A
-rim that presses around the suction bears it. Neither depends on the form of a mouth, on other loads
-next to it, or on the film's curve.
+Suction lifts the film from its electrodes, and resistance rises: risen cells are the evidence of
+suction. A rim that presses around the suction bears it: fallen neighbours multiply the odds.
+Neither depends on the form of a mouth, on other loads next to it, or on the film's curve.
 """
 
 from dataclasses import dataclass
-from math import pi
+from math import log, pi
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.special import ndtr
+from scipy.special import expit, log_ndtr, ndtr
 
 from lampest.apps.recognition.observation import Observation, patch_of
 from lampest.files.levels import NOISE_REACH
@@ -22,8 +22,12 @@ from lampest.recording.shapes.disc import Disc
 # a cell by more than 0.1 beyond its error; of 48 mouths and cups of −2.5 kPa and more, 47 raised
 # one by more than 0.3, each by more than seven standard deviations (docs/studies/mouths.md).
 MIN_RISE = 0.2
-# Share of the cells around risen ones that have fallen: 0.6 and more around those mouths and cups.
-MIN_ENCLOSED = 0.5
+# ln odds that risen cells are under suction where nothing is known of their neighbours: of those
+# loads, 47 of 48 and none of 64.
+RISEN_LOG_ODDS = log(20)
+# Assumed probability that a neighbour of risen cells has fallen if they are under suction, and that
+# it has not if they are not. Rims pass between patches, and other loads adjoin.
+ENCLOSED = 0.75
 MIN_FALL = 0.05  # ln r/r0 of a cell under a rim; less is drift
 # Interquartile range of ln r0 of an unloaded film: 0.54 with a spread of 0.4, and 0.2 to 0.32 of
 # the shipped panels; a foot that stands or walks on an insole has 1.2 and 2.4.
@@ -34,22 +38,27 @@ APART_PITCHES = 2.2  # distance of two mouths: below, risen cells are of one
 
 @dataclass(frozen=True, eq=False)
 class Suction:
-    """A place on the panel that is under suction.
+    """A place on the panel that may be under suction.
 
     Attributes
     ----------
     cells : boolean array, shape (rows, columns)
         Neighbouring cells that have risen.
-    probability : float
-        Probability that one of them has risen by more than MIN_RISE.
+    odds : float
+        ln odds that they are under suction.
     x_mm, y_mm : float
         Their middle, weighted with ln r/r0.
     """
 
     cells: NDArray[np.bool_]
-    probability: float
+    odds: float
     x_mm: float
     y_mm: float
+
+    @property
+    def probability(self) -> float:
+        """Probability that the place is under suction."""
+        return float(expit(self.odds))
 
     def disc(self, panel: Panel, larger: float = 1.0) -> Disc:
         """Return the disc of the same area of suction with a usual rim, scaled by a factor."""
@@ -69,25 +78,36 @@ class Suction:
 
 
 def suctions(frame: Observation) -> list[Suction]:
-    """Return the places under suction, the largest first.
+    """Return the places that are more probably under suction than not, the largest first.
 
     A group of neighbouring cells has risen if each of them has, by more than MIN_FALL and
-    NOISE_REACH standard deviations. The group is under suction if MIN_ENCLOSED of the cells around
-    it have fallen as clearly. Nothing is concluded if the cells of the unloaded panel are as uneven
-    as under loads: a rising cell may then have been relieved.
+    NOISE_REACH standard deviations. It is under suction with the probability
+
+        P(rise > MIN_RISE) / (1 + 1/(odds of the enclosure)),
+
+    with the rise of its clearest cell, see `_enclosure`. Nothing is concluded if the cells of the
+    unloaded panel are as uneven as under loads: a rising cell may then have been relieved.
     """
     panel = frame.panel
     change = frame.free_map
     sd = frame.free_sd
     if not _even(frame):
         return []
-    clear = np.maximum(MIN_FALL, NOISE_REACH * sd)
     places = list[Suction]()
-    for cells in _enclosed(panel, change > clear, change < -clear):
+    for cells in groups_of(panel, change > np.maximum(MIN_FALL, NOISE_REACH * sd)):
+        if not around(panel, cells).any():
+            continue  # the whole panel has risen
+        rise = float(np.max((change - MIN_RISE)[cells] / sd[cells]))
+        enclosure = _enclosure(frame, cells)
+        # ln P = ln P(rise) − ln(1 + e^−enclosure), and the odds are P/(1 − P)
+        logarithm = float(log_ndtr(rise) - np.logaddexp(0.0, -enclosure))
+        against = float(
+            np.logaddexp(log_ndtr(-rise), log_ndtr(rise) - np.logaddexp(0.0, enclosure))
+        )
         weight = change * cells
         x, y = (float(np.nansum(weight * line) / weight.sum()) for line in panel.places_mm)
-        probability = float(ndtr(np.max((change - MIN_RISE)[cells] / sd[cells])))
-        places.append(Suction(cells, probability, x, y))
+        places.append(Suction(cells, logarithm - against, x, y))
+    places = [place for place in places if place.odds > 0]
     places.sort(key=lambda place: -float(change[place.cells].sum()))
     return _merged(panel, places)
 
@@ -118,8 +138,8 @@ def may_suck(frame: Observation) -> bool:
     change = frame.free_map
     sd = frame.free_sd
     hidden = (sd > MIN_RISE) & (change + NOISE_REACH * sd > MIN_RISE)
-    fallen = (change < -np.maximum(MIN_FALL, NOISE_REACH * sd)) & ~hidden
-    return _even(frame) and bool(_enclosed(frame.panel, hidden, fallen))
+    groups = groups_of(frame.panel, hidden)
+    return _even(frame) and any(_enclosure(frame, cells) > RISEN_LOG_ODDS for cells in groups)
 
 
 def _even(frame: Observation) -> bool:
@@ -129,20 +149,21 @@ def _even(frame: Observation) -> bool:
     return bool(upper - lower < MAX_RANGE)
 
 
-def _enclosed(
-    panel: Panel, which: NDArray[np.bool_], fallen: NDArray[np.bool_]
-) -> list[NDArray[np.bool_]]:
-    """Return the groups of some cells around which MIN_ENCLOSED of the cells have fallen.
+def _enclosure(frame: Observation, cells: NDArray[np.bool_]) -> float:
+    """Return ln odds that a group of risen cells, (rows, columns), is under suction.
 
-    Shape (rows, columns) each.
+    A neighbour has fallen by more than MIN_FALL with the probability p. It has with the probability
+    ENCLOSED if the cells are under suction, and has not with the same if they are not. The odds are
+    the prior ones times
+
+        Π (E p + (1 − E)(1 − p)) / ((1 − E) p + E (1 − p)),   E = ENCLOSED.
+
+    A neighbour of which nothing is known has p = 1/2 and no effect.
     """
-    groups = groups_of(panel, which)
-    rims = [around(panel, cells) for cells in groups]
-    return [
-        cells
-        for cells, rim in zip(groups, rims, strict=True)
-        if rim.any() and fallen[rim].sum() >= MIN_ENCLOSED * rim.sum()
-    ]
+    rim = around(frame.panel, cells)
+    fallen = ndtr(-(frame.free_map[rim] + MIN_FALL) / frame.free_sd[rim])
+    under = ENCLOSED * fallen + (1 - ENCLOSED) * (1 - fallen)
+    return RISEN_LOG_ODDS + float(np.sum(np.log(under / (1 - under))))
 
 
 def groups_of(panel: Panel, which: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:

@@ -28,6 +28,9 @@ MAX_MISFIT = 10.0
 # a mouth that does not breathe; and of the impossible, two loads in one place.
 RARE_LOG_ODDS = log(20)
 IMPOSSIBLE = 60.0
+# Probability that a load sucks none of whose cells has risen, where they would show it: assumed, of
+# faint suctions to which a film does not answer.
+UNRISEN = 5e-4
 OVERLAP = 0.25  # share of the smaller diameter by which two loads may overlap: soft rims touch
 # Exponent of evidence ratios, because films and loads deviate from their models in more ways than
 # the errors include. Fitted by log-likelihood to scenes made without this package's simulation; see
@@ -114,15 +117,19 @@ class Verdict:
         return sum(share for fit, share in pairs if fit.candidate in UNIFORM)
 
     def sucks_at(self, disc: Disc | None) -> float:
-        """Return the probability that a load at a disc's place sucks; None: any load."""
+        """Return the probability that a load at a disc's place sucks; None: any load.
+
+        Its cells decide, unless fallen cells hide others; then the fitted shapes do.
+        """
 
         def near(x_mm: float, y_mm: float) -> bool:
             return disc is None or hypot(x_mm - disc.x_mm, y_mm - disc.y_mm) < disc.diameter_mm / 2
 
-        if self.suctions:
-            places = (place for place in self.suctions if near(place.x_mm, place.y_mm))
-            return max((place.probability for place in places), default=0.0)
-        # without a cell that shows it, by the shapes
+        risen = [place.probability for place in self.suctions if near(place.x_mm, place.y_mm)]
+        if risen:
+            return max(risen)
+        if self.suctions or not self.by_shapes:
+            return UNRISEN
         total = 0.0
         for fit, share in zip(self.fits, self.shares, strict=True):
             discs = [part.disc(values) for part, values in fit.loads if part.sucks]
@@ -130,6 +137,11 @@ class Verdict:
                 sucking is not None and near(sucking.x_mm, sucking.y_mm) for sucking in discs
             )
         return total / max(1 - self.nothing, 1e-9)
+
+    @property
+    def by_shapes(self) -> bool:
+        """Whether the fitted shapes decide whether something sucks, because cells are hidden."""
+        return not self.suctions and any(part.sucks for fit in self.fits for part, _ in fit.loads)
 
 
 def prior_cost(fit: Fit) -> float:

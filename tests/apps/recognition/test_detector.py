@@ -428,7 +428,7 @@ def test_a_load_that_sucks_is_refuted_by_its_misfit() -> None:
     contacts = answered(recording).attachments
     assert contacts
     for contact in contacts:
-        assert contact.sucks < 0.5
+        assert answer_of(contact, 4.0)[0] == PRESSES
         assert contact.distance(rod.centre_mm) < rod.diameter_mm / 2 + 10
 
 

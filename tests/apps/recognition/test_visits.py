@@ -95,19 +95,31 @@ def test_a_visit_gives_a_row_with_the_clock_of_its_recording() -> None:
     )
 
 
-def contact(x_mm: float, clear: float = 50.0) -> Attachment:
+def contact(x_mm: float) -> Attachment:
     """A contact without a shape whose place is known to half a pitch."""
-    return Attachment(RING, 60.0, (x_mm, 5.0), (50.0, 5.0), clear=clear)
+    return Attachment(0.01, 60.0, (x_mm, 5.0), (50.0, 5.0), suction_odds=-3.0)
 
 
-def test_contacts_under_a_clearer_load_are_its_rim() -> None:
+def test_contacts_under_a_load_that_sucks_are_its_rim() -> None:
     """The disc reaches to 57.5 mm."""
-    mouth = replace(load(0.0, None), clear=100.0)
+    mouth = replace(load(0.0, None), suction_odds=9.0)
     rim = [contact(41.0), contact(22.0), contact(60.0)]
-    assert continued_by([mouth], rim, 60.0) == (mouth,)
+    (kept,) = continued_by([mouth], rim, 60.0)
+    assert kept == replace(mouth, suction_odds=6.0, sucks=kept.sucks) and kept.sucks > 0.9
     assert len(continued_by([mouth], [*rim, contact(75.0)], 60.0)) == 2
-    clearer = [contact(x_mm, clear=200.0) for x_mm in (41.0, 22.0)]
-    assert len(continued_by([mouth], clearer, 60.0)) == 2
+
+
+def test_a_load_that_sucked_is_lost_to_evidence_against_it_alone() -> None:
+    """Every recognition without a risen cell counts; one that cannot show any does not."""
+    mouth = replace(load(0.0, None), suction_odds=9.0)
+    silent = replace(contact(41.0), sucks=0.5, suction_odds=0.0, small=True)
+    loads: tuple[Attachment, ...] = (mouth,)
+    for _ in range(20):
+        loads = continued_by(loads, [silent], 60.0)
+    assert loads == (replace(mouth, sucks=loads[0].sucks),) and loads[0].sucks > 0.999
+    for _ in range(3):
+        loads = continued_by(loads, [contact(41.0)], 60.0)
+    assert loads[0].sucks < 0.5 and loads[0].diameter_mm is None
 
 
 def waved(since_s: float, x_mm: float = 40.0, clear: float = 10.0) -> Attachment:

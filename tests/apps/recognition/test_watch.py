@@ -285,7 +285,8 @@ def test_each_long_visit_is_detected_once_in_constant_memory() -> None:
     """At a frame a second, while the temperature sways readings by 3 % in two hours."""
     visits = ((MOUTH, 600, 2400), (ROD, 3000, 4000), (MOUTH, 4600, 5400))
     recording = recording_with(*visits, frames=6000, memory_share=0.0)
-    recording.recorded[:] *= 1 + 0.03 * np.sin(2 * np.pi * recording.time / 7200)[:, None, None]
+    sway = 1 + 0.03 * np.sin(2 * np.pi * recording.time / 7200)[:, None, None]
+    recording = dataclasses.replace(recording, recorded=recording.recorded * sway)
     first = {name: getattr(recording, name)[:105] for name in ("recorded", "time", "role")}
     known = known_before(dataclasses.replace(recording, **first))
     watch = known.watch()
