@@ -1,5 +1,7 @@
 """Size of the package, its tests and its pages, beside that of the last release.
 
+Until the first release the stored numbers are those of the day on which they were first counted.
+
     python -m tests.size           # print the table
     python -m tests.size --store   # at a release: store the numbers in tests/size.json
 

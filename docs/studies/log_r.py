@@ -15,7 +15,8 @@ import casadi
 import numpy as np
 
 from docs.studies import script
-from lampest.apps.studies.study import Cases, Study, of_cases
+from docs.studies.cases import Cases, of_cases
+from lampest.apps.studies.study import Study
 from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.methods import named_method
 from lampest.estimate.sequence import first_stream

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from docs.studies import script
 from docs.studies.as_published import left_by_solver
-from lampest.apps.studies.paper import MEASURED, TIME, Published, Side, paper_study, shown, unloaded
+from docs.studies.paper_figures import MEASURED, TIME, Published, Side, paper_study, shown, unloaded
 from lampest.report.compare import statistics
 
 

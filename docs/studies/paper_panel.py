@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docs.studies.as_published import METHODS, WEIGHTS, Weights, left_by_solver
-from lampest.apps.studies.paper import FILE, read_published
+from docs.studies.paper_figures import FILE, read_published
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from docs.studies import script
-from lampest.apps.studies.study import Cases, Study, of_cases
+from docs.studies.cases import Cases, of_cases
+from lampest.apps.studies.study import Study
 from lampest.estimate.methods import named_method
 from lampest.estimate.sequence import first_stream
 from lampest.recording.recording import Recording

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docs.studies import script
+from docs.studies.cases import Cases, of_cases
 from lampest.apps.studies import study
 from lampest.cost.given import Background
 from lampest.estimate.estimator import Estimator
@@ -170,7 +171,7 @@ def _estimates(
 
 def withheld_study(
     share: float, draws: int = 5, seed: int = 0
-) -> study.Study[Run, study.Cases[Withheld]]:
+) -> study.Study[Run, Cases[Withheld]]:
     """The study that withholds a share of each frame's readings.
 
     Raises InputError unless 0 < share < 1.
@@ -196,7 +197,7 @@ def withheld_study(
         "cases",
         "insole.yaml",
         read_run,
-        lambda run, on_step: study.of_cases(predicted, run, on_step, "predict"),
+        lambda run, on_step: of_cases(predicted, run, on_step, "predict"),
         rows=lambda cases: withheld_rows(cases.measured),
         sheets=lambda cases: [("", withheld_rows(cases.measured), SCREEN)],
         left_out=lambda results: results.left_out,

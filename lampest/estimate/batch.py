@@ -235,7 +235,7 @@ def _solved_together(
             kind = _unweighted(stream.estimator), stream.scene.faults, partial[number]
             groups.setdefault(kind, []).append(number)
             batchable[number] = stream
-    # Of several processes each has one.
+    # Each of several processes has one core.
     cores = 1 if parent_process() else len(os.sched_getaffinity(0))
     blocks = list[NDArray[np.intp]]()
     for group in groups.values():

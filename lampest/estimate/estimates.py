@@ -226,7 +226,7 @@ class Estimates:
     def measured(self) -> Array:
         """Readings in the readout's unit, less the series resistance, (frames, rows, columns).
 
-        The value is NaN where missing.
+        Missing readings are NaN.
         """
         return self.readings.shown
 
@@ -242,7 +242,7 @@ class Estimates:
     def sigma(self) -> Array | None:
         """Standard deviation of `measured`, infinite for bounds and missing readings.
 
-        The value is None where unknown.
+        An unknown one is None.
         """
         return self.readings.sigma_of_values
 
@@ -503,7 +503,7 @@ class Estimates:
     def film(self) -> Any:
         """Strengths of the film's memory, a `FilmKnown` of the application 'film'.
 
-        The value is None where the scene names no film, or nothing has error bars. Strengths that
+        None stands for a scene without a film, or no error bars. Strengths that
         the scene leaves open are estimated from the frames after a load was taken off.
         """
         film = self.recording.scene.film
@@ -555,8 +555,8 @@ class Estimates:
     def _load(self) -> Any:
         """Pressures with errors, a `Pressure` of the application 'film'.
 
-        The value is None without error bars, because the uncertainty of r/r0 is then unknown, and
-        without the application.
+        None stands for a missing application, or no error bars: the uncertainty of r/r0 is then
+        unknown.
         """
         pressure_of = applications().provided("film", "pressures")
         if self._bars is None or pressure_of is None:
@@ -571,9 +571,7 @@ class Estimates:
 
 
 def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
-    """Return ln(r/r0) without the common change by temperature and creep.
-
-    The result is None without error bars.
+    """Return ln(r/r0) without the common change by temperature and creep; None without errors.
 
     Returns
     -------
@@ -590,10 +588,7 @@ def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
 
 
 def _unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
-    """Return the number of unsolved frames with the reason of the first, in words.
-
-    The result is '' where there is none.
-    """
+    """Return the number of unsolved frames with the reason of the first, in words, or ''."""
     failed = int(np.sum(~solved))
     if not failed:
         return ""

@@ -317,7 +317,7 @@ class ModulesStream(Stream):
     def baseline_resistance(self) -> Array:
         """Cells of the baseline, (rows, columns) ohm.
 
-        The value is NaN in dead modules and those without a solved baseline.
+        Dead modules and those without a solved baseline are NaN.
         """
         return np.asarray(_joined(self._layout, self.modules, "baseline_resistance", np.nan))
 
@@ -346,9 +346,7 @@ class ModulesStream(Stream):
 def _joined(
     layout: Modules, parts: Sequence[Any], name: str, missing: float, last: slice = slice(None)
 ) -> Any:
-    """Return the attribute `name` of the parts of all modules joined to one map of the image.
-
-    The result is None without any.
+    """Return the attribute `name` of all modules as one map of the image, or None.
 
     Parameters
     ----------

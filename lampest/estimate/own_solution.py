@@ -34,7 +34,8 @@ from lampest.solvers.solution import OPTIMA, VERIFIED, Status
 SLOPE_ROUNDING = 1e-10  # of the unit of costs: a slope that may be the rounding of its parts
 # Lengths, in units of the program, at which the cost beside a flat point is looked at.
 PROBES = (1.0, 0.1, 0.01)
-# Of the multiplier that the curvature alone would make: a larger one holds its unknown at a bound.
+# Factor on the multiplier that the curvature alone would make; a larger one holds its unknown at
+# a bound.
 CLEAR = 10.0
 SAME_PLACE = 1e-9  # violation of the equations that a probe may cause
 
@@ -531,7 +532,7 @@ class OwnSolution(SymbolsOwner):
             self.result.of_bounds / np.maximum(CLEAR * np.abs(curvature), SLOPE_ROUNDING),
             (instance.lower, instance.upper),
         )
-        # Of p and q, the smaller one is at its bound: their sum costs.
+        # The smaller one of p and q is at its bound, because their sum costs.
         place = int(np.argmax(names == "split"))
         for part in program.lowered:
             for side in part.split[:1]:

@@ -109,10 +109,7 @@ class Parts:
                 stream = start
 
     def _part(self, frames: range) -> MeasuredPart[Estimates] | None:
-        """Return the measured frames of a range, together with the lead.
-
-        The result is None where no frame is measured.
-        """
+        """Return the measured frames of a range, together with the lead; None without any."""
         part = measured_part(self.stored, frames, WINDOW)
         if part is None:
             return None

@@ -81,10 +81,7 @@ class Step:
         return self.sentence or self.solution.status.value
 
     def estimate(self, frame: int) -> Array | None:
-        """Return the cells (rows, columns) ohm of one of its frames.
-
-        The result is None where the solve failed.
-        """
+        """Return the cells (rows, columns) ohm of a frame, or None if the solve failed."""
         return self.solution.cell_resistance[frame] if self.solution.solved else None
 
     def bare(self) -> "Step":
@@ -95,10 +92,7 @@ class Step:
         return replace(self, solution=replace(self.solution, at=None, dual=None, carried=None))
 
     def surroundings(self) -> LinearModel | None:
-        """Return the linear model at a verified optimum, for error bars.
-
-        The result is None where there is no such optimum.
-        """
+        """Return the linear model at a verified optimum, for error bars, or None."""
         at = self.solution.at
         dual = self.solution.dual
         if not self.solution.optimum or at is None or dual is None:

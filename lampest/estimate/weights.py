@@ -54,7 +54,7 @@ MAX_SWEEPS = 6  # over several penalties: each converges within a few
 NOISE_BELIEF = 0.1
 MIN_FREEDOM = 0.05  # degrees of freedom of a residual: fewer do not determine its scale
 AnyObjective = TypeVar("AnyObjective", bound=Objective)
-# Of the terms, and the standard deviations of log λ.
+# Weights of the terms, and standard deviations of log λ.
 Weights = tuple[list[float], tuple[float, ...]]
 
 

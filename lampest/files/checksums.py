@@ -285,7 +285,7 @@ def _entry(first: int, values: Any) -> bytes:
     """Return 'first row:SHA-256 of first row, type, shape and bytes' of a block."""
     block = np.asarray(values)
     digest = hashlib.sha256(f"{first} {block.dtype.str} {block.shape} ".encode())
-    # In place: blocks may be large.
+    # The view copies nothing, because blocks may be large.
     digest.update(np.ascontiguousarray(block).reshape(-1).view(np.uint8).data)
     return f"{first}:{digest.hexdigest()}".encode()
 

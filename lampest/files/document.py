@@ -483,7 +483,7 @@ def _sentence_of(faults: Sequence[Any]) -> str:
 def _meant_choice(faults: Sequence[Any]) -> str:
     """Return '; did you mean reduced?' if the value is similar to a known word, else ''.
 
-    The value is that of these faults, the word one of a closed list.
+    All faults are of one value, and the known words are a closed list.
     """
     choices: list[str] = []
     words: list[str] = []

@@ -24,7 +24,7 @@ from lampest.files.errors import InputError
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
-# For small matrices.
+# Small matrices are fastest with one thread.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 ALLOWED = "LAMPEST_MEMORY"  # environment variable with the user's memory limit, such as 8GB
 # Signals that the process ignores (nohup) stay ignored, except the first two, which are sent on

@@ -122,7 +122,7 @@ def _recording_lines(recording: Recording, kept: "RecordingCheck | None") -> Ite
 
     `kept` is the check that a run has kept; without one it is computed.
     """
-    # With all of the estimate, which results do without.
+    # The audit loads the whole estimate, which results do without.
     from lampest.audit.advice import Audit
     from lampest.inference.prepared import Prepared
     from lampest.runs.checks import RecordingCheck

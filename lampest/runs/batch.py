@@ -385,7 +385,7 @@ def solve_task(task: Task | CheckTask) -> StoredCase | RecordingCheck:
     """Solve a case, or check a recording and keep the outcome."""
     if isinstance(task, Task):
         return solve_case(task)
-    # With all of the audit, which runs without a new check do without.
+    # A run without a new check does not load the audit.
     from lampest.audit.advice import Audit
 
     prepared = _recording(task.path, task.sha256)

@@ -175,7 +175,7 @@ class CaseResult(Content):
     def local_optima(self) -> tuple[int, int, int] | None:
         """Number of frames at a local optimum, and least and largest number of their starts.
 
-        The value is None if the numbers of starts are unknown, or no frame is at an optimum.
+        None stands for unknown numbers of starts, or no frame at an optimum.
         """
         optima = np.array([status.startswith(OPTIMA) for status in self.status])
         if self.starts is None or not optima.any():

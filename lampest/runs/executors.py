@@ -207,7 +207,7 @@ def cores() -> int:
 
 
 LIVENESS_SECONDS = 1.0  # between questions whether processes live
-# Of a task whose process dies: processes may be killed from outside, repeatedly by chance.
+# Tries of a task whose process dies; processes may be killed from outside, repeatedly by chance.
 MAX_TRIES = 4
 DIED = f"its process died {MAX_TRIES} times"
 HUNG = (

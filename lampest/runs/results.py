@@ -174,7 +174,7 @@ def write_results(
         _check_together([case for case in held if isinstance(case, CaseResult)], columns)
     held_in_files = [case for case in cases if isinstance(case, StoredCase)]
     size = sum(case.path.stat().st_size for case in held_in_files)
-    # As many readings as a recording in memory has; the file of more is built on the disk.
+    # The file of more readings than a recording in memory has is built on the disk.
     large = sum(case.frames * case.cells for case in held_in_files) > stored.MAX_READINGS
     with hdf5.new_large_file(Path(path), size) if large else hdf5.new_file(Path(path)) as file:
         entry = _begun(file, next(iter(recordings), ""))

@@ -40,7 +40,8 @@ STATUS = {
 # smaller.
 ACCURACY = 1e-4
 MAX_FINE = 3  # fine solves of a start: one, and one more after each saddle
-# Of ln r: a frame whose cells move less stays in its valley, even where IPOPT corrects the inertia.
+# Change of ln r; a frame whose cells change less stays in its valley, even where IPOPT corrects
+# the inertia.
 FAR = log(4.0)
 
 

@@ -25,14 +25,14 @@ from lampest.solvers.preconditioners import Cholesky, Numbers, Preconditioner, T
 # Of a cell's posterior standard deviation: allowed length of the remaining Newton step where the
 # noise is known.
 DEVIATION_SHARE = 1e-3
-# Of the cost's scale: four digits below the error that a verified cost may have.
+# Fraction of the cost's scale, four digits below the error that a verified cost may have.
 MIN_COST_SHARE = 1e-10
-# Of a reading: second derivatives of readings add no larger part to JᵀWJ.
+# Relative misfit; second derivatives of readings add no larger part to JᵀWJ.
 MAX_RELATIVE_MISFIT = 1e-5
-# Of log r: distance within which cells that reproduce all readings count as the same minimum.
+# Distance in log r within which cells that reproduce all readings are the same minimum.
 MAX_DISTANCE = 0.3
 ACCURACY = 0.1  # of a predicted step on large panels
-# Of the cost's scale, over a change of one in log r: below any digit of the cost itself.
+# Fraction of the cost's scale over a change of one in log r, below any digit of the cost.
 MIN_CURVATURE = 1e-14
 ROUNDING = 1e-11  # rounding error of a matrix with a unit diagonal, after differences of impedances
 

@@ -265,7 +265,8 @@ class Barrier:
         A cell is moved to a bound if the curvature of the bound's barrier exceeds the cell's own.
         """
         data = self.at.data
-        # In the conductance: z/(g − g_low) > ∂²φ/∂g² of the cell's own reading and penalties
+        # The multiplier exceeds the curvature of the cell's own reading and penalties in the
+        # conductance: z/(g − g_low) > ∂²φ/∂g²
         curvature = self.hessian.diagonal.reshape(self.conductance.shape) / self.conductance**2
         below, above = over(self.multipliers, self.distances) > curvature
         cells = np.where(below, data.upper, self.at.cell_resistance)

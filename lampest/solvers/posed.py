@@ -22,7 +22,7 @@ from lampest.recording.readings import Readings, Sidedness, stand_in_spread
 # of the apparent resistance: beyond, double precision has no difference
 OPEN_FACTOR = 1e9
 SHORT_FACTOR = 1e-6
-# Of the upper bound: the lower bound of a cell whose reading contradicts its bounds.
+# Lower bound of a cell whose reading contradicts its bounds, over its upper bound.
 CONTRADICTED_FACTOR = 1e-3
 MAX_CONTRADICTED = 0.5  # of the readings: if more contradict the bounds, the bounds are the mistake
 UNKNOWN_NOISE = 0.01  # of a reading, where the noise is not specified: that of a 10-bit divider

@@ -21,11 +21,11 @@ from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, restricted
 from lampest.solvers.hessian import Hessian
 
-# Of the largest entry of a diagonal: double precision does not distinguish a smaller one from zero.
+# Entry over the largest one of a diagonal; double precision takes a smaller one for zero.
 MIN_DIAGONAL = 1e-12
 # Added in turn to a unit diagonal: rounding can make Gauss–Newton's matrix indefinite.
 SHIFTS = (1e-10, 1e-6, 1e-3)
-# Of the largest weight: readings beyond a loss's corner, which still tie a line together.
+# Weight of readings beyond a loss's corner, over the largest one; they still tie a line.
 WEAK_WEIGHT = 1e-3
 # Share of the lines that add too little for a coarse space to repay its cost.
 WEAK_LINE_SHARE = 0.75

@@ -30,9 +30,9 @@ Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
 MAX_STEPS = 40  # of a panel in a batch; the solver for single panels continues from there
-# Of log r: ∇²φ changes by about this share; beyond, its definiteness is tested again.
+# Change of log r by which ∇²φ changes by about as much; its definiteness is then tested again.
 CERTIFIED_DISTANCE = 0.1
-# Of log r; within CERTIFIED_DISTANCE, M⁻¹ ∇φ is within a tenth of Newton’s step.
+# Change of log r; M⁻¹ ∇φ is within a tenth of Newton’s step in CERTIFIED_DISTANCE.
 LAST_STEP = 0.01 * MILLIONTH
 
 

@@ -29,7 +29,7 @@ from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Solver, Status
 from lampest.solvers.steps import STEPS
 
-# Of a solver's tolerance with absolute losses: their optima then agree to 1e-9 of the cost.
+# Fraction of a solver's tolerance with absolute losses; optima agree to 1e-9 of the cost.
 KINKED_SHARE = 0.1
 
 

@@ -36,7 +36,7 @@ SAME_MINIMUM = 1e-9  # relative difference of cost below which two minima are th
 # (test_relaxation.py).
 FAR = 10.0
 MAX_FAR = 0.1
-# Of the largest residual with an absolute loss: width of the smoothing in a certificate.
+# Width of the smoothing in a certificate, over the largest residual with an absolute loss.
 SMOOTHING_WIDTH = 1e-8
 
 

@@ -168,7 +168,7 @@ WORDS = {
     "foreign": {"import"},
     "live": {"live"},
     "recognition": {"detect"},
-    "studies": {"study", "bench", "tradeoff", "extremes", "tune", "paper"},
+    "studies": {"study", "bench", "tradeoff", "extremes"},
 }
 FORMER = {"repair", "terms", "schema"}
 

@@ -90,6 +90,7 @@ DOORS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("pydantic", "ruamel"), ("files.document",)),
     "matplotlib": (
         "report.plots",
+        "apps.page.all_frames",
         "apps.studies",
         "apps.recognition.detect.season",
         "apps.recognition.detect.timeline",

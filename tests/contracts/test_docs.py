@@ -352,9 +352,9 @@ def test_the_readouts_page_shows_every_kind_with_a_valid_scene_and_a_drawing(
     assert drawings and all((READOUTS.parent / drawing).is_file() for drawing in drawings)
 
 
-def test_example_scripts_are_ten_short_and_public() -> None:
+def test_example_scripts_are_twelve_short_and_public() -> None:
     texts = [path.read_text(encoding="utf-8") for path in (DOCS / "examples").glob("plot_*.py")]
-    assert len(texts) == 10 and all(len(text.splitlines()) < 40 for text in texts)
+    assert len(texts) == 12 and all(len(text.splitlines()) < 40 for text in texts)
     assert not any(re.search(r"from lampest\.|import lampest\.", text) for text in texts)
 
 

@@ -16,7 +16,7 @@ from unittest.mock import patch
 import h5py
 import numpy as np
 from attack.attack import called, everything
-from contracts.test_studies import BENCH, EXTREMES, GRADIENT_ALONE
+from contracts.test_studies import BENCH, EXTREMES
 from golden.circuits import Rows
 from small_files import RUN, SCENE, SIMULATION, TRADEOFF, on_disk
 from support import invented_case
@@ -174,7 +174,6 @@ FAULTS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
             "  scenes: {clean: {}": ("  scenes: {a/b: {}",),
         },
     ),
-    "study weights": (GRADIENT_ALONE, {", gradient: {weight: auto}": ("",)}),
 }
 READERS: dict[str, Callable[[Path], Any]] = {
     "run": lp.read_run,

@@ -22,7 +22,18 @@ from golden.outputs import command, drawn_row, refusal, stored
 from support import invented_case
 
 import lampest as lp
-from lampest.apps.studies import bench, common, extreme_scenes, extremes, paper, tradeoff, weights
+from docs.studies import paper_figures as paper
+from docs.studies.weight_curves import (
+    Curves,
+    WeightSubject,
+    l_curve,
+    morozov,
+    solve_at,
+    trace,
+    tune,
+)
+from docs.studies.weights import why_not
+from lampest.apps.studies import bench, common, extreme_scenes, extremes, tradeoff
 from lampest.apps.studies.bench import Bench, BenchFile, BenchFrame, BenchPart, run_bench
 from lampest.apps.studies.certified import (
     correct_digits,
@@ -32,17 +43,7 @@ from lampest.apps.studies.certified import (
     fifty_digits,
 )
 from lampest.apps.studies.common import StudyMethod
-from lampest.apps.studies.study import Cases, Study, read_settings
-from lampest.apps.studies.weight_curves import (
-    Curves,
-    WeightSubject,
-    l_curve,
-    morozov,
-    solve_at,
-    trace,
-    tune,
-)
-from lampest.apps.studies.weights import why_not
+from lampest.apps.studies.study import Study, read_settings
 from lampest.estimate.estimator import Estimator
 from lampest.runs import config
 from lampest.solvers.solution import Status
@@ -184,10 +185,6 @@ MEASURED: dict[str, tuple[Study[Any, Any], Callable[[], Any]]] = {
     "bench": (bench.STUDY, timed_bench),
     "tradeoff": (tradeoff.STUDY, timed_tradeoff),
     "extremes": (extremes.STUDY, judged_solves),
-    "weights": (
-        weights.STUDY,
-        lambda: Cases([tuned_curves()], ["a/b left out: it was solved for no weight"]),
-    ),
 }
 METHODS = {
     "LSM": StudyMethod(config.Terms(misfit=lp.Misfit())),
@@ -202,7 +199,7 @@ def study_files_row(name: str) -> dict[str, Any]:
     study = MEASURED[name][0]
     measured = MEASURED[name][1]()
     known = replace(study, read=lambda *_: None, measure=lambda *_: measured, figures=lambda _: {})
-    module = {"bench": bench, "tradeoff": tradeoff, "extremes": extremes, "weights": weights}[name]
+    module = {"bench": bench, "tradeoff": tradeoff, "extremes": extremes}[name]
     with (
         tempfile.TemporaryDirectory() as folder,
         chdir(folder),

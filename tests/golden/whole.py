@@ -27,9 +27,9 @@ from support import invented_case
 from typer.main import get_command
 
 import lampest as lp
+from docs.studies.weights import why_not
+from docs.studies.weights_figure import weights_figure
 from lampest.apps.page import compared, page
-from lampest.apps.studies.weights import why_not
-from lampest.apps.studies.weights_figure import weights_figure
 from lampest.cli import program
 from lampest.cost import problem
 from lampest.cost.cost import Cost

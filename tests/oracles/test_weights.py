@@ -16,6 +16,7 @@ from scipy.integrate import quad
 import lampest
 from docs.studies import real
 from docs.studies.simulated_calibration import PRIORS, SETTINGS, calibration, uniform_tail
+from docs.studies.weight_curves import WeightSubject, bound_evidence, solve_at
 from docs.studies.withheld import predictions
 from lampest import (
     Array,
@@ -28,7 +29,6 @@ from lampest import (
     read_run,
     two_point_resistance,
 )
-from lampest.apps.studies.weight_curves import WeightSubject, bound_evidence, solve_at
 from lampest.cost.given import Background
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import CellResistance, Gradient, LogGradient, LogRatio, Term

@@ -65,8 +65,6 @@ FORMER_COMMANDS = (
     "bench",
     "tradeoff",
     "extremes",
-    "paper",
-    "tune",
     "ports",
     "repair",
     "terms",
@@ -122,7 +120,7 @@ ENDS_WITH_WARNINGS: tuple[tuple[dict[str, Any], str], ...] = (
 def test_every_option_has_help_and_every_command_an_example() -> None:
     for name, command in COMMANDS.items():
         assert command.help and command.epilog.startswith(f"Example: lampest {name}")
-        study = name.startswith("study") and "paper" not in name
+        study = name.startswith("study")
         configured = study or name in ("run", "simulate", "live")
         assert not configured or any("--set" in parameter.opts for parameter in command.params)
         for parameter in command.params:
@@ -224,7 +222,6 @@ def test_commands_of_the_previous_release_work_and_name_the_new_ones(lampest: Co
             == f"lampest: {old} is now: lampest {new}; the old name works for one more release\n"
         )
     for old, new in (
-        ("tune", "study weights"),
         ("bench", "study bench"),
         ("repair", "check --repair"),
     ):

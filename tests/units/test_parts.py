@@ -345,7 +345,6 @@ def test_commands_that_load_a_whole_recording_check_its_memory(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     save(tmp_path, frames(2000))
-    (tmp_path / "run.yaml").write_text(RUN)
     monkeypatch.setattr("lampest.recording.stored.MAX_READINGS", 600)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LAMPEST_MEMORY", "1000000")
@@ -354,7 +353,6 @@ def test_commands_that_load_a_whole_recording_check_its_memory(
     )
     for command in (
         ("live", "--recording", "long.h5", "--estimator", "LSM"),
-        ("study", "weights", "run.yaml"),
         ("tare", "long.h5", "--frames", "0:5", "--out", "tared.h5"),
     ):
         completed = lampest(*command)

@@ -124,7 +124,7 @@ def calibrate_resistors(
 def noise_of(trials: Sequence[Trial]) -> float | tuple[float, ...] | None:
     """Return the noise of one reading from repeats, LSB; None if all lines have too few repeats.
 
-    The result is a tuple for the driven lines where they differ. Lines with fewer than MIN_REPEATS
+    Driven lines that differ have a tuple. Lines with fewer than MIN_REPEATS
     repeats have the mean.
     """
     counts = np.array([trial.repeats for trial in trials])

@@ -274,7 +274,7 @@ class FilmMemory:
     def fading(self, seconds: float) -> Array:
         """Return ln(r/r_rest) (...) after an interval in s without load.
 
-        The result is the memory of earlier loads, which fades.
+        This is the memory of earlier loads, which fades.
         """
         return -self.gain * self.creep.answer(np.zeros(np.shape(self.creep.strength)), seconds)
 

@@ -44,7 +44,7 @@ PENALTIES: dict[str, tuple[Term, ...]] = {
     "cell_resistance": (CellResistance(),),
     "relative_change": (RelativeChange(),),
 }
-# With weights that the data choose, under other names than the paper's.
+# The data choose the weights, so the names differ from the paper's.
 METHODS = {
     name: Estimator((Misfit(), *terms), "reduced", tare=Tare()) for name, terms in PENALTIES.items()
 }

@@ -167,7 +167,7 @@ class PageServer(ThreadingHTTPServer):
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         super().__init__((host, port), PageHandler)
         self.local = ip_address(str(self.server_address[0])).is_loopback
-        # On the loopback address as well: every user of this computer reaches it.
+        # The loopback address needs the token, too: every user of this computer reaches it.
         self.access = Access.of(token, int(self.server_address[1]), local=False)
 
     @property
@@ -328,10 +328,7 @@ def is_local_name(host: str) -> bool:
 
 
 def ip_named(name: str) -> IPv4Address | IPv6Address | None:
-    """Return the address of localhost or of an IP literal, in brackets or not.
-
-    The result is None for other names.
-    """
+    """Return the address of localhost or of an IP literal, in brackets or not, or None."""
     try:
         return ip_address(
             "127.0.0.1" if name == "localhost" else name.removeprefix("[").removesuffix("]")

@@ -48,7 +48,7 @@ DEFAULT_WITHIN = 0.05  # standard deviations of a cell's own error, which is not
 # the first ones of a recording: enough for a median
 MIN_FRAMES = 6
 MAX_FRAMES = 40
-# Of a product of all frames together: a minute for all budgets at 64 × 64 cells.
+# Operations of a product of all frames; all budgets take a minute at 64 × 64 cells.
 MAX_OPERATIONS = 2_000_000
 # Instructions of a Cortex-M4F, fitted to 60 counts of QEMU from 4 × 4 to 16 × 16 cells, all within
 # 10 % (tests/apps/board/test_estimate.py): of a product for each operation of its matrices and each

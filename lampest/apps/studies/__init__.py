@@ -1,4 +1,4 @@
-"""Studies of solvers and estimators: timings, trade-offs, extremes, weights, the paper."""
+"""Studies of solvers and formulations: timings, trade-offs, numerical extremes."""
 
 from lampest.files.applications import Application, Command
 
@@ -6,17 +6,14 @@ STUDIES = "lampest.apps.studies.commands"
 APPLICATION = Application(
     name="studies",
     about="measurements of lampest itself",
-    needs=("page",),
-    groups={
-        "study": "Measure lampest itself: solvers, formulations, extremes, weights, the paper."
-    },
+    groups={"study": "Measure lampest itself: solvers, formulations, extremes."},
     commands={
         f"study {word}": Command(
             part="Study",
             target=f"{STUDIES}:{word}",
-            example="--out results/paper" if word == "paper" else f"{word}.yaml --out results/mine",
-            renamed=("tune" if word == "weights" else word,),
+            example=f"{word}.yaml --out results/mine",
+            renamed=(word,),
         )
-        for word in ("bench", "tradeoff", "extremes", "weights", "paper")
+        for word in ("bench", "tradeoff", "extremes")
     },
 )

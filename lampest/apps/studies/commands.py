@@ -33,11 +33,6 @@ STUDIES = {
         "lampest.apps.studies.extremes",
         "Solve scenes at the limits of measurement and report how each ended; table and HDF5.",
     ),
-    "weights": (
-        "lampest.apps.studies.weights",
-        "Plot weight selection: "
-        "evidence, misfit, penalty and true error over λ, with every rule's choice.",
-    ),
 }
 
 
@@ -66,7 +61,7 @@ def study_command(word: str) -> Callable[..., None]:
     return command
 
 
-bench, tradeoff, extremes, weights = map(study_command, STUDIES)
+bench, tradeoff, extremes = map(study_command, STUDIES)
 
 
 def run_study(
@@ -83,27 +78,3 @@ def run_study(
         screen.say(line)
     for sentence in reported.left_out:
         screen.warn(sentence)
-
-
-def paper(
-    config: Config = None,
-    out: screen.Output = None,
-    jobs: Annotated[int | None, screen.option(min=1)] = None,
-) -> None:
-    """Reproduce the paper's figures and table from shipped recordings.
-
-    Writes paper.html with the published numbers beside, numbers.csv, and every figure as PNG.
-
-    Parameters
-    ----------
-    config
-        Published numbers; else lampest's.
-    out
-        Output folder. Default: results/paper.
-    jobs
-        Number of processes, such as 2. Default: all cores.
-    """
-    from lampest.apps.studies.paper import paper_study
-
-    folder = out or Path("results/paper")
-    run_study(paper_study(folder, jobs), config, folder, None)

@@ -40,7 +40,7 @@ from lampest.report.compare import Columns, grouped
 from lampest.runs.executors import AnyExecutor, Processes, each_of
 from lampest.solvers.solution import VERIFIED, Settings, Solution
 
-# Of a panel of its own shape, below which the nodal formulation solves a case, too.
+# Cells of a panel below which the nodal formulation solves a case, too.
 MAX_SPECIAL_CELLS = 100
 
 

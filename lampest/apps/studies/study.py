@@ -14,13 +14,10 @@ import numpy as np
 
 from lampest.files import hdf5
 from lampest.files.document import read_document, validated
-from lampest.files.errors import InputError
 from lampest.files.whole import refuse_inputs, write_whole
 from lampest.recording.datasets import folder as shipped_folder
 from lampest.report.compare import Columns, Table, comma_separated, grouped, screen_table
 from lampest.report.plots.style import save
-from lampest.runs.config import Case, Run
-from lampest.runs.executors import Serial, each_of
 from lampest.runs.provenance import library_versions
 
 if TYPE_CHECKING:
@@ -196,35 +193,6 @@ def markdown(table: Table) -> str:
 def read_settings(kind: type[Kind]) -> Callable[..., Kind]:
     """Return a reader of YAML files for a dataclass; it raises InputError with line and column."""
     return lambda path, assigned=(): validated(read_document(path, assigned), kind)
-
-
-class Cases(NamedTuple, Generic[Measured]):
-    """Measurements of the cases of a run, and sentences on omitted cases."""
-
-    measured: Sequence[Measured]
-    left_out: Sequence[str]
-
-
-def of_cases(
-    function: Callable[[Case], Sequence[Measured] | str],
-    run: Run,
-    on_step: OnStep,
-    purpose: str = "measure",
-) -> Cases[Measured]:
-    """Return the measurements of a function for all cases of a run in order.
-
-    If the function returns a text, the case is omitted for this reason. `on_step` receives the
-    numbers of finished and of all cases. Raises InputError if all cases are omitted.
-    """
-    results = each_of(function, run.cases, on_step, Serial())
-    names = [f"{case.recording}/{case.name}" for case in run.cases]
-    measured = [record for result in results if not isinstance(result, str) for record in result]
-    left_out = {name: why for name, why in zip(names, results, strict=True) if isinstance(why, str)}
-    if not measured:
-        raise InputError(
-            f"nothing to {purpose}: {'; '.join(f'{name}: {why}' for name, why in left_out.items())}"
-        )
-    return Cases(measured, [f"{name} left out: {why}" for name, why in left_out.items()])
 
 
 def named_values(record: Any, *names: str) -> dict[str, Any]:

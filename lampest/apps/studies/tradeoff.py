@@ -366,7 +366,7 @@ def errors(estimates: Estimates) -> tuple[Array, Array]:
         np.nan,
         relative_error(estimates.cell_resistance, truth[estimates.frame]),
     )
-    # As `TradeoffFrame.changed_error` says.
+    # The threshold is that of `TradeoffFrame.changed_error`.
     changed = np.abs(truth[estimates.frame] / resting - 1) > 0.05
     inside = [
         np.nanmedian(part[cells]) if cells.any() else np.nan
@@ -464,7 +464,7 @@ def front(points: Sequence[tuple[float, float]]) -> list[int]:
     Smaller is better.
     """
     order = sorted(range(len(points)), key=lambda index: points[index])
-    # Of all points before.
+    # The least error of all faster points.
     least = np.minimum.accumulate([np.inf, *(points[index][1] for index in order)])
     return [index for index, before in zip(order, least, strict=False) if points[index][1] < before]
 

@@ -56,7 +56,7 @@ from lampest.solvers.solution import (
 MAX_LAST_CHANGE = 1e-3  # of a standard deviation: largest change of a cell by a further Newton step
 MAX_UNLOADED_PARTS = 5  # of the unloaded frames: enough to identify a wrong reading; more cost time
 MAX_ROUNDS = 40  # 15 to 40 were needed on simulated lampreys
-# Of a standard deviation: change of a cell in a round below which rounds may end.
+# Change of a cell in a round, in standard deviations, below which rounds may end.
 MAX_ROUND_CHANGE = 0.3
 # Factors on q from round to round. The slow one applies where the variance of steps depends on λ,
 # and must follow it.

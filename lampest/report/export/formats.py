@@ -20,7 +20,7 @@ from lampest.runs.case import CaseResult, all_columns
 from lampest.runs.columns import CELLS, FRAMES, Column
 
 MAX_SHEET_ROWS = 1_048_576  # of Excel
-# Of XML Schema, by numpy's letter.
+# Types of XML Schema by numpy's letter.
 CSV_KINDS = {"f": "double", "i": "integer", "u": "integer", "b": "boolean"}
 NAMES = ("recording", "estimator")
 Values = np.ma.MaskedArray[Any, Any]

@@ -221,7 +221,7 @@ class MapPainter:
             )
             return
         if self.contoured and self.panel.cells is None and min(self.panel.shape) > 1:
-            # Of percent: factors, as rises and falls.
+            # Percentages become factors, so that rises and falls are alike.
             logs = np.log1p(np.maximum(self._cut(tile.values), -99.9) / 100)
             *places, logs = _refined(self.panel, logs)
             axes.contourf(*places, 100 * np.expm1(logs), **self._bands())
@@ -448,7 +448,7 @@ class Arrangement(NamedTuple):
         most = min(count, int((width - 1.0) / 0.88))
         across = min(range(1, most + 1), key=unfit) if rows is None else count // rows
         down = ceil(count / across)
-        # Of a tall panel: the maps get narrower.
+        # The maps of a tall panel get narrower.
         beyond = max(height(across) - MAX_ASPECT * width, 0.0) * broad / tall
         beyond = min(beyond, max(0.0, (map_width(across) - MIN_WIDE_INCH) * down))
         narrowed = map_width(across) - beyond / down

@@ -16,14 +16,14 @@ from docs.studies.all_pages import commands, with_commit
 from docs.studies.audit import Audited, audit_remarks, audit_rows
 from docs.studies.audit_pages import MARKED, PAGE, rows_of, table, with_table
 from docs.studies.extremes import extremes_figure
+from docs.studies.paper_figures import FILE, Side, read_published
+from docs.studies.weights import why_not
 from lampest import Estimator, InputError, Panel, Recording, Scene, Status
 from lampest.apps.studies import common, tradeoff
 from lampest.apps.studies.extreme_scenes import AtlasSample, Grid, recording_of
 from lampest.apps.studies.extremes import AtlasFile, atlas_remarks, run_atlas, solves_of
-from lampest.apps.studies.paper import FILE, Side, read_published
 from lampest.apps.studies.study import read_settings
 from lampest.apps.studies.tradeoff import Plan, read_plan, run_tradeoff
-from lampest.apps.studies.weights import why_not
 from lampest.cost.given import Background
 from lampest.cost.terms import Gradient, Misfit
 from lampest.runs.config import read_run
@@ -191,7 +191,7 @@ def test_the_audit_table_has_a_row_per_effect_and_a_column_per_estimator(tmp_pat
 
 
 def test_table_one_agrees_with_the_shipped_run() -> None:
-    """The run's file says it for `lampest compare`, the data file for `lampest study paper`."""
+    """The run's file says it for `lampest compare`, the data file for `docs.studies.paper`."""
     published = read_run(CONFIGS / "table1.yaml").published
     for row in read_published(FILE).errors:
         figures = getattr(published[row.method], row.steps)

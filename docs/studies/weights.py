@@ -1,14 +1,18 @@
-"""Selection of weights: cases, their rows, table, figures and records.
+"""Selection of weights: evidence, misfit, penalty and true error over λ, with every rule's choice.
 
-A case has one penalty. `lampest.apps.studies.weight_curves` has the true curves over its weight.
+Run it with: python -m docs.studies.weights [CONFIG] [--out DIR] [--set PATH=VALUE]
+
+A case has one penalty. `docs.studies.weight_curves` has the true curves over its weight.
 """
 
 import re
 from collections.abc import Iterator
 
+from docs.studies import script
+from docs.studies.cases import Cases, of_cases
+from docs.studies.weight_curves import Choice, Curves, WeightSubject, tune
+from docs.studies.weights_figure import weights_figure
 from lampest.apps.studies import study
-from lampest.apps.studies.weight_curves import Choice, Curves, WeightSubject, tune
-from lampest.apps.studies.weights_figure import weights_figure
 from lampest.cost.terms import Term
 from lampest.estimate.estimator import Estimator
 from lampest.panel.trust_region import MAX_DENSE
@@ -62,7 +66,7 @@ def _row(subject: WeightSubject, choice: Choice) -> study.Row:
     )
 
 
-def weight_rows(cases: study.Cases[Curves]) -> list[study.Row]:
+def weight_rows(cases: Cases[Curves]) -> list[study.Row]:
     """Return a row for every case and rule."""
     return [_row(curves.subject, choice) for curves in cases.measured for choice in curves.choices]
 
@@ -79,7 +83,7 @@ SCREEN: Columns = {
 }
 
 
-def _groups(cases: study.Cases[Curves]) -> Iterator[study.RecordGroup]:
+def _groups(cases: Cases[Curves]) -> Iterator[study.RecordGroup]:
     """Yield the groups /entry/<recording>/<estimator> of the curves and their `choices`."""
     for curves in cases.measured:
         subject = curves.subject
@@ -93,12 +97,12 @@ def _groups(cases: study.Cases[Curves]) -> Iterator[study.RecordGroup]:
         yield study.RecordGroup(f"{path}/choices", curves.choices, "weight", units=subject.units)
 
 
-STUDY: study.Study[Run, study.Cases[Curves]] = study.Study(
+STUDY: study.Study[Run, Cases[Curves]] = study.Study(
     "tune",
     "cases",
     "tune.yaml",
     read_run,
-    lambda run, on_step: study.of_cases(tuned, run, on_step, "tune"),
+    lambda run, on_step: of_cases(tuned, run, on_step, "tune"),
     rows=weight_rows,
     sheets=lambda cases: [("", weight_rows(cases), SCREEN)],
     form="tune/3",
@@ -111,3 +115,6 @@ STUDY: study.Study[Run, study.Cases[Curves]] = study.Study(
     },
     left_out=lambda cases: cases.left_out,
 )
+
+if __name__ == "__main__":
+    script.main(lambda options: STUDY, script.parser_of(__doc__))

@@ -1,4 +1,4 @@
-"""`lampest study paper`: the paper's figures and table compared with ours.
+"""Figures and table of the paper compared with ours, for `docs.studies.paper`.
 
 The comparison is written as one HTML file, pictures and numbers.csv. The shipped scenes are solved
 by the five methods. Figures show the published numbers as marks or in words, together with ours.
@@ -355,7 +355,7 @@ def page_of(paper: Paper) -> str:
     sheets = {figure: sheet(of(figure), ("lampest",)) for figure in ("Fig. 1", "Fig. 2")}
     sheets |= {figure: sheet(of(figure), names) for figure in set_beside}
     return filled(
-        "lampest.apps.studies.paper",
+        "docs.studies.paper_figures",
         names=names,
         places=paper.published.places,
         uris={word: style.data_uri(figure) for word, figure in paper.figures.items()},

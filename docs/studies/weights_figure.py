@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from lampest.apps.studies.weight_curves import Curves
+from docs.studies.weight_curves import Curves
 from lampest.cost.terms import term_kind
 from lampest.panel.panel import Array
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, dressed, new_figure
