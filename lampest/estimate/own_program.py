@@ -26,7 +26,7 @@ from lampest.estimate.own_solution import OwnSolution
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
 from lampest.formulation.circuit import Circuit
-from lampest.formulation.instance import Instance, ProgramResult
+from lampest.formulation.instance import Instance, Multipliers, ProgramResult
 from lampest.formulation.ipopt import Interface
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
@@ -128,7 +128,8 @@ class OwnProgram(SymbolsOwner):
         """Solve by IPOPT, and check the result; a failed solve does not raise.
 
         Where the result is no strict minimum to the digits of double precision, IPOPT goes on to
-        those digits, and the better result is kept. A frame without readings of which no own part
+        those digits, and the better result is kept. Where it is a saddle or a slope without end,
+        IPOPT begins again with a small barrier. A frame without readings of which no own part
         speaks has no solution.
 
         Parameters
@@ -153,9 +154,12 @@ class OwnProgram(SymbolsOwner):
             multipliers = multipliers.for_program(start.instance.program, self.symbols)
             multipliers = multipliers.in_units(self.symbols, instance.scale, instance.cost_scale)
         solution = OwnSolution(instance, interface.minimise(instance, multipliers))
-        if solution.ended and not solution.settled:
-            finer = solution.from_here(interface.fine)
-            solution = finer if finer.improves(solution) else solution
+        solution = solution.refined(interface)
+        if solution.ended and not solution.solved:
+            # A wide barrier may lead to shorts, of which no reading depends on its cell.
+            without = Multipliers.none(instance)
+            second = solution.ended_at(interface.minimise(instance, without)).refined(interface)
+            solution = second if second.solved else solution
         return solution
 
     def _instance(self, start: OwnSolution | None) -> Instance:

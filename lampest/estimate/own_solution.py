@@ -38,6 +38,9 @@ PROBES = (1.0, 0.1, 0.01)
 # a bound.
 CLEAR = 10.0
 SAME_PLACE = 1e-9  # violation of the equations that a probe may cause
+# Optimality error of a settled solution. Between a bound that holds a cell by as much and the next
+# point IPOPT has not decided, so that own numbers and cells put on bounds disagree.
+SETTLED = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,12 +168,19 @@ class OwnSolution(SymbolsOwner):
     @property
     def settled(self) -> bool:
         """Whether this is a strict minimum to the digits of double precision."""
-        return self.verdict is Status.OPTIMUM
+        return self.verdict is Status.OPTIMUM and self.optimality_error <= SETTLED
 
-    def from_here(self, interface: Interface) -> "OwnSolution":
-        """Return the solution of an interface that begins at this one, with its multipliers."""
+    def refined(self, interface: Interface) -> "OwnSolution":
+        """Return the solution that a fine solve reaches from this one, if it is better."""
+        if not self.ended or self.settled:
+            return self
         instance = replace(self.instance, start=self.result.unknown)
-        result = interface.minimise(instance, instance.multipliers_of(self.result))
+        result = interface.fine.minimise(instance, instance.multipliers_of(self.result))
+        finer = self.ended_at(result)
+        return finer if finer.improves(self) else self
+
+    def ended_at(self, result: ProgramResult) -> "OwnSolution":
+        """Return the solution with a further result, and the iterations of both."""
         iterations = self.iterations + result.iterations
         return replace(self, result=replace(result, iterations=iterations))
 
@@ -178,7 +188,8 @@ class OwnSolution(SymbolsOwner):
         """Return whether this solution fulfils the conditions of an optimum better than another."""
         if self.settled or not self.ended:
             return self.settled
-        return self.optimality_error < other.optimality_error
+        weaker = other.verdict is Status.OPTIMUM and self.verdict is not Status.OPTIMUM
+        return self.optimality_error < other.optimality_error and not weaker
 
     @property
     def iterations(self) -> int:

@@ -30,6 +30,15 @@ class Multipliers:
     scale: float
     cost_scale: float
 
+    @classmethod
+    def none(cls, instance: "Instance") -> "Multipliers":
+        """Return multipliers of zero, with which IPOPT begins with a small barrier."""
+        of_bounds, of_equations = (
+            np.zeros(len(instance.start)),
+            np.zeros(len(instance.equations[0])),
+        )
+        return cls(of_bounds, of_equations, instance.scale, instance.cost_scale)
+
     def for_program(self, own: Program, other: Program) -> "Multipliers":
         """Return the multipliers of a program as those of another one, by name.
 

@@ -278,6 +278,12 @@ def test_a_random_own_program_is_what_an_independent_judge_says() -> None:
     assert not {seed: faults for seed, faults in wrong.items() if faults}
 
 
+@pytest.mark.parametrize(("seed", "largest"), [(340, 4), (1071, 9)])
+def test_own_programs_that_were_wrong_are_right(seed: int, largest: int) -> None:
+    """A bound that holds a cell by no more than rounding; shorts of which no reading depends."""
+    assert not faults_of(drawn(seed, largest), seed)
+
+
 @pytest.mark.soak
 @pytest.mark.parametrize(
     ("first", "count", "largest"), [(100, 400, 4), (1000, 80, 9), (2000, 20, 16)]
@@ -352,6 +358,20 @@ def test_sensitivity_to_a_bound_that_holds_is_that_of_the_cell() -> None:
     sensitivity = solved(0.0).sensitivity(to="lower").sum(axis=1)
     assert np.any(np.isclose(solved(0.0).cell_resistance, low))
     assert_allclose(sensitivity, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_multipliers_of_bounds_are_the_price_of_a_bound() -> None:
+    """The upper bound of g = 1/r is 1/low: dφ/dlow = Σ λ/low²."""
+    recording = recording_of((3, 3))
+    low = 3000.0
+
+    def solved(step: float) -> lampest.OwnSolution:
+        return lampest.program(recording, SMOOTH, bounds=lampest.Bounds(lower=low + step)).solve()
+
+    price = difference(lambda step: np.array(solved(step).objective), 1.0)
+    multipliers = solved(0.0).bound_multipliers["conductance"]
+    assert multipliers.shape == (9,) and multipliers.max() > 0
+    assert (multipliers / low**2).sum() == pytest.approx(price, rel=1e-6)
 
 
 def test_the_covariance_is_that_of_estimates_from_drawn_readings() -> None:
@@ -469,6 +489,20 @@ def test_options_of_ipopt_take_the_place_of_lampests() -> None:
     assert solved.status.startswith("the iteration limit") and solved.iterations == 1
     absent = lampest.Settings(ipopt={"linear_solver": "ma57"})
     assert program_of(solver=absent).solve().status.startswith("the solver or its linear solver")
+
+
+def test_the_log_of_ipopt_is_shown_on_request(capfd: pytest.CaptureFixture[str]) -> None:
+    program_of().solve()
+    assert "inf_pr" not in capfd.readouterr().out
+    program_of(solver=lampest.Settings(ipopt={"print_level": 5})).solve()
+    assert "inf_pr" in capfd.readouterr().out
+
+
+def test_a_coarse_tolerance_of_ipopt_is_not_that_of_the_fine_solve() -> None:
+    coarse = program_of(solver=lampest.Settings(ipopt={"tol": 1e-2})).solve()
+    usual = program_of().solve()
+    assert coarse.status == VERIFIED
+    assert_allclose(coarse.cell_resistance, usual.cell_resistance, rtol=1e-7)
 
 
 @pytest.mark.parametrize(
