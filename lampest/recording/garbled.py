@@ -8,7 +8,7 @@ cells, which is as smooth in one frame as in the others.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from operator import attrgetter
@@ -90,19 +90,43 @@ class GarbledLines:
 def garbled_lines(recording: Recording) -> tuple[GarbledLines, ...]:
     """Return the garbled lines of all frames, in temporal order.
 
-    A panel of modules counts as one image.
+    Garbled frames leave before the frames around them are predicted again, until none is found, so
+    that they do not hide each other. A panel of modules counts as one image.
     """
     values = _signal(recording)
+    garbled = dict[int, GarbledLines]()
+    while True:
+        frames = np.setdiff1d(np.arange(len(values)), list(garbled))
+        found = _garbled_among(recording, values[frames], recording.role[frames])
+        if not found:
+            return tuple(sorted(garbled.values(), key=attrgetter("frame")))
+        for lines in found:
+            frame = int(frames[lines.frame])
+            garbled[frame] = replace(lines, frame=frame)
+
+
+def _garbled_among(
+    recording: Recording, values: Array, role: NDArray[np.uint8]
+) -> list[GarbledLines]:
+    """Return the garbled lines of frames that are predicted by each other.
+
+    Parameters
+    ----------
+    recording : Recording
+    values : array, shape (frames, rows, columns)
+        Voltages at the converter.
+    role : array, shape (frames,)
+    """
     if len(values) < MIN_FRAMES or min(values.shape[1:]) < MIN_LINE_CELLS:
-        return ()
-    expected, spread = _expected(values, recording.role)
+        return []
+    expected, spread = _expected(values, role)
     # The noise by changes from frame to frame; the converter's step is the least one.
     steps = np.abs(np.diff(values, axis=0))
     measured = float(MAD_TO_SIGMA / np.sqrt(2) * median(steps.ravel())[0])
     readout = recording.scene.readout
     scale = measured if readout is None else max(measured, float(readout.lsb_volt))
     if not scale > 0:
-        return ()
+        return []
     threshold = np.fmax(OUTLIER_THRESHOLD * scale, MIN_RATIO_TO_SCATTER * spread)
     with np.errstate(invalid="ignore"):
         deviates = np.abs(values - expected) > threshold
@@ -116,7 +140,7 @@ def garbled_lines(recording: Recording) -> tuple[GarbledLines, ...]:
             if len(lines) and frame not in garbled:
                 whole = len(lines) == along.values.shape[1]
                 garbled[frame] = GarbledLines(frame, name, tuple(lines.tolist()), whole)
-    return tuple(sorted(garbled.values(), key=attrgetter("frame")))
+    return list(garbled.values())
 
 
 def readings_of(garbled: Sequence[GarbledLines], recording: Recording) -> NDArray[np.bool_]:
