@@ -69,6 +69,29 @@ class Conditioned:
         return np.asarray(prior - white.T @ white)
 
 
+def posterior_covariance(columns: Array, noise: Array, prior: Array) -> Array:
+    """Return the covariance L (1 + Lᵀ Aᵀ C⁻¹ A L)⁻¹ Lᵀ of an unknown given readings, P = L Lᵀ.
+
+    P − P Aᵀ S⁻¹ A P of a wide prior is a difference of nearly equal numbers. Here all summands are
+    positive: relative errors are those of rounding, however much the readings determine.
+
+    Parameters
+    ----------
+    columns : array, shape (readings, n)
+        A.
+    noise : array, shape (readings, readings)
+        C, positive definite.
+    prior : array, shape (n, n) or (n,)
+        P, which may be singular, or its diagonal.
+    """
+    root = np.diag(np.sqrt(prior)) if prior.ndim == 1 else lower_root(prior)
+    white = solve_triangular(cholesky(noise, lower=True), columns @ root, lower=True)
+    # 1 + white ᵀwhite = RᵀR without forming the square, whose small eigenvalues would be rounding
+    triangle = np.linalg.qr(np.vstack([white, np.eye(len(root))]), mode="r")
+    scaled = solve_triangular(triangle, root.T, trans="T")
+    return np.asarray(scaled.T @ scaled)
+
+
 @dataclass(frozen=True, eq=False)
 class Information:
     """Information of independent sets of readings on one z ~ N(0, 1).

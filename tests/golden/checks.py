@@ -1213,9 +1213,9 @@ def attachments_row() -> Any:
 
 
 def of_recognition() -> Rows:
-    searched: Rows = {f"detected {name}": partial(detected_row, name) for name in ON_FILM}
-    searched |= {f"verdict on {name}": partial(verdict_row, name) for name in ON_FILM}
-    searched |= {
+    fitted: Rows = {f"detected {name}": partial(detected_row, name) for name in ON_FILM}
+    fitted |= {f"verdict on {name}": partial(verdict_row, name) for name in ON_FILM}
+    fitted |= {
         "detected without a readout": bare_row,
         "detected on a mat": partial(detected_row, "block", "mat"),
         "swings": swings_row,
@@ -1224,7 +1224,7 @@ def of_recognition() -> Rows:
             detection.known_of(Prepared(tiled())).answer(frames_of(tiled()))
         ),
     }
-    return {name: of_kind("searched", row) for name, row in searched.items()} | {
+    return {name: of_kind("fitted", row) for name, row in fitted.items()} | {
         "breathing": breathing_row,
         "recognitions": recognised_row,
         "steps": steps_row,

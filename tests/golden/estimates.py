@@ -883,6 +883,6 @@ def of_estimate() -> Rows:
                 ),
             ),
             "resistors of bad channels": partial(resistors_row, scenes()["noisy"], 87.9),
-            "known loads": of_kind("searched", loads_row),
+            "known loads": of_kind("fitted", loads_row),
         }
     )

@@ -31,6 +31,7 @@ STEP_SD = 0.6
 # initial spread and scatter, relative, and their limits
 START = (0.2, 0.05)
 RANGE = (1e-3, 2.0)
+STATIONARY = 1e-9  # of the gradient of −2 ln evidence by ln spread and ln scatter
 LONGEST_STEP = 3.0  # of ln κ and ψ in a step of least squares: units of g for kg are ln 1000 = 7
 ROUNDS = 4  # alternations of least squares and evidence
 # points of the table in an octave, and the one next to 0 kPa
@@ -251,31 +252,44 @@ def with_least_squares(loaded: Loaded, fitted: FittedResponse) -> FittedResponse
 
 
 def with_evidence(loaded: Loaded, fitted: FittedResponse) -> FittedResponse:
-    """Return the fit with the spread and scatter that maximise the evidence (Nelder-Mead).
+    """Return the fit with the spread and scatter that maximise the evidence.
 
-    The residuals of each cell, without its own gain, are N(0, V + spread² x xᵀ) with a diagonal V.
+    The residuals e of each cell, without its own gain, are N(0, V + spread² x xᵀ) with a diagonal V
+    and the responses x. The cell's gain beside its mean is N(m, w) given them. The search ends
+    where the gradient is zero within rounding; values of the cost tell no two places apart there.
     """
     response, constant_variance = loaded.expected(fitted)
     cell = loaded.felt[1]
     residual = loaded.change[loaded.felt] - response + response * fitted.gains[cell]
 
-    def cost(logarithms: Array) -> float:
-        spread, scatter = np.exp(np.clip(logarithms, *np.log(RANGE)))
-        variance = constant_variance + scatter**2 * response**2
-        # −2 ln N of each cell by Woodbury: Σ e²/V − (Σ x e/V)²/(spread⁻² + Σ x²/V) + Σ ln V + ln(1
-        # + spread² Σ x²/V)
+    def cost_and_gradient(logarithms: Array) -> tuple[float, Array]:
+        spread, scatter = np.exp(logarithms)
+        uneven = scatter**2 * response**2
+        variance = constant_variance + uneven
         # Σ x²/V and Σ x e/V of each cell
         precision = np.bincount(cell, response * response / variance, len(fitted.gains))
         pull = np.bincount(cell, response * residual / variance, len(fitted.gains))
-        volume = np.log(variance).sum() + np.log1p(spread**2 * precision).sum()
-        by_gains = (pull**2 / (1 / spread**2 + precision)).sum()
+        w = 1 / (1 / spread**2 + precision)
+        m = w * pull
+        # −2 ln N of each cell by Woodbury: Σ e²/V − m Σ x e/V + Σ ln V + ln(1 + spread² Σ x²/V).
         # A single cell does not determine the spread; the last summand keeps it finite.
-        return float((residual**2 / variance).sum() - by_gains + volume + spread)
+        volume = np.log(variance).sum() + np.log1p(spread**2 * precision).sum()
+        cost = float((residual**2 / variance).sum() - m @ pull + volume + spread)
+        # Fisher's identity: the expected derivative of −2 ln of the joint density of e and gains
+        squares = (residual - response * m[cell]) ** 2 + response**2 * w[cell]
+        by_spread = 2 * (1 - (m**2 + w) / spread**2).sum() + spread
+        by_scatter = 2 * (uneven / variance * (1 - squares / variance)).sum()
+        return cost, np.array([by_spread, by_scatter])
 
     minimum = scipy.optimize.minimize(
-        cost, np.log([fitted.spread, fitted.scatter]), method="Nelder-Mead"
+        cost_and_gradient,
+        np.log([fitted.spread, fitted.scatter]),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[tuple(np.log(RANGE))] * 2,
+        options={"ftol": 0.0, "gtol": STATIONARY},
     )
-    spread, scatter = np.exp(np.clip(minimum.x, *np.log(RANGE))).tolist()
+    spread, scatter = np.exp(minimum.x).tolist()
     return replace(fitted, spread=spread, scatter=scatter)
 
 

@@ -22,7 +22,7 @@ from lampest.panel.effects.line_leak import LineLeak
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, Response
-from lampest.posterior.gaussian import Conditioned
+from lampest.posterior.gaussian import Conditioned, posterior_covariance
 
 # Edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm.
 PATCH_SHARE = 0.6
@@ -75,12 +75,16 @@ class MostProbable(NamedTuple):
         x.
     conditioned : Conditioned
         x − mean, given the readings with the Jacobian A of f.
+    slope, noise : array, shapes (readings, n) and (readings, readings)
+        A and C.
     apart : array, shape (readings,)
         y − f(mean) by the linearised f.
     """
 
     state: Array
     conditioned: Conditioned
+    slope: Array
+    noise: Array
     apart: Array
 
     @property
@@ -91,7 +95,7 @@ class MostProbable(NamedTuple):
     @property
     def covariance(self) -> Array:
         """Posterior covariance of x, (n, n)."""
-        return self.conditioned.covariance
+        return posterior_covariance(self.slope, self.noise, self.conditioned.prior)
 
     @property
     def misfit(self) -> float:
@@ -132,7 +136,7 @@ def most_probable(
         state = state + step
         if np.abs(step).max() < settled:
             break
-    return MostProbable(state, conditioned, innovation)
+    return MostProbable(state, conditioned, slope, noise, innovation)
 
 
 @dataclass(frozen=True, eq=False)
