@@ -46,7 +46,8 @@ READ = (
     "`layout` names a layout of your own"
 )
 MAX_FIELDS = 10_000_000  # 50 bytes each in memory
-WRITTEN = re.compile(r"[-+.,\d]+")  # a number
+MATRIX_ENDS = ("]]", "]],")
+WRITTEN = re.compile(r"[-+.,]*\d[-+.,\d]*")  # a number
 # Not Excel's words for no number.
 COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)
 
@@ -62,11 +63,14 @@ class FieldLine(NamedTuple):
         Fields.
     stamp : str
         A terminal's time before the line, or ''.
+    apart : bool
+        Whether the brackets of a matrix end before the line.
     """
 
     number: int
     texts: Sequence[str]
     stamp: str = ""
+    apart: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +93,7 @@ class FieldLines:
     counts : array of int, shape (lines,)
         Number of fields.
     comment, blank : boolean array, shape (lines,)
-        Whether a line is a comment, and whether an empty line precedes it.
+        Whether a line is a comment, and whether an empty line or the end of a matrix precedes it.
     padded : bool
         Whether empty fields at the end of a line are left out, as those of a sheet are.
     """
@@ -145,6 +149,7 @@ def field_lines(
     counts = np.array([len(line.texts) for line in read], dtype=np.intp)
     comment = np.array([COMMENT.match(line.texts[0]) is not None for line in read], dtype=bool)
     blank = np.diff(np.array([before, *(line.number for line in read)])) > 1
+    blank |= np.array([line.apart for line in read], dtype=bool)
     return FieldLines(source, word, at, tuple(notes), read, fields, counts, comment, blank)
 
 
@@ -233,6 +238,7 @@ def field_lines_in(
     def read() -> Iterator[FieldLine]:
         if notation.names and header:
             yield FieldLine(0, notation.shown)
+        closed = False
         for number, line in enumerate(texts, before + 1):
             if len(line) > MAX_LINE:
                 raise InputError(
@@ -241,7 +247,8 @@ def field_lines_in(
             stamp, content = stamp_and_content(line)
             if _has_content(content):
                 fields = notation.fields(at(number, None), content)
-                yield FieldLine(number, fields, stamp)
+                yield FieldLine(number, fields, stamp, closed or content.startswith("[["))
+                closed = content.endswith(MATRIX_ENDS)
 
     return field_lines(source, "line", at, (), read(), before)
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.apps.foreign.arrays import Frames, Index, Timing
-from lampest.apps.foreign.lines import DAMAGED, FieldLines
+from lampest.apps.foreign.lines import DAMAGED, WRITTEN, FieldLines
 from lampest.apps.foreign.notation import SAMPLED
 from lampest.apps.foreign.words import (
     MAX_CUT,
@@ -43,6 +43,7 @@ TITLE_TIME = re.compile(
     re.IGNORECASE,
 )
 NUMBER = re.compile(r"\d+(?:[.,:]\d+)*")
+MAX_BROKEN = 0.01  # of the lines may be parts of others; more are titles
 # Words before rows of a sheet that are computed from others.
 STATISTICS = re.compile(
     r"(mean|average|avg|sum|total|max(imum)?|min(imum)?|std(ev)?|sd|median|mittel(wert)?|summe):?",
@@ -146,6 +147,15 @@ class ReadingsTable:
             numbers=self.numbers[lines],
             **parts,
         )
+
+    def line_numbers(self, field: int) -> Array:
+        """Return the numbers in a field of all lines, from 3, R3 or 'row 3'; else NaN."""
+        values = self.values[:, field].copy()
+        unread = self.words[:, field]
+        texts = self.fields[unread, field]
+        lines = {text: line_of(text) or ("", np.nan) for text in set(texts)}
+        values[unread] = [lines[text][1] for text in texts]
+        return values
 
     def frames(
         self,
@@ -367,11 +377,10 @@ class Parsed(NamedTuple):
                 part[line, field + 1 :] = part[line, field:-1].copy()
         return changed
 
-    def without(self, lines: NDArray[np.bool_]) -> "Parsed":
-        """Return the fields with those of some lines missing."""
-        if not np.any(lines):
+    def without(self, missing: NDArray[np.bool_]) -> "Parsed":
+        """Return the fields without those of some lines, (lines, 1), or some of them."""
+        if not np.any(missing):
             return self
-        missing = lines[:, None]
         return Parsed(
             np.where(missing, "", self.texts),
             np.where(missing, np.nan, self.values),
@@ -445,10 +454,17 @@ class Form:
             )
             raise InputError(f"{source.at(source.lines[line].number, None)}: {mismatch}")
         doubtful = short | long
-        parsed = parsed.without(doubtful)
+        parsed = parsed.without(doubtful[:, None])
         excluded = ~data & ~titles & ~source.comment & np.any(fields != "", axis=1)
         excluded &= np.array([line.number > 0 for line in source.lines], dtype=bool)
+        broken = _broken_fields(fields, source.counts, data & ~doubtful, excluded | short)
+        parsed = parsed.without(broken)
         notes = (
+            _line_note(
+                source,
+                broken.any(axis=1),
+                "numbers at which a line was broken: they {} missing",
+            ),
             _line_note(source, data & damaged, "bytes that are no text: their fields {} missing"),
             _line_note(
                 source,
@@ -541,6 +557,31 @@ def _width(fields: NDArray[Any], usual: int) -> int:
     while width > 1 and np.all(fields[:, width - 1] == ""):
         width -= 1
     return width
+
+
+def _broken_fields(
+    fields: NDArray[Any], counts: Index, whole: NDArray[np.bool_], others: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return the fields of whole lines that a break within a number cut, (lines, fields).
+
+    A few lines of numbers alone stand before or behind such lines, and their number and that of
+    the whole line are together no longer than numbers of the field.
+    """
+    broken = np.zeros(fields.shape, dtype=bool)
+    parts = [
+        at for at in np.flatnonzero(others) if all(map(WRITTEN.fullmatch, fields[at, : counts[at]]))
+    ]
+    if len(parts) > max(1, MAX_BROKEN * whole.sum()):  # titles are numbers
+        return broken
+    for at in parts:
+        first, last = fields[at, 0], fields[at, counts[at] - 1]
+        for line, joined in ((at - 1, "{0}" + first), (at + 1, last + "{0}")):
+            if not 0 <= line < len(fields) or not whole[line]:
+                continue
+            field = counts[line] - 1 if line < at else 0
+            longest = max(map(len, filter(WRITTEN.fullmatch, fields[whole, field])), default=0)
+            broken[line, field] = len(joined.format(fields[line, field])) <= longest
+    return broken
 
 
 def _header_note(source: FieldLines, header: int | None, *, units: bool) -> str:
