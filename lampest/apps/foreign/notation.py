@@ -41,7 +41,8 @@ BRACKETED = re.compile(r"[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON
 LISTED = re.compile(r'^(.*[,;\t ])"?(\[[\[\s]*[-+.\d]+[,;\s][^"]*\])"?(.*)$')
 # 'r0c0:512' of the Serial Plotter, '[0][0] = 512'
 PAIR = re.compile(
-    r"(?P<name>[^\W\d][\w ./\[\]()-]*?|[\[(]\d+(?:\]\[|, ?)\d+[\])])\s*[:=]\s*(?P<value>[-+.]?\d[^\s,;:=]*|nan|ovf|null)",
+    r"(?P<name>[^\W\d][\w ./\[\]()-]*?|[\[(]\d+(?:\]\[|, ?)\d+[\])])\s*"
+    r"[:=]\s*(?P<value>[-+.]?\d[^\s,;:=]*|nan|ovf|null)",
     re.IGNORECASE,
 )
 BETWEEN_PAIRS = re.compile(r"[\s,;]*")
@@ -77,12 +78,15 @@ class Notation:
         Names that stand beside the values in every line; empty if the values stand alone.
     separated : bool
         Whether lines have several fields.
+    usual : int
+        Number of names of a whole line, which are the first ones.
     """
 
     delimiter: str
     joined: bool = False
     names: tuple[str, ...] = ()
     separated: bool = True
+    usual: int = 0
 
     @classmethod
     def of(cls, contents: Sequence[str]) -> "Notation":
@@ -100,7 +104,8 @@ class Notation:
                 for name in line
                 if "\0" not in name and not line.keys().isdisjoint(usual)
             )
-            return cls(",", names=tuple(dict.fromkeys([*usual, *others])))
+            names = tuple(dict.fromkeys([*usual, *others]))
+            return cls(",", names=names, usual=len(usual))
         sample = [_plain(content) for content in sample]
         delimiter = _delimiter(sample)
         # Lines may agree in their number of fields only if consecutive tabs are one.
@@ -134,6 +139,8 @@ class Notation:
                 return [content]
             if "cell" in values and "cell" not in self.names:  # one pair of a line that was parted
                 values = {values["cell"]: values["value"]}
+            if tuple(values) == self.names[: min(len(values), self.usual - 1)]:
+                values.popitem()  # of a line that was cut, perhaps within its last value
             if _lengths(values) != _lengths(self.names):  # which value of a list is lost is unknown
                 values = {name: value for name, value in values.items() if "\0" not in name}
             return [values.get(name, "") for name in self.names]

@@ -462,7 +462,7 @@ class Form:
         notes = (
             _line_note(
                 source,
-                broken.any(axis=1),
+                np.any(broken, axis=1),
                 "numbers at which a line was broken: they {} missing",
             ),
             _line_note(source, data & damaged, "bytes that are no text: their fields {} missing"),
@@ -568,13 +568,15 @@ def _broken_fields(
     the whole line are together no longer than numbers of the field.
     """
     broken = np.zeros(fields.shape, dtype=bool)
-    parts = [
-        at for at in np.flatnonzero(others) if all(map(WRITTEN.fullmatch, fields[at, : counts[at]]))
-    ]
+    texts = {
+        at: [text.strip("[](){}") for text in fields[at, : counts[at]]]
+        for at in np.flatnonzero(others).tolist()
+    }
+    parts = [at for at, line in texts.items() if all(map(WRITTEN.fullmatch, line))]
     if len(parts) > max(1, MAX_BROKEN * whole.sum()):  # titles are numbers
         return broken
     for at in parts:
-        first, last = fields[at, 0], fields[at, counts[at] - 1]
+        first, last = texts[at][0], texts[at][-1]
         for line, joined in ((at - 1, "{0}" + first), (at + 1, last + "{0}")):
             if not 0 <= line < len(fields) or not whole[line]:
                 continue
