@@ -438,7 +438,8 @@ def solve_part(part: tuple[Task, int]) -> None:
 def solve_case(task: Task) -> StoredCase:
     """Solve a case and write its result atomically."""
     recording = _recording(task.case.path, task.case.sha256)
-    inner_folder(task.folder, CASES).mkdir(exist_ok=True)  # fails where the run's folder is gone
+    if not inner_folder(task.folder, CASES).is_dir():  # which the run made
+        raise InputError(f"{task.folder}: was moved, removed or covered")
     if isinstance(recording, StoredRecording):
         return solve_long(task, recording)
     result = case_result(task.case, reconstruct(recording, task.case.estimator, _kept_frames(task)))

@@ -59,7 +59,7 @@ def test_killed_runs_resume_without_losing_or_altering_results(
     killed_again_and_again(tmp_path, batch(tmp_path, frames, weights), kills)
 
 
-@pytest.mark.parametrize("fate", ["moved", "removed", "covered", "linked"])
+@pytest.mark.parametrize("fate", ["moved", "removed", "covered", "another", "linked"])
 def test_a_folder_that_goes_during_a_run_costs_one_sentence_and_no_finished_case(
     tmp_path: Path, fate: str
 ) -> None:
@@ -75,6 +75,8 @@ def test_a_folder_that_goes_during_a_run_costs_one_sentence_and_no_finished_case
         out.rename(moved)
     if fate == "covered":
         out.write_text("another file")
+    if fate == "another":
+        out.mkdir()
     if fate == "linked":
         (tmp_path / "elsewhere").mkdir()
         out.symlink_to(tmp_path / "elsewhere")
@@ -82,8 +84,8 @@ def test_a_folder_that_goes_during_a_run_costs_one_sentence_and_no_finished_case
     lines = without_progress(stderr)
     assert "Traceback" not in stderr and run.returncode == 2
     assert all(line.startswith("lampest: ") for line in lines) and "out" in lines[-1]
-    if fate == "linked":
-        assert not list((tmp_path / "elsewhere").iterdir())
+    if fate in ("another", "linked"):
+        assert not list(out.iterdir())
     if fate == "covered":
         assert out.read_text() == "another file"
     if fate != "removed":
