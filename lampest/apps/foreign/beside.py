@@ -10,17 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.apps.foreign.arrays import Shape
+from lampest.apps.foreign.clocks import EPOCH as LEAST_EPOCH
+from lampest.apps.foreign.clocks import grows, is_stamp, unwrapped
 from lampest.apps.foreign.table import ReadingsTable
-from lampest.apps.foreign.words import EPOCH as LEAST_EPOCH
-from lampest.apps.foreign.words import (
-    MAX_CUT,
-    PART_OF_CLOCK,
-    grows,
-    is_stamp,
-    line_of,
-    parted,
-    unwrapped,
-)
+from lampest.apps.foreign.words import MAX_CUT, PART_OF_CLOCK, line_of, parted
 from lampest.panel.panel import Array
 
 MAX_BESIDE = 8  # fields beside the readings of a line that names none

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.apps.foreign.arrays import Index, check_archive, reading
+from lampest.apps.foreign.clocks import is_stamp
 from lampest.apps.foreign.notation import MAX_LINE, SAMPLED_LINES, Notation, stamp_and_content
-from lampest.apps.foreign.words import is_stamp, line_of
+from lampest.apps.foreign.words import line_of
 from lampest.files.errors import InputError, counted, extra
 
 DAMAGED = "\ufffd"  # in place of a byte that no text holds
