@@ -59,6 +59,7 @@ def test_killed_runs_resume_without_losing_or_altering_results(
     killed_again_and_again(tmp_path, batch(tmp_path, frames, weights), kills)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fate", ["moved", "removed", "covered", "another", "linked"])
 def test_a_folder_that_goes_during_a_run_costs_one_sentence_and_no_finished_case(
     tmp_path: Path, fate: str
