@@ -146,6 +146,7 @@ def cell_of(name: str) -> tuple[int, int] | None:
     return next(((int(match["row"]), int(match["column"])) for match in matches), None)
 
 
+@lru_cache(10_000)
 def line_of(name: str) -> tuple[str, int] | None:
     """Return (word, number), such as ('r', 3), of a name such as R3 or 'row 3'; else None.
 
