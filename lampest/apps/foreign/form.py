@@ -237,7 +237,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
 
 def later_lines(table: ReadingsTable, source: FieldLines) -> ReadingsTable:
     """Return later lines of the same source with the columns of a table."""
-    form = table.form
+    form: Form = table.form
     width = max(source.fields.shape[1], form.usual)
     fields = np.full((len(source.lines), width), "", dtype=object)
     fields[:, : source.fields.shape[1]] = source.fields

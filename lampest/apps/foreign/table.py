@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,6 @@ from lampest.apps.foreign.words import (
 )
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
-
-if TYPE_CHECKING:
-    from lampest.apps.foreign.form import Form
 
 # 'Frame 3, t = 1250 ms', 'Frame 3 @ 1250 ms', 'Measurement Time(sec),0.120', 'time: 2025-01-31
 # 12:00:01', 'millis=123'
@@ -66,7 +63,7 @@ class ReadingsTable:
     notes : tuple of str
         Sentences on the interpretation of the file.
     form : Form
-        How lines of readings are recognised.
+        The `lampest.apps.foreign.form.Form`, by which lines of readings are recognised.
     numbers : array, shape (lines, all columns)
         Values of all columns of the file.
     clock : mapping
@@ -82,7 +79,7 @@ class ReadingsTable:
     comma: bool
     names: tuple[str, ...]
     notes: tuple[str, ...]
-    form: "Form"
+    form: Any
     numbers: Array
     clock: Mapping[str, int] = dataclasses.field(default_factory=dict)
 
