@@ -272,7 +272,7 @@ BREAKS = {
         "apps/calibration/response_fit.py", "FittedResponse.curve", "return -result[0], result[1]"
     ),
     "an_import_refuses_a_date_whose_day_may_be_its_month": Break(
-        "apps/foreign/words.py", "DATES", "{'day/month/year': '/-'}"
+        "apps/foreign/clocks.py", "DATES", "{'day/month/year': '/-'}"
     ),
 }
 

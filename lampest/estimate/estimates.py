@@ -12,6 +12,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.state import Step, held_by_all
 from lampest.files.applications import applications
 from lampest.files.levels import TWO_SIDED
+from lampest.files.typed import freeze_arrays
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
@@ -208,6 +209,9 @@ class Estimates:
     prepared: Prepared
     contacts: Contacts | None = None
     automatic: bool = False
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
 
     def __repr__(self) -> str:
         solved = int(self.solved.sum())

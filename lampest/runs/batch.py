@@ -38,7 +38,14 @@ from lampest.panel.estimated import about_recordings
 from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import StoredCase
-from lampest.runs.checks import CASES, Checks, CheckTask, RecordingCheck, without_check
+from lampest.runs.checks import (
+    CASES,
+    Checks,
+    CheckTask,
+    RecordingCheck,
+    check_folder,
+    without_check,
+)
 from lampest.runs.config import Case, Run
 from lampest.runs.executors import Executor, LostError, Pairs
 from lampest.runs.filling import case_result
@@ -239,16 +246,13 @@ def run_batch(
             outcomes = _outcomes(executor, waiting, to_check)
             with _counted(waiting, on_frames), closing(outcomes):
                 for task, outcome in outcomes:
+                    if isinstance(outcome, BaseException):
+                        check_folder(folder / CASES)
                     if isinstance(task, CheckTask):
                         checked[task.recording] = outcome
                         unfinished = sum(check is None for check in checked.values())
                         on_checks(len(to_check) - unfinished, len(to_check))
                     elif isinstance(outcome, BaseException):
-                        if not (folder / CASES).is_dir():
-                            raise InputError(
-                                f"{folder}: was moved, removed or covered while the run went on; "
-                                "results that were finished are where it is now"
-                            ) from outcome
                         name = f"{task.case.recording} × {task.case.name}"
                         failed.append((name, logged_reason(outcome, name)))
                     else:
@@ -438,11 +442,11 @@ def solve_part(part: tuple[Task, int]) -> None:
 def solve_case(task: Task) -> StoredCase:
     """Solve a case and write its result atomically."""
     recording = _recording(task.case.path, task.case.sha256)
-    inner_folder(task.folder, CASES).mkdir(exist_ok=True)  # fails where the run's folder is gone
+    check_folder(task.folder / CASES)
     if isinstance(recording, StoredRecording):
         return solve_long(task, recording)
     result = case_result(task.case, reconstruct(recording, task.case.estimator, _kept_frames(task)))
-    inner_folder(task.folder, CASES)  # it may have become a link meanwhile
+    check_folder(task.folder / CASES)
     write_results(task.file, [result])
     return StoredCase.of(result, task.file)
 
@@ -513,6 +517,7 @@ def _kept_frames(task: Task) -> Callable[[int, int, Callable[[], Estimates] | No
             with os.fdopen(opened_for_locking(task.count, make=True), "rb+") as file:
                 file.truncate(done)
         if so_far is not None and done < frames and now - written >= pause:
+            check_folder(task.folder / CASES)
             write_results(task.unfinished, [case_result(task.case, so_far())])
             written = time.monotonic()
             pause = max(EVERY_SECONDS, (written - now) / KEPT_SHARE)

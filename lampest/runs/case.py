@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, brief, extra
-from lampest.files.typed import installed
+from lampest.files.typed import freeze_arrays, installed
 from lampest.panel.panel import Array
 from lampest.panel.scene_file import scene_text
 from lampest.recording.file import coordinates
@@ -142,6 +142,7 @@ class CaseResult(Content):
                 self._check_shape(f"{base}/{folder.folder}/{name}", values, FRAMES)
         self.check(COLUMNS)
         self.swept  # noqa: B018
+        freeze_arrays(self)
 
     @property
     def chosen_weights(self) -> str:

@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from lampest.files.errors import InputError
 from lampest.files.whole import inner_folder, write_whole
 from lampest.runs.case import StoredCase
 from lampest.runs.provenance import digest, library_versions
@@ -104,12 +105,21 @@ class CheckTask:
 
     def keep(self, check: RecordingCheck) -> None:
         """Write the outcome atomically. Raises InputError where the place cannot be written."""
-        inner_folder(self.folder.parent, self.folder.name).mkdir(exist_ok=True)
+        check_folder(self.folder)
         write_whole(self.file, json.dumps({"about": self._about} | asdict(check), indent=1) + "\n")
 
     @property
     def _about(self) -> dict[str, str]:
         return {"format": KEPT, "sha256": self.sha256} | library_versions()
+
+
+def check_folder(cases: Path) -> None:
+    """Raise InputError where the folder of cases, which the run made, is gone or a link."""
+    if not inner_folder(cases.parent, cases.name).is_dir():
+        raise InputError(
+            f"{cases.parent}: was moved, removed or covered while the run went on; "
+            "results that were finished are where it is now"
+        )
 
 
 def kept_check(path: Path) -> RecordingCheck | None:

@@ -17,6 +17,7 @@ from lampest.files.typed import (
     Validated,
     check_positive_fields,
     check_ranges,
+    freeze_arrays,
     typed,
 )
 from lampest.panel.panel import Array
@@ -324,6 +325,9 @@ class Solution:
     convex: bool = False
     starts: int = 1
     solver: str = ""
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
 
     def __repr__(self) -> str:
         """Return the object in one line, arrays by their shapes."""

@@ -12,6 +12,7 @@ import pytest
 from attack.attack import environment, small_folder
 
 from lampest import Recording
+from tests.small_files import COMMAND
 
 SCRIPT = [sys.executable, "-c", "from lampest.cli import main; main()"]
 TABLE = ["import", "table.csv", "--rows", "3", "--columns", "4", "--out", "new.h5"]
@@ -104,3 +105,14 @@ def test_an_interrupt_while_a_command_loads_is_no_traceback(folder: Path, after:
         process.send_signal(signal.SIGINT)
         error = process.communicate(timeout=120)[1].decode()
     assert "Traceback" not in error and process.returncode in (0, 130, -signal.SIGINT)
+
+
+def test_an_interrupt_at_the_start_meets_no_code_of_the_package(folder: Path) -> None:
+    """The first line of the package makes Ctrl-C silent; Python's own start is before it."""
+    for number in range(20):
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        with subprocess.Popen([COMMAND, "--help"], cwd=folder, **pipes) as process:
+            time.sleep(0.005 * number)
+            process.send_signal(signal.SIGINT)
+            error = process.communicate(timeout=120)[1].decode()
+        assert "lampest/__init__.py" not in error and "lampest/cli" not in error

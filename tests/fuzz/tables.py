@@ -4,6 +4,7 @@ The module holds no test. A layout writes frames as lines with their place, a da
 an import is right if every frame that it returns is a true frame, or has readings missing.
 """
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -187,6 +188,87 @@ def timed_rows(values: Array, rng: Rng) -> Iterator[Line]:
             )
 
 
+def json_rows(values: Array, rng: Rng) -> Iterator[Line]:
+    """An object of JSON for each row."""
+    key = str(rng.choice(["", "frame", "t"]))
+    for number, frame in enumerate(values):
+        own = {"": {}, "frame": {"frame": number}, "t": {"t": 40 * number}}[key]
+        for row, line in enumerate(frame.tolist()):
+            yield Line(json.dumps({**own, "row": row, "data": line}), number)
+
+
+def json_cells(values: Array, rng: Rng) -> Iterator[Line]:
+    key = str(rng.choice(["", "frame", "t"]))
+    for number, frame in enumerate(values):
+        own = {"": {}, "frame": {"frame": number}, "t": {"t": 40 * number}}[key]
+        for row, column in np.ndindex(frame.shape):
+            value = int(frame[row, column])
+            yield Line(json.dumps({**own, "row": row, "col": column, "value": value}), number)
+
+
+def prefixed_frames(values: Array, rng: Rng) -> Iterator[Line]:
+    """A word and the frame's number before its readings."""
+    sign = ","
+    form = str(rng.choice(["$MAT,{},", "MAT:{},", "DATA,{},"]))
+    for number, frame in enumerate(values):
+        yield Line(form.format(number) + _joined(frame, sign), number)
+
+
+def bracketed_rows(values: Array, rng: Rng) -> Iterator[Line]:
+    """Matrices as Python and NumPy print them; brackets say where a frame begins."""
+    sign = str(rng.choice([", ", " "]))
+    for number, frame in enumerate(values):
+        for row, line in enumerate(frame):
+            end = "]]" if row == len(frame) - 1 else f"]{sign.strip()}"
+            yield Line(f"{' [' if row else '[['}{_joined(line, sign)}{end}", number)
+
+
+def bracketed_cells(values: Array, rng: Rng) -> Iterator[Line]:
+    for number, frame in enumerate(values):
+        for row, column in np.ndindex(frame.shape):
+            yield Line(f"[{row}][{column}] = {frame[row, column]}", number)
+
+
+def words_of_rows(values: Array, rng: Rng) -> Iterator[Line]:
+    """Frame and row as words, of which the frame's number wraps."""
+    wrap = int(rng.choice([16, 100, 256]))
+    for number, frame in enumerate(values):
+        for row, line in enumerate(frame):
+            yield Line(f"F{(number + wrap - 5) % wrap} R{row} {_joined(line, ' ')}", number)
+
+
+def stamped_rows(values: Array, rng: Rng) -> Iterator[Line]:
+    """A terminal's time, the same before all rows of a frame."""
+    named = bool(rng.integers(2))
+    for number, frame in enumerate(values):
+        stamp = f"[2025-01-31 12:34:{number // 25:02d}.{40 * (number % 25):03d}] "
+        for row, line in enumerate(frame):
+            yield Line(stamp + named * f"R{row}: " + _joined(line, ","), number)
+
+
+def paused_rows(values: Array, rng: Rng) -> Iterator[Line]:
+    """Rows with a time each, and a pause between frames."""
+    rows = values.shape[1]
+    for number, frame in enumerate(values):
+        for row, line in enumerate(frame):
+            yield Line(f"{5 + 2 * row + number * (2 * rows + 30)},{_joined(line, ',')}", number)
+
+
+def frames_with_a_header(values: Array, rng: Rng) -> Iterator[Line]:
+    form = str(rng.choice(["r{}c{}", "R{}C{}", "cell_{}_{}"]))
+    first = int(rng.integers(2))
+    key = str(rng.choice(["time_s", "frame", "timestamp"]))
+    names = (form.format(row + first, at + first) for row, at in np.ndindex(values.shape[1:]))
+    yield Line(",".join([key, *names]))
+    for number, frame in enumerate(values):
+        keys = {
+            "time_s": f"{number * 0.04:.3f}",
+            "frame": str(number),
+            "timestamp": f"2025-01-31T12:34:{number / 25:09.6f}Z",
+        }
+        yield Line(f"{keys[key]},{_joined(frame, ',')}", number)
+
+
 def bare_rows(values: Array, rng: Rng) -> Iterator[Line]:
     """Rows between which nothing stands."""
     sign = str(rng.choice([",", "\t"]))
@@ -209,11 +291,26 @@ LAYOUTS: dict[str, Callable[[Array, Rng], Iterator[Line]]] = {
         blocks,
         single_values,
         timed_rows,
+        json_rows,
+        json_cells,
+        prefixed_frames,
+        bracketed_rows,
+        bracketed_cells,
+        words_of_rows,
+        stamped_rows,
+        paused_rows,
+        frames_with_a_header,
     )
 }
 
 # Of these nothing says which row a line is.
-UNNAMED = ("unnamed_rows_in_time", "blocks")
+UNNAMED = (
+    "unnamed_rows_in_time",
+    "blocks",
+    "bracketed_rows",
+    "stamped_rows",
+    "paused_rows",
+)
 
 # Damages: (lines, generator) → lines.
 
@@ -263,6 +360,44 @@ def lost_field(lines: list[Line], rng: Rng) -> list[Line]:
     return [*lines[:at], Line(sign.join(fields), lines[at].frame), *lines[at + 1 :]]
 
 
+def lost_end(lines: list[Line], rng: Rng) -> list[Line]:
+    """The end of a line is lost, so that the next one follows it directly."""
+    at = int(rng.choice([at for at, line in enumerate(lines[:-1]) if line.frame > 0]))
+    joined = Line(lines[at].text + lines[at + 1].text, lines[at].frame)
+    return [*lines[:at], joined, *lines[at + 2 :]]
+
+
+def broken_line(lines: list[Line], rng: Rng) -> list[Line]:
+    at = int(rng.choice([at for at, line in enumerate(lines) if line.frame > 0]))
+    text = lines[at].text
+    cut = int(rng.integers(1, len(text)))
+    parts = [Line(part, lines[at].frame) for part in (text[:cut], text[cut:])]
+    return [*lines[:at], *parts, *lines[at + 1 :]]
+
+
+def garbled_sign(lines: list[Line], rng: Rng) -> list[Line]:
+    at = int(rng.choice([at for at, line in enumerate(lines) if line.frame > 0]))
+    text = lines[at].text
+    cut = int(rng.integers(0, len(text)))
+    garbled = text[:cut] + str(rng.choice(list("x?Zq#\x07\x1b"))) + text[cut + 1 :]
+    return [*lines[:at], Line(garbled, lines[at].frame), *lines[at + 1 :]]
+
+
+def line_of_the_firmware(lines: list[Line], rng: Rng) -> list[Line]:
+    at = int(rng.integers(2, len(lines) - 2))
+    words = ["WiFi reconnect 192.168.1.5", "heap: 12345", "E (1234) wifi: lost", "loop 40 ms"]
+    return [*lines[:at], Line(str(rng.choice(words))), *lines[at:]]
+
+
+def doubled_field(lines: list[Line], rng: Rng) -> list[Line]:
+    at = int(rng.choice([at for at, line in enumerate(lines) if line.frame > 0]))
+    sign = next((sign for sign in (";", "\t", ",", " ") if sign in lines[at].text), ",")
+    fields = lines[at].text.split(sign)
+    field = int(rng.integers(0, len(fields)))
+    fields.insert(field, fields[field])
+    return [*lines[:at], Line(sign.join(fields), lines[at].frame), *lines[at + 1 :]]
+
+
 def cut_end(lines: list[Line], rng: Rng) -> list[Line]:
     """The file ends within a line."""
     last = max(at for at, line in enumerate(lines) if line.frame >= 0)
@@ -289,6 +424,11 @@ DAMAGES = {
         doubled_line,
         swapped_lines,
         lost_field,
+        lost_end,
+        broken_line,
+        garbled_sign,
+        line_of_the_firmware,
+        doubled_field,
         cut_end,
     )
 }

@@ -3,6 +3,7 @@
 Finished cases stay, are right, and resume.
 """
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -56,3 +57,38 @@ def test_killed_runs_resume_without_losing_or_altering_results(
     tmp_path: Path, frames: int, weights: tuple[float, ...], kills: int
 ) -> None:
     killed_again_and_again(tmp_path, batch(tmp_path, frames, weights), kills)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fate", ["moved", "removed", "covered", "another", "linked"])
+def test_a_folder_that_goes_during_a_run_costs_one_sentence_and_no_finished_case(
+    tmp_path: Path, fate: str
+) -> None:
+    cases = batch(tmp_path, 12)
+    out = tmp_path / "out"
+    moved = tmp_path / "moved"
+    run = cases.start(out, 1)
+    until(lambda: finished(out) >= 1 or run.poll() is not None)
+    assert run.poll() is None
+    if fate == "removed":
+        shutil.rmtree(out, ignore_errors=True)
+    else:
+        out.rename(moved)
+    if fate == "covered":
+        out.write_text("another file")
+    if fate == "another":
+        out.mkdir()
+    if fate == "linked":
+        (tmp_path / "elsewhere").mkdir()
+        out.symlink_to(tmp_path / "elsewhere")
+    _, stderr = run.communicate(timeout=120)
+    lines = without_progress(stderr)
+    assert "Traceback" not in stderr and run.returncode == 2
+    assert all(line.startswith("lampest: ") for line in lines) and "out" in lines[-1]
+    if fate in ("another", "linked"):
+        assert not list(out.iterdir())
+    if fate == "covered":
+        assert out.read_text() == "another file"
+    if fate != "removed":
+        assert finished(moved) >= 1
+        assert cases.finish(moved)

@@ -86,6 +86,25 @@ def test_arrays_of_a_recording_are_read_only() -> None:
     values[0] = 1.0  # the caller's own array stays the caller's
 
 
+def test_arrays_of_results_are_read_only() -> None:
+    """Arrays that an object holds; those that a property computes are the caller's copies."""
+    estimate = lampest.reconstruct(small_recording(), TERMS, formulation="reduced")
+    objects = [
+        estimate,
+        estimate.readings,
+        estimate.steps[0].solution,
+        estimate.result("LSM"),
+        small_recording().readings(),
+    ]
+    for held in objects:
+        arrays = {
+            name: value for name, value in vars(held).items() if isinstance(value, np.ndarray)
+        }
+        assert arrays
+        writeable = [name for name, array in arrays.items() if array.flags.writeable]
+        assert not writeable, type(held).__name__
+
+
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "per_pixel"])
 def test_a_result_arrives_with_its_numbers(way: Callable[[Any], Any], formulation: str) -> None:

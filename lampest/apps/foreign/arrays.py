@@ -20,7 +20,8 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from lampest.apps.foreign.words import Clock, clock_of_numbers, grows, role_of
+from lampest.apps.foreign.clocks import Clock, clock_of_numbers, grows
+from lampest.apps.foreign.words import role_of
 from lampest.files import hdf5
 from lampest.files.errors import InputError, counted, first_and_more
 from lampest.files.typed import Validated, real_array

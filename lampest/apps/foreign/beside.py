@@ -10,17 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.apps.foreign.arrays import Shape
+from lampest.apps.foreign.clocks import EPOCH as LEAST_EPOCH
+from lampest.apps.foreign.clocks import grows, is_stamp, unwrapped
 from lampest.apps.foreign.table import ReadingsTable
-from lampest.apps.foreign.words import EPOCH as LEAST_EPOCH
-from lampest.apps.foreign.words import (
-    MAX_CUT,
-    PART_OF_CLOCK,
-    grows,
-    is_stamp,
-    line_of,
-    parted,
-    unwrapped,
-)
+from lampest.apps.foreign.words import MAX_CUT, PART_OF_CLOCK, line_of, parted
 from lampest.panel.panel import Array
 
 MAX_BESIDE = 8  # fields beside the readings of a line that names none
@@ -84,7 +77,8 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
     same = np.append(False, np.all(table.fields[1:] == table.fields[:-1], axis=1))
     clear = table.only(~same & np.any(table.fields != "", axis=1))  # not doubled, nor damaged
     # Or it would with rows and columns exchanged.
-    fits = table.width in (shape[0] * shape[1], *shape)
+    numbers = not np.any(clear.words)
+    fits = numbers and table.width in (shape[0] * shape[1], *shape)
     if any(table.names) or len(table.lines) < MIN_LINES or fits:
         return table
     marks = np.array([np.all(column == column[0]) and column[0] != "" for column in clear.fields.T])
@@ -173,8 +167,7 @@ def _names_beside(
 def _name_of(table: ReadingsTable, field: int, rows: int, *, mark: bool) -> str | None:
     """Return the role of an additional field: 'time', 'frame', or '-' for a mark; else None."""
     texts = table.fields[:, field]
-    values = unwrapped(table.values[:, field])
-    values = _counting(values)
+    values = _counting(unwrapped(table.line_numbers(field)))
     words = table.words[:, field]
     if all(is_stamp(text) for text in set(texts[words])) and words.all():
         return "time"

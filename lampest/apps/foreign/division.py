@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lampest.apps.foreign.arrays import Frames, Index, Shape, check_count
 from lampest.apps.foreign.breaks import whole_parts
+from lampest.apps.foreign.clocks import seconds_of
 from lampest.apps.foreign.layouts import TableLayout, arranged
 from lampest.apps.foreign.segments import (
     MIN_SHARE,
@@ -28,7 +29,7 @@ from lampest.apps.foreign.segments import (
     unused_note,
 )
 from lampest.apps.foreign.table import ReadingsTable, kind_of
-from lampest.apps.foreign.words import MAX_CUT, seconds_of
+from lampest.apps.foreign.words import MAX_CUT
 from lampest.files.errors import InputError, counted, first_and_more
 from lampest.panel.panel import Array
 

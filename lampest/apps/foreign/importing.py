@@ -20,15 +20,15 @@ from lampest.apps.foreign.arrays import (
     frames_of_arrays,
     joined_frames,
 )
+from lampest.apps.foreign.clocks import Clock
 from lampest.apps.foreign.division import frames_of
+from lampest.apps.foreign.form import readings_table
 from lampest.apps.foreign.labelled import named_units, panel_of
 from lampest.apps.foreign.lines import FieldLines, lines_of_sheets, lines_of_text
 from lampest.apps.foreign.own_layouts import LAYOUTS
 from lampest.apps.foreign.records import READERS as RECORDS
 from lampest.apps.foreign.records import records_of
-from lampest.apps.foreign.table import readings_table
 from lampest.apps.foreign.unit import understood_unit
-from lampest.apps.foreign.words import Clock
 from lampest.files.errors import InputError, counted, meant, printable
 from lampest.files.typed import installed, typed
 from lampest.files.whole import note_read

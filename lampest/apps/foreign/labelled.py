@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 
 from lampest.apps.foreign.arrays import Frames, Shape
+from lampest.apps.foreign.clocks import Clock
 from lampest.apps.foreign.division import frames_of
+from lampest.apps.foreign.form import readings_table
 from lampest.apps.foreign.lines import FieldLine, field_lines
 from lampest.apps.foreign.records import text_of_value
-from lampest.apps.foreign.table import readings_table
 from lampest.apps.foreign.unit import understood_unit
-from lampest.apps.foreign.words import Clock, role_of, units_of
+from lampest.apps.foreign.words import role_of, units_of
 from lampest.files.errors import InputError, in_words
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene

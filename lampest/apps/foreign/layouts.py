@@ -64,7 +64,7 @@ class TableLayout:
     def positions(self, table: ReadingsTable) -> Index | None:
         """Return the position of each line, -1 where it is missing; None if lines name none."""
         if "row" in self.roles and "column" not in self.roles:
-            rows = _line_numbers(table, self.roles["row"]) - self.first
+            rows = table.line_numbers(self.roles["row"]) - self.first
             within = (rows >= 0) & (rows < self.shape[0]) & (rows == np.round(rows))
             return np.where(within, rows, -1).astype(np.intp)
         if not {"column", "cell"} & set(self.roles):
@@ -246,7 +246,7 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
     if table.width not in (3, 4) or table.width in (cells, cells + 1):
         return None
     if table.width in (shape[1], shape[1] + 1):
-        numbers = np.stack([_line_numbers(table, field) for field in (0, 1)], axis=1)
+        numbers = np.stack([table.line_numbers(field) for field in (0, 1)], axis=1)
         indices = np.all((numbers == np.round(numbers)) & (numbers >= 0) & (numbers <= shape))
         if not indices or (len(numbers) > 1 and not np.any(np.ptp(numbers, axis=0) > 0)):
             return None
@@ -284,25 +284,12 @@ def _count_cells(table: ReadingsTable, cells: int) -> bool:
     )
 
 
-def _line_numbers(table: ReadingsTable, field: int) -> Array:
-    """Return the row or column numbers in a field of all lines, from 3, R3 or 'row 3'.
-
-    The result is NaN for any other text.
-    """
-    values = table.values[:, field].copy()
-    unread = table.words[:, field]
-    texts = table.fields[unread, field]
-    lines = {text: line_of(text) or ("", np.nan) for text in set(texts)}
-    values[unread] = [lines[text][1] for text in texts]
-    return values
-
-
 def _indices(table: ReadingsTable, column: int) -> Array:
     """Return the row or column numbers in a field; NaN where a line has none.
 
     Raises InputError if more than a few lines have another text.
     """
-    values = _line_numbers(table, column)
+    values = table.line_numbers(column)
     with np.errstate(invalid="ignore"):
         bad = ~np.isfinite(values) | (values != np.round(values))
     if np.sum(bad & (table.fields[:, column] != "")) > MAX_CUT * len(bad):
@@ -378,7 +365,7 @@ def _rows_in_lines(table: ReadingsTable, shape: Shape) -> TableLayout:
     ]
     first = 0
     if labelled:
-        numbers = _line_numbers(table, labelled[-1])
+        numbers = table.line_numbers(labelled[-1])
         if not any(table.names) and np.nanmax(numbers, initial=0.0) > shape[0]:
             times = [labelled[-1]]
         else:

@@ -8,13 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from lampest.apps.foreign.arrays import Shape
+from lampest.apps.foreign.clocks import clock_of
 from lampest.apps.foreign.division import ANY, Marks, learned_marks
+from lampest.apps.foreign.form import later_lines, readings_table
 from lampest.apps.foreign.layouts import TableLayout, arranged
 from lampest.apps.foreign.lines import field_lines_in, notation_of
 from lampest.apps.foreign.notation import Notation
 from lampest.apps.foreign.segments import Placed, Segment, Segmenter, placed
-from lampest.apps.foreign.table import ReadingsTable, readings_table
-from lampest.apps.foreign.words import clock_of
+from lampest.apps.foreign.table import ReadingsTable
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 
@@ -215,7 +216,7 @@ class LineReader:
         known = self._understanding
         before = self._count - len(self._kept)
         lines = field_lines_in(known.notation, self._kept, self._source, before, header=False)
-        table = known.table.of_later(lines)
+        table = later_lines(known.table, lines)
         if not len(table.lines):
             self._kept = self._kept[-MAX_BETWEEN:]
             return

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.apps.foreign.arrays import Index, check_archive, reading
+from lampest.apps.foreign.clocks import is_stamp
 from lampest.apps.foreign.notation import MAX_LINE, SAMPLED_LINES, Notation, stamp_and_content
-from lampest.apps.foreign.words import is_stamp, line_of
+from lampest.apps.foreign.words import line_of
 from lampest.files.errors import InputError, counted, extra
 
 DAMAGED = "\ufffd"  # in place of a byte that no text holds
@@ -46,7 +47,8 @@ READ = (
     "`layout` names a layout of your own"
 )
 MAX_FIELDS = 10_000_000  # 50 bytes each in memory
-WRITTEN = re.compile(r"[-+.,\d]+")  # a number
+MATRIX_ENDS = ("]]", "]],")
+WRITTEN = re.compile(r"[-+.,]*\d[-+.,\d]*")  # a number
 # Not Excel's words for no number.
 COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)
 
@@ -62,11 +64,14 @@ class FieldLine(NamedTuple):
         Fields.
     stamp : str
         A terminal's time before the line, or ''.
+    apart : bool
+        Whether the brackets of a matrix end before the line.
     """
 
     number: int
     texts: Sequence[str]
     stamp: str = ""
+    apart: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +94,7 @@ class FieldLines:
     counts : array of int, shape (lines,)
         Number of fields.
     comment, blank : boolean array, shape (lines,)
-        Whether a line is a comment, and whether an empty line precedes it.
+        Whether a line is a comment, and whether an empty line or the end of a matrix precedes it.
     padded : bool
         Whether empty fields at the end of a line are left out, as those of a sheet are.
     """
@@ -145,6 +150,7 @@ def field_lines(
     counts = np.array([len(line.texts) for line in read], dtype=np.intp)
     comment = np.array([COMMENT.match(line.texts[0]) is not None for line in read], dtype=bool)
     blank = np.diff(np.array([before, *(line.number for line in read)])) > 1
+    blank |= np.array([line.apart for line in read], dtype=bool)
     return FieldLines(source, word, at, tuple(notes), read, fields, counts, comment, blank)
 
 
@@ -233,6 +239,7 @@ def field_lines_in(
     def read() -> Iterator[FieldLine]:
         if notation.names and header:
             yield FieldLine(0, notation.shown)
+        closed = False
         for number, line in enumerate(texts, before + 1):
             if len(line) > MAX_LINE:
                 raise InputError(
@@ -241,7 +248,8 @@ def field_lines_in(
             stamp, content = stamp_and_content(line)
             if _has_content(content):
                 fields = notation.fields(at(number, None), content)
-                yield FieldLine(number, fields, stamp)
+                yield FieldLine(number, fields, stamp, closed or content.startswith("[["))
+                closed = content.endswith(MATRIX_ENDS)
 
     return field_lines(source, "line", at, (), read(), before)
 

@@ -31,14 +31,18 @@ PREFIXES = (
     # '[2025-01-31 12:34:56.789] ' of others
     re.compile(rf"\s*\[?(?P<clock>{DATE}{TIME})\s*(?:\]|->|>|\|)\s*"),
 )
-# 'ROW0=512,511', 'R0: 512 511'
-LABELLED = re.compile(r"\s*([^\W\d]+[ _]?\d+)\s*[=:]\s*(?=[-+.\d])")
+# 'ROW0=512,511', 'R0: 512 511', '0: 512 511', 'MAT:512,511'
+LABELLED = re.compile(
+    r"\s*(?:([^\W\d]+[ _]?\d+)\s*[=:]\s*|(\d+):[ \t]+|([^\W\d]+)\s*:\s*(?=\S+[,;\t ]\s*[-+.\d]))"
+    r"(?=[-+.\d])"
+)
 BRACKETED = re.compile(r"[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
 # '0.1,"[512, 511]"', '0.1;[[512 511] [513 514]]': a list behind other fields
 LISTED = re.compile(r'^(.*[,;\t ])"?(\[[\[\s]*[-+.\d]+[,;\s][^"]*\])"?(.*)$')
-# 'r0c0:512' of the Serial Plotter
+# 'r0c0:512' of the Serial Plotter, '[0][0] = 512'
 PAIR = re.compile(
-    r"(?P<name>[^\W\d][\w ./\[\]()-]*?)\s*[:=]\s*(?P<value>[-+.]?\d[^\s,;:=]*|nan|ovf|null)",
+    r"(?P<name>[^\W\d][\w ./\[\]()-]*?|[\[(]\d+(?:\]\[|, ?)\d+[\])])\s*"
+    r"[:=]\s*(?P<value>[-+.]?\d[^\s,;:=]*|nan|ovf|null)",
     re.IGNORECASE,
 )
 BETWEEN_PAIRS = re.compile(r"[\s,;]*")
@@ -74,12 +78,15 @@ class Notation:
         Names that stand beside the values in every line; empty if the values stand alone.
     separated : bool
         Whether lines have several fields.
+    usual : int
+        Number of names of a whole line, which are the first ones.
     """
 
     delimiter: str
     joined: bool = False
     names: tuple[str, ...] = ()
     separated: bool = True
+    usual: int = 0
 
     @classmethod
     def of(cls, contents: Sequence[str]) -> "Notation":
@@ -91,8 +98,14 @@ class Notation:
         named = [values for values in map(values_beside_names, sample) if values]
         if 2 * len(named) > len(sample):
             usual = Counter(map(tuple, named)).most_common(1)[0][0]
-            others = dict.fromkeys(name for line in named for name in line if "\0" not in name)
-            return cls(",", names=tuple(dict.fromkeys([*usual, *others])))
+            others = dict.fromkeys(
+                name
+                for line in named
+                for name in line
+                if "\0" not in name and not line.keys().isdisjoint(usual)
+            )
+            names = tuple(dict.fromkeys([*usual, *others]))
+            return cls(",", names=names, usual=len(usual))
         sample = [_plain(content) for content in sample]
         delimiter = _delimiter(sample)
         # Lines may agree in their number of fields only if consecutive tabs are one.
@@ -124,6 +137,10 @@ class Notation:
             values = values_beside_names(content)
             if values is None:
                 return [content]
+            if "cell" in values and "cell" not in self.names:  # one pair of a line that was parted
+                values = {values["cell"]: values["value"]}
+            if tuple(values) == self.names[: min(len(values), self.usual - 1)]:
+                values.popitem()  # of a line that was cut, perhaps within its last value
             if _lengths(values) != _lengths(self.names):  # which value of a list is lost is unknown
                 values = {name: value for name, value in values.items() if "\0" not in name}
             return [values.get(name, "") for name in self.names]
@@ -231,7 +248,7 @@ def _plain(content: str) -> str:
         return content
     values_text = content[labelled.end() :]
     sign = next((sign for sign in DELIMITERS if sign in values_text), " ")
-    return f"{labelled[1]}{sign}{values_text}"
+    return f"{labelled[labelled.lastindex or 0]}{sign}{values_text}"
 
 
 def _delimiter(lines: Sequence[str]) -> str:

@@ -26,6 +26,9 @@ from lampest.files.errors import first_and_more
 MAX_VALUES = 8  # of a field that tells boards or trials apart
 Changes = NDArray[np.bool_]
 
+# Falls that orders of the scan may have less than the true one, which a frame that is cut at the
+# beginning costs one: ascending, descending, another from the lowest position, or from the first.
+UNUSUAL = (0.0, 0.0, 0.5, 2.0)
 MIN_SHARE = 0.75  # of the runs of a key that must be whole frames; the others lost lines
 
 
@@ -209,7 +212,8 @@ def scan_order(positions: Sequence[int], parts: Changes) -> Mapping[int, int]:
     """Return positions with their ranks in the order in which they are scanned.
 
     The order is ascending or descending, or another one that parts between marks, or the lines
-    until a position occurs again, show most often.
+    until a position occurs again, show most often. Such an order begins with the lowest position,
+    or with that of the first line.
 
     Parameters
     ----------
@@ -225,11 +229,16 @@ def scan_order(positions: Sequence[int], parts: Changes) -> Mapping[int, int]:
     ]
     ascending = sorted({position for position, _ in read})
     orders = [ascending, ascending[::-1]]
-    sequences = Counter(_sequences(read))
-    orders += [list(order) for order, _ in sequences.most_common(1) if len(order) == len(ascending)]
+    cycles = Counter(
+        _beginning_with(ascending[0], order)
+        for order in _sequences(read)
+        if len(order) == len(ascending)
+    )
+    for order, _ in cycles.most_common(1):
+        orders += [list(order), list(_beginning_with(read[0][0], order))]
     falls = [_falls(read, {position: at for at, position in enumerate(order)}) for order in orders]
-    # A frame that is cut at the beginning costs an ascending order one more.
-    best = min(range(len(orders)), key=lambda at: (falls[at] + (at > 1) * (1 + at), at))
+    costs = [count + unusual for count, unusual in zip(falls, UNUSUAL, strict=False)]
+    best = int(np.argmin(costs))
     return {position: rank for rank, position in enumerate(orders[best])}
 
 
@@ -242,6 +251,12 @@ def _sequences(read: Sequence[tuple[int, bool]]) -> Iterator[tuple[int, ...]]:
             sequence = []
         sequence.append(position)
     yield tuple(sequence)
+
+
+def _beginning_with(position: int, order: tuple[int, ...]) -> tuple[int, ...]:
+    """Return a cyclic order from a position on."""
+    at = order.index(position)
+    return order[at:] + order[:at]
 
 
 def _falls(read: Sequence[tuple[int, bool]], ranks: Mapping[int, int]) -> int:
