@@ -14,7 +14,7 @@ import numpy as np
 from lampest.audit.finding import Finding, with_addition
 from lampest.files.errors import BROKEN, InputError
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
+from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed, estimated_entry
 from lampest.inference.prepared import Prepared
 from lampest.inference.resolve import ENTRIES
 from lampest.panel.scene import Scene, specified
@@ -44,6 +44,26 @@ def unnamed_effects(prepared: Prepared) -> tuple[Finding, ...]:
 
 
 def _of_network(prepared: Prepared) -> tuple[Finding, ...]:
+    """Return the effects of a single network that show beside each other, as estimates have them.
+
+    Each has the number that the recording determines where its scene names all of them. Effects
+    that are not determined there are left out.
+    """
+    shown = _beside_each_other(prepared)
+    while shown:
+        try:
+            noise = named(prepared, *shown).noise
+        except InputError:
+            noise = prepared.noise
+        words = [effect.words(noise) for effect in shown]
+        if all(words):
+            both = zip(words, shown, strict=True)
+            return tuple(Finding("effects", text, "", effect.addition) for text, effect in both)
+        shown = tuple(effect for text, effect in zip(words, shown, strict=True) if text)
+    return ()
+
+
+def _beside_each_other(prepared: Prepared) -> tuple[Unnamed, ...]:
     """Return the effects of a single network that show beside each other.
 
     Each of several effects may be the only one, and explain what the others seem to. The first is
@@ -52,36 +72,38 @@ def _of_network(prepared: Prepared) -> tuple[Finding, ...]:
     """
     if prepared.cleaned.readings.sigma is None:
         return ()
-    findings = searched(Gathered(prepared.cleaned.recording, prepared))
-    if len(findings) < 2 or not all(finding.addition for finding in findings):
-        return findings
-    together = list[tuple[Finding, ...]]()
-    for finding in findings:
+    shown = searched(Gathered(prepared.cleaned.recording, prepared))
+    if len(shown) < 2 or not all(effect.addition for effect in shown):
+        return shown
+    together = list[tuple[Unnamed, ...]]()
+    for effect in shown:
         with suppress(InputError):
-            together.append((finding, *_of_network(named(prepared, finding))))
-    return min(together, key=len, default=findings)
+            together.append((effect, *_beside_each_other(named(prepared, effect))))
+    return min(together, key=len, default=shown)
 
 
-def named(prepared: Prepared, finding: Finding) -> Prepared:
-    """Return the recording, prepared anew with a scene that has a finding's entries.
+def named(prepared: Prepared, *effects: Finding | Unnamed) -> Prepared:
+    """Return the recording, prepared anew with a scene that has the entries of effects.
 
     Raises InputError where the scene cannot have them.
     """
-    recording = prepared.recording
-    return Prepared(replace(recording, scene=with_addition(recording.scene, finding.addition)))
+    scene = prepared.recording.scene
+    for effect in effects:
+        scene = with_addition(scene, effect.addition)
+    return Prepared(replace(prepared.recording, scene=scene))
 
 
 @ONE_BLAS_THREAD
-def searched(evidence: Gathered) -> tuple[Finding, ...]:
-    """Return the findings of all searches in a single network's recording."""
-    findings = list[Finding]()
+def searched(evidence: Gathered) -> tuple[Unnamed, ...]:
+    """Return the effects that the searches find in a single network's recording."""
+    found = list[Unnamed]()
     for effect in searched_effects():
         try:
             with np.errstate(all="ignore"):
-                findings += [_finding(shown) for shown in effect.unnamed(evidence)]
+                found += effect.unnamed(evidence)
         except BROKEN:  # nothing is advised where arithmetic breaks down
             continue
-    return tuple(findings)
+    return tuple(found)
 
 
 def effects_to_try(scene: Scene) -> tuple[Finding, ...]:
@@ -90,17 +112,12 @@ def effects_to_try(scene: Scene) -> tuple[Finding, ...]:
     The advice applies where readings have a misfit that nothing else explains.
     """
     return tuple(
-        _finding(
-            Unnamed.of(
-                f"{effect.if_unexplained}: with that the circuit explains its readings",
-                effect.if_unexplained_key,
-            )
+        Finding(
+            "effects",
+            f"{effect.if_unexplained}: with that the circuit explains its readings",
+            "",
+            estimated_entry(effect.if_unexplained_key),
         )
         for effect in searched_effects()
         if effect.if_unexplained and specified(scene, effect.if_unexplained_key) is None
     )
-
-
-def _finding(shown: Unnamed) -> Finding:
-    """Return the finding of an effect."""
-    return Finding("effects", shown.sentence, "", shown.addition)

@@ -16,6 +16,7 @@ from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANT
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.evidence import PARAMETER_COST, mostly_still
 from lampest.inference.pair import FittedPair, without_late
+from lampest.panel.effects.creep import FilmCreep
 from lampest.panel.effects.line_effect import LineEffect
 from lampest.panel.effects.loose_contact import LooseContact
 from lampest.panel.panel import Array
@@ -229,10 +230,7 @@ def _common_change_in_words(pair: FittedPair) -> str:
     )
     if not mostly_still(pair.moved) or not abs(change) > max(MIN_CHANGE, SIGNIFICANT * sd):
         return ""
-    return (
-        f"cells that nobody touched changed together by {100 * change:+.2g} +- {100 * sd:.1g} %: "
-        "creep, temperature or the supply"
-    )
+    return FilmCreep().sentence(change, sd)
 
 
 def without_effects_of(

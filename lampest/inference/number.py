@@ -25,11 +25,15 @@ class Number:
         Their posterior probabilities, of sum 1.
     gain : float
         Decrease of −2 ln evidence from the first value to the best one.
+    evidence : float
+        Decrease of −2 ln evidence from the first value to all others together, −2 ln of their odds
+        where both are equally probable before.
     """
 
     values: Array
     odds: Array
     gain: float
+    evidence: float = 0.0
 
     @classmethod
     def by_costs(
@@ -52,8 +56,11 @@ class Number:
         beside = np.moveaxis(np.asarray(costs, dtype=float), axis, 0).reshape(len(values), -1)
         marginal = summed_out(beside, axis=1)
         logarithms = -(marginal - marginal.min()) / 2
-        odds = np.exp(logarithms) * prior
-        return cls(values, odds / odds.sum(), float(marginal[0] - marginal.min()))
+        weight = np.broadcast_to(prior, len(values))
+        odds = np.exp(logarithms) * weight
+        gain = float(marginal[0] - marginal.min())
+        others = float(odds[1:].sum() / weight[1:].sum())
+        return cls(values, odds / odds.sum(), gain, gain + 2 * float(np.log(others)))
 
     @property
     def mean(self) -> float:
@@ -84,7 +91,7 @@ class Number:
     @property
     def log_deviation(self) -> float:
         """The posterior standard deviation of the logarithm of a positive number."""
-        logarithms = np.log(self.values)
+        logarithms = np.log(np.where(self.odds > 0, self.values, 1.0))
         return float(np.sqrt(max(self.odds @ logarithms**2 - (self.odds @ logarithms) ** 2, 0.0)))
 
 

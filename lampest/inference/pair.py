@@ -27,13 +27,12 @@ from lampest.inference.evidence import (
     touching,
     usual_starts,
 )
-from lampest.panel.effects import SharedEffect, systematic_of
+from lampest.panel.effects import systematic_of
 from lampest.panel.effects.channels import CHANNELS
 from lampest.panel.effects.line_effect import LineEffect
 from lampest.panel.effects.reference import REFERENCE
 from lampest.panel.effects.series import SERIES
 from lampest.panel.panel import Array
-from lampest.panel.sizes import Systematic
 from lampest.panel.trust_region import backtracked
 from lampest.recording.readings import Readings
 
@@ -178,12 +177,6 @@ class FittedPair:
             return np.zeros((len(self.change), 0))
         resting, loaded = (responses(frame, effects) for frame in self.frames)
         return np.asarray(loaded - np.array([not effect.since for effect in effects]) * resting)
-
-    def columns_of(self, error: SharedEffect) -> Array:
-        """Return a of an error that both frames share, of its prior size, (cells, n)."""
-        sizes = Systematic().with_entries({error.setting: error.prior})
-        resting, loaded = (frame.response_to((error,), sizes) for frame in self.frames)
-        return np.asarray(loaded - resting)
 
     def with_columns(self, columns: Array) -> Changes:
         """Return the changes d with a common change of all cells, then effects, as errors.

@@ -12,13 +12,20 @@ the spread of the channels where it is unknown.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from lampest.files.levels import NOISE_REACH, UNUSUAL
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, data_of_cells, fitted
-from lampest.inference.evidence import MIN_STILL_SHARE, Changes, Chosen, away_from_changed
+from lampest.inference.evidence import (
+    MIN_STILL_SHARE,
+    Changes,
+    Chosen,
+    away_from_changed,
+    mostly_still,
+)
 from lampest.inference.number import Number, summed_out
 from lampest.panel.effects import SharedEffect, estimated_errors, recorded_share, sized_effects
 from lampest.panel.effects.channels import CHANNELS
@@ -47,6 +54,9 @@ LINEAR_LIMIT = 0.15
 # Tried sizes of a load's skirt, of log r. Always the largest would hide errors where no load has a
 # skirt.
 SKIRTS = ASSUMED.skirt * np.array([0.0, 0.03, 0.1, 0.3, 1.0])
+# Tried sizes of the slope around a load, over that which the largest change allows. Always the
+# largest would hide errors beside a load with a sharp edge.
+SLOPES = (0.0, 1.0)
 # Of log r: only loads move cells by more, errors within the limit do not.
 LOADED_CHANGE = NOISE_REACH * LINEAR_LIMIT
 
@@ -94,6 +104,13 @@ class SharedChanges:
             first += count
         return scales
 
+    def without(self, setting: str) -> "SharedChanges":
+        """Return the changes without an estimated error."""
+        kept = np.repeat([key != setting for key in self.counts], [*self.counts.values()])
+        errors = tuple(error for error in self.errors if error.setting != setting)
+        counts = {key: count for key, count in self.counts.items() if key != setting}
+        return replace(self, hidden=self.hidden[:, kept], errors=errors, counts=counts)
+
     def with_channels(self, factor: float) -> "SharedChanges":
         """Return the changes with a spread of the channels that is larger by a factor."""
         hidden = self.hidden * self.scales(factor, self.hidden.shape[1])
@@ -111,33 +128,69 @@ class SharedChanges:
         )
 
 
-def shared_changes(
-    scene: Scene,
-    resting: CellsFit,
-    loaded: Readings,
-    sizes: Systematic,
-    noise: FrameNoise | None,
-    near: Array | None = None,
-) -> SharedChanges | None:
-    """Return the changes from the unloaded panel to a frame; None where the fit of the frame fails.
+@dataclass(frozen=True, eq=False)
+class SharedFrames:
+    """The unloaded panel and a loaded frame, each fitted once for all errors that are tried.
+
+    Attributes
+    ----------
+    scene : Scene
+        Panel and readout; its errors are those of the calls.
+    resting : Readings
+        Mean of the unloaded frames, (rows, columns).
+    loaded : Readings or None
+        A loaded frame, (rows, columns).
+    noise : FrameNoise or None
+        Errors that the readings of a frame share.
+    resting_cells, loaded_cells : array, shape (rows, columns), or None
+        Cells in ohm, where several panels give the readings.
+    """
+
+    scene: Scene
+    resting: Readings
+    loaded: Readings | None
+    noise: FrameNoise | None = None
+    resting_cells: Array | None = None
+    loaded_cells: Array | None = None
+
+    @cached_property
+    def fit(self) -> CellsFit | None:
+        """The fit of the unloaded panel."""
+        return fitted(self.scene, self.resting, self.resting_cells, patient=True)
+
+    @cached_property
+    def fit_of_load(self) -> CellsFit | None:
+        """The fit of the loaded frame; None where it fails, or noise does not explain the rest."""
+        if self.loaded is None or self.fit is None or not self.fit.within_noise:
+            return None
+        near = self.loaded_cells
+        start = self.fit.cells if near is None else near
+        first = fitted(self.scene, self.loaded, start)
+        return first or fitted(self.scene, self.loaded, near, patient=True)
+
+    @cached_property
+    def steadied(self) -> CellsFit | None:
+        """The fit of the loaded frame with still cells at their unloaded values."""
+        if self.fit is None or self.fit_of_load is None:
+            return None
+        return _steadied(self.scene, self.fit_of_load, self.fit.cells)
+
+
+def shared_changes(scene: Scene, frames: SharedFrames, sizes: Systematic) -> SharedChanges | None:
+    """Return the changes from the unloaded panel to a frame; None where a fit fails.
 
     Parameters
     ----------
     scene : Scene
-    resting : CellsFit
-        Fit of the unloaded panel.
-    loaded : Readings
-        (rows, columns).
+        Calls errors `estimated`.
+    frames : SharedFrames
     sizes : Systematic
         Standard deviations of the errors.
-    noise : FrameNoise or None
-        Errors that the readings of a frame share.
-    near : array, shape (rows, columns), optional
-        Cells of the frame in ohm, where several panels give its readings.
     """
-    start = resting.cells if near is None else near
-    fit = fitted(scene, loaded, start) or fitted(scene, loaded, near, patient=True)
-    if fit is None:
+    resting = frames.fit
+    fit = frames.fit_of_load
+    steadied = frames.steadied
+    if resting is None or fit is None or steadied is None:
         return None
     requested = estimated_errors(scene)
     further = [
@@ -152,7 +205,6 @@ def shared_changes(
     )
     fixed = tuple(error for error in further if error not in estimated)
     groups = (fixed, *((error,) for error in estimated))
-    steadied = _steadied(scene, fit, resting.cells)
     # Each reading's own error is a column of the gain.
     own_at_rest, own_under_load = (
         each.gain * recorded_share(each.readings.value, scene).ravel()
@@ -168,8 +220,8 @@ def shared_changes(
     # The unloaded panel and the frame have errors of their own; creep, and a common change of all
     # cells.
     covariance = (
-        _with_frame_noise(resting.covariance, resting, noise, baseline=True)
-        + _with_frame_noise(fit.covariance, steadied, noise, baseline=False)
+        _with_frame_noise(resting.covariance, resting, frames.noise, baseline=True)
+        + _with_frame_noise(fit.covariance, steadied, frames.noise, baseline=False)
         + ASSUMED.creep**2 * np.eye(size)
         + ASSUMED.common_change**2
     )
@@ -257,6 +309,13 @@ def _slope_of_load(change: Array, shape: tuple[int, ...]) -> Array:
     return np.asarray(deviation[:, None] * smooth * deviation)
 
 
+def _sloped(scene: Scene, moves: SharedChanges, size: float) -> list[Changes]:
+    """Return the changes with the slope of a load of each of SLOPES; `size` is e."""
+    slope = _slope_of_load(moves.change, scene.panel.shape)
+    every = (replace(moves, noise=moves.noise + share**2 * slope) for share in SLOPES)
+    return [each.changes(size) for each in every]
+
+
 def _still(changes: Changes, begun: Chosen | None = None) -> tuple[float, Chosen]:
     """Return −2 ln evidence, and the still cells.
 
@@ -310,6 +369,35 @@ def error_costs(
     return summed_out(costs, axis=0)
 
 
+def gain_of(scene: Scene, frames: SharedFrames, sizes: Systematic, setting: str) -> float:
+    """Return the decrease of −2 ln evidence by an error, relative to the misfit of still cells.
+
+    Moved cells are selected with the error and without it, beside the slope of the load. The gain
+    is 0 where most cells move with the error.
+
+    Parameters
+    ----------
+    scene : Scene
+        Calls the error `estimated`.
+    frames : SharedFrames
+    sizes : Systematic
+        Standard deviations of the errors.
+    setting : str
+        Field of `Systematic` of the error.
+    """
+    moves = shared_changes(scene, frames, sizes)
+    if moves is None or setting not in moves.counts:
+        return 0.0
+    size = READING_ERROR.size(sizes)
+    with_error = [(changes, *_still(changes)) for changes in _sloped(scene, moves, size)]
+    likeliest, score, still = min(with_error, key=lambda explained: explained[1])
+    if not mostly_still(~still):
+        return 0.0
+    without = min(_still(changes)[0] for changes in _sloped(scene, moves.without(setting), size))
+    excess = max(likeliest.part(still).misfit / still.sum(), 1.0)
+    return float((without - score) / excess)
+
+
 @dataclass(frozen=True, eq=False)
 class JointPosterior:
     """Posterior of the errors z of all readings, in units of their priors.
@@ -327,10 +415,10 @@ class JointPosterior:
 def joint_posterior(
     scene: Scene, moves: SharedChanges, size: float, spread: Number
 ) -> JointPosterior | None:
-    """Return the posterior of errors z, summed over spreads of the channels.
+    """Return the posterior of errors z, summed over spreads of the channels and slopes of the load.
 
-    The slope around a load is none of the errors. The result is None where a load leaves no still
-    cells.
+    The slope around a load is none of the errors, and its size is that of SLOPES which the changes
+    make likely. The result is None where a load leaves no still cells.
 
     Parameters
     ----------
@@ -341,25 +429,28 @@ def joint_posterior(
     spread : Number
         Spread of the channels over the usual one.
     """
-    sloped = replace(moves, noise=moves.noise + _slope_of_load(moves.change, scene.panel.shape))
-    start = None
     means = list[Array]()
     seconds = list[Array]()
     weights = list[float]()
     for factor, odds in zip(spread.values, spread.odds, strict=True):
         if odds < NEGLIGIBLE:
             continue
-        changes = sloped.with_channels(factor).changes(size)
-        start = _still(changes, start)[1]
-        # Neighbours of moved cells are left out, because a load has a skirt.
-        distant = away_from_changed(start, scene.panel.shape)
-        if distant.mean() < MIN_STILL_SHARE:
-            continue
-        mean, covariance = changes.posterior(distant)
-        scale = moves.scales(factor, len(mean))
-        means.append(scale * mean)
-        seconds.append(scale[:, None] * (covariance + np.outer(mean, mean)) * scale)
-        weights.append(odds)
+        explained = [
+            (changes, *_still(changes))
+            for changes in _sloped(scene, moves.with_channels(factor), size)
+        ]
+        every = float(summed_out(np.array([score for _, score, _ in explained]), axis=0))
+        for changes, score, still in explained:
+            weight = odds * float(np.exp((every - score) / 2))
+            # Neighbours of moved cells are left out, because a load has a skirt.
+            distant = away_from_changed(still, scene.panel.shape)
+            if distant.mean() < MIN_STILL_SHARE or weight < NEGLIGIBLE:
+                continue
+            mean, covariance = changes.posterior(distant)
+            scale = moves.scales(factor, len(mean))
+            means.append(scale * mean)
+            seconds.append(scale[:, None] * (covariance + np.outer(mean, mean)) * scale)
+            weights.append(weight)
     if not sum(weights) > MIN_SHARE_EXPLAINED:
         return None
     mean = np.average(means, axis=0, weights=weights)

@@ -29,9 +29,7 @@ from lampest import (
     TwoPointReadout,
 )
 from lampest.audit import advice, effects
-from lampest.audit.finding import Finding
 from lampest.inference import warnings as objections
-from lampest.inference.assumptions import ASSUMED
 from lampest.inference.circuits import model_check
 from lampest.inference.effects import (
     converter_ends,
@@ -42,9 +40,8 @@ from lampest.inference.effects import (
     motion,
     static_errors,
 )
-from lampest.inference.effects.effect import Gathered
+from lampest.inference.effects.effect import Unnamed
 from lampest.inference.prepared import Prepared
-from lampest.inference.shared_changes import CHANNEL_FACTORS
 from lampest.posterior import film_scatter
 from tests.estimates import recording_of
 
@@ -290,23 +287,6 @@ def test_channels_that_differ_are_advised_and_not_as_errors_of_each_reading() ->
     assert not effects.unnamed_effects(alike)
 
 
-def test_each_spread_of_channels_is_tried_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A few spreads come first. Where they gain, these were tried again with all others."""
-    spreads: list[float] = []
-    costs_of = static_errors.error_costs
-
-    def noted(scene: Scene, moves: Any, errors: Any, factors: Any, cells: float) -> Any:
-        if cells == ASSUMED.slope_cells:
-            spreads.extend(factors)
-        return costs_of(scene, moves, errors, factors, cells)
-
-    monkeypatch.setattr(static_errors, "error_costs", noted)
-    differing = Prepared(channels_recording(100, LOADS["mouth"], Row(channel_ohm=10.0), {}))
-    evidence = Gathered(differing.cleaned.recording, differing)
-    assert len(tuple(static_errors.StaticErrors().unnamed(evidence))) == 1
-    assert sorted(spreads) == [0.0, *CHANNEL_FACTORS]
-
-
 def test_channels_are_advised_under_a_hand_that_covers_most_cells() -> None:
     """Cells that moved were more than half, and nothing was advised."""
     hand = Load(("hand",), swaying=0.05)
@@ -338,7 +318,8 @@ def test_a_ripple_that_the_scene_names_is_no_motion(load: str) -> None:
 def test_an_effect_that_gains_only_alone_is_not_advised(monkeypatch: pytest.MonkeyPatch) -> None:
     """Named, motion leaves nothing, and errors of readings leave motion; a gain is beside both."""
     motion_found, error, gain_found = (
-        Finding("effects", name, "", {name: "estimated"}) for name in ("motion", "error", "gain")
+        Unnamed(lambda _, name=name: name, {name: "estimated"})
+        for name in ("motion", "error", "gain")
     )
     shown = {
         (): (gain_found, error, motion_found),
@@ -350,6 +331,7 @@ def test_an_effect_that_gains_only_alone_is_not_advised(monkeypatch: pytest.Monk
 
     class Fake:
         layout = None
+        noise = None
         cleaned = SimpleNamespace(readings=SimpleNamespace(sigma=1.0), recording=None)
 
         def __init__(self, *names: str) -> None:
@@ -357,24 +339,31 @@ def test_an_effect_that_gains_only_alone_is_not_advised(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(effects, "Gathered", lambda _, prepared: prepared)
     monkeypatch.setattr(effects, "searched", lambda fake: shown.get(fake.names, ()))
-    monkeypatch.setattr(effects, "named", lambda fake, finding: Fake(*fake.names, finding.what))
-    assert effects.unnamed_effects(Fake()) == (gain_found, motion_found)
+    monkeypatch.setattr(
+        effects,
+        "named",
+        lambda fake, *unnamed: Fake(
+            *fake.names, *(name for one in unnamed for name in one.addition)
+        ),
+    )
+    assert [finding.what for finding in effects.unnamed_effects(Fake())] == ["gain", "motion"]
 
 
 def test_effects_that_a_scene_cannot_name_leave_advice_as_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Without entries the search beside such an effect would begin anew with the same scene."""
-    found = (Finding("effects", "own", "", {}), Finding("effects", "gain", "", {"gain": 0.01}))
+    found = (Unnamed(lambda _: "own"), Unnamed(lambda _: "gain", {"gain": 0.01}))
 
     class Plain:
         layout = None
+        noise = None
         cleaned = SimpleNamespace(readings=SimpleNamespace(sigma=1.0), recording=None)
 
     monkeypatch.setattr(effects, "Gathered", lambda _, prepared: prepared)
     monkeypatch.setattr(effects, "searched", lambda prepared: found)
-    monkeypatch.setattr(effects, "named", lambda prepared, finding: prepared)
-    assert effects.unnamed_effects(Plain()) == found
+    monkeypatch.setattr(effects, "named", lambda prepared, *unnamed: prepared)
+    assert [finding.what for finding in effects.unnamed_effects(Plain())] == ["own", "gain"]
 
 
 def test_errors_beyond_those_of_parts_are_another_circuit() -> None:

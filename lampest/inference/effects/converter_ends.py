@@ -18,7 +18,13 @@ from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
 from lampest.inference.circuits.compared_frames import ComparedFrames
 from lampest.inference.circuits.explanation import Explanation
 from lampest.inference.circuits.rivals import Rival, with_converter
-from lampest.inference.effects.effect import Determined, Gathered, SceneEffect, Unnamed
+from lampest.inference.effects.effect import (
+    Determined,
+    Gathered,
+    SceneEffect,
+    Unnamed,
+    estimated_entry,
+)
 from lampest.inference.noise import NoiseEstimate
 from lampest.panel.panel import Array
 from lampest.panel.readouts.converter import MAX_VOLT, Characteristic
@@ -387,4 +393,5 @@ class ConverterEnds(SceneEffect):
         """Yield advice on a stage before the converter that saturates."""
         stage = saturated(evidence.recording) if evidence.names_none(PASSES) else None
         if stage is not None:
-            yield Unnamed.of(stage.sentence, PASSES)
+            sentence = stage.sentence
+            yield Unnamed(lambda _: sentence, estimated_entry(PASSES))

@@ -176,8 +176,5 @@ class ConverterMemory(SceneEffect):
         if not evidence.names_none("converter_memory"):
             return
         question = evidence.prepared.question
-        if not memory_gain(question, question.explanation) > MIN_EVIDENCE_GAIN:
-            return
-        estimate = estimated_memory(evidence.recording)
-        if not isinstance(estimate, str):
-            yield Unnamed.of(KeptShare().sentence(*estimate), KEY)
+        if memory_gain(question, question.explanation) > MIN_EVIDENCE_GAIN:
+            yield Unnamed.of(KeptShare().sentence, KEY)

@@ -12,6 +12,7 @@ from lampest.inference.evidence import MIN_STILL_SHARE, mostly_still, touching
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides
 from lampest.inference.pair import FittedPair
+from lampest.panel.effects.creep import FilmCreep
 from lampest.panel.sizes import ESTIMATED
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
@@ -59,8 +60,8 @@ class CommonCreep(SceneEffect):
 
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
         """Yield a common change of all cells that errors of the frames do not explain."""
-        sentence = evidence.prepared.effects.common_change
-        if not sentence or not evidence.names_none("creep", "temperature", "film"):
+        named = not evidence.names_none("creep", "temperature", "film")
+        if named or not evidence.prepared.effects.common_change:
             return
         explanation = evidence.prepared.question.explanation
         if explanation is not None and explanation.pair is not None:
@@ -71,7 +72,7 @@ class CommonCreep(SceneEffect):
             change, deviation = common_change(pair, evidence.noise.frame)
             if abs(change) < SIGNIFICANT * deviation:
                 return
-        yield Unnamed.of(sentence, "creep")
+        yield Unnamed.of(FilmCreep().sentence, "creep")
 
 
 def common_change(pair: FittedPair, noise: FrameNoise | None) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """The base class of effects that a scene may name, and the evidence of their searches."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Protocol
 
@@ -78,28 +78,45 @@ class Gathered:
         return all(specified(self.scene, key) is None for key in keys)
 
 
+def estimated_entry(key: str) -> dict[str, Any]:
+    """Return the entry of a scene that calls a dotted key `estimated`."""
+    entry: Any = ESTIMATED
+    for part in reversed(key.split(".")):
+        entry = {part: entry}
+    return dict(entry)
+
+
 @dataclass(frozen=True)
 class Unnamed:
     """An effect that a recording shows and its scene does not name.
 
     Attributes
     ----------
-    sentence : str
-        What shows it.
+    words : callable
+        Returns what shows it, given the noise of the recording whose scene names it: the number of
+        advice is that of the estimate. '' where that scene does not determine it.
     addition : mapping
         Entries of the scene that name it.
     """
 
-    sentence: str
+    words: Callable[[NoiseEstimate], str]
     addition: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, sentence: str, key: str) -> "Unnamed":
-        """Return the effect of a dotted key, which the recording is to determine."""
-        addition: Any = ESTIMATED
-        for part in reversed(key.split(".")):
-            addition = {part: addition}
-        return cls(sentence, addition)
+    def of(cls, sentence: Callable[[float, float], str], key: str) -> "Unnamed":
+        """Return the effect of a dotted key, which the recording is to determine.
+
+        Parameters
+        ----------
+        sentence : callable
+            Returns the effect in words, given its size and standard deviation.
+        key : str
+        """
+
+        def words(noise: NoiseEstimate) -> str:
+            return sentence(*noise.estimated[key]) if key in noise.estimated else ""
+
+        return cls(words, estimated_entry(key))
 
 
 class SceneEffect(ABC):

@@ -57,12 +57,9 @@ class GainAndRipple(SceneEffect):
         if parts is None:
             return
         if parts.gain_tail < SIGNIFICANCE:
-            yield Unnamed.of(Gain().sentence(parts.gain, parts.gain_sd), "gain")
-        roots = np.hstack([parts.common_ripple, parts.line_ripple])
+            yield Unnamed.of(Gain().sentence, "gain")
         if parts.ripple_tail < SIGNIFICANCE or parts.line_ripple.size:
-            noise_lsb = np.mean(scene.readout.sigma_code())
-            size = float(np.sqrt((roots**2).sum() / len(roots)) * noise_lsb)
-            yield Unnamed.of(Ripple().sentence(size, 0.0), "ripple")
+            yield Unnamed.of(Ripple().sentence, "ripple")
 
 
 def _with_specified(noise: NoiseEstimate, scene: Scene, unloaded: int) -> NoiseEstimate:

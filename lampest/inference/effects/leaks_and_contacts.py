@@ -79,5 +79,9 @@ class LeaksAndContacts(SceneEffect):
         """Yield the leaks and contacts with which the circuit explains the readings better."""
         effects = evidence.prepared.effects
         if effects.name and evidence.prepared.check.by_effect and evidence.names_none(*BESIDES):
-            sentence = f"{effects.name} explains the readings better: {effects.reason}"
-            yield Unnamed(sentence, effects.addition)
+
+            def words(noise: NoiseEstimate) -> str:
+                shown = noise.corrected_effects or effects
+                return f"{shown.name} explains the readings better: {shown.reason}"
+
+            yield Unnamed(words, effects.addition)

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from lampest.files.levels import MIN_EVIDENCE_GAIN, NOISE_REACH
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted, well_determined
-from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
+from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed, estimated_entry
 from lampest.inference.evidence import MOVED_COST, Changes, mostly_still, usual_starts
 from lampest.inference.noise import NoiseEstimate, Share
 from lampest.inference.nuisances import Besides
@@ -592,7 +592,14 @@ class ScanMotion(SceneEffect):
             share = share_of_motion(*compared, READING_ERRORS, **known)
         if share is None or not share.gain > MIN_EVIDENCE_GAIN:
             return
-        if share.steady < STEADY_ODDS and share.mean < NOISE_REACH * share.deviation:
-            yield Unnamed.of(LoadMotion().trembling_sentence(share.trembling), "motion")
-            return
-        yield Unnamed.of(LoadMotion().sentence(share.mean, share.deviation), "motion")
+        yield Unnamed(_in_words, estimated_entry("motion"))
+
+
+def _in_words(noise: NoiseEstimate) -> str:
+    """Return the motion of a recording that determines it, in words; '' elsewhere."""
+    share = noise.motion
+    if share is None or "motion" not in noise.estimated:
+        return ""
+    if share.steady < STEADY_ODDS and share.mean < NOISE_REACH * share.deviation:
+        return LoadMotion().trembling_sentence(share.trembling)
+    return LoadMotion().sentence(share.mean, share.deviation)

@@ -20,20 +20,18 @@ alone.
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import BROKEN
-from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANCE
+from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted
 from lampest.inference.circuits.parameters import DOUBTFUL_GAIN
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
-from lampest.inference.evidence import mostly_still
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides
 from lampest.inference.number import Number, summed_out
@@ -45,16 +43,25 @@ from lampest.inference.shared_changes import (
     LOG_SD_OF_FACTORS,
     JointPosterior,
     SharedChanges,
+    SharedFrames,
     error_costs,
+    gain_of,
     joint_posterior,
     shared_changes,
 )
 from lampest.inference.unloaded_cells import READING_ERRORS, at_rest, film_scatter, unloaded_costs
-from lampest.panel.effects import Possible, estimated_errors, shared_effects, systematic_of
+from lampest.panel.effects import (
+    Possible,
+    SharedEffect,
+    estimated_errors,
+    shared_effect_of,
+    shared_effects,
+    systematic_of,
+)
 from lampest.panel.effects.channels import CHANNELS
 from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.panel import Array
-from lampest.panel.scene import Scene
+from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.gaussian import lower_root
@@ -75,7 +82,9 @@ ALIKE = "the load changes all cells alike: press a few cells, and leave the othe
 EVERY_SECOND = np.arange(0, len(READING_ERRORS), 2)
 COARSE = np.append(0, np.arange(1, len(READING_ERRORS), 4))
 COARSE_GAIN = 3.0
-MAX_ADVISED = 0.9  # of the largest tried error
+LARGEST_FOUND = 0.9 * READING_ERRORS[-1]
+
+
 USUAL_SPREAD = np.ones(1)  # of channels, over itself
 # Of the unloaded readings that are values: with fewer, films look uneven (tests/golden/checks.py).
 MIN_SHARE_READ = 0.9
@@ -96,32 +105,52 @@ class SharedErrors:
         determined.
     significant : bool
         Whether each reading's own error gains more evidence than MIN_EVIDENCE_GAIN.
+    gains : dict
+        Field of `Systematic` → decrease of −2 ln evidence by each estimated error beside the
+        others; common errors have theirs where advice asks (`gain_of`).
     """
 
     possible: Possible
     sizes: dict[str, tuple[float, float]]
     undetermined: str = ""
     significant: bool = False
+    gains: dict[str, float] = field(default_factory=dict)
 
 
-def shared_errors(
-    scene: Scene, resting: Readings, loaded: Readings | None, noise: NoiseEstimate
-) -> SharedErrors:
-    """Return the errors that a scene calls `estimated`, from the unloaded panel and a loaded frame.
+def shared_frames(
+    noise: NoiseEstimate, scene: Scene, unloaded: NDArray[np.intp], measured: NDArray[np.intp]
+) -> SharedFrames:
+    """Return the mean of the unloaded frames, and the strongest of the loaded ones.
 
     One frame is enough: frames that are nearly equal count once, or the edges of a load that stands
     would look like an error that all frames share.
 
     Parameters
     ----------
-    scene : Scene
-    resting, loaded : Readings
-        Mean of the unloaded frames, and a loaded frame or None, (rows, columns) each, with their
-        final σ.
     noise : NoiseEstimate
-        Its errors that the readings of a frame share, and its cells of the unloaded panel.
+        Readings of all frames, and what it says of their cells.
+    scene : Scene
+    unloaded, measured : integer array
+        Numbers of these frames. Frames without a reading do not count.
+    """
+    readings = noise.readings
+    resting = readings[unloaded].mean()
+    measured = measured[(readings.seen[measured] > 0).any(axis=(1, 2))]
+    loaded = None
+    if len(measured):
+        loaded = readings[strongest_frame(readings.plain_values, resting.value, measured)]
+    loaded_cells = None if noise.panels is None else noise.panels.loaded
+    return SharedFrames(scene, resting, loaded, noise.frame, noise.resting_cells, loaded_cells)
+
+
+def shared_errors(scene: Scene, frames: SharedFrames) -> SharedErrors:
+    """Return the errors that a scene calls `estimated`, from the unloaded panel and a loaded frame.
+
+    Advice asks for the evidence of errors that a scene does not name, and for their sizes, with a
+    scene that does.
     """
     prior = systematic_of(scene) or Systematic()
+    resting = frames.resting
     possible = Possible(prior)
     if resting.sigma is None:
         reason = "the noise of the readings is unknown: name the readout's noise_lsb"
@@ -129,13 +158,13 @@ def shared_errors(
     if resting.value.size > MAX_CELLS:
         reason = f"the panel has more than {MAX_CELLS} cells: estimate them on a part of it"
         return SharedErrors(possible, {}, reason)
-    fit, moves = _fit_and_changes(scene, resting, loaded, noise)
+    moves = shared_changes(scene, frames, prior)
     own = SharedErrors(possible, {})
     if READING_ERROR.setting in estimated_errors(scene):
         if moves is not None and moves.has_channels:
-            error = _error_beside_channels(scene, resting, fit, moves)
+            error = _error_beside_channels(scene, frames, moves)
         else:
-            costs = unloaded_costs(scene, resting, fit, READING_ERRORS)[0]
+            costs = unloaded_costs(scene, resting, frames.fit, READING_ERRORS)[0]
             error = _reading_error(costs + _costs_of_errors(scene, moves, EVERY_SECOND)[0])
         # √E[e²] exceeds the most probable e where e is uncertain
         possible = Possible(replace(prior, reading_error=float(np.sqrt(error.mean_square))))
@@ -143,18 +172,21 @@ def shared_errors(
             possible,
             {READING_ERROR.setting: (error.mean, error.deviation)},
             significant=error.gain > MIN_EVIDENCE_GAIN,
+            # The largest tried error is no finding: it stands for cells that are unlike.
+            gains={READING_ERROR.setting: error.evidence if error.mean < LARGEST_FOUND else 0.0},
         )
     if moves is None:
         reason = "no cells explain the unloaded frames or the loaded ones"
-        return _undetermined(
-            own, "no frame is loaded: press a few cells" if loaded is None else reason, scene
-        )
+        if frames.loaded is None:
+            reason = "no frame is loaded: press a few cells"
+        return _undetermined(own, reason, scene)
     size = READING_ERROR.size(own.possible.sizes)
     if size * moves.reach > LINEAR_LIMIT:
         return _undetermined(own, "errors of the readings are too large", scene)
     spread = Number(np.ones(1), np.ones(1), 0.0)
     if moves.has_channels:
-        spread = _channel_spread(scene, resting, fit, moves, size)
+        spread, gain = _channel_spread(scene, frames, moves, size)
+        own = replace(own, gains=own.gains | {CHANNELS.setting: gain})
     return _with_common_errors(own, moves, prior, scene, spread)
 
 
@@ -189,13 +221,12 @@ def _known_at_rest(
     return possible
 
 
-def _error_beside_channels(
-    scene: Scene, resting: Readings, fit: CellsFit | None, moves: SharedChanges
-) -> Number:
+def _error_beside_channels(scene: Scene, frames: SharedFrames, moves: SharedChanges) -> Number:
     """Return the posterior of e, summed over a few spreads of the channels."""
     every = np.arange(len(READING_ERRORS))
     spreads = CHANNEL_FACTORS[FEW_FACTORS] * CHANNELS.prior
-    coarse = unloaded_costs(scene, resting, fit, READING_ERRORS[COARSE], spreads)
+    tried = READING_ERRORS[COARSE]
+    coarse = unloaded_costs(scene, frames.resting, frames.fit, tried, spreads)
     unloaded = np.array([np.interp(every, COARSE, of_spread) for of_spread in coarse])
     costs = unloaded - 2 * LOG_PRIOR_OF_FACTORS[FEW_FACTORS, None]
     beside = _costs_of_errors(scene, moves, COARSE, CHANNEL_FACTORS[FEW_FACTORS])
@@ -203,117 +234,40 @@ def _error_beside_channels(
 
 
 def _channel_spread(
-    scene: Scene,
-    resting: Readings,
-    fit: CellsFit | None,
-    moves: SharedChanges,
-    size: float,
-) -> Number:
-    """Return the posterior of the spread of the channels over the usual one.
+    scene: Scene, frames: SharedFrames, moves: SharedChanges, size: float
+) -> tuple[Number, float]:
+    """Return the posterior of the spread of the channels over the usual one, and its evidence.
 
-    The arguments are those of `_spread_by` and `_changes_by_spreads`.
-    """
-    changes = _changes_by_spreads(scene, moves, size, CHANNEL_FACTORS)
-    return _spread_by(scene, resting, fit, size, CHANNEL_FACTORS, changes)
-
-
-def _changes_by_spreads(scene: Scene, moves: SharedChanges, size: float, factors: Array) -> Array:
-    """Return −2 ln evidence of spreads of the channels by the changes to a loaded frame, (n,).
+    The unloaded panel tells it, because channels change all cells of a line, and so do the changes
+    of still cells. The first value, no spread, has no probability where a spread is estimated.
 
     Parameters
     ----------
     scene : Scene
+    frames : SharedFrames
     moves : SharedChanges
     size : float
         Standard deviation of each reading's own error.
-    factors : array, shape (n,)
-        Tried spreads over the usual one.
-    """
-    return error_costs(scene, moves, np.array([size]), factors, ASSUMED.slope_cells)[:, 0]
-
-
-def _spread_by(
-    scene: Scene,
-    resting: Readings,
-    fit: CellsFit | None,
-    size: float,
-    factors: Array,
-    changes: Array,
-) -> Number:
-    """Return the posterior of the spread of the channels over the usual one.
-
-    The unloaded panel tells it, because channels change all cells of a line, and so do the changes
-    of still cells.
-
-    Parameters
-    ----------
-    scene : Scene
-    resting : Readings
-        Mean of the unloaded frames, (rows, columns).
-    fit : CellsFit or None
-        Fit of the unloaded panel.
-    size : float
-        Standard deviation of each reading's own error.
-    factors : array, shape (n,)
-        Tried spreads over the usual one. A first 0, no spread, has no prior probability: the gain
-        is that over none.
-    changes : array, shape (n,)
-        −2 ln evidence of each by the changes of still cells.
-    """
-    with np.errstate(divide="ignore"):  # ln 0, with the probability 0
-        prior = np.exp(-np.square(np.log(factors) / LOG_SD_OF_FACTORS) / 2)
-    spreads = factors * CHANNELS.prior
-    unloaded = unloaded_costs(scene, resting, fit, np.array([size]), spreads)[:, 0]
-    return Number.by_costs(factors, unloaded + changes, prior)
-
-
-def significant_reading_error(
-    scene: Scene, resting: Readings, loaded: Readings | None, noise: NoiseEstimate
-) -> tuple[float, float] | None:
-    """Return the size of each reading's own error; None where it is insignificant.
-
-    Every fourth value of e comes first. The others are tried where one of these is more probable
-    than none.
-
-    Parameters
-    ----------
-    scene : Scene
-        Calls the error `estimated`.
-    resting, loaded, noise
-        As those of `shared_errors`.
 
     Returns
     -------
-    (size, sd) : tuple of float, or None
-        Standard deviation of log(recorded), and that of the estimate.
+    spread : Number
+    float
+        Gain over no spread. 0 where the largest tried spread explains as much: other errors move
+        still cells then, or the unloaded cells are unlike; and where the changes of still cells
+        contradict a spread.
     """
-    if resting.sigma is None or resting.value.size > MAX_CELLS:
-        return None
-    fit, moves = _fit_and_changes(scene, resting, loaded, noise)
-    if not _is_linear(fit):
-        return None
-    if moves is not None and moves.has_channels:
-        error = _error_beside_channels(scene, resting, fit, moves)
-        return (error.mean, error.deviation) if error.odds[0] < SIGNIFICANCE else None
-    coarse = unloaded_costs(scene, resting, fit, READING_ERRORS[COARSE])[0]
-    coarse = coarse + _costs_of_errors(scene, moves, COARSE)[0, COARSE]
-    if coarse[0] - coarse.min() < COARSE_GAIN:
-        return None
-    costs = unloaded_costs(scene, resting, fit, READING_ERRORS)[0]
-    error = _reading_error(costs + _costs_of_errors(scene, moves, EVERY_SECOND)[0])
-    return (error.mean, error.deviation) if error.odds[0] < SIGNIFICANCE else None
-
-
-def _fit_and_changes(
-    scene: Scene, resting: Readings, loaded: Readings | None, noise: NoiseEstimate
-) -> "tuple[CellsFit | None, SharedChanges | None]":
-    """Return the fit of the unloaded panel, and the changes to the loaded frame; None without."""
-    fit = fitted(scene, resting, noise.resting_cells, patient=True)
-    if fit is None or loaded is None or not fit.within_noise:
-        return fit, None
-    prior = systematic_of(scene) or Systematic()
-    loaded_cells = None if noise.panels is None else noise.panels.loaded
-    return fit, shared_changes(scene, fit, loaded, prior, noise.frame, loaded_cells)
+    factors = np.append(0.0, CHANNEL_FACTORS)
+    error = np.array([size])
+    spreads = factors * CHANNELS.prior
+    unloaded = unloaded_costs(scene, frames.resting, frames.fit, error, spreads)[:, 0]
+    changes = error_costs(scene, moves, error, factors, ASSUMED.slope_cells)[:, 0]
+    prior = np.append(0.0, np.exp(LOG_PRIOR_OF_FACTORS))
+    spread = Number.by_costs(factors, unloaded + changes, prior)
+    likelihood = spread.odds[1:] / prior[1:]
+    largest = likelihood[-1] > np.exp(-COARSE_GAIN / 2) * likelihood.max()
+    contradicted = changes[spread.odds.argmax()] - changes[0] > COARSE_GAIN
+    return spread, 0.0 if largest or contradicted else spread.evidence
 
 
 def _is_linear(fit: CellsFit | None) -> bool:
@@ -483,19 +437,15 @@ class StaticErrors(SceneEffect):
             return noise.with_errors(possible, scene)
         unloaded = np.flatnonzero(recording.role == UNLOADED)
         measured = np.flatnonzero(recording.role == MEASURED)
-        measured = measured[(readings.seen[measured] > 0).any(axis=(1, 2))]
         if not len(unloaded):
             for name in requested:
                 noise = noise.undetermined(
                     f"systematic.{name}", "record five or more unloaded frames"
                 )
             return noise
-        resting = readings[unloaded].mean()
-        loaded = None
-        if len(measured):
-            loaded = readings[strongest_frame(readings.plain_values, resting.value, measured)]
-        errors = shared_errors(scene, resting, loaded, noise)
-        possible = _known_at_rest(errors, scene, resting, noise.resting_cells)
+        frames = shared_frames(noise, scene, unloaded, measured)
+        errors = shared_errors(scene, frames)
+        possible = _known_at_rest(errors, scene, frames.resting, noise.resting_cells)
         noise = noise.with_errors(possible, scene)
         for name in requested:
             if name in errors.sizes:
@@ -518,117 +468,70 @@ class StaticErrors(SceneEffect):
         return replace(scene, systematic=systematic.with_entries(stated))
 
     def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
-        """Yield advice on columns, on channels, or on errors of each reading that stay the same."""
-        yield from self._by_columns(evidence)
-        channels = tuple(self._channels(evidence))
-        error = self._reading_error(evidence, beside_channels=bool(channels))
-        if error is None:
-            yield from channels
-            return
-        mean, deviation = error
-        yield Unnamed.of(
-            f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, "
-            "the same in all frames: cells are rougher than those of films",
-            "systematic.reading_error",
-        )
+        """Yield advice on errors one after the other, by their evidence beside those before.
 
-    def _reading_error(
-        self, evidence: Gathered, *, beside_channels: bool
-    ) -> tuple[float, float] | None:
-        """Return the significant size of each reading's own error and its deviation, or None.
-
-        Channels make cells rougher, too: where they may differ, their spread is summed out.
+        Channels make cells rougher, too, as errors of each reading do: the one that gains more
+        comes first, and the other counts if it gains beside it.
         """
-        scene = evidence.scene
         frames = self._frames(evidence)
-        if frames is None or not evidence.names_none("systematic.reading_error"):
-            return None
-        sizes = scene.systematic if isinstance(scene.systematic, Systematic) else Systematic()
-        sizes = replace(sizes, reading_error=ESTIMATED)
-        if beside_channels:
-            sizes = replace(sizes, channel_spread_ohm=ESTIMATED)
-        estimating = replace(scene, systematic=sizes)
-        error = significant_reading_error(estimating, *frames, evidence.noise)
-        # The largest tried error is no finding: it stands for cells that are unlike.
-        return error if error is not None and error[0] < MAX_ADVISED * READING_ERRORS[-1] else None
-
-    def _channels(self, evidence: Gathered) -> Iterator[Unnamed]:
-        """Yield advice on channels of the lines that differ.
-
-        Where the largest tried spread explains as much, there is no finding: other errors move
-        still cells then, or the unloaded cells are unlike. Neither is there one where the changes
-        of still cells contradict it.
-        """
         scene = evidence.scene
-        key = f"systematic.{CHANNELS.setting}"
-        frames = self._frames(evidence)
-        if frames is None or not evidence.names_none(key):
-            return
-        sizes = scene.systematic if isinstance(scene.systematic, Systematic) else Systematic()
-        estimating = replace(
-            scene, systematic=replace(sizes, channel_spread_ohm=ESTIMATED, reading_error=None)
-        )
-        fit, moves = _fit_and_changes(estimating, *frames, evidence.noise)
-        if moves is None or not _is_linear(fit):
-            return
-        spread_by = partial(_spread_by, estimating, frames[0], fit, 0.0)
-        # neighbours of a spread that counts gain a quarter of it, as those of an error do
-        few = np.append(0.0, CHANNEL_FACTORS[FEW_FACTORS])
-        of_few = _changes_by_spreads(estimating, moves, 0.0, few)
-        if spread_by(few, of_few).gain < COARSE_GAIN:
-            return
-        others = np.setdiff1d(CHANNEL_FACTORS, few)
-        of_others = _changes_by_spreads(estimating, moves, 0.0, others)
-        order = np.argsort(np.append(few, others))
-        changes = np.append(of_few, of_others)[order]
-        spread = spread_by(np.append(0.0, CHANNEL_FACTORS), changes)
-        likelihood = spread.odds[1:] / np.exp(LOG_PRIOR_OF_FACTORS)
-        largest = likelihood[-1] > np.exp(-COARSE_GAIN / 2) * likelihood.max()
-        contradicted = changes[spread.odds.argmax()] - changes[0] > COARSE_GAIN
-        if spread.gain > DOUBTFUL_GAIN and not (largest or contradicted):
-            size = float(f"{CHANNELS.prior * spread.mean:.1g}")
-            yield Unnamed.of(f"channels of the lines seem to differ by {size:g} ohm", key)
+        while frames is not None:
+            gains = {
+                error.setting: _gain_beside(estimating(scene, error.setting), frames, error)
+                for error in shared_effects()
+                if error.is_advised and specified(scene, f"systematic.{error.setting}") is None
+            }
+            setting = max(gains, key=lambda name: gains[name], default="")
+            if not gains.get(setting, 0.0) > DOUBTFUL_GAIN:
+                return
+            scene = estimating(scene, setting)
+            key = f"systematic.{setting}"
+            yield Unnamed.of(shared_effect_of(setting).sentence, key)
 
-    def _frames(self, evidence: Gathered) -> tuple[Readings, Readings | None] | None:
-        """Return the mean of the unloaded frames, and the strongest loaded frame or None.
-
-        The result is None where readings tell no error that frames share.
-        """
+    def _frames(self, evidence: Gathered) -> SharedFrames | None:
+        """Return the frames that tell errors; None where readings tell none that frames share."""
         noise = evidence.noise
-        unloaded = evidence.unloaded
-        if noise.readings.sigma is None or not unloaded.any():
+        unloaded = np.flatnonzero(evidence.unloaded)
+        if noise.readings.sigma is None or not len(unloaded):
             return None
         if noise.panels is not None and not noise.panels.clear:
             return None  # another one of the panels that read alike may be meant
         # without the error of the model: the same misses would count for it and for errors of the
         # readings
-        readings = replace(noise.readings, sigma=noise.readings.sigma / noise.model_factor)
-        resting = readings[unloaded].mean()
-        if resting.value.size > MAX_CELLS:
+        sigma = noise.readings.sigma / noise.model_factor
+        noise = replace(noise, readings=replace(noise.readings, sigma=sigma))
+        frames = shared_frames(noise, evidence.scene, unloaded, evidence.measured)
+        if frames.resting.value.size > MAX_CELLS:
             return None
-        if resting.plain[evidence.scene.requested].mean() < MIN_SHARE_READ:
+        if frames.resting.plain[evidence.scene.requested].mean() < MIN_SHARE_READ:
             return None
-        loaded = None
-        if len(evidence.measured):
-            strongest = strongest_frame(readings.plain_values, resting.value, evidence.measured)
-            loaded = readings[strongest]
-        return resting, loaded
+        return frames
 
-    def _by_columns(self, evidence: Gathered) -> Iterator[Unnamed]:
-        """Yield advice on errors by whose columns still cells move between rest and a load."""
-        explanation = evidence.prepared.question.explanation
-        pair = None if explanation is None else explanation.pair
-        for error in shared_effects() if pair is not None else ():
-            key = f"systematic.{error.setting}"
-            if pair is None or not (error.is_advised and error.prior and evidence.names_none(key)):
-                continue
-            with_error = pair.explained(pair.columns_of(error))
-            gain = (pair.evidence.score - with_error.score) / pair.excess
-            if gain > MIN_EVIDENCE_GAIN and mostly_still(with_error.moved):
-                # of columns z ~ N(0, 1) the size is √E[z²], as posteriors of sizes have it
-                size, deviation = (
-                    error.prior * float(np.sqrt(np.mean(part[1:] ** 2)))
-                    for part in (with_error.size, with_error.sd)
-                )
-                size = float(np.hypot(size, deviation))
-                yield Unnamed.of(error.sentence(size, deviation), key)
+
+def estimating(scene: Scene, setting: str) -> Scene:
+    """Return the scene with an error that it calls `estimated`."""
+    sizes = scene.systematic if isinstance(scene.systematic, Systematic) else Systematic()
+    return replace(scene, systematic=sizes.with_entries({setting: ESTIMATED}))
+
+
+def _gain_beside(scene: Scene, frames: SharedFrames, error: SharedEffect) -> float:
+    """Return the decrease of −2 ln evidence by an error beside the others of a scene.
+
+    Errors of each reading are tried coarsely first: most recordings show none.
+    """
+    if not _is_linear(frames.fit):
+        return 0.0
+    if error.setting == READING_ERROR.setting and estimated_errors(scene) == (error.setting,):
+        prior = systematic_of(scene) or Systematic()
+        moves = shared_changes(scene, frames, prior)
+        tried = READING_ERRORS[COARSE]
+        coarse = unloaded_costs(scene, frames.resting, frames.fit, tried)[0]
+        coarse = coarse + _costs_of_errors(scene, moves, COARSE)[0, COARSE]
+        if coarse[0] - coarse.min() < COARSE_GAIN:
+            return 0.0
+    errors = shared_errors(scene, frames)
+    if error.setting in errors.gains:
+        return errors.gains[error.setting]
+    if error.setting not in errors.sizes:
+        return 0.0
+    return gain_of(scene, frames, errors.possible.sizes, error.setting)

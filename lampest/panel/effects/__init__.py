@@ -63,7 +63,7 @@ class SharedEffect(ABC):
     is_typical : bool
         Whether `systematic: typical` includes the error.
     is_advised : bool
-        Whether advice searches for the error by its columns, where the scene does not name it.
+        Whether advice searches for the error where the scene does not name it.
     keeps_column : bool
         Whether the error has a column of zeros where its size is 0.
 

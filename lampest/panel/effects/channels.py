@@ -21,10 +21,12 @@ class ChannelSpread(ReadoutNumber):
     name = "channels"
     limits = (0.0, MAX_OHM)
     prior: ClassVar[float] = 3.0  # CD74HC4067, data sheet: any two channels differ by 10 ohm
-    is_advised = False  # by its columns: the spread of all is, by `spread_of_channels`
 
     over_channel = 1.0
     first = 1
+
+    def sentence(self, size: float, deviation: float) -> str:
+        return f"channels of the lines seem to differ by {size:.2g} +- {deviation:.1g} ohm"
 
     def drawn(self, lines: int, size: float, random: np.random.Generator) -> Array:
         """Return drawn resistances of the channels beyond the scene's, (lines,) ohm."""

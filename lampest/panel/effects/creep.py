@@ -14,3 +14,9 @@ class FilmCreep(SizedEffect):
     of_cell_at_once = 2e-3
     # Of both, within the 40 s of a usual recording.
     of_cell = 3e-3
+
+    def sentence(self, size: float, deviation: float) -> str:
+        return (
+            f"cells that nobody touched changed together by {100 * size:+.2g} "
+            f"+- {100 * deviation:.1g} %: creep, temperature or the supply"
+        )

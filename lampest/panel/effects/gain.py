@@ -19,7 +19,7 @@ class Gain(SizedEffect):
     stream = "gain"
 
     def sentence(self, size: float, deviation: float) -> str:
-        return f"the gain of a frame varies by {100 * size:.2g} %"
+        return f"the gain of a frame varies by {100 * size:.2g} +- {100 * deviation:.1g} %"
 
     def columns(self, circuit: Readout, values: Array, *sizes: Any) -> Array:
         """Return the column of the factor."""

@@ -14,7 +14,12 @@ class ReadingError(SharedEffect):
     setting = "reading_error"
     name = "each reading"
     limits = (0.0, 10.0)
-    is_advised = False  # by its columns: significant_reading_error searches for its size
+
+    def sentence(self, size: float, deviation: float) -> str:
+        return (
+            f"each reading seems off by {100 * size:.2g} +- {100 * deviation:.1g} %, "
+            "the same in all frames: cells are rougher than those of films"
+        )
 
     def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:
         """Return a column for each reading."""

@@ -20,7 +20,7 @@ class Ripple(SizedEffect):
     stream = "ripple"
 
     def sentence(self, size: float, deviation: float) -> str:
-        return f"the lines of a scan vary together by {size:.2g} LSB"
+        return f"the lines of a scan vary together by {size:.2g} +- {deviation:.1g} LSB"
 
     def columns(self, circuit: Readout, values: Array, *sizes: Any) -> Array:
         """Return the patterns of ripple common to all lines, then those of each line alone.

@@ -1,0 +1,133 @@
+"""One key, one number: advice says what the recording determines where its scene names the key."""
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from contracts.own_effect import Crosstalk
+from promises import promise
+from units.test_own_effect import MODULE
+
+from docs.studies.effects import LOADS, Row, recording
+from lampest import LoadedColumnsReadout, Panel, Recording, Scene, Systematic
+from lampest.audit.effects import named, unnamed_effects
+from lampest.inference.prepared import Prepared
+from lampest.inference.resolve import ENTRIES
+from lampest.panel.effects import shared_effects
+from lampest.panel.panel import Array
+
+MEASURED = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?) \+- ([\d.]+(?:e[-+]?\d+)?)")
+UNLOADED = 5
+FRAMES = 6
+# Keys whose advice has no standard deviation: a level of the readings, and a name.
+WITHOUT_DEVIATION = {
+    "readout.passes_volt",
+    "readout.converter.zero_volt",
+    "contacts",
+    "leaks",
+}
+ROWS = {
+    "systematic.reading_error": (Row(static=0.01), "still"),
+    "systematic.channel_spread_ohm": (Row(channel_ohm=10.0), "mouth"),
+    "gain": (Row(gain=0.01), "still"),
+    "ripple": (Row(ripple_lsb=1.0), "still"),
+    "creep": (Row(creep=0.03), "still"),
+    "converter_memory": (Row(memory=0.03), "mouth"),
+    "motion": (Row(speed=0.2), "still"),
+}
+
+
+def keys_of(addition: Mapping[str, Any], before: str = "") -> Iterator[str]:
+    """Yield the dotted keys of an addition."""
+    for name, value in addition.items():
+        if isinstance(value, Mapping):
+            yield from keys_of(value, f"{before}{name}.")
+        else:
+            yield before + name
+
+
+def checked(made: Recording) -> set[str]:
+    """Return the keys that advice names, each of which has the number of the estimate."""
+    prepared = Prepared(made)
+    findings = unnamed_effects(prepared)
+    estimated = named(prepared, *findings).noise.estimated if findings else {}
+    keys = set[str]()
+    for finding in findings:
+        (key,) = keys_of(finding.addition)
+        keys.add(key)
+        if key in WITHOUT_DEVIATION:
+            continue
+        size, deviation = estimated[key]
+        stated = MEASURED.search(finding.what)
+        assert stated is not None, finding.what
+        # in the unit of the key, or in percent
+        written = [(f"{f * size:.2g}", f"{f * deviation:.1g}") for f in (1, 100)]
+        assert (stated[1].lstrip("+"), stated[2]) in written, (finding.what, size, deviation)
+    return keys
+
+
+def loaded_columns(seed: int, row: Row) -> Recording:
+    """Return a standing load on loaded columns, with errors of readings, a gain, or creep."""
+    random = np.random.default_rng(seed)
+    resting = 3000 * np.exp(0.1 * random.standard_normal((8, 8)))
+    down, across = np.indices((8, 8)) - 3.2
+    fall = 1.2 / (1 + np.exp((np.hypot(down, across) - 1.8) / 0.15))
+    cells = np.stack([resting] * UNLOADED + [resting * np.exp(row.creep - fall)] * FRAMES)
+    readout = LoadedColumnsReadout(load_ohm=1000.0, adc_bits=12, readings=20, noise_lsb=0.7)
+    scene = Scene(Panel(8, 8), readout)
+    volt = np.stack([readout.exact_reading(each) for each in cells])
+    volt = volt * np.exp(row.static * random.standard_normal((8, 8)))
+    volt = volt * np.exp(row.gain * random.standard_normal((len(volt), 1, 1)))
+    noise = 0.7 * random.standard_normal((20, *volt.shape))
+    steps: Array = np.round(volt / readout.lsb_volt + noise).mean(axis=0)
+    role = (np.arange(len(cells)) >= UNLOADED).astype(np.uint8)
+    return Recording(scene, steps * readout.lsb_volt, np.arange(len(cells)) / 4, role)
+
+
+def test_every_effect_that_advice_may_name_is_compared() -> None:
+    shared = {f"systematic.{error.setting}" for error in shared_effects() if error.is_advised}
+    others = {key for entry in ENTRIES if not entry.section for key in entry.keys}
+    assert {*ROWS, *WITHOUT_DEVIATION} == shared | others
+
+
+@promise("theory/model_check: The number of advice is the one that its entry estimates")
+@pytest.mark.parametrize("key", ROWS)
+def test_advice_has_the_number_of_the_estimate(key: str) -> None:
+    """A droop of 0.029 +- 0.0002 was advised, and 0.019 +- 0.015 estimated."""
+    row, load = ROWS[key]
+    assert key in checked(recording(4003, LOADS[load], row, {}))
+
+
+@pytest.mark.parametrize(
+    ("key", "row"),
+    [
+        ("systematic.reading_error", Row(static=0.02)),
+        ("gain", Row(gain=0.01)),
+        ("creep", Row(creep=0.03)),
+    ],
+)
+def test_advice_on_loaded_columns_has_the_number_of_the_estimate(key: str, row: Row) -> None:
+    assert key in checked(loaded_columns(11, row))
+
+
+@pytest.mark.parametrize("load", ["still", "mouth", "swaying"])
+def test_advice_on_an_own_effect_has_the_number_of_the_estimate(
+    load: str, package: Callable[..., None]
+) -> None:
+    package(MODULE, effects="addon:Crosstalk")
+    made = recording(4001, LOADS[load], Row(), {})
+    circuit = made.scene.circuit
+    exact = circuit.from_recorded(made.recorded, made.scene)
+    size = 2 * Crosstalk.prior
+    off = exact + size * np.roll(exact, exact.shape[-2] // 2, axis=-2)
+    coupled = replace(made, recorded=circuit.to_recorded(off, made.scene))
+    assert "systematic.crosstalk" in checked(coupled)
+    named_so = replace(coupled.scene, systematic=Systematic(crosstalk="estimated"))
+    found, deviation = Prepared(replace(coupled, scene=named_so)).noise.estimated[
+        "systematic.crosstalk"
+    ]
+    assert abs(found - size) < 3 * deviation < size / 2
+    assert checked(made) == set()
