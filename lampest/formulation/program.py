@@ -20,7 +20,7 @@ of IPOPT).
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi
 import numpy as np
@@ -39,11 +39,13 @@ from lampest.formulation.patterns import (
     NetworkSymbols,
     joined_addresses,
 )
-from lampest.formulation.scene_numbers import SymbolicReadout
 from lampest.formulation.values import Values, unit_of
 from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
+
+if TYPE_CHECKING:
+    from lampest.formulation.scene_numbers import SymbolicReadout  # loads every driven readout
 
 EMPTY = casadi.SX(0, 1)
 
@@ -240,7 +242,7 @@ class Program(CasadiOwner):
         circuits: Sequence[Circuit],
         patterns: Excitation,
         blocks: int = 1,
-        symbolic: SymbolicReadout | None = None,
+        symbolic: "SymbolicReadout | None" = None,
     ) -> "Program":
         """Return the program of a cost, over a number of independent blocks of frames.
 

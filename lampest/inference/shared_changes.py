@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lampest.files.levels import NOISE_REACH, UNUSUAL
+from lampest.files.levels import MIN_EVIDENCE_GAIN, NOISE_REACH, UNUSUAL
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, data_of_cells, fitted
 from lampest.inference.evidence import (
@@ -54,9 +54,6 @@ LINEAR_LIMIT = 0.15
 # Tried sizes of a load's skirt, of log r. Always the largest would hide errors where no load has a
 # skirt.
 SKIRTS = ASSUMED.skirt * np.array([0.0, 0.03, 0.1, 0.3, 1.0])
-# Tried sizes of the slope around a load, over that which the largest change allows. Always the
-# largest would hide errors beside a load with a sharp edge.
-SLOPES = (0.0, 1.0)
 # Of log r: only loads move cells by more, errors within the limit do not.
 LOADED_CHANGE = NOISE_REACH * LINEAR_LIMIT
 
@@ -309,13 +306,6 @@ def _slope_of_load(change: Array, shape: tuple[int, ...]) -> Array:
     return np.asarray(deviation[:, None] * smooth * deviation)
 
 
-def _sloped(scene: Scene, moves: SharedChanges, size: float) -> list[Changes]:
-    """Return the changes with the slope of a load of each of SLOPES; `size` is e."""
-    slope = _slope_of_load(moves.change, scene.panel.shape)
-    every = (replace(moves, noise=moves.noise + share**2 * slope) for share in SLOPES)
-    return [each.changes(size) for each in every]
-
-
 def _still(changes: Changes, begun: Chosen | None = None) -> tuple[float, Chosen]:
     """Return −2 ln evidence, and the still cells.
 
@@ -372,8 +362,9 @@ def error_costs(
 def gain_of(scene: Scene, frames: SharedFrames, sizes: Systematic, setting: str) -> float:
     """Return the decrease of −2 ln evidence by an error, relative to the misfit of still cells.
 
-    Moved cells are selected with the error and without it, beside the slope of the load. The gain
-    is 0 where most cells move with the error.
+    Moved cells are selected with the error and without it. The slope around a load explains any
+    error, so that loads have sharp edges here, and a gain below MIN_EVIDENCE_GAIN counts as 0. So
+    does one where most cells move with the error.
 
     Parameters
     ----------
@@ -389,13 +380,14 @@ def gain_of(scene: Scene, frames: SharedFrames, sizes: Systematic, setting: str)
     if moves is None or setting not in moves.counts:
         return 0.0
     size = READING_ERROR.size(sizes)
-    with_error = [(changes, *_still(changes)) for changes in _sloped(scene, moves, size)]
-    likeliest, score, still = min(with_error, key=lambda explained: explained[1])
+    changes = moves.changes(size)
+    score, still = _still(changes)
     if not mostly_still(~still):
         return 0.0
-    without = min(_still(changes)[0] for changes in _sloped(scene, moves.without(setting), size))
-    excess = max(likeliest.part(still).misfit / still.sum(), 1.0)
-    return float((without - score) / excess)
+    without, _ = _still(moves.without(setting).changes(size))
+    excess = max(changes.part(still).misfit / still.sum(), 1.0)
+    gain = float((without - score) / excess)
+    return gain if gain > MIN_EVIDENCE_GAIN else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -415,10 +407,10 @@ class JointPosterior:
 def joint_posterior(
     scene: Scene, moves: SharedChanges, size: float, spread: Number
 ) -> JointPosterior | None:
-    """Return the posterior of errors z, summed over spreads of the channels and slopes of the load.
+    """Return the posterior of errors z, summed over spreads of the channels.
 
-    The slope around a load is none of the errors, and its size is that of SLOPES which the changes
-    make likely. The result is None where a load leaves no still cells.
+    The slope around a load is none of the errors. The result is None where a load leaves no still
+    cells.
 
     Parameters
     ----------
@@ -429,28 +421,25 @@ def joint_posterior(
     spread : Number
         Spread of the channels over the usual one.
     """
+    sloped = replace(moves, noise=moves.noise + _slope_of_load(moves.change, scene.panel.shape))
+    start = None
     means = list[Array]()
     seconds = list[Array]()
     weights = list[float]()
     for factor, odds in zip(spread.values, spread.odds, strict=True):
         if odds < NEGLIGIBLE:
             continue
-        explained = [
-            (changes, *_still(changes))
-            for changes in _sloped(scene, moves.with_channels(factor), size)
-        ]
-        every = float(summed_out(np.array([score for _, score, _ in explained]), axis=0))
-        for changes, score, still in explained:
-            weight = odds * float(np.exp((every - score) / 2))
-            # Neighbours of moved cells are left out, because a load has a skirt.
-            distant = away_from_changed(still, scene.panel.shape)
-            if distant.mean() < MIN_STILL_SHARE or weight < NEGLIGIBLE:
-                continue
-            mean, covariance = changes.posterior(distant)
-            scale = moves.scales(factor, len(mean))
-            means.append(scale * mean)
-            seconds.append(scale[:, None] * (covariance + np.outer(mean, mean)) * scale)
-            weights.append(weight)
+        changes = sloped.with_channels(factor).changes(size)
+        start = _still(changes, start)[1]
+        # Neighbours of moved cells are left out, because a load has a skirt.
+        distant = away_from_changed(start, scene.panel.shape)
+        if distant.mean() < MIN_STILL_SHARE:
+            continue
+        mean, covariance = changes.posterior(distant)
+        scale = moves.scales(factor, len(mean))
+        means.append(scale * mean)
+        seconds.append(scale[:, None] * (covariance + np.outer(mean, mean)) * scale)
+        weights.append(odds)
     if not sum(weights) > MIN_SHARE_EXPLAINED:
         return None
     mean = np.average(means, axis=0, weights=weights)

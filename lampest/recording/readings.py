@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, brief, in_words
@@ -557,8 +556,12 @@ def equal_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     check_line_memory(rows, 1)
     unlike, count = line_differences(readings)
     similar = (unlike <= 1 + UNUSUAL * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)
-    groups, group = scipy.sparse.csgraph.connected_components(similar, directed=False)
-    members = (np.flatnonzero(group == number) for number in range(groups))
+    # Each row takes the lowest number among those like it, until no number changes.
+    joined = similar | similar.T | np.eye(rows, dtype=bool)
+    group, lowest = np.full(rows, rows), np.arange(rows)
+    while np.any(lowest < group):
+        group, lowest = lowest, np.where(joined, lowest, rows).min(axis=1)
+    members = (np.flatnonzero(group == number) for number in np.unique(group))
     return tuple(tuple(lines.tolist()) for lines in members if len(lines) > 1)
 
 

@@ -60,7 +60,6 @@ DOORS: dict[str, tuple[str, ...]] = {
         "panel.response",
         "apps.recognition",
         "cost.problem",
-        "recording.readings",
         "apps.calibration",
         "estimate.own_solution",
         "formulation",

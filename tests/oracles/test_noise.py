@@ -463,7 +463,10 @@ def test_estimating_absent_static_errors_hardly_widens_error_bars(noise_lsb: flo
 def test_an_error_of_readings_is_estimated_only_where_a_coarse_scan_shows_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Eleven values of the error cost a quarter of all."""
+    """Eleven values of the error cost a quarter of all.
+
+    Where these show one, all values tell its evidence, and again its number beside what else shows.
+    """
     scans: list[int] = []
     costs_of = unloaded_costs
 
@@ -478,7 +481,7 @@ def test_an_error_of_readings_is_estimated_only_where_a_coarse_scan_shows_one(
     assert STATIC_LINE not in lines_of(recorded(9, scene_of(0.7)))
     assert scans == [len(static_errors.COARSE)] == [11]
     assert STATIC_LINE in lines_of(recorded(9, scene_of(0.7), static=0.005))
-    assert scans[1:] == [11, len(READING_ERRORS)]
+    assert scans[1:] == [11, len(READING_ERRORS), len(READING_ERRORS)]
 
 
 def test_an_uneven_unloaded_panel_is_no_sign_of_channels_that_differ() -> None:
