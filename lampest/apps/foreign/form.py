@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from lampest.apps.foreign.arrays import Index
 from lampest.apps.foreign.clocks import is_stamp
 from lampest.apps.foreign.lines import DAMAGED, WRITTEN, FieldLines
 from lampest.apps.foreign.notation import SAMPLED
-from lampest.apps.foreign.table import ReadingsTable
+from lampest.apps.foreign.table import Form, ReadingsTable
 from lampest.apps.foreign.words import (
     MAX_CUT,
     cell_of,
@@ -90,106 +90,6 @@ class Parsed(NamedTuple):
         )
 
 
-@dataclass(frozen=True)
-class Form:
-    """How lines of readings are recognised among others.
-
-    Attributes
-    ----------
-    comma : bool
-        Whether numbers have a decimal comma.
-    usual : int
-        Fields of a line, empty ones at its end included.
-    width : int
-        Fields without those that are empty at the end of all lines.
-    alone : bool
-        Whether a single number may be a line of readings.
-    header : tuple of str
-        Fields of the header, which may be repeated; empty without one.
-    names : tuple of str
-        Names of the columns; '' without a header.
-    """
-
-    comma: bool
-    usual: int
-    width: int
-    alone: bool
-    header: tuple[str, ...] = ()
-    names: tuple[str, ...] = ()
-
-    def table(self, source: FieldLines, parsed: Parsed, since: int | None = None) -> ReadingsTable:
-        """Return the readings of lines from one on, and notes on omitted lines.
-
-        `since` is the first line with readings; None: of later lines, which are not checked.
-
-        The values of a line that is shorter or longer than the others are missing: which of its
-        fields was lost is unknown.
-
-        Raises InputError if more than a few lines are longer than the others.
-        """
-        data = _data_lines(source, parsed, self.usual, alone=self.alone)
-        data[: since or 0] = False
-        complete = source.counts == self.usual
-        # A damaged byte in a line with one field less was a separator: the fields on both sides of
-        # it are missing.
-        separated = data & parsed.damaged.any(axis=1) & (source.counts == self.usual - 1)
-        parsed = parsed.with_separator(separated)
-        fields = parsed.texts
-        damaged = parsed.damaged.any(axis=1)
-        data &= ~damaged | complete | separated
-        header = np.array([*self.header, *[""] * (fields.shape[1] - len(self.header))])
-        titles = (
-            np.all(fields == header, axis=1) if self.header else np.zeros(len(data), dtype=bool)
-        )
-        data &= ~titles  # a restarted board repeats the header
-        filled = np.arange(fields.shape[1]) < source.counts[:, None]
-        long = data & np.any(filled[:, self.width :] & (fields[:, self.width :] != ""), axis=1)
-        # Only the empty fields at the end may be left out.
-        ended = (source.counts >= self.width) & (fields[:, self.width - 1] != "")
-        short = data & (source.counts < self.usual) & ~ended & ~separated & (not source.padded)
-        if since is not None and long.sum() > MAX_CUT * data.sum():
-            line = int(np.argmax(long))
-            usual_line = int(np.argmax(data & ~long))
-            mismatch = (
-                f"{source.counts[line]} fields, where {source.called(usual_line)} has {self.width}"
-            )
-            raise InputError(f"{source.at(source.lines[line].number, None)}: {mismatch}")
-        doubtful = short | long
-        parsed = parsed.without(doubtful[:, None])
-        excluded = ~data & ~titles & ~source.comment & np.any(fields != "", axis=1)
-        excluded &= np.array([line.number > 0 for line in source.lines], dtype=bool)
-        broken = _broken_fields(fields, source.counts, data & ~doubtful, excluded | short)
-        parsed = parsed.without(broken)
-        notes = (
-            _line_note(
-                source,
-                np.any(broken, axis=1),
-                "numbers at which a line was broken: they {} missing",
-            ),
-            _line_note(source, data & damaged, "bytes that are no text: their fields {} missing"),
-            _line_note(
-                source,
-                doubtful,
-                f"lines that have not {counted(self.width, 'field')}: the readings {{}} missing",
-            ),
-            _excluded_note(source, fields, excluded),
-        )
-        table = ReadingsTable(
-            source=source,
-            lines=np.arange(len(data)),
-            columns=np.arange(fields.shape[1]),
-            fields=parsed.texts,
-            values=parsed.values,
-            words=parsed.words,
-            comma=self.comma,
-            names=("",) * fields.shape[1],
-            notes=tuple(filter(None, notes)),
-            form=self,
-            numbers=parsed.values,
-        )
-        return replace(table.only(data, slice(self.width)), names=self.names)
-
-
 def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTable:
     """Return the lines with readings, their header, and notes on omitted lines.
 
@@ -229,7 +129,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
         note = _header_note(source, header, units=has_units_line)
     if not np.any(data & ~np.all(fields == fields[header], axis=1) if header is not None else data):
         raise InputError(f"{source.source}: holds a header but no values")
-    table = form.table(source, parsed, first)
+    table = lines_of_form(form, source, parsed, first)
     notation = ", ".join((*source.notes, *(["decimal commas"] if comma else [])))
     table = replace(table, notes=(*filter(None, (notation, note)), *table.notes))
     return table if layout is None else _laid_out(table, layout)
@@ -237,14 +137,86 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
 
 def later_lines(table: ReadingsTable, source: FieldLines) -> ReadingsTable:
     """Return later lines of the same source with the columns of a table."""
-    form: Form = table.form
-    width = max(source.fields.shape[1], form.usual)
+    width = max(source.fields.shape[1], table.form.usual)
     fields = np.full((len(source.lines), width), "", dtype=object)
     fields[:, : source.fields.shape[1]] = source.fields
     source = replace(source, fields=fields)
-    later = form.table(source, Parsed.of(fields, comma=table.comma))
+    later = lines_of_form(table.form, source, Parsed.of(fields, comma=table.comma))
     later = later.only(columns=np.searchsorted(later.columns, table.columns))
     return replace(later, names=table.names, clock=table.clock)
+
+
+def lines_of_form(
+    form: Form, source: FieldLines, parsed: Parsed, since: int | None = None
+) -> ReadingsTable:
+    """Return the readings of lines from one on, and notes on omitted lines.
+
+    `since` is the first line with readings; None: of later lines, which are not checked.
+
+    The values of a line that is shorter or longer than the others are missing: which of its
+    fields was lost is unknown.
+
+    Raises InputError if more than a few lines are longer than the others.
+    """
+    data = _data_lines(source, parsed, form.usual, alone=form.alone)
+    data[: since or 0] = False
+    complete = source.counts == form.usual
+    # A damaged byte in a line with one field less was a separator: the fields on both sides of
+    # it are missing.
+    separated = data & parsed.damaged.any(axis=1) & (source.counts == form.usual - 1)
+    parsed = parsed.with_separator(separated)
+    fields = parsed.texts
+    damaged = parsed.damaged.any(axis=1)
+    data &= ~damaged | complete | separated
+    header = np.array([*form.header, *[""] * (fields.shape[1] - len(form.header))])
+    titles = np.all(fields == header, axis=1) if form.header else np.zeros(len(data), dtype=bool)
+    data &= ~titles  # a restarted board repeats the header
+    filled = np.arange(fields.shape[1]) < source.counts[:, None]
+    long = data & np.any(filled[:, form.width :] & (fields[:, form.width :] != ""), axis=1)
+    # Only the empty fields at the end may be left out.
+    ended = (source.counts >= form.width) & (fields[:, form.width - 1] != "")
+    short = data & (source.counts < form.usual) & ~ended & ~separated & (not source.padded)
+    if since is not None and long.sum() > MAX_CUT * data.sum():
+        line = int(np.argmax(long))
+        usual_line = int(np.argmax(data & ~long))
+        mismatch = (
+            f"{source.counts[line]} fields, where {source.called(usual_line)} has {form.width}"
+        )
+        raise InputError(f"{source.at(source.lines[line].number, None)}: {mismatch}")
+    doubtful = short | long
+    parsed = parsed.without(doubtful[:, None])
+    excluded = ~data & ~titles & ~source.comment & np.any(fields != "", axis=1)
+    excluded &= np.array([line.number > 0 for line in source.lines], dtype=bool)
+    broken = _broken_fields(fields, source.counts, data & ~doubtful, excluded | short)
+    parsed = parsed.without(broken)
+    notes = (
+        _line_note(
+            source,
+            np.any(broken, axis=1),
+            "numbers at which a line was broken: they {} missing",
+        ),
+        _line_note(source, data & damaged, "bytes that are no text: their fields {} missing"),
+        _line_note(
+            source,
+            doubtful,
+            f"lines that have not {counted(form.width, 'field')}: the readings {{}} missing",
+        ),
+        _excluded_note(source, fields, excluded),
+    )
+    table = ReadingsTable(
+        source=source,
+        lines=np.arange(len(data)),
+        columns=np.arange(fields.shape[1]),
+        fields=parsed.texts,
+        values=parsed.values,
+        words=parsed.words,
+        comma=form.comma,
+        names=("",) * fields.shape[1],
+        notes=tuple(filter(None, notes)),
+        form=form,
+        numbers=parsed.values,
+    )
+    return replace(table.only(data, slice(form.width)), names=form.names)
 
 
 def _laid_out(table: ReadingsTable, layout: str) -> ReadingsTable:

@@ -38,6 +38,34 @@ TITLE_TIME = re.compile(
 NUMBER = re.compile(r"\d+(?:[.,:]\d+)*")
 
 
+@dataclass(frozen=True)
+class Form:
+    """How lines of readings are recognised among others.
+
+    Attributes
+    ----------
+    comma : bool
+        Whether numbers have a decimal comma.
+    usual : int
+        Fields of a line, empty ones at its end included.
+    width : int
+        Fields without those that are empty at the end of all lines.
+    alone : bool
+        Whether a single number may be a line of readings.
+    header : tuple of str
+        Fields of the header, which may be repeated; empty without one.
+    names : tuple of str
+        Names of the columns; '' without a header.
+    """
+
+    comma: bool
+    usual: int
+    width: int
+    alone: bool
+    header: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class ReadingsTable:
     """Lines and columns of a file with readings.
@@ -63,7 +91,7 @@ class ReadingsTable:
     notes : tuple of str
         Sentences on the interpretation of the file.
     form : Form
-        The `lampest.apps.foreign.form.Form`, by which lines of readings are recognised.
+        How its lines were recognised.
     numbers : array, shape (lines, all columns)
         Values of all columns of the file.
     clock : mapping
@@ -79,7 +107,7 @@ class ReadingsTable:
     comma: bool
     names: tuple[str, ...]
     notes: tuple[str, ...]
-    form: Any
+    form: Form
     numbers: Array
     clock: Mapping[str, int] = dataclasses.field(default_factory=dict)
 
