@@ -62,6 +62,7 @@ NOT_PLAIN = re.compile(
 )
 NAMES = "fro,numer,tung,wakin"  # people, journals, and "to and fro"
 MAX_WORDS = 25  # of a sentence of a page
+MAX_PAGE_WORDS = 1500
 
 
 class Fence(NamedTuple):
@@ -385,6 +386,13 @@ def test_pages_are_plain_and_their_sentences_short(page: Path) -> None:
     assert not [
         sentence for sentence in every if len(re.findall(r"\w[\w.'’-]*", sentence)) > MAX_WORDS
     ]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
+def test_a_page_is_read_in_ten_minutes(page: Path) -> None:
+    tokens = page.read_text(encoding="utf-8").split()
+    words = [token for token in tokens if any(map(str.isalnum, token))]
+    assert len(words) <= MAX_PAGE_WORDS
 
 
 def test_comments_messages_and_docstrings_are_plain() -> None:
