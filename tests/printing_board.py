@@ -4,7 +4,6 @@ The forms of lines are those of published projects: rows of a mat as Arduino ske
 frames of a Teensy, labels of the Serial Plotter, objects of JSON.
 """
 
-import fcntl
 import json
 import os
 import socket
@@ -103,15 +102,13 @@ def in_thread(work: Callable[[], None]) -> Iterator[None]:
 
 
 def _opened(terminal: int) -> bool:
-    """Return whether another process has opened a terminal for itself alone."""
-    other = os.open(os.ttyname(terminal), os.O_RDWR | os.O_NOCTTY)
-    try:
-        fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return True
-    finally:
-        os.close(other)
-    return False
+    """Return whether another process has locked a terminal for itself alone.
+
+    Looking does not lock it, which would keep the other one out.
+    """
+    inode = os.fstat(terminal).st_ino
+    locks = [line.split() for line in Path("/proc/locks").read_text().splitlines()]
+    return any("FLOCK" in lock and lock[-3].endswith(f":{inode}") for lock in locks)
 
 
 @contextmanager

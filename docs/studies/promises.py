@@ -173,6 +173,9 @@ BREAKS = {
     "two_swapped_lines_and_two_exchanged_bits_are_named_by_loads_in_several_places": Break(
         "audit/order.py", "along_side", "return 0 * result"
     ),
+    "advice_has_the_number_of_the_estimate": Break(
+        "panel/effects/__init__.py", "SharedEffect.sentence", "size = 7.0 * size"
+    ),
     "two_feet_half_a_panel_apart_are_no_interleaved_lines": Break(
         "audit/order.py", "COINCIDENCE", "1e-300"
     ),

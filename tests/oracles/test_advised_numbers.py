@@ -113,7 +113,7 @@ def test_advice_on_loaded_columns_has_the_number_of_the_estimate(key: str, row: 
     assert key in checked(loaded_columns(11, row))
 
 
-@pytest.mark.parametrize("load", ["mouth", "swaying"])
+@pytest.mark.parametrize("load", ["still", "swaying"])
 def test_advice_on_an_own_effect_has_the_number_of_the_estimate(
     load: str, package: Callable[..., None]
 ) -> None:

@@ -11,9 +11,8 @@ from numpy.testing import assert_allclose
 
 import lampest
 from lampest.inference.assumptions import ASSUMED
-from lampest.inference.cells_fit import fitted
 from lampest.inference.prepared import Prepared
-from lampest.inference.shared_changes import shared_changes
+from lampest.inference.shared_changes import SharedFrames, shared_changes
 from lampest.panel.effects import systematic_of
 
 QUIET: dict[str, Any] = {"noise_lsb": 0.7, "readings": 20}
@@ -178,10 +177,10 @@ def test_a_series_resistance_is_that_of_the_still_cells(
 
     scene = recording.scene
     noise = Prepared(recording).noise
-    fit = fitted(scene, noise.readings[:UNLOADED].mean(), None, patient=True)
+    resting, loaded = noise.readings[:UNLOADED].mean(), noise.readings[UNLOADED]
     sizes = systematic_of(scene)
-    assert fit is not None and sizes is not None
-    moves = shared_changes(scene, fit, noise.readings[UNLOADED], sizes, noise.frame)
+    assert sizes is not None
+    moves = shared_changes(scene, SharedFrames(scene, resting, loaded, noise.frame), sizes)
     assert moves is not None
     mean, covariance = moves.changes(0.0).posterior(~LOAD.ravel())
     assert PRIOR * mean[0] == pytest.approx(error, abs=0.15 * deviation)
