@@ -119,8 +119,8 @@ class Breathing:
         The odds of a full window are kept. Assumptions: one mouth in twenty never shows its breath,
         because it is faint or at half the frame rate, and a mouth pauses in one window of twenty.
         Of incomplete windows, two successive ones have to agree that the suction oscillates: with
-        the last one alone, two of 75 shaken cups were taken for lampreys for a second
-        (docs/studies/mouths.md). One that speaks against the window before shows nothing: a few
+        the last one alone, two of 75 shaken cups were taken for lampreys for a second.
+        One that speaks against the window before shows nothing: a few
         seconds before a release would take a mouth's breath for a movement.
         """
         judged = replace(self, judged_s=time, full_s=time if full else self.full_s)

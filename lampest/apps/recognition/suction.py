@@ -20,7 +20,7 @@ from lampest.recording.shapes.disc import Disc
 
 # ln r/r0 by a suction of 1 kPa. Of 64 hands, rocks, fish, fins, bubbles, rods and rings none raised
 # a cell by more than 0.1 beyond its error; of 48 mouths and cups of −2.5 kPa and more, 47 raised
-# one by more than 0.3, each by more than seven standard deviations (docs/studies/mouths.md).
+# one by more than 0.3, each by more than seven standard deviations.
 MIN_RISE = 0.2
 # ln odds that risen cells are under suction where nothing is known of their neighbours: of those
 # loads, 47 of 48 and none of 64.

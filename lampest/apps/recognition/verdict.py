@@ -33,8 +33,8 @@ IMPOSSIBLE = 60.0
 UNRISEN = 5e-4
 OVERLAP = 0.25  # share of the smaller diameter by which two loads may overlap: soft rims touch
 # Exponent of evidence ratios, because films and loads deviate from their models in more ways than
-# the errors include. Fitted by log-likelihood to scenes made without this package's simulation; see
-# docs/studies/mouths.md.
+# the errors include. Fitted by log-likelihood to scenes made without this package's simulation
+# (docs/studies/mouth_scenes.py).
 EVIDENCE_SHARE = 0.5
 
 
