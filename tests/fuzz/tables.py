@@ -53,9 +53,9 @@ class Table:
     marked: bool
 
 
-def codes(rng: Rng) -> Array:
-    """Readings of a panel whose cells differ, under a load that moves."""
-    rows, columns = (int(rng.integers(3, 9)) for _ in range(2))
+def codes(rng: Rng, least: int = 3, most: int = 8) -> Array:
+    """Readings of a panel whose cells differ, with so many lines a side, under a moving load."""
+    rows, columns = (int(rng.integers(least, most + 1)) for _ in range(2))
     frames = int(rng.integers(12, 30))
     resting = rng.integers(300, 800, (rows, columns))
     row, column = np.indices((rows, columns))

@@ -29,11 +29,12 @@ from lampest.apps.foreign.own_layouts import LAYOUTS
 from lampest.apps.foreign.records import READERS as RECORDS
 from lampest.apps.foreign.records import records_of
 from lampest.apps.foreign.unit import understood_unit
-from lampest.files.errors import InputError, counted, meant, printable
+from lampest.files.errors import InputError, counted, first_and_more, meant, printable
 from lampest.files.typed import installed, typed
 from lampest.files.whole import note_read
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
+from lampest.recording.garbled import garbled_lines
 from lampest.recording.processed import AS_CONVERTED, normalised, processing_of, restored
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.unit import RESISTANCES, check_unit, recorded_values
@@ -469,7 +470,7 @@ def _assumed(scene: Scene, *, specified: bool) -> str:
 
 
 def _summary(recording: Recording) -> Iterator[str]:
-    """Yield notes on readings at the converter's rails, and on the number of frames.
+    """Yield notes on readings at the converter's rails, the number of frames, and garbled lines.
 
     Readings at the rails count as bounds.
     """
@@ -487,3 +488,7 @@ def _summary(recording: Recording) -> Iterator[str]:
     cells = " × ".join(map(str, scene.panel.shape))
     unloaded = int(np.sum(recording.role == UNLOADED))
     yield f"{counted(len(recorded), 'frame')} of {cells} cells, the first {unloaded} unloaded"
+    garbled = [lines.name_in_words for lines in garbled_lines(recording)]
+    if garbled:
+        places = first_and_more(garbled)
+        yield f"garbled, or lost, doubled or swapped: {places}; kept, and left out of estimates"

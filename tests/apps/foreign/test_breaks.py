@@ -11,6 +11,8 @@ import pytest
 
 import lampest
 from lampest import InputError
+from lampest.recording.garbled import garbled_lines
+from tests.fuzz import tables
 
 ROWS = 8
 COLUMNS = 7
@@ -89,3 +91,30 @@ def test_a_capture_that_begins_within_a_frame_is_cut_or_asked_for(
     imported_frames, notes = imported(steady.reshape(-1, COLUMNS)[first:], tmp_path)
     np.testing.assert_allclose(imported_frames, steady[1:], atol=0.01)
     assert "are of a cut frame, and left out" in notes
+
+
+@pytest.mark.parametrize("name", ["whole", "swapped"])
+def test_readings_name_the_frames_that_are_none(tmp_path: Path, name: str) -> None:
+    """Rows without names were swapped: the import names the frames."""
+    silent = false = wrong_tables = 0
+    for number in range(20):
+        rng = np.random.default_rng([5, number])
+        codes = tables.codes(rng, least=5, most=14)
+        lines = list(tables.bare_rows(codes, rng))
+        if name == "swapped":
+            lines = tables.swapped_lines(lines, rng)
+        path = tmp_path / "m.csv"
+        path.write_text("\n".join([*(line.text for line in lines), ""]))
+        rows, columns = codes.shape[1:]
+        recording, notes = lampest.import_file(path, rows=rows, columns=columns, unit="ohm")
+        distance = np.nanmax(np.abs(recording.recorded[:, None] - codes), axis=(2, 3), initial=0.0)
+        wrong = np.flatnonzero(distance.min(axis=1) > 0)
+        garbled = {lines.frame for lines in garbled_lines(recording)}
+        told = any(note.startswith("garbled, or lost, doubled or swapped:") for note in notes)
+        assert told == bool(garbled)
+        wrong_tables += bool(len(wrong))
+        silent += bool(len(wrong)) and not told
+        false += told and not len(wrong)
+    assert false == 0
+    assert silent <= 2  # those of a first or last frame, which have one neighbour
+    assert (wrong_tables >= 15) == (name == "swapped")
