@@ -3,22 +3,22 @@
 Transmission fails for one frame or for some of its lines: their readings are bytes of something
 else, or those of other cells. Such readings deviate from the neighbouring frames in whole lines
 while the other lines do not, and they are rougher than the lines ever are, or equal those of cells
-further along the scan or in other lines. A load that is present for one frame is neither: it
-changes a patch of cells, which is as smooth in one frame as in the others.
+further along the scan. A load that is present for one frame is neither: it changes a patch of
+cells, which is as smooth in one frame as in the others.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from operator import attrgetter
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import first_and_more
-from lampest.files.levels import MAD_TO_SIGMA, OUTLIER_THRESHOLD
+from lampest.files.levels import MAD_TO_SIGMA, OUTLIER_THRESHOLD, UNUSUAL
 from lampest.panel.panel import Array
 from lampest.recording.readings import median
 from lampest.recording.recording import UNLOADED, Recording
@@ -128,9 +128,11 @@ def _garbled_among(
     if not scale > 0:
         return []
     threshold = np.fmax(OUTLIER_THRESHOLD * scale, MIN_RATIO_TO_SCATTER * spread)
+    with np.errstate(invalid="ignore"):
+        deviates = np.abs(values - expected) > threshold
+    suspicious: list[int] = np.flatnonzero(deviates.any(axis=(1, 2))).tolist()
     ends = (0.0,) if readout is None else tuple(map(float, readout.range_volt))
-    rows = Along(values, expected, threshold, scale, ends)
-    suspicious: list[int] = np.flatnonzero(rows.deviates.any(axis=(1, 2))).tolist()
+    rows = Along(values, expected, deviates, scale, ends)
     garbled = dict[int, GarbledLines]()
     for name, along in (("row", rows), ("column", rows.transposed)):
         for frame in suspicious:
@@ -199,8 +201,8 @@ class Along:
     ----------
     values, expected : array, shape (frames, lines, cells)
         Voltages at the converter, and those that the neighbouring frames predict.
-    threshold : array, same shape
-        Difference beyond which a reading deviates from the neighbouring frames, volt.
+    deviates : boolean array, same shape
+        Whether a reading deviates from the neighbouring frames.
     scale : float
         Standard deviation of the noise, volt.
     ends : tuple of float
@@ -209,23 +211,15 @@ class Along:
 
     values: Array
     expected: Array
-    threshold: Array
+    deviates: NDArray[np.bool_]
     scale: float
     ends: tuple[float, ...]
 
     @property
     def transposed(self) -> "Along":
         """The lines of the other side."""
-        values, expected, threshold = (
-            part.swapaxes(1, 2) for part in (self.values, self.expected, self.threshold)
-        )
-        return Along(values, expected, threshold, self.scale, self.ends)
-
-    @cached_property
-    def deviates(self) -> NDArray[np.bool_]:
-        """Whether a reading deviates from the neighbouring frames, (frames, lines, cells)."""
-        with np.errstate(invalid="ignore"):
-            return np.asarray(np.abs(self.values - self.expected) > self.threshold)
+        values, expected = (part.swapaxes(1, 2) for part in (self.values, self.expected))
+        return Along(values, expected, self.deviates.swapaxes(1, 2), self.scale, self.ends)
 
     @cached_property
     def roughness(self) -> Array:
@@ -280,7 +274,7 @@ class Along:
         return np.flatnonzero(clear)
 
     def _is_displaced(self, frame: int, lines: NDArray[np.bool_]) -> bool:
-        """Return whether lines of one frame have the readings of other cells.
+        """Return whether lines of one frame have the readings of cells further along the scan.
 
         The lines must have their own readings in the frames before and after. A load that jumps is
         displaced as well, but the film, whose cells differ in the first frame, is not.
@@ -289,36 +283,24 @@ class Along:
             return False
         previous, current, following = self.values[frame - 1 : frame + 2, lines]
         whole = self.expected[frame]
+        first = self.values[0]
         deviation = middle(np.abs(current - whole[lines]))
         if MIN_IMPROVEMENT * middle(np.abs(following - previous)) > deviation:
             return False
-        film = self.values[0]
-        for cells in self._other_cells(frame, lines):
-            missed = np.abs(current - whole.ravel()[cells])
+        displacements = (*range(-MAX_DISPLACEMENT, 0), *range(1, MAX_DISPLACEMENT + 1))
+        for steps, order in product(displacements, ORDERS):
+            missed = np.abs(current - displaced(whole, steps, order)[lines])
             finite = np.isfinite(missed)
-            alike = missed < self.threshold[frame].ravel()[cells]
-            explained = np.sum(alike[finite]) / max(int(finite.sum()), 1)
-            apart = middle(np.abs(film.ravel()[cells] - film[lines]))
-            structured = apart > OUTLIER_THRESHOLD * self.scale
+            explained = np.sum(missed[finite] < UNUSUAL * self.scale) / max(int(finite.sum()), 1)
+            film = displaced(first, steps, order) - first
+            structured = middle(np.abs(film)) > OUTLIER_THRESHOLD * self.scale
             improved = MIN_IMPROVEMENT * middle(missed) < deviation
             if structured and explained > MIN_EXPLAINED and improved:
                 return True
         return False
 
-    def _other_cells(self, frame: int, lines: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:
-        """Yield cells whose readings lines of one frame may have, (lines, cells) flat indices each.
 
-        They lie further along the scan, or each line is the one that resembles it most.
-        """
-        cells = np.arange(self.expected[frame].size).reshape(self.expected[frame].shape)
-        displacements = (*range(-MAX_DISPLACEMENT, 0), *range(1, MAX_DISPLACEMENT + 1))
-        for steps, order in product(displacements, ORDERS):
-            yield displaced(cells, steps, order)[lines]
-        distances = np.abs(self.values[frame, lines][:, None] - self.expected[frame])
-        yield cells[median(np.nan_to_num(distances, nan=np.inf), 2)[:, :, 0].argmin(axis=1)]
-
-
-def displaced(frame: NDArray[Any], steps: int, order: Literal["C", "F"]) -> NDArray[Any]:
+def displaced(frame: Array, steps: int, order: Literal["C", "F"]) -> Array:
     """Return a frame (rows, columns) whose readings are displaced by steps along the scan."""
     return np.roll(frame.ravel(order=order), steps).reshape(frame.shape, order=order)
 
