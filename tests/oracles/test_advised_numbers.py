@@ -1,9 +1,8 @@
 """One key, one number: advice says what the recording determines where its scene names the key."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from contracts.own_effect import Crosstalk
 from promises import promise
 from units.test_own_effect import MODULE
 
+from docs.studies.advice import keys_of
 from docs.studies.effects import LOADS, Row, recording
 from lampest import LoadedColumnsReadout, Panel, Recording, Scene, Systematic
 from lampest.audit.effects import named, unnamed_effects
@@ -38,15 +38,6 @@ ROWS = {
     "converter_memory": (Row(memory=0.03), "mouth"),
     "motion": (Row(speed=0.2), "still"),
 }
-
-
-def keys_of(addition: Mapping[str, Any], before: str = "") -> Iterator[str]:
-    """Yield the dotted keys of an addition."""
-    for name, value in addition.items():
-        if isinstance(value, Mapping):
-            yield from keys_of(value, f"{before}{name}.")
-        else:
-            yield before + name
 
 
 def checked(made: Recording) -> set[str]:
