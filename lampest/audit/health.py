@@ -273,11 +273,12 @@ def _along(readings: Readings, name: str) -> Readings:
 def _is_structured(view: _View, name: str, groups: Sequence[Sequence[int]]) -> bool:
     """Return whether lines that differ are not equal in the unloaded frames by chance.
 
-    Loads in the middle of a uniform film make lines equal, and films do not. The mean square
-    difference d² of two lines in units of their noise, less one, is that of the film. Where it is f
-    between neighbours that differ, a line of n cells is equal by chance with p = P(χ² < n e/f), n
-    degrees of freedom; e is what equal lines may have. Of k groups among m lines all are with
-    (m² p/2)^k. Of each group one line counts.
+    Loads in the middle of a uniform film make lines equal, and films do not. The difference of two
+    lines of n cells has a mean, in which floating lines differ most, and a remainder with n − 1
+    degrees of freedom. Where neighbours that differ have variances f and g of these in the units of
+    noise, and the film's mean square difference is at most e, two lines are equal by chance with
+    p = P(χ²₁ < n e/f) P(χ²ₙ₋₁ < n e/g). Of k groups among m lines all are with (m² p/2)^k. Of each
+    group one line counts.
     """
     copies = [line for group in groups for line in group[1:]]
     usable = _along(view.usable, name)
@@ -286,14 +287,18 @@ def _is_structured(view: _View, name: str, groups: Sequence[Sequence[int]]) -> b
     others = np.setdiff1d(np.arange(lines), copies)
     if not copies or len(others) < 2:
         return False
-    unlike, _ = line_differences(at_rest)
-    of_film = float(np.median(unlike[others[1:], others[:-1]])) - 1
-    in_all, count = line_differences(usable)
-    observed = max(in_all[group[0], line] for group in groups for line in group[1:]) - 1
+    unlike, count = line_differences(usable)
+    observed = max(unlike[group[0], line] for group in groups for line in group[1:]) - 1
     equal = max(float(observed), 0.0) + NOISE_REACH * np.sqrt(2 / max(int(count.max()), 1))
-    if of_film < equal:
-        return False
-    chance = 1 - chi_square_tail(cells * equal / of_film, np.asarray(float(cells)))
+    resting = at_rest.mean()
+    noise = np.hypot(resting.known_sigma[others[1:]], resting.known_sigma[others[:-1]])
+    film = np.diff(resting.value[others], axis=0) / (noise * np.sqrt(len(at_rest.value)))
+    common = film.mean(axis=1, keepdims=True)
+    parts = ((cells * common**2, 1), (np.sum((film - common) ** 2, axis=1), cells - 1))
+    chance = 1.0
+    for squares, degrees in parts:
+        usual = float(np.median(squares)) / chi_square_median(degrees)
+        chance *= 1 - float(chi_square_tail(cells * equal / usual, degrees))
     return bool((lines**2 / 2 * chance) ** len(groups) < SIGNIFICANCE)
 
 
