@@ -24,7 +24,7 @@ from lampest.apps.recognition.pumping import BLOCK_S, Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without_water
 from lampest.apps.recognition.suction import would_show
 from lampest.apps.recognition.swings import Patterns
-from lampest.apps.recognition.verdict import Verdict
+from lampest.apps.recognition.verdict import UNRISEN, Verdict
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
 from lampest.panel.panel import Array, Panel
 from lampest.recording.shapes.shape import Candidate
@@ -223,9 +223,11 @@ class Attachment:
         """Return the probability that it sucks after a later recognition.
 
         Its odds are those of the later recognition times those of the cells in all earlier ones.
+        Recognitions without a risen cell do not add up beyond UNRISEN: a suction that raises no
+        cell raises none at any time.
         """
         own = float(np.clip(logit(later.sucks), -MAX_LOG_ODDS, MAX_LOG_ODDS))
-        return float(expit(self.suction_odds + own))
+        return max(float(expit(self.suction_odds + own)), min(UNRISEN, later.sucks))
 
     def outlasts(self, later: "Attachment") -> bool:
         """Return whether it still sucks after a recognition that does not show it.
@@ -239,7 +241,8 @@ class Attachment:
 
         A recognition that it outlasts changes the odds of its suction alone.
         """
-        odds = float(np.clip(self.suction_odds + later.suction_odds, -MAX_LOG_ODDS, MAX_LOG_ODDS))
+        added = self.suction_odds + later.suction_odds
+        odds = float(np.clip(added, logit(UNRISEN), MAX_LOG_ODDS))
         sucks = self.sucks_with(later)
         if self.outlasts(later):
             return replace(self, suction_odds=odds, sucks=sucks)
@@ -370,7 +373,7 @@ def attachments_of(
         own = slice(first, first + len(parameters))
         covariance = best.covariance[own, own]
         first = own.stop
-        sucks = verdict.sucks_at(disc)
+        sucks = 0.0 if any_form else verdict.sucks_at(disc)
         by_cells = 0.0 if verdict.by_shapes else float(logit(sucks))
         shape: dict[str, Any] = {}
         if disc is None:

@@ -29,8 +29,8 @@ MAX_MISFIT = 10.0
 RARE_LOG_ODDS = log(20)
 IMPOSSIBLE = 60.0
 # Probability that a load sucks none of whose cells has risen, where they would show it: assumed, of
-# faint suctions to which a film does not answer.
-UNRISEN = 5e-4
+# faint suctions, to which a film hardly answers, and of films that open late.
+UNRISEN = 0.05
 OVERLAP = 0.25  # share of the smaller diameter by which two loads may overlap: soft rims touch
 # Exponent of evidence ratios, because films and loads deviate from their models in more ways than
 # the errors include. Fitted by log-likelihood to scenes made without this package's simulation

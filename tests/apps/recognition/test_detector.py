@@ -181,18 +181,21 @@ SINGLE: dict[str, tuple[Any, str, float, Panel]] = {
 
 
 @pytest.mark.parametrize(("width", "small"), [(16, True), (40, False)])
-def test_a_load_presses_surely_only_where_suction_would_show(width: float, small: bool) -> None:
-    """It stands between four cells; on a mat nothing sucks."""
+def test_a_load_presses_probably_only_where_suction_would_show(width: float, small: bool) -> None:
+    """It stands between four cells. One suction in twenty raises none; on a mat nothing sucks."""
     rod = Rod(centre_mm=(45, 45), diameter_mm=width, mass_g=400)
     verdict = verdict_on(rod)
     (load,) = attachments_of(verdict.frame, verdict, 0.0)
     answer, probability, why = answer_of(load, 4.0)
     assert answer == PRESSES
-    assert (
-        (probability == 0.5 and "too small" in why) if small else (probability > 0.99 and not why)
-    )
+    assert probability == (0.5 if small else 0.95)
+    assert ("too small" in why) == small
+    repeated = load
+    for _ in range(5):
+        repeated = repeated.continued(load)
+    assert repeated.sucks == load.sucks  # that it shows no suction again is no further evidence
     (contact,) = attachments_of(verdict.frame, verdict, 0.0, any_form=True)
-    assert contact.sucks < 0.01 and not contact.small
+    assert contact.continued(contact).sucks < 1e-5 and not contact.small
 
 
 @pytest.mark.slow
