@@ -16,7 +16,8 @@ stand side by side by chance: the normal scores of the ranks have to show the or
 A load in one place may be like one in another order: two feet half a panel apart are one smooth
 load where odd and even lines are apart, an edge between two lines is one where they are swapped.
 Such a coincidence has a probability of its own, `Order.coincidence`, which bounds the evidence of
-each place: loads in several places tell an order, and one that stands tells none of lines.
+each place: loads in several places tell an order, and one that stands tells none of lines. Nor does
+a load that lies on all lines alike, such as a bar along the columns: by them it shows the film.
 
 A load on every second line, such as a comb, has the image of a load on interleaved lines. Where
 such a load has not these odds against it, the recording cannot tell the order.
@@ -54,6 +55,10 @@ MAX_PLACES = 12
 # Root mean square of a change over the noise of a reading, so that its image shows a place.
 MIN_CHANGE = 2.0
 TINY = 1e-30  # norm of no image
+# Standard deviation of a load's mean on each line over its mean on all lines, or over the standard
+# deviation of its image, the larger one. Films that scatter by 0.3 have 0.33 under a bar, and loads
+# in one place 0.6 and more (docs/studies/wrong_readings.md).
+MIN_CONTRAST = 0.5
 MAX_ALIKE = 0.5  # cosine between the changes of two places
 
 
@@ -241,25 +246,38 @@ def load_images(loaded: Array, resting: Array, least_noise: float) -> Array:
 def along_side(images: Array, side: int | None) -> NDArray[np.intp]:
     """Return numbers of the places as the lines of a side tell them apart, (places,).
 
-    A bar across all rows that moves over columns is in one place along rows.
+    A bar across all rows that moves over columns is in one place along rows, and tells nothing of
+    them.
 
     Parameters
     ----------
     images : array, shape (places, rows, columns)
     side : int or None
         Axis of the lines, 0 for rows; None: all places are distinct.
+
+    Returns
+    -------
+    integer array
+        −1 for places whose load lies on all lines of the side alike.
     """
     if side is None:
         return np.arange(len(images))
     profiles = images.mean(axis=2 - side)
-    profiles = profiles - profiles.mean(axis=1, keepdims=True)
-    profiles = profiles / np.maximum(np.linalg.norm(profiles, axis=1, keepdims=True), TINY)
+    means = profiles.mean(axis=1, keepdims=True)
+    profiles = profiles - means
+    size = np.linalg.norm(profiles, axis=1, keepdims=True)
+    variation = np.minimum(np.abs(means), images.std(axis=(1, 2))[:, None])
+    uneven = size >= MIN_CONTRAST * np.sqrt(profiles.shape[1]) * variation
+    profiles = profiles / np.maximum(size, TINY)
     cosines = profiles @ profiles.T
+    open_places = uneven[:, 0]
     groups = np.full(len(images), -1)
     for place in range(len(images)):
-        if groups[place] < 0:
-            groups[(groups < 0) & (cosines[place] >= MAX_ALIKE)] = place
-    return np.unique(groups, return_inverse=True)[1]
+        if open_places[place]:
+            alike = open_places & (cosines[place] >= MAX_ALIKE)
+            groups[alike] = place
+            open_places = open_places & ~alike
+    return groups
 
 
 def smoother_order(images: Array) -> SmootherOrder | None:
@@ -295,7 +313,7 @@ def smoother_order(images: Array) -> SmootherOrder | None:
     best = int(np.argmax(of_places.sum(axis=1).round(6)))
     # A coincidence bounds each place's share of the evidence.
     groups = along_side(images, tried[best].side)
-    of_groups = np.bincount(groups, weights=of_places[best])
+    of_groups = np.bincount(groups[groups >= 0], weights=of_places[best][groups >= 0])
     gain = float(np.minimum(of_groups, -2 * np.log(tried[best].coincidence)).sum())
     if not gain > 2 * np.log(ODDS * len(tried)):
         return None

@@ -13,6 +13,7 @@ import pytest
 from promises import promise
 from ruamel.yaml import YAML
 
+from docs.studies.wrong_readings import drawn, of_load
 from lampest import Faults, Panel, Recording, Scene
 from lampest.audit.health import ROOMS, WELL, Health
 from lampest.audit.order import Order, exchanged_lines, load_images, orders, smoother_order
@@ -136,6 +137,14 @@ def test_lines_that_repeat_each_other_are_named(pairs: int) -> None:
         text = " ".join(faulty(health(plan, plan.codes(volts))))
         named.append(all(re.search(rf"\b{f}( =|,) {f + 1}\b", text) for f in firsts))
     assert len(named) > 12 and np.mean(named) >= MIN_REPEATED_FOUND
+
+
+@promise("theory/model_check: A bar that lies on all lines alike tells nothing of their order.")
+@pytest.mark.parametrize("seed", [42, 100, 138])
+def test_a_bar_that_sweeps_tells_no_order_of_the_lines_that_it_crosses(seed: int) -> None:
+    """Rows had odds of 10⁵ and 10⁶ by the film, which the bar shows in every place."""
+    recording = drawn(seed, of_load("sweep")).recording()
+    assert "order" not in {finding.room for finding in Health.of(recording).findings}
 
 
 def test_a_noisy_row_and_a_noisy_cell_are_named() -> None:
