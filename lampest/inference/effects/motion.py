@@ -35,7 +35,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from lampest.files.levels import MIN_EVIDENCE_GAIN, NOISE_REACH
 from lampest.inference.assumptions import ASSUMED
@@ -59,6 +58,7 @@ from lampest.posterior.linear import inverse_and_volume
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MAX_NEIGHBOURS, MEASURED, UNLOADED, Recording
+from lampest.solvers.hessian import block_diagonal
 
 # Largest variance of each reading's own error beside a motion: larger ones explain any load.
 MAX_OWN_VARIANCE = 0.03**2
@@ -321,20 +321,18 @@ class MotionSearch:
         share, _, own = position
         weights = np.stack([frame.displaced.weight.ravel() for frame in self.moving])
         still = np.array([[1 - np.mean(cells)] for cells in moved])
-        gain = block_diag(*(frame.fits[1].gain for frame in self.moving))
+        gain = block_diagonal([frame.fits[1].gain for frame in self.moving])
         by_share = np.concatenate([frame.by_motion for frame in self.moving])
         by_error = np.concatenate([frame.by_error for frame in self.moving])
         if not self.own:
             by_error = by_error[:, :0]
         # Errors of the unloaded panel and of the readings are those of all frames.
         unloaded = self.moving[0].unloaded
-        covariance = block_diag(
-            *(
-                of_frame.covariance + np.diag(1.0 * cells) - unloaded - own * frame.square_of_errors
-                for frame, of_frame, cells in zip(self.moving, changes, moved, strict=True)
-            )
-        )
-        covariance += np.kron(np.ones((len(moved), len(moved))), unloaded)
+        apart = [
+            of_frame.covariance + np.diag(1.0 * cells) - unloaded - own * frame.square_of_errors
+            for frame, of_frame, cells in zip(self.moving, changes, moved, strict=True)
+        ]
+        covariance = block_diagonal(apart) + np.kron(np.ones((len(moved), len(moved))), unloaded)
         covariance += own * by_error @ by_error.T
         precision, volume = inverse_and_volume(covariance)
         residual = np.concatenate([of_frame.change for of_frame in changes])
