@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from promises import promise
 
@@ -9,8 +10,13 @@ from docs.studies.effects import LOADS, ROWS, Row, figures, recording
 from lampest import Systematic
 from lampest.audit.effects import unnamed_effects
 from lampest.audit.health import Health
-from lampest.files.levels import MIN_EVIDENCE_GAIN
-from lampest.inference.effects.motion import share_of_motion
+from lampest.inference.effects.motion import (
+    MotionEvidence,
+    MotionSearch,
+    moving_frames,
+    share_of_motion,
+)
+from lampest.inference.evidence import usual_starts
 from lampest.inference.prepared import Prepared
 
 SPREAD = "systematic.channel_spread_ohm"
@@ -76,16 +82,50 @@ def test_a_load_that_trembles_is_advised_to_be_named() -> None:
     assert "motion: estimated" in {finding.line for finding in unnamed_effects(trembling)}
 
 
-@pytest.mark.parametrize("load", ["trembling", "still"])
-def test_a_motion_that_is_of_interest_is_found_among_all_others(load: str) -> None:
-    """Without interest, shares and tremblings are tried alone."""
-    prepared = Prepared(recording(500, LOADS[load], Row(), {}))
-    compared = prepared.recording, prepared.noise.readings, (0.0,)
-    every = share_of_motion(*compared)
-    of_interest = share_of_motion(*compared, least_gain=MIN_EVIDENCE_GAIN)
-    assert every is not None
-    assert of_interest == (every if every.gain > MIN_EVIDENCE_GAIN else None)
-    assert (of_interest is not None) == (load == "trembling")
+@pytest.mark.parametrize(("seed", "advised"), [(500, True), (101, False)])
+def test_trembling_that_moves_most_cells_is_estimated_and_not_advised(
+    seed: int, advised: bool
+) -> None:
+    """A load on most cells, such as a hand, looks like one that trembles."""
+    prepared = Prepared(recording(seed, LOADS["trembling"], Row(), {}))
+    compared = prepared.recording, prepared.noise.readings
+    assert share_of_motion(*compared, 1.0) is not None
+    assert (share_of_motion(*compared, 1.0, trembling_alone=False) is not None) == advised
+
+
+def test_the_slope_of_the_evidence_of_motion_is_that_of_its_cost() -> None:
+    prepared = Prepared(recording(500, LOADS["trembling"], Row(), {}))
+    moving = moving_frames(prepared.recording, prepared.noise.readings, None, None)
+    search = MotionSearch(moving, own=1e-4)
+    middle = np.array([0.4, 2e-3, 1e-5])
+    changes = [frame.changes_by(middle) for frame in moving]
+    moved = [of_frame.selected(usual_starts(of_frame.change))[1] for of_frame in changes]
+
+    def evidence(position: np.ndarray) -> MotionEvidence:
+        return search.evidence(position, [each.changes_by(position) for each in moving], moved)
+
+    for number, step in enumerate(1e-3 * middle):
+        apart = np.eye(3)[number] * step
+        rise = evidence(middle + apart).cost - evidence(middle - apart).cost
+        assert rise / (2 * step) == pytest.approx(evidence(middle).gradient[number], rel=1e-3)
+    assert (np.linalg.eigvalsh(evidence(middle).normal) > 0).all()
+
+
+def test_a_search_for_motion_ends_at_once_where_the_slope_shows_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With and without trembling, each search evaluates its start and the step from there."""
+    prepared = Prepared(recording(500, LOADS["still"], Row(), {}))
+    tried = []
+    evaluate = MotionSearch.evidence
+
+    def counted(self: MotionSearch, position: np.ndarray, *given: object) -> MotionEvidence:
+        tried.append(tuple(position))
+        return evaluate(self, position, *given)
+
+    monkeypatch.setattr(MotionSearch, "evidence", counted)
+    assert share_of_motion(prepared.recording, prepared.noise.readings).gain < 1
+    assert len(tried) <= 8
 
 
 def test_a_load_that_stands_does_not_tremble() -> None:

@@ -14,16 +14,24 @@ load makes, by a random share of relative size q: σ grows by q times that chang
 of a frame share the load's deviation at the middle of the scan. Still cells tell q, jointly with
 the share.
 
+Share, q² and the variance of each reading's own error are θ. With the changes d of still cells in
+all frames, r = d − share · m and the covariance V(θ) of r, the derivatives of −ln evidence are
+
+    gradient = −mᵀ V⁻¹ r [of the share] + ½ tr(V⁻¹ V_i) − ½ rᵀ V⁻¹ V_i V⁻¹ r,
+    normal   = mᵀ V⁻¹ m [of the share] + ½ tr(V⁻¹ V_i V⁻¹ V_k),   V_i = ∂V/∂θ_i,
+
+of which the second are expected ones (Fisher scoring; Harville, JASA 72, 1977). Gauss–Newton steps
+from no motion end at once where the gradient shows none.
+
 The displacement has errors, too, where a load moves unevenly between two frames. The still cells
 then seem stillest at less than the scan's share, as the slope of a regression is attenuated by
 errors of its variable (Fuller, Measurement Error Models, 1987, section 1.1).
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import product
-from typing import Any, NamedTuple
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,29 +40,34 @@ from lampest.files.levels import MIN_EVIDENCE_GAIN, NOISE_REACH
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted, well_determined
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed, estimated_entry
-from lampest.inference.evidence import MOVED_COST, Changes, mostly_still, usual_starts
+from lampest.inference.evidence import MOVED_COST, Changes, Chosen, mostly_still, usual_starts
 from lampest.inference.noise import NoiseEstimate, Share
 from lampest.inference.nuisances import Besides
-from lampest.inference.number import Number, summed_out
 from lampest.inference.pair import FittedPair
 from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.effects import estimated_errors, own_errors
-from lampest.panel.effects.motion import SHARES, TREMBLING_ODDS, TREMBLINGS, LoadMotion
+from lampest.panel.effects.motion import TREMBLINGS, LoadMotion
 from lampest.panel.effects.reading_error import READING_ERROR
+from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_panel_order
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.posterior.gaussian import Information
+from lampest.posterior.linear import inverse_and_volume
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MAX_NEIGHBOURS, MEASURED, UNLOADED, Recording
+from lampest.solvers.hessian import block_diagonal
 
-# Sizes of each reading's own error that are tried beside a share, all equally probable.
-READING_ERRORS = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
-# Of a gain of interest: what a motion has alone where only both a share and a trembling reach it.
-PROMISING = 0.25
+# Largest variance of each reading's own error beside a motion: larger ones explain any load.
+MAX_OWN_VARIANCE = 0.03**2
+# Steps of share, trembling² and own error²; a tenth of −ln evidence moves no share by half of its
+# standard deviation.
+SCORING = LevenbergMarquardt(evaluations=12, settled=0.1, damping=0.0)
+# Least reliability of displacements: below it a share may be the whole time.
+MIN_RELIABILITY = 0.2
+POINTS = 201  # of a posterior over the shares
 # Probability of a steady load below which trembling is shown: that of NOISE_REACH in a normal
 # distribution.
 STEADY_ODDS = 0.0027
@@ -145,10 +158,10 @@ def displacement(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -
 def share_of_motion(
     recording: Recording,
     readings: Readings,
-    errors_tried: Sequence[float],
-    shares: Array = SHARES,
+    known: float | None = None,
     *,
-    least_gain: float = 0.0,
+    unknown_errors: bool = False,
+    trembling_alone: bool = True,
     frame_noise: FrameNoise | None = None,
     resting_cells: Array | None = None,
 ) -> Share | None:
@@ -156,10 +169,8 @@ def share_of_motion(
 
     The result is None where it is unknown. A load that moves displaces all readings of a frame
     along one known direction, by share · displacement. Cells that no load touches seem to move by K
-    times as much, K the inverse of the Jacobian. The evidence of the changes since rest is compared
-    over `shares`, all equally probable before, for the frames with the largest motion, and summed
-    over TREMBLINGS and sizes of each reading's own error. The reach is the share over the
-    reliability of the displacements, 1 − Σ errors²/Σ displacements², at most the whole time.
+    times as much, K the inverse of the Jacobian. Share, trembling and the readings' own errors have
+    the largest evidence of the changes since rest, in the frames with the largest motion.
 
     Parameters
     ----------
@@ -167,74 +178,193 @@ def share_of_motion(
         With unloaded frames.
     readings : Readings
         All frames.
-    errors_tried : sequence of float
-        Sizes of each reading's own error, the same in all frames: READING_ERRORS where it is
-        unknown, (0.0,) where the readings have none beside their σ.
-    shares : array
-        Shares that are tried; one alone is known.
-    least_gain : float
-        Gain in −2 ln evidence that is of interest. The result is None where no share without a
-        trembling, and no trembling without a share, gains PROMISING of it.
+    known : float or None
+        The share, where it is known.
+    unknown_errors : bool
+        Whether each reading has an error of its own of unknown size, the same in all frames.
+    trembling_alone : bool
+        Whether frames count in which cells are still with a load that trembles alone.
     frame_noise : FrameNoise or None
         Errors that the readings of a frame share, such as a ripple: they, too, move all cells.
     """
-    moving = _moving_frames(recording, readings, frame_noise, resting_cells)
-    first = errors_tried[0]
-    alone = [(first, share, 0.0) for share in shares.tolist()]
-    alone += [(first, 0.0, trembling) for trembling in TREMBLINGS[1:].tolist()]
-    if least_gain and _gain_of(moving, alone) < PROMISING * least_gain:
+    shares = (0.0, 1.0) if known is None else (known, known)
+    moving = moving_frames(recording, readings, frame_noise, resting_cells)
+    if not moving:
         return None
-    # Those without trembling first: the search for moved cells begins with them.
-    tried = [
-        (size, share, trembling)
-        for trembling, size, share in product(TREMBLINGS.tolist(), errors_tried, shares.tolist())
-    ]
-    frames = [frame.explained_by(tried) for frame in moving]
-    compared = [frame for frame in frames if frame.is_mostly_still]
-    # A load on most cells, such as a hand, is like one that trembles: it is no reason for advice.
-    if not compared and not least_gain:
-        compared = [frame for frame in frames if frame.trembles]
+    search = MotionSearch(moving, MAX_OWN_VARIANCE if unknown_errors else 0.0)
+    steady = search.likeliest(shares)
+    compared = [frame for frame in moving if frame.still_and_free(steady.position)[0]]
+    shows_trembling = all(frame.still_and_free(steady.position)[1] for frame in compared)
+    if not compared and trembling_alone:
+        # Where a load trembles, cells stand still under no steady motion.
+        trembling = search.likeliest(shares, TREMBLINGS)
+        compared = [frame for frame in moving if frame.still_and_free(trembling.position)[1]]
     if not compared:
         return None
-    costs = np.array(
-        [_joint_cost([frame.explained[key] for frame in compared]) for key in tried]
-    ).reshape(len(TREMBLINGS), len(errors_tried), len(shares))
-    costs = np.moveaxis(costs, 0, 2)
-    trembling, still = 0.0, 1.0
-    if all(frame.shows_trembling for frame in compared):
-        by_trembling = Number.by_costs(TREMBLINGS, costs, TREMBLING_ODDS, axis=2)
-        trembling = float(np.sqrt(by_trembling.mean_square))
-        still = float(by_trembling.odds[0])
-        costs -= 2 * np.log(TREMBLING_ODDS)
-    else:
-        costs = costs[:, :, :1]
-    none = float(summed_out(costs[:, 0, 0], axis=0))
-    gain = none - float(summed_out(costs, axis=0).min())
-    if len(shares) == 1:
-        known = float(shares[0])
-        return Share(known, 0.0, known, gain, trembling, still)
-    number = Number.by_costs(shares, costs, axis=1)
-    steady = Number.by_costs(shares, costs[:, :, :1], axis=1)
-    # Below the smallest share any share may be the whole time.
-    displacements = sum(frame.displacements for frame in compared)
-    errors = sum(frame.errors for frame in compared)
-    reliable = max(displacements - errors, shares[1] * displacements)
-    unattenuated = np.minimum(shares * displacements, shares[-1] * reliable)
-    # A share that trembling hides remains possible.
-    reach = number.mean
-    if reliable:
-        reach = max(float(of.odds @ unattenuated) / reliable for of in (number, steady))
+    if len(compared) < len(moving):
+        search = replace(search, moving=compared)
+        steady = search.likeliest(shares)
+    likely = [steady]
+    if shows_trembling:
+        likely.append(search.likeliest(shares, TREMBLINGS))
+    return _share(search, likely)
+
+
+def _share(search: "MotionSearch", likely: "Sequence[MotionEvidence]") -> Share:
+    """Return the share by the likeliest motion without trembling, then with one if it may be.
+
+    The reach is the share over the reliability of the displacements,
+    1 − Σ errors²/Σ displacements², at most the whole time. A share that trembling hides remains
+    possible.
+    """
+    log_odds = np.array([motion.log_evidence for motion in likely])
+    odds = np.exp(log_odds - log_odds.max())
+    odds /= odds.sum()
+    means, deviations = np.array([motion.share for motion in likely]).T
+    mean = float(odds @ means)
+    spread = float(np.sqrt(odds @ (deviations**2 + (means - mean) ** 2)))
+    errors, displacements = np.sum([frame.errors_and_displacements for frame in search.moving], 0)
+    reliability = max(1 - errors / displacements, MIN_RELIABILITY) if displacements else 1.0
+    reach = max(mean, min(float(means.max()) / reliability, 1.0))
     # The share of the scan is anywhere between both.
-    deviation = float(np.hypot(number.deviation, (reach - number.mean) / np.sqrt(3)))
-    return Share(number.mean, deviation, reach, gain, trembling, still)
+    deviation = float(np.hypot(spread, (reach - mean) / np.sqrt(3)))
+    return Share(
+        mean,
+        deviation,
+        reach,
+        2 * (search.likeliest((0.0, 0.0)).cost - likely[int(log_odds.argmax())].cost),
+        float(np.sqrt(odds @ [motion.position[1] for motion in likely])),
+        float(odds[0]),
+    )
 
 
-def _moving_frames(
+@dataclass(frozen=True, eq=False)
+class MotionEvidence:
+    """Evidence of frames about a motion, as a linearised sum of squares.
+
+    Attributes
+    ----------
+    position : array, shape (3,)
+        Share, trembling², and variance of each reading's own error.
+    cost : float
+        −ln evidence.
+    gradient, normal : array, shapes (3,) and (3, 3)
+        Its first derivatives, and the expected second ones.
+    """
+
+    position: Array
+    cost: float
+    gradient: Array
+    normal: Array
+
+    @property
+    def share(self) -> tuple[float, float]:
+        """Posterior mean and standard deviation of the share, normal within the limits."""
+        share = float(self.position[0])
+        centre = share - float(self.gradient[0] / self.normal[0, 0])
+        deviation = float(np.sqrt(1 / self.normal[0, 0]))
+        below, above = np.clip([centre - 6 * deviation, centre + 6 * deviation], 0.0, 1.0)
+        tried = np.linspace(below, above, POINTS)
+        cost = ((tried - centre) / deviation) ** 2
+        odds = np.exp((cost.min() - cost) / 2)
+        mean = float(odds @ tried / odds.sum())
+        return mean, float(np.sqrt(odds @ (tried - mean) ** 2 / odds.sum()))
+
+    @property
+    def log_evidence(self) -> float:
+        """Logarithm of the evidence, with a prior of the trembling uniform in its logarithm."""
+        squared = float(self.position[1])
+        if not squared:
+            return -self.cost
+        deviation = 0.5 / (squared * np.sqrt(self.normal[1, 1]))
+        width = min(np.sqrt(2 * np.pi) * deviation / np.log(TREMBLINGS[1] / TREMBLINGS[0]), 1.0)
+        return float(np.log(width)) - self.cost
+
+
+@dataclass(frozen=True, eq=False)
+class MotionSearch:
+    """Search for the motion of largest evidence.
+
+    Attributes
+    ----------
+    moving : sequence of MovingFrame
+        Frames, which share the errors of the unloaded panel and of the readings.
+    own : float
+        Largest variance of each reading's own error.
+    """
+
+    moving: "Sequence[MovingFrame]"
+    own: float
+
+    def likeliest(
+        self, shares: tuple[float, float], tremblings: tuple[float, float] = (0.0, 0.0)
+    ) -> MotionEvidence:
+        """Return the motion of largest evidence between limits of the share and of trembling."""
+        low = np.array([shares[0], tremblings[0] ** 2, 0.0])
+        high = np.array([shares[1], tremblings[1] ** 2, self.own])
+        starts = [usual_starts(frame.changes.change) for frame in self.moving]
+
+        def model(position: Array) -> MotionEvidence:
+            changes = [frame.changes_by(position) for frame in self.moving]
+            both = zip(changes, starts, strict=True)
+            moved = [of_frame.selected(start)[1] for of_frame, start in both]
+            # Further searches begin at the moved cells of the motion before.
+            starts[:] = [[of_frame] for of_frame in moved]
+            return self.evidence(position, changes, moved)
+
+        return SCORING.minimum(model, low, (low, high))[1]
+
+    def evidence(
+        self, position: Array, changes: Sequence[Changes], moved: Sequence[Chosen]
+    ) -> MotionEvidence:
+        """Return the evidence of changes, whose moved cells are free."""
+        share, _, own = position
+        weights = np.stack([frame.displaced.weight.ravel() for frame in self.moving])
+        still = np.array([[1 - np.mean(cells)] for cells in moved])
+        gain = block_diagonal([frame.fits[1].gain for frame in self.moving])
+        by_share = np.concatenate([frame.by_motion for frame in self.moving])
+        by_error = np.concatenate([frame.by_error for frame in self.moving])
+        if not self.own:
+            by_error = by_error[:, :0]
+        # Errors of the unloaded panel and of the readings are those of all frames.
+        unloaded = self.moving[0].unloaded
+        apart = [
+            of_frame.covariance + np.diag(1.0 * cells) - unloaded - own * frame.square_of_errors
+            for frame, of_frame, cells in zip(self.moving, changes, moved, strict=True)
+        ]
+        covariance = block_diagonal(apart) + np.kron(np.ones((len(moved), len(moved))), unloaded)
+        covariance += own * by_error @ by_error.T
+        precision, volume = inverse_and_volume(covariance)
+        residual = np.concatenate([of_frame.change for of_frame in changes])
+        pull = precision @ residual
+        # Moved cells are free, and take as many readings out of the density.
+        jacobian = -2 * np.sum(still * np.log(1 - share * weights))
+        count = sum(int(cells.sum()) for cells in moved)
+        cost = float(residual @ pull - volume + MOVED_COST * count + jacobian) / 2
+        # V_share and V_trembling are K diag(variances) Kᵀ, V_own is A Aᵀ.
+        variances = np.concatenate([frame.slopes(share) for frame in self.moving], axis=1)
+        of_readings = gain.T @ (precision @ gain)
+        of_errors = by_error.T @ (precision @ by_error)
+        across = gain.T @ (precision @ by_error)
+        gradient = np.append(
+            variances @ (np.diag(of_readings) - (gain.T @ pull) ** 2),
+            np.trace(of_errors) - np.sum((by_error.T @ pull) ** 2),
+        )
+        gradient[0] += 2 * np.sum(still * weights / (1 - share * weights)) - 2 * by_share @ pull
+        normal = np.zeros((3, 3))
+        normal[:2, :2] = variances @ of_readings**2 @ variances.T
+        normal[2, :2] = normal[:2, 2] = variances @ np.sum(across**2, axis=1)
+        normal[2, 2] = np.sum(of_errors**2) if self.own else 1.0
+        normal[0, 0] += 2 * by_share @ precision @ by_share
+        return MotionEvidence(position, cost, gradient / 2, normal / 2)
+
+
+def moving_frames(
     recording: Recording,
     readings: Readings,
     frame_noise: FrameNoise | None,
     resting_cells: Array | None,
-) -> "list[_Moving]":
+) -> "list[MovingFrame]":
     """Return the frames with the largest motion whose cells are determined well.
 
     The list is empty where a frame has no fit, and on panels of more than MAX_CELLS. The arguments
@@ -250,7 +380,7 @@ def _moving_frames(
     moved = displacement(scene, readings, measured)
     size = np.sqrt(np.mean((moved.value / readings.known_sigma) ** 2, axis=(1, 2)))
     base = fitted(scene, resting, resting_cells, patient=True)
-    moving = list[_Moving]()
+    moving = list[MovingFrame]()
     near = resting_cells
     for number in inner[np.argsort(-size[inner])][: 1 + MAX_NEIGHBOURS]:
         fit = fitted(scene, readings[number], near, patient=True)
@@ -259,81 +389,12 @@ def _moving_frames(
         near = fit.cells
         if well_determined((base, fit)):
             displaced = Displacement(*(part[number] for part in moved))
-            moving.append(_Moving((base, fit), displaced, frame_noise))
+            moving.append(MovingFrame((base, fit), displaced, frame_noise))
     return moving
 
 
-def _mostly_still(moving: "Sequence[_Moving]", tried: "Sequence[Motion]") -> "list[_Frame]":
-    """Return the frames with each motion that leave most cells still."""
-    frames = (frame.explained_by(tried) for frame in moving)
-    return [frame for frame in frames if frame.is_mostly_still]
-
-
-def _gain_of(moving: "Sequence[_Moving]", tried: "Sequence[Motion]") -> float:
-    """Return the gain of the best motion over the first one in −2 ln evidence; 0 without frames."""
-    compared = _mostly_still(moving, tried)
-    if not compared:
-        return 0.0
-    costs = [_joint_cost([frame.explained[key] for frame in compared]) for key in tried]
-    return costs[0] - min(costs)
-
-
-class _Explained(NamedTuple):
-    """Changes of a frame with a size of each reading's own error, a share and a trembling.
-
-    Attributes
-    ----------
-    cost : float
-        −2 ln evidence of the frame alone.
-    change : array, shape (cells,)
-        d.
-    noise : array, shape (cells, cells)
-        Covariance of d that no other frame shares, with the freedom of moved cells.
-    shared : array, shape (cells, n)
-        Columns of the errors that all frames share: of each reading, and of the unloaded panel.
-    beside : float
-        −2 ln of the prior of the moved cells, and of the Jacobian of the interpolation.
-    """
-
-    cost: float
-    change: Array
-    noise: Array
-    shared: Array
-    beside: float
-
-
-# Size of each reading's own error, share, and trembling.
-Motion = tuple[float, float, float]
-
-
 @dataclass(frozen=True, eq=False)
-class _Frame:
-    """A frame with each size of errors, share and trembling.
-
-    Attributes
-    ----------
-    explained : mapping of (float, float, float) to _Explained
-        By size of errors, share and trembling.
-    is_mostly_still : bool
-        Whether most cells are still under the likeliest of them without trembling.
-    trembles : bool
-        Whether they are still and without a load with trembling alone.
-    shows_trembling : bool
-        Whether most cells are still and without a load. Otherwise trembling explains any motion.
-    displacements, errors : float
-        Σ of squared displacements and of their squared doubts, in σ².
-    """
-
-    explained: Mapping[Motion, _Explained]
-    is_mostly_still: bool
-    trembles: bool
-    shows_trembling: bool
-    displacements: float
-    errors: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Moving:
+class MovingFrame:
     """A frame of a load that moves.
 
     Attributes
@@ -351,7 +412,7 @@ class _Moving:
     frame_noise: FrameNoise | None
 
     @cached_property
-    def _changes(self) -> Changes:
+    def changes(self) -> Changes:
         """The changes since rest without motion."""
         pair = FittedPair(self.fits)
         changes = pair.with_columns(pair.columns(()))
@@ -365,7 +426,13 @@ class _Moving:
         return replace(changes, noise=covariance)
 
     @cached_property
-    def _of_readings(self) -> Array:
+    def unloaded(self) -> Array:
+        """Covariance of the changes by errors of the unloaded panel, (cells, cells)."""
+        resting = self.fits[0].covariance
+        return np.asarray(resting + ASSUMED.creep**2 * np.eye(len(resting)))
+
+    @cached_property
+    def by_error(self) -> Array:
         """A = K_f U_f − K_b U_b of errors of one, the same in both frames, (cells, readings)."""
         resting, frame = (
             fit.gain * own_errors(fit.readings.value, fit.scene, 1.0).ravel() for fit in self.fits
@@ -373,114 +440,76 @@ class _Moving:
         return np.asarray(frame - resting)
 
     @cached_property
-    def _square_of_readings(self) -> Array:
+    def square_of_errors(self) -> Array:
         """A Aᵀ of these errors, (cells, cells)."""
-        return np.asarray(self._of_readings @ self._of_readings.T)
+        return np.asarray(self.by_error @ self.by_error.T)
 
     @cached_property
-    def _by_motion(self) -> Array:
+    def by_motion(self) -> Array:
         """Change of the log cells by the displacement, (cells,)."""
         return self.fits[1].response(self.displaced.value[None])[:, 0]
 
-    def _changes_by(self, motion: Motion, *, doubted: bool) -> Changes:
-        """Return the changes with a motion, whose interpolation is `doubted` or exact."""
-        size, share, trembling = motion
+    @cached_property
+    def _variances(self) -> Array:
+        """Variances of the noise, of the doubt, and of the load's change by one, (3, readings)."""
         resting, frame = self.fits
-        noise = frame.readings.known_sigma.ravel()
-        weight = self.displaced.weight.ravel()
-        by_load = (frame.readings.value - resting.readings.value).ravel()
-        # A reading's variance beyond its noise: of the mean with the neighbouring frame, of the
-        # trembling load, and of the interpolation.
-        remaining = (1 - share * weight) ** 2 + (share * weight) ** 2
-        variance = (trembling * by_load) ** 2 - noise**2 * (1 - remaining)
-        if doubted:
-            # The evidence takes motion as smooth: a wider doubt would favour small shares.
-            variance += (share * self.displaced.smooth.ravel()) ** 2
-        covariance = self._changes.noise
-        if variance.any():
-            covariance = covariance + (frame.gain * variance) @ frame.gain.T
-        if size:
-            covariance = covariance + size**2 * self._square_of_readings
-        return replace(
-            self._changes,
-            change=self._changes.change - share * self._by_motion,
-            noise=covariance,
+        by_load = frame.readings.value - resting.readings.value
+        noise = frame.readings.known_sigma
+        return np.stack([noise, self.displaced.smooth, by_load]).reshape(3, -1) ** 2
+
+    @property
+    def errors_and_displacements(self) -> tuple[float, float]:
+        """Σ of squared doubts and of squared displacements, in σ²."""
+        noise, doubt, _ = self._variances
+        return float(np.sum(doubt / noise)), float(
+            np.sum(self.displaced.value.ravel() ** 2 / noise)
         )
 
-    def _still_and_free(self, motion: Motion) -> tuple[bool, bool]:
+    def slopes(self, share: float) -> Array:
+        """Return ∂(variance of each reading)/∂(share, trembling²), (2, readings)."""
+        noise, doubt, load = self._variances
+        weight = self.displaced.weight.ravel()
+        return np.stack([2 * noise * weight * (2 * share * weight - 1) + 2 * share * doubt, load])
+
+    def changes_by(self, motion: Array, *, doubted: bool = True) -> Changes:
+        """Return the changes with a motion, whose interpolation is `doubted` or exact.
+
+        A reading y less its displacement, z = (1 − w) y + w yₙ, is a mean with the neighbouring
+        frame. Its variance is σ²((1 − w)² + w²), and p(y) = (1 − w) p(z): without both, every mean
+        of frames would seem to be motion.
+
+        Parameters
+        ----------
+        motion : array, shape (3,)
+            Share, trembling², and variance of each reading's own error.
+        """
+        share, trembling, own = motion
+        weight = share * self.displaced.weight.ravel()
+        noise, doubt, load = self._variances
+        variance = trembling * load - 2 * noise * weight * (1 - weight)
+        if doubted:
+            # The evidence takes motion as smooth: a wider doubt would favour small shares.
+            variance = variance + share**2 * doubt
+        covariance = self.changes.noise
+        gain = self.fits[1].gain
+        if variance.any():
+            covariance = covariance + (gain * variance) @ gain.T
+        if own:
+            covariance = covariance + own * self.square_of_errors
+        change = self.changes.change - share * self.by_motion
+        return replace(self.changes, change=change, noise=covariance)
+
+    def still_and_free(self, motion: Array) -> tuple[bool, bool]:
         """Return whether most cells are still under a motion, and whether they have no load.
 
-        A load that trembles may move any cell that changed as loaded ones do.
+        A load that trembles may move any cell that changed as loaded ones do. Cells count as still
+        without the doubt of the interpolation: with it, everything may be still.
         """
-        exact = self._changes_by(motion, doubted=False)
+        exact = self.changes_by(motion, doubted=False)
         moved = exact.selected(usual_starts(exact.change))[1]
         change = np.abs(exact.change - np.median(exact.change))
         loaded = change > LOADED_SHARE * change.max()
         return mostly_still(moved), mostly_still(moved | loaded)
-
-    def explained_by(self, tried: Sequence[Motion]) -> _Frame:
-        """Return the frame with each motion, of which some have no trembling.
-
-        A reading y less its displacement, z = (1 − w) y + w yₙ, is a mean with the neighbouring
-        frame. Its variance is σ²((1 − w)² + w²), and p(y) = (1 − w) p(z): without both, every mean
-        of frames would seem to be motion. Cells count as still without the doubt of the
-        interpolation: with it, everything may be still.
-
-        Parameters
-        ----------
-        tried : sequence of (float, float, float)
-            Relative standard deviation of each reading's own error, share, and trembling.
-        """
-        resting, frame = self.fits
-        weight = self.displaced.weight.ravel()
-        unloaded = resting.covariance + ASSUMED.creep**2 * np.eye(len(weight))
-        of_unloaded = np.linalg.cholesky(unloaded)
-        explained = {}
-        starts = usual_starts(self._changes.change)
-        for key in tried:
-            size, share, _ = key
-            changes = self._changes_by(key, doubted=True)
-            cost, moved = changes.selected(starts)
-            # Further searches begin at the moved cells of the numbers before.
-            starts = [moved]
-            # Moved cells are free, and take as many readings out of the density.
-            jacobian = -2 * (1 - np.mean(moved)) * np.sum(np.log(1 - share * weight))
-            shared = of_unloaded
-            covariance = changes.covariance + np.diag(1.0 * moved) - unloaded
-            if size:
-                shared = np.column_stack([size * self._of_readings, of_unloaded])
-                covariance -= size**2 * self._square_of_readings
-            explained[key] = _Explained(
-                cost + jacobian,
-                changes.change,
-                covariance,
-                shared,
-                MOVED_COST * int(moved.sum()) + jacobian,
-            )
-
-        steady = [key for key in tried if not key[2]]
-        still, free = self._still_and_free(min(steady, key=lambda key: explained[key].cost))
-        trembles = False
-        if not still:
-            # Where a load trembles, cells stand still under no steady motion.
-            likeliest = min(tried, key=lambda key: explained[key].cost)
-            trembles = free = self._still_and_free(likeliest)[1]
-        noise = frame.readings.known_sigma
-        return _Frame(
-            explained,
-            still,
-            trembles,
-            free,
-            float(np.sum((self.displaced.value / noise) ** 2)),
-            float(np.sum((self.displaced.smooth / noise) ** 2)),
-        )
-
-
-def _joint_cost(frames: Sequence[_Explained]) -> float:
-    """Return −2 ln evidence of frames that share errors z ~ N(0, 1), d_f = B_f z + noise_f."""
-    first, *others = (Information.of(frame.shared, frame.noise, frame.change) for frame in frames)
-    joint = sum(others, first)
-    return joint.evidence_cost + sum(frame.beside for frame in frames)
 
 
 def interpolated(noise: NoiseEstimate, recording: Recording, share: Share) -> NoiseEstimate:
@@ -548,8 +577,8 @@ class ScanMotion(SceneEffect):
             size = share_of_motion(
                 recording,
                 readings,
-                READING_ERRORS if unknown_errors else (0.0,),
-                SHARES if known is None else np.array([known]),
+                known,
+                unknown_errors=unknown_errors,
                 frame_noise=noise.frame,
                 resting_cells=noise.resting_cells,
             )
@@ -581,15 +610,19 @@ class ScanMotion(SceneEffect):
         if readings.sigma is None or not unloaded.any() or not evidence.names_none("motion"):
             return
         named = isinstance(specified(evidence.scene, "systematic.reading_error"), float)
-        compared = (evidence.recording, readings)
-        known: dict[str, Any] = {
-            "frame_noise": evidence.noise.frame,
-            "resting_cells": evidence.noise.resting_cells,
-        }
-        share = share_of_motion(*compared, (0.0,), least_gain=MIN_EVIDENCE_GAIN, **known)
+        search = partial(
+            share_of_motion,
+            evidence.recording,
+            readings,
+            # A load on most cells, such as a hand, is like one that trembles.
+            trembling_alone=False,
+            frame_noise=evidence.noise.frame,
+            resting_cells=evidence.noise.resting_cells,
+        )
+        share = search()
         # Errors of readings explain some of what seems to be motion: they are tried where some is.
         if share is not None and share.gain > MIN_EVIDENCE_GAIN and not named:
-            share = share_of_motion(*compared, READING_ERRORS, **known)
+            share = search(unknown_errors=True)
         if share is None or not share.gain > MIN_EVIDENCE_GAIN:
             return
         yield Unnamed(_in_words, estimated_entry("motion"))

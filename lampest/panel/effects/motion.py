@@ -8,12 +8,9 @@ from lampest.panel.effects.sized_effect import SizedEffect
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import Readout
 
-# Shares of the time between frames that a scan takes, all equally probable before.
-SHARES = np.linspace(0, 1, 6)
-# Sizes of the trembling of a load within a scan, and their prior probabilities: no trembling is as
-# probable as all others together.
-TREMBLINGS = np.array([0.0, 0.015, 0.04, 0.1, 0.25])
-TREMBLING_ODDS = np.where(TREMBLINGS > 0, 0.5 / np.count_nonzero(TREMBLINGS), 0.5)
+# Least and largest trembling of a load within a scan, as shares of its change. The prior of the
+# logarithm is uniform between them, and no trembling is as probable as all others together.
+TREMBLINGS = 0.015, 0.25
 
 
 class LoadMotion(SizedEffect):
