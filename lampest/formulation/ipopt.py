@@ -48,8 +48,8 @@ WARM = {
     "warm_start_slack_bound_push": PUSH,
     "warm_start_slack_bound_frac": PUSH,
     "warm_start_mult_bound_push": PUSH,
-    "mu_init": 1e-6,
-    "mu_max": 1e-4,
+    "mu_init": 1e-8,
+    "mu_max": 1e-8,
 }
 # A warm solve ends where the slopes are below a hundred tolerances, at bounds that are met to one:
 # by then Newton's steps are quadratic, and the next one moves cells by some 1e-9.

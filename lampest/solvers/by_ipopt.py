@@ -1,8 +1,10 @@
 """Solver that gives the nonlinear program with node voltages to IPOPT.
 
 IPOPT begins at the same starts as every other solver, and its solution is checked in the same way.
-Initial voltages are those of the start's cells; initial multipliers are the final ones of the
-previous frame.
+A frame that follows another begins where the sensitivity of the previous solution to the readings
+leads: one linear solve with the factor of its certificate, u − H⁻¹ ∇φ in log r, with an error of
+the second order (Zavala & Biegler, Automatica 45, 2009). Initial voltages are those of these cells;
+initial multipliers are the final ones of the previous frame.
 """
 
 from dataclasses import dataclass, replace
@@ -22,7 +24,8 @@ from lampest.formulation.program import Program
 from lampest.panel.compiled import guarded
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
-from lampest.solvers.certificate import certificate
+from lampest.solvers.bounds import moved_by
+from lampest.solvers.certificate import Certificate, certificate
 from lampest.solvers.solution import Outcome, Settings, Solver, Status, sharp_hessian
 
 STATUS = {
@@ -45,6 +48,38 @@ MAX_FINE = 3  # fine solves of a start: one, and one more after each saddle
 FAR = log(4.0)
 
 
+@dataclass(frozen=True, eq=False)
+class Ending:
+    """End of a solve, where the next frame begins.
+
+    Attributes
+    ----------
+    multipliers : Multipliers
+    certificate : Certificate
+        Certificate of the end.
+    """
+
+    multipliers: Multipliers
+    certificate: Certificate
+
+    def predicted(self, start: Evaluation) -> Evaluation:
+        """Return the point to which the sensitivity to the readings leads from the end's cells.
+
+        `start` has the cells of the end and the data of the next frame. It is returned itself where
+        the cost does not fall, where its Hessian has no factor, and with absolute losses, whose
+        duals change with the readings.
+        """
+        factor = self.certificate.factor
+        dual = np.zeros_like(start.cost.slope)
+        if factor is None or len(dual) or len(factor.diagonal) != start.cell_resistance.size:
+            return start
+        step = self.certificate.after(sharp_hessian(start, dual)).step
+        predicted = moved_by(start, step)
+        if predicted is None or not predicted.objective < start.objective:
+            return start
+        return predicted
+
+
 @dataclass(frozen=True)
 class Ipopt(Solver):
     """Solver of one cost, circuit and choice of patterns on one panel shape.
@@ -58,8 +93,8 @@ class Ipopt(Solver):
     readout : Readout
     wiring : Wiring or None
     patterns : Excitation
-    multipliers : Multipliers or None
-        Those of the frame before.
+    previous : Ending or None
+        End of the frame before.
     """
 
     cells_alone: ClassVar[bool] = False
@@ -67,7 +102,7 @@ class Ipopt(Solver):
     readout: Readout
     wiring: Wiring | None
     patterns: Excitation
-    multipliers: Multipliers | None = None
+    previous: Ending | None = None
 
     @property
     def name(self) -> str:
@@ -79,12 +114,12 @@ class Ipopt(Solver):
         self._built()
 
     def continued(self, carried: object) -> "Ipopt":
-        """Return the solver that begins with the multipliers of the frame before."""
-        return replace(self, multipliers=carried if isinstance(carried, Multipliers) else None)
+        """Return the solver that begins at the end of the frame before."""
+        return replace(self, previous=carried if isinstance(carried, Ending) else None)
 
     def cold(self) -> "Ipopt":
         """Return the solver without initial multipliers and with IPOPT's own barrier parameter."""
-        return replace(self, multipliers=None)
+        return replace(self, previous=None)
 
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from `start`.
@@ -93,8 +128,7 @@ class Ipopt(Solver):
         """
         if data.overdue:
             return Outcome(start.cell_resistance, np.zeros_like(self.cost.slope), Status.TIME, 0)
-        instance = self._instance(start)
-        result, iterations = self._minimise(instance)
+        instance, result, iterations = self._minimised(start)
         status = STATUS.get(result.status, Status.BREAKDOWN)
         outcome = self._outcome(start, instance, result, status, iterations)
         multipliers = instance.multipliers_of(result)
@@ -144,22 +178,27 @@ class Ipopt(Solver):
             return outcome
         at = start.elsewhere(np.clip(cells, start.data.lower, start.data.upper))
         verdict = certificate(sharp_hessian(at, dual))
-        return replace(outcome, at=at, certificate=verdict, carried=instance.multipliers_of(result))
+        carried = Ending(instance.multipliers_of(result), verdict)
+        return replace(outcome, at=at, certificate=verdict, carried=carried)
 
-    def _minimise(self, instance: Instance) -> tuple[ProgramResult, int]:
-        """Return IPOPT's result, and its iterations.
+    def _minimised(self, start: Evaluation) -> tuple[Instance, ProgramResult, int]:
+        """Return the instance that IPOPT solved, its result, and the iterations.
 
-        The solve is warm where there are multipliers, and cold if that fails.
+        The solve is warm where a frame precedes, and cold if that fails.
         """
+        instance = self._instance(start)
         iterations = 0
-        if self.multipliers is not None and len(self.multipliers.of_bounds) == len(instance.start):
-            warm = self.multipliers.in_units(instance.program, instance.scale, instance.cost_scale)
-            result = self._built().minimise(instance, warm)
-            if STATUS.get(result.status) is Status.OPTIMUM:
-                return result, result.iterations
-            iterations = result.iterations
+        if self.previous is not None:
+            multipliers = self.previous.multipliers
+            warm = self._instance(self.previous.predicted(start))
+            if len(multipliers.of_bounds) == len(warm.start):
+                multipliers = multipliers.in_units(warm.program, warm.scale, warm.cost_scale)
+                result = self._built().minimise(warm, multipliers)
+                if STATUS.get(result.status) is Status.OPTIMUM:
+                    return warm, result, result.iterations
+                iterations = result.iterations
         result = self._built().minimise(instance)
-        return result, iterations + result.iterations
+        return instance, result, iterations + result.iterations
 
     def _built(self) -> Interface:
         """Return IPOPT's interface to the program, which is built once."""

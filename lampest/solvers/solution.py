@@ -237,7 +237,8 @@ class Outcome:
     certificate : Certificate or None
         Certificate of these cells.
     carried : object
-        What the solver of the next frame can begin with: a Preconditioner, Multipliers, or None.
+        What the solver of the next frame can begin with: a Preconditioner, an end of IPOPT, or
+        None.
     convex : bool
         Whether no direction of negative curvature was met.
     at : Evaluation or None

@@ -472,15 +472,15 @@ def warm_iterations(
 def test_warm_later_frames_at_10_by_10_take_three_iterations(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Frames of a steady load with all readings; one that lacks a reading takes 5 at most.
+    """Frames with all readings take 2, where cells change much up to 5.
 
-    A mouth takes 7 where it arrives, in a frame that lacks two, and 53 in the 16 frames with all.
+    A frame that lacks a reading, or has one again, changes a cell by up to a factor of two.
     """
     load = lampest.datasets.load
     steady, lacking = warm_iterations(load("rod"), monkeypatch)
-    assert len(steady) == 18 and max(steady) <= 3 and len(lacking) == 2 and max(lacking) <= 5
+    assert len(steady) == 18 and max(steady) <= 3 and len(lacking) == 2 and max(lacking) <= 4
     arriving, lacking = warm_iterations(load("lamprey_35mm"), monkeypatch)
-    assert np.median(arriving) <= 3 and sum(arriving) <= 56 and max(lacking) <= 7
+    assert np.median(arriving) <= 2 and sum(arriving) <= 44 and max(lacking) <= 6
 
 
 def test_options_of_ipopt_take_the_place_of_lampests() -> None:

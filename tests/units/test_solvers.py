@@ -174,6 +174,30 @@ def test_ipopt_reaches_the_optimum_from_near_and_far(
     assert 0 < warm <= near_cold and near_cold > 0 and cold > 0 and warm <= MAX_WARM_STEPS
 
 
+def test_a_later_frame_begins_with_an_error_of_the_second_order() -> None:
+    """Ten times as large a change of the readings leaves a hundred times as large an error."""
+    readout = lampest.TwoPointReadout()
+    cost, data, cells = problem(readout, "LSR-CR")
+    solver = Ipopt(cost, Settings(), readout, None, EXCITATIONS["nodal"])
+    start = evaluated(cost, data, cells)
+    first = check(start, solver.solve(data, start))
+    change = np.random.default_rng(3).uniform(-1.0, 1.0, cells.shape)
+    errors = []
+    for size in (1e-3, 1e-2):
+        measured = data.measured * np.exp(size * change)
+        later = replace(data, given=replace(data.given, measured=measured))
+        start = evaluated(cost, later, first.cell_resistance)
+        predicted = first.carried.predicted(start)
+        optimum = check(start, solver.solve(later, start)).cell_resistance
+        distances = [
+            float(np.abs(np.log(point.cell_resistance / optimum)).max())
+            for point in (predicted, start)
+        ]
+        assert distances[0] < 0.1 * distances[1]
+        errors.append(distances[0])
+    assert 50 < errors[1] / errors[0] < 200
+
+
 def test_a_step_is_halved_until_a_trial_is_accepted() -> None:
     tried = list[float]()
 
