@@ -12,15 +12,6 @@ Names are loaded when they are first used, so that importing the package costs n
 
 from __future__ import annotations
 
-import sys
-
-if "".join(sys.argv[:1]).endswith(("/lampest", "lampest.exe")):
-    # Until `lampest.cli.main` notes signals, Ctrl-C ends the program at once, without a traceback.
-    import _signal
-
-    if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
-        _signal.signal(_signal.SIGINT, _signal.SIG_DFL)
-
 from typing import TYPE_CHECKING, Any, Literal
 
 import lazy_loader

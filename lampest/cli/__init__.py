@@ -2,17 +2,9 @@
 
 import errno
 import os
-import signal
 import sys
-import threading
 
-# Until `main` notes signals, Ctrl-C ends the process at once, without a traceback of an import.
-_EARLY = threading.current_thread() is threading.main_thread()
-_EARLY = _EARLY and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-if _EARLY:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-from lampest.cli.screen import (  # noqa: E402
+from lampest.cli.screen import (
     INTERRUPTED,
     WRONG_INPUT,
     as_options,
@@ -20,18 +12,14 @@ from lampest.cli.screen import (  # noqa: E402
     usable_streams,
     warn,
 )
-from lampest.files.applications import applications  # noqa: E402
-from lampest.files.errors import InputError, extra, printable  # noqa: E402
-from lampest.files.process import (  # noqa: E402
+from lampest.files.applications import applications
+from lampest.files.errors import InputError, extra, printable
+from lampest.files.process import (
     ONE_THREAD,
     ending_signals,
     interrupted,
     libraries_to_the_log,
 )
-
-if _EARLY:
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-del _EARLY
 
 NO_THREAD = "can't start new thread"  # the words of Python's RuntimeError
 KEPT = "interrupted; what was finished is kept"

@@ -95,3 +95,33 @@ def test_numbered_rows_say_where_a_frame_begins(tmp_path: Path, first: int) -> N
     recording, notes = import_file(path, rows=rows, columns=columns, unit="ohm")
     np.testing.assert_array_equal(recording.recorded, codes[1 + first // rows :])
     assert any("the first frame (line 1) is cut and left out" in note for note in notes)
+
+
+@pytest.mark.parametrize("form", ["{t};{r};{c};{v}", "{n},{c},{r},{v}", "{c},{r},{v},{n}"])
+@pytest.mark.parametrize("columns", [3, 4])
+def test_values_without_a_header_have_their_places_by_the_numbers_of_rows_and_columns(
+    tmp_path: Path, form: str, columns: int
+) -> None:
+    """Lines of four fields of a panel with four columns were taken as its rows."""
+    codes = tables.codes(np.random.default_rng(4), 5, 6)[:, :, :columns]
+    lines = [
+        form.format(t=1000 + 37 * frame, n=(frame + 250) % 256, r=row, c=column, v=code)
+        for (frame, row, column), code in np.ndenumerate(codes)
+    ]
+    lines[40] = "?" + lines[40][1:]
+    drawn = tables.Table(form, "\n".join([*lines[7:], ""]), codes, marked=True)
+    assert tables.outcome(drawn, tmp_path) == "missing"
+
+
+@pytest.mark.parametrize("end", ["", "\n"])
+def test_a_number_that_is_cut_at_the_end_of_a_file_is_left_out(tmp_path: Path, end: str) -> None:
+    """Without the end of its line, and with one that the terminal wrote."""
+    codes = 400 + np.arange(30 * 12).reshape(30, 3, 4)
+    text = "\n".join(
+        f"{number},{','.join(map(str, codes[number].ravel()))}" for number in range(30)
+    )
+    path = tmp_path / "m.csv"
+    path.write_text(text[:-1] + end)
+    recording, notes = import_file(path, rows=3, columns=4, unit="ohm")
+    np.testing.assert_array_equal(recording.recorded, codes[:-1])
+    assert any("line 30, the last one, which is cut off" in note for note in notes)

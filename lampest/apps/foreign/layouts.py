@@ -240,37 +240,47 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
         return order if "value" in order and has_place else None
     if table.width == 2 and shape[1] > 2 and _count_cells(table, cells):
         return {"cell": 0, "value": 1}
-    counter = _counter_before_cells(table, shape)
-    if counter:
-        return {counter: 0, "row": 1, "column": 2, "value": 3}
     if table.width not in (3, 4) or table.width in (cells, cells + 1):
         return None
-    if table.width in (shape[1], shape[1] + 1):
-        numbers = np.stack([table.line_numbers(field) for field in (0, 1)], axis=1)
-        indices = np.all((numbers == np.round(numbers)) & (numbers >= 0) & (numbers <= shape))
-        if not indices or (len(numbers) > 1 and not np.any(np.ptp(numbers, axis=0) > 0)):
-            return None
-    return dict(zip(("row", "column", "value", "frame"), range(table.width), strict=False))
+    places = _places_by_values(table, shape)
+    if places is None and table.width not in (shape[1], shape[1] + 1):
+        places = dict(zip(("row", "column", "value", "frame"), range(table.width), strict=False))
+    return places
 
 
-def _counter_before_cells(table: ReadingsTable, shape: Shape) -> str | None:
-    """Return whether the first of four fields is a 'frame' or a 'time'; None for neither.
+def _places_by_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
+    """Return the fields of row, column, value and counter by role; None without such fields.
 
-    The other three fields are row, column and value. A counter's value precedes most cells of the
-    panel, and none of them twice; readings do not repeat in this way.
+    Two neighbouring fields take the numbers of rows and of columns alone, in either order. The
+    counter of frames or the time stands before them, or behind the value.
     """
-    counter, row, column = (
-        (table.values[:, field] for field in range(3)) if table.width == 4 else (np.empty(0),) * 3
+    before = table.width - 3
+    numbers = [table.line_numbers(field) for field in range(table.width)]
+    for row, column in ((before, before + 1), (before + 1, before), (0, 1), (1, 0)):
+        if not (_counts(numbers[row], shape[0]) and _counts(numbers[column], shape[1])):
+            continue
+        value = max(row, column) + 1
+        counters = [field for field in range(table.width) if field not in (row, column, value)]
+        places = {"row": row, "column": column, "value": value}
+        return places | {_counter_role(numbers[field]): field for field in counters}
+    return None
+
+
+def _counts(numbers: Array, size: int) -> bool:
+    """Return whether nearly all numbers, (lines,), are those of `size` rows or columns."""
+    first = float(not np.any(numbers == 0))
+    within = (numbers >= first) & (numbers < first + size) & (numbers == np.round(numbers))
+    varies = len(numbers) == 1 or size == 1 or len(np.unique(numbers[within])) > 1
+    return bool(np.mean(within) >= 1 - MAX_CUT and varies)
+
+
+def _counter_role(numbers: Array) -> str:
+    """Return 'frame' for numbers, (lines,), that count by one, otherwise 'time'."""
+    distinct = np.unique(numbers[np.isfinite(numbers)])
+    whole = np.all(distinct == np.round(distinct))
+    return (
+        "frame" if whole and np.median(np.diff(distinct, prepend=distinct[:1] - 1)) == 1 else "time"
     )
-    rows, columns = (np.unique(numbers).tolist() for numbers in (row, column))
-    complete = [[*map(list, map(range, shape))], [list(range(1, size + 1)) for size in shape]]
-    if [rows, columns] not in complete or not np.all(np.diff(counter) >= 0):
-        return None
-    frames = np.unique(counter)
-    lines = len(np.unique(np.stack([counter, row, column]), axis=1).T)
-    if lines < len(counter) or 2 * lines < len(frames) * shape[0] * shape[1] or min(shape) == 1:
-        return None
-    return "frame" if np.all(np.diff(frames) == 1) and float(frames[0]).is_integer() else "time"
 
 
 def _count_cells(table: ReadingsTable, cells: int) -> bool:

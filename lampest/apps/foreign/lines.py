@@ -48,6 +48,7 @@ READ = (
 )
 MAX_FIELDS = 10_000_000  # 50 bytes each in memory
 MATRIX_ENDS = ("]]", "]],")
+MIN_LINES = 20  # with fewer, chance makes the last number the shortest one
 WRITTEN = re.compile(r"[-+.,]*\d[-+.,\d]*")  # a number
 # Not Excel's words for no number.
 COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)
@@ -157,14 +158,16 @@ def field_lines(
 def lines_of_text(path: Path, skip: int = 0) -> FieldLines:
     """Return the lines of a text file behind the first `skip` ones; see `field_lines_of`.
 
-    A last line without its end is left out unless its last field is as long as any above it.
+    A last line without its end is left out unless its last field is as long as any above it. A last
+    line with its end is left out if its last number is shorter than all above it.
 
     Raises InputError with the line if the file is no text or too large.
     """
     text, notes = _decoded(path)
     texts = re.split(r"\r\n|\r|\n", text)
     lines = field_lines_of(texts, str(path), notes, skip)
-    if len(lines.lines) < 2 or not texts[-1].strip() or not _is_cut(lines):
+    cut = _is_cut(lines) if texts[-1].strip() else _ends_in_a_cut_number(lines)
+    if len(lines.lines) < 2 or not cut:
         return lines
     note = f"left out: line {lines.lines[-1].number}, the last one, which is cut off"
     return replace(lines.without_the_last, notes=(*lines.notes, note))
@@ -183,6 +186,15 @@ def _is_cut(lines: FieldLines) -> bool:
     column = lines.fields[lines.counts == usual, usual - 1]
     longest = max((len(text) for text in column[:-1] if WRITTEN.fullmatch(text)), default=0)
     return count == usual and 0 < len(column[-1]) < longest
+
+
+def _ends_in_a_cut_number(lines: FieldLines) -> bool:
+    """Return whether the last number of the last line is shorter than those of all other lines."""
+    if len(lines.lines) < MIN_LINES or lines.counts[-1] != np.median(lines.counts):
+        return False
+    column = lines.fields[lines.counts == lines.counts[-1], lines.counts[-1] - 1]
+    lengths = [len(text) for text in column if WRITTEN.fullmatch(text)]
+    return bool(WRITTEN.fullmatch(column[-1])) and lengths[-1] < min(lengths[:-1], default=0)
 
 
 def field_lines_of(
