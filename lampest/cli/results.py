@@ -64,12 +64,13 @@ def plot(
     Parameters
     ----------
     results
-        A results file.
+        A results file; a recording for readings.
     out
         Output folder, or one picture such as x.svg. Default: beside the results.
     show
-        contours, change, resistance, residuals, pressure, certainty, sweep, or an added plot.
-        Default: contours, of sweeps errors.
+        contours, change, resistance, residuals, pressure, certainty, sweep, or an added plot;
+        readings for those of a recording that are missing, impossible or outliers. Default:
+        contours, of sweeps errors.
     frame
         Frame index, such as 12. Default: a frame of strong change.
     recording
@@ -77,6 +78,13 @@ def plot(
     estimator
         Estimator to plot, such as LSM. Default: all. Repeatable.
     """
+    if show == "readings":
+        from lampest.report.plots.readings import plot_readings
+
+        if frame is not None or frames or recording or estimator:
+            raise InputError("--show readings draws a whole recording; name the file alone")
+        screen.say(plot_readings(results, out))
+        return
     from lampest.report.plots import plot_results
 
     chosen: dict[str, Any] = {

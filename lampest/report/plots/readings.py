@@ -5,12 +5,13 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import ListedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, counted
 from lampest.inference.cleaning import Cleaned
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
@@ -30,7 +31,9 @@ STATES = (
     "larger than any cells allow, left out",
     "frozen, left out",
     "garbled, left out",
+    "no cell, or not read by the scene",
 )
+MEASURED, BOUND, MISSING, KEPT = range(4)
 HEIGHT_INCH = 4.0
 MAX_ROW_TICKS = 16
 
@@ -50,8 +53,9 @@ def states_of(cleaned: Cleaned, recorded: Array) -> NDArray[np.intp]:
     """
     left_out = cleaned.readings.seen == 0
     alone = cleaned.outliers & ~cleaned.impossible
-    states = np.where(cleaned.readings.side == Sidedness.VALUE, 0, 1)
-    states = np.where(np.isnan(recorded), STATES.index("missing in the file"), states)
+    missing = np.isnan(recorded)
+    states = np.where(cleaned.readings.side == Sidedness.VALUE, MEASURED, BOUND)
+    states = np.where(missing, MISSING, states)
     chosen = (
         alone & ~left_out,
         alone & left_out,
@@ -59,9 +63,9 @@ def states_of(cleaned: Cleaned, recorded: Array) -> NDArray[np.intp]:
         np.broadcast_to(cleaned.frozen, recorded.shape),
         readings_of(cleaned.garbled, cleaned.recording),
     )
-    for state, flagged in enumerate(chosen, start=3):
-        states = np.where(flagged & ~np.isnan(recorded), state, states)
-    return states
+    for state, flagged in enumerate(chosen, start=KEPT):
+        states = np.where(flagged & ~missing, state, states)
+    return np.where(cleaned.recording.scene.requested, states, len(STATES) - 1)
 
 
 def _states(recording: Recording) -> NDArray[np.intp]:
@@ -70,7 +74,7 @@ def _states(recording: Recording) -> NDArray[np.intp]:
     layout = prepared.layout
     if layout is None:
         return states_of(prepared.cleaned, recording.recorded)
-    missing = np.full(recording.modules[0].recorded.shape, STATES.index("missing in the file"))
+    missing = np.full(recording.modules[0].recorded.shape, MISSING)
     parts = [
         missing if module is None else states_of(module.cleaned, module.recording.recorded)
         for module in prepared.modules
@@ -85,7 +89,8 @@ def readings_picture(recording: Recording) -> Figure:
     figure = style.new_figure(HEIGHT_INCH)
     axes = figure.add_subplot()
     colours = colormaps["tab10"](np.arange(len(STATES)))
-    colours[0] = (0.93, 0.93, 0.93, 1.0)
+    colours[MEASURED] = to_rgba("0.93")
+    colours[-1] = to_rgba("white")
     axes.imshow(
         states.reshape(frames, -1).T,
         cmap=ListedColormap(colours),
@@ -101,6 +106,7 @@ def readings_picture(recording: Recording) -> Figure:
         f"row [number], each with its {columns} columns downwards", fontsize=style.TEXT_POINT
     )
     axes.set_yticks(np.arange(0, rows, -(-rows // MAX_ROW_TICKS)))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.tick_params(labelsize=style.SMALL_POINT)
     axes.set_title(recording.name, fontsize=style.TEXT_POINT)
     figure.legend(
@@ -118,9 +124,9 @@ def _legend(states: NDArray[np.intp], colours: Array) -> Iterator[Patch]:
     for state, words in enumerate(STATES):
         of_frames = (states == state).any(axis=(1, 2))
         if of_frames.any():
-            count = int((states == state).sum())
-            label = f"{words}: {count:,} of {states.size:,} readings, {of_frames.sum()} frames"
-            yield Patch(color=colours[state], label=label)
+            places = counted(int((states == state).sum()), "reading")
+            label = f"{words}: {places} in {counted(int(of_frames.sum()), 'frame')}"
+            yield Patch(facecolor=colours[state], edgecolor="0.5", lw=0.3, label=label)
 
 
 def plot_readings(path: Path, out: Path | None) -> Path:
