@@ -102,6 +102,9 @@ class Terminations:
         Voltage at the converter per voltage across the end of the line that is read.
     amplified : bool
         Whether 0 is recorded of a line that is read without current, not the potential of its end.
+    as_resistance : bool
+        Whether a reading is the resistance between the ends of both lines by the equation of a
+        divider, in ohm, not a voltage.
     diode : Diode, or None
         Diode in series with the end of the driven line.
     """
@@ -111,6 +114,7 @@ class Terminations:
     sensing: Ends
     gain: Array
     amplified: bool = False
+    as_resistance: bool = False
     diode: Diode | None = None
 
     @property

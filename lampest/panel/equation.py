@@ -259,7 +259,10 @@ class Equation:
             return terms.level + self.gain * (volt - terms.load_volt)
         if self.floating:
             # Nothing but the read lines conducts elsewhere: one loop of Rd, R and Rs
-            loop = (own_driven + own_sensed - 2 * mutual) + (self.drive + self.load)
+            between = row + column - 2 * mutual
+            if self.terminations.as_resistance:
+                return between
+            loop = between + (self.drive + self.load)
             return self._supply(loop) * (self.load * self.gain) / loop
         drive, by_drive = self.drive_terms
         load, by_load = self.load_terms
@@ -267,7 +270,10 @@ class Equation:
         of_drive = own_driven * by_drive + drive
         determinant = of_drive * of_load - mutual * mutual * (by_drive * by_load)
         if self.diode is None:
-            return mutual * (self.gain * self.source) / determinant
+            volt = mutual * (self.gain * self.source) / determinant
+            if self.terminations.as_resistance:
+                return self._current_volt / volt - (self.drive + self.load)
+            return volt
         # Resistance U/I of the driven path, from the excitation x and the potential u of the driven
         # line: x = U of_load/determinant, u = U (Z_ii of_load − B' Z_ij²)/determinant
         by_excitation, by_potential = self.current_terms
@@ -320,6 +326,25 @@ class Equation:
         if self.diode is None:
             return self.source
         return self.diode.resistor_volt(self.source, resistance)
+
+    @property
+    def _current_volt(self) -> Array:
+        """U·Rref, (rows, columns): what a voltage of the converter is divided by for U/I."""
+        return self.source * self.gain * self.load
+
+    def volt(self, reading: Array) -> Array:
+        """Return the voltages at the converter of readings (…, rows, columns)."""
+        if not self.terminations.as_resistance:
+            return reading
+        return np.asarray(self._current_volt / (reading + self.drive + self.load))
+
+    def volt_sigma(self, reading: Array, sigma: Array) -> Array:
+        """Return σ of the voltages at the converter for σ of the readings, (…, rows, columns)."""
+        if not self.terminations.as_resistance:
+            return sigma
+        return np.where(
+            np.isfinite(sigma), sigma * self.volt(reading) ** 2 / self._current_volt, np.inf
+        )
 
     def lost(self, current: Array) -> Array:
         """Return the voltage of the diode for a current through the driven line, volt."""

@@ -46,7 +46,7 @@ class Alternation:
         Parameters
         ----------
         measured : array, shape (rows, columns)
-            Readings, volt.
+            Voltages at the converter, volt.
         uniform : array, same shape
             Cells of the closed form, ohm.
         near : array, same shape, or None
