@@ -12,9 +12,9 @@ from typing import Protocol, Self
 
 import numpy as np
 
+from lampest.panel.diode import Diode
+from lampest.panel.lines import Groups, Side
 from lampest.panel.panel import Array
-from lampest.panel.readouts.diode import Diode
-from lampest.panel.readouts.lines import Groups, Side
 
 FOLLOWS = "follows"
 NOMINAL_LINES = 2  # of a side, where no list tells their number: one is used, one is idle

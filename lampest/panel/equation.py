@@ -34,9 +34,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.circuit import CircuitOfLines, Ends, Terminations, nominal_terminations
+from lampest.panel.diode import Diode
+from lampest.panel.lines import along, of_side, opposite
 from lampest.panel.panel import Array
-from lampest.panel.readouts.diode import Diode
-from lampest.panel.readouts.lines import along, of_side, opposite
 
 
 @dataclass(frozen=True, eq=False)
@@ -409,11 +409,14 @@ def equation_of(circuit: CircuitOfLines, rows: int, columns: int) -> Equation:
     def of_sensed(values: Array) -> Array:
         return np.broadcast_to(along(opposite(side), values), (rows, columns)).copy()
 
-    sensing = LineChange.of(ends.sensing, None)
+    # Where nothing but both read lines ends anywhere, a resistance is that of floating lines
+    idle_ends = ends.driving.connected(own=False).size + ends.sensing.connected(own=False).size
+    apart = ends.as_resistance and not idle_ends
+    sensing = LineChange.of(ends.sensing, Ends.floating(sensed_count) if apart else None)
     # A driven line that no other address shows idle rests behind its resistance, or floats if it
     # has none, unless nothing else ends
     resting = ends.driving.ohm.diagonal()
-    if np.isfinite(sensing.bases.ohm).any(axis=1).all():
+    if apart or np.isfinite(sensing.bases.ohm).any(axis=1).all():
         resting = np.where(resting > 0, resting, np.inf)
     driving = LineChange.of(ends.driving, Ends.of(resting, nominal.reference))
     ties = []

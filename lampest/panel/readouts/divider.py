@@ -9,8 +9,8 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from lampest.panel.circuit import Ends, Terminations, scanned
+from lampest.panel.lines import Groups, LineNumber, check_resistors, parallel
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import Groups, LineNumber, check_resistors, parallel
 from lampest.panel.readouts.readout import SHORT_SHARE, Readout, Surroundings
 
 

@@ -11,12 +11,9 @@ import numpy as np
 
 from lampest.files.typed import check_ranges
 from lampest.panel.circuit import FOLLOWS, Ends, Terminations, nominal_terminations
+from lampest.panel.diode import Diode
 from lampest.panel.equation import equation_of
-from lampest.panel.panel import Array
-from lampest.panel.readouts.channels import errors_of_channels
-from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
-from lampest.panel.readouts.diode import Diode
-from lampest.panel.readouts.lines import (
+from lampest.panel.lines import (
     Groups,
     LineNumber,
     PerLine,
@@ -32,6 +29,9 @@ from lampest.panel.readouts.lines import (
     per_line,
     with_channels,
 )
+from lampest.panel.panel import Array
+from lampest.panel.readouts.channels import errors_of_channels
+from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
 from lampest.panel.readouts.readout import Readout, Surroundings
 
 MAX_OFFSET_VOLT = 0.1  # amplifiers without trimming: 15 mV (data sheet of the LM324)

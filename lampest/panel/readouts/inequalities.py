@@ -9,8 +9,8 @@ import numpy as np
 
 from lampest.files.levels import NOISE_REACH
 from lampest.panel.equation import Equation
+from lampest.panel.lines import lines_text
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import lines_text
 
 
 @dataclass(frozen=True, eq=False)

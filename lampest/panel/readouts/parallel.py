@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from lampest.panel.circuit import Terminations
+from lampest.panel.lines import Groups, PerLine, per_line, with_channels
 from lampest.panel.panel import Array
 from lampest.panel.readouts.divider import Divider
-from lampest.panel.readouts.lines import Groups, PerLine, per_line, with_channels
 from lampest.panel.readouts.readout import Surroundings
 
 

@@ -16,13 +16,8 @@ from numpy.typing import NDArray
 
 from lampest.panel.circuit import NOMINAL_LINES, Terminations, nominal_terminations
 from lampest.panel.equation import equation_of
-from lampest.panel.law import EquationLaw, Law
-from lampest.panel.network import Network, SolvedNetwork
-from lampest.panel.panel import Array, Panel, connected_parts
-from lampest.panel.readouts import inequalities, starts
-from lampest.panel.readouts.converter import Converter
-from lampest.panel.readouts.inequalities import FreeTest
-from lampest.panel.readouts.lines import (
+from lampest.panel.law import Law
+from lampest.panel.lines import (
     LineNumber,
     PerLine,
     as_tuple,
@@ -30,6 +25,11 @@ from lampest.panel.readouts.lines import (
     of_side,
     per_line,
 )
+from lampest.panel.network import Network, SolvedNetwork
+from lampest.panel.panel import Array, Panel, connected_parts
+from lampest.panel.readouts import inequalities, starts
+from lampest.panel.readouts.converter import Converter
+from lampest.panel.readouts.inequalities import FreeTest
 from lampest.panel.readouts.starts import USUAL_OHM
 from lampest.panel.readouts.unseen import Scale, unseen_scales
 from lampest.panel.readouts.wiring import Wiring
@@ -190,7 +190,7 @@ class Readout(Converter, ABC):
     @property
     def law(self) -> Law:
         """Law of the readings, h with its derivatives."""
-        return EquationLaw(self)
+        return Law(self)
 
     # Readings of cells.
 

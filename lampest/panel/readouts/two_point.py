@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.law import TWO_POINT, Law
+from lampest.panel.lines import Groups, check_apart, check_groups
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array, EachModule, Modules
 from lampest.panel.readouts.divider import Divider
@@ -20,7 +21,6 @@ from lampest.panel.readouts.floating import (
     uniform_factor,
 )
 from lampest.panel.readouts.inequalities import FreeTest
-from lampest.panel.readouts.lines import Groups, check_apart, check_groups
 from lampest.panel.readouts.readout import Readout, Surroundings
 from lampest.panel.readouts.wiring import Wiring
 
