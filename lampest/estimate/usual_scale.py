@@ -14,7 +14,7 @@ import numpy as np
 from lampest.cost.losses import Huber
 from lampest.cost.terms import LogRatio, State, Term
 from lampest.estimate.estimator import Estimator
-from lampest.panel.readouts.readout import USUAL_OHM
+from lampest.panel.readouts.starts import USUAL_OHM
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 

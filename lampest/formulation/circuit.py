@@ -19,6 +19,7 @@ import scipy.sparse.csgraph
 import scipy.sparse.linalg
 from numpy.typing import NDArray
 
+from lampest.panel.equation import equation_of
 from lampest.panel.kirchhoff import current_balance
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
@@ -90,10 +91,12 @@ class Circuit:
     ) -> "tuple[Circuit, ...]":
         """Return the circuit of every address of a readout."""
         circuit = cls.of(shape, wiring)
-        addresses = readout.addresses(np.ones(shape))
+        equation = equation_of(readout, *shape)
+        terms = equation.potentials
+        ends = [None] * len(equation.ties) if terms is None or not terms.sourced else terms.ends
         return tuple(
-            replace(circuit, held=np.isinf(address.ties), read=address.read, ends=address.ends)
-            for address in addresses
+            replace(circuit, held=np.isinf(ties), read=read > 0, ends=volts)
+            for ties, read, volts in zip(equation.ties, equation.read_at, ends, strict=True)
         )
 
     @classmethod

@@ -12,9 +12,9 @@ from typing import Protocol, Self
 
 import numpy as np
 
+from lampest.panel.diode import Diode
+from lampest.panel.lines import Groups, Side
 from lampest.panel.panel import Array
-from lampest.panel.readouts.diode import Diode
-from lampest.panel.readouts.lines import Groups, Side
 
 FOLLOWS = "follows"
 NOMINAL_LINES = 2  # of a side, where no list tells their number: one is used, one is idle
@@ -102,6 +102,9 @@ class Terminations:
         Voltage at the converter per voltage across the end of the line that is read.
     amplified : bool
         Whether 0 is recorded of a line that is read without current, not the potential of its end.
+    as_resistance : bool
+        Whether a reading is the resistance between the ends of both lines by the equation of a
+        divider, in ohm, not a voltage.
     diode : Diode, or None
         Diode in series with the end of the driven line.
     """
@@ -111,6 +114,7 @@ class Terminations:
     sensing: Ends
     gain: Array
     amplified: bool = False
+    as_resistance: bool = False
     diode: Diode | None = None
 
     @property

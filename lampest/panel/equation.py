@@ -34,9 +34,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.circuit import CircuitOfLines, Ends, Terminations, nominal_terminations
+from lampest.panel.diode import Diode
+from lampest.panel.lines import along, of_side, opposite
 from lampest.panel.panel import Array
-from lampest.panel.readouts.diode import Diode
-from lampest.panel.readouts.lines import along, of_side, opposite
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,7 +259,10 @@ class Equation:
             return terms.level + self.gain * (volt - terms.load_volt)
         if self.floating:
             # Nothing but the read lines conducts elsewhere: one loop of Rd, R and Rs
-            loop = (own_driven + own_sensed - 2 * mutual) + (self.drive + self.load)
+            between = row + column - 2 * mutual
+            if self.terminations.as_resistance:
+                return between
+            loop = between + (self.drive + self.load)
             return self._supply(loop) * (self.load * self.gain) / loop
         drive, by_drive = self.drive_terms
         load, by_load = self.load_terms
@@ -267,7 +270,10 @@ class Equation:
         of_drive = own_driven * by_drive + drive
         determinant = of_drive * of_load - mutual * mutual * (by_drive * by_load)
         if self.diode is None:
-            return mutual * (self.gain * self.source) / determinant
+            volt = mutual * (self.gain * self.source) / determinant
+            if self.terminations.as_resistance:
+                return self._current_volt / volt - (self.drive + self.load)
+            return volt
         # Resistance U/I of the driven path, from the excitation x and the potential u of the driven
         # line: x = U of_load/determinant, u = U (Z_ii of_load − B' Z_ij²)/determinant
         by_excitation, by_potential = self.current_terms
@@ -320,6 +326,25 @@ class Equation:
         if self.diode is None:
             return self.source
         return self.diode.resistor_volt(self.source, resistance)
+
+    @property
+    def _current_volt(self) -> Array:
+        """U·Rref, (rows, columns): what a voltage of the converter is divided by for U/I."""
+        return self.source * self.gain * self.load
+
+    def volt(self, reading: Array) -> Array:
+        """Return the voltages at the converter of readings (…, rows, columns)."""
+        if not self.terminations.as_resistance:
+            return reading
+        return np.asarray(self._current_volt / (reading + self.drive + self.load))
+
+    def volt_sigma(self, reading: Array, sigma: Array) -> Array:
+        """Return σ of the voltages at the converter for σ of the readings, (…, rows, columns)."""
+        if not self.terminations.as_resistance:
+            return sigma
+        return np.where(
+            np.isfinite(sigma), sigma * self.volt(reading) ** 2 / self._current_volt, np.inf
+        )
 
     def lost(self, current: Array) -> Array:
         """Return the voltage of the diode for a current through the driven line, volt."""
@@ -384,11 +409,14 @@ def equation_of(circuit: CircuitOfLines, rows: int, columns: int) -> Equation:
     def of_sensed(values: Array) -> Array:
         return np.broadcast_to(along(opposite(side), values), (rows, columns)).copy()
 
-    sensing = LineChange.of(ends.sensing, None)
+    # Where nothing but both read lines ends anywhere, a resistance is that of floating lines
+    idle_ends = ends.driving.connected(own=False).size + ends.sensing.connected(own=False).size
+    apart = ends.as_resistance and not idle_ends
+    sensing = LineChange.of(ends.sensing, Ends.floating(sensed_count) if apart else None)
     # A driven line that no other address shows idle rests behind its resistance, or floats if it
     # has none, unless nothing else ends
     resting = ends.driving.ohm.diagonal()
-    if np.isfinite(sensing.bases.ohm).any(axis=1).all():
+    if apart or np.isfinite(sensing.bases.ohm).any(axis=1).all():
         resting = np.where(resting > 0, resting, np.inf)
     driving = LineChange.of(ends.driving, Ends.of(resting, nominal.reference))
     ties = []

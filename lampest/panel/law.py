@@ -11,12 +11,11 @@ For weights w of the readings, d(Σ w y) = tr(W dK) with W = [[diag Σ_k w h_p, 
 Σ_j w h_q]]. With w_v the weights of v, W becomes W + ½(x w_vᵀ + w_v xᵀ).
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from itertools import combinations_with_replacement, product
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,66 +48,6 @@ class Loading:
     of_potentials: Array | None = None
 
 
-class Law(ABC):
-    """Law h of the readings of a network.
-
-    Attributes
-    ----------
-    two_point : bool
-        Whether h = p + q − 2t: readings are resistances between a row and a column, and h has no
-        curvature.
-    """
-
-    two_point: ClassVar[bool] = False
-
-    @abstractmethod
-    def read(self, entries: Entries, shape: tuple[int, ...]) -> Array:
-        """Return h of the entries, (…, rows, columns)."""
-
-    @abstractmethod
-    def slopes(self, entries: Entries, shape: tuple[int, ...]) -> Entries:
-        """Return the first derivatives (h_p, h_q, h_t), or (h_p, h_q, h_t, h_e, h_f)."""
-
-    @abstractmethod
-    def curvatures(self, entries: Entries, shape: tuple[int, ...]) -> Array | None:
-        """Return the second derivatives, (entries, entries, rows, columns); None: h is linear."""
-
-    def change(self, slopes: Entries, change: Entries) -> Array:
-        """Return h_p·dp + h_q·dq + h_t·dt, (…, rows, columns)."""
-        row, column, *others = (slope * part for slope, part in zip(slopes, change, strict=True))
-        return np.asarray(sum(others, row + column))
-
-    def loading(self, slopes: Entries, weights: Array) -> Loading:
-        """Return W of weights (…, rows, columns) of the readings."""
-        return loading_of(*(weights * slope for slope in slopes))
-
-
-@dataclass(frozen=True)
-class TwoPointLaw(Law):
-    """Two-point readings R_jk = Z_jj + Z_kk − 2 Z_jk in ohm."""
-
-    two_point: ClassVar[bool] = True
-
-    def read(self, entries: Entries, shape: tuple[int, ...]) -> Array:
-        return across(entries)
-
-    def slopes(self, entries: Entries, shape: tuple[int, ...]) -> Entries:
-        return TWO_POINT_SLOPES
-
-    def curvatures(self, entries: Entries, shape: tuple[int, ...]) -> None:
-        return None
-
-    def change(self, slopes: Entries, change: Entries) -> Array:
-        return across(change)
-
-    def loading(self, slopes: Entries, weights: Array) -> Loading:
-        """Return W = L_w, the Laplacian with the weights as conductances."""
-        return Loading(line_sums(weights), -weights)
-
-
-TWO_POINT = TwoPointLaw()
-
-
 class ReadCircuit(Hashable, Protocol):
     """Interface of a readout for a law; see `lampest.panel.readouts.readout.Readout`."""
 
@@ -117,42 +56,77 @@ class ReadCircuit(Hashable, Protocol):
 
 
 @dataclass(frozen=True)
-class EquationLaw(Law):
-    """Equation of a readout, which CasADi differentiates.
+class Law:
+    """Law h of the readings of a network.
 
-    The derivatives are compiled once for each equation and panel size, for readings of the whole
-    panel.
+    CasADi differentiates the equation of a readout. The derivatives are compiled once for each
+    equation and panel size, for readings of the whole panel.
 
     Attributes
     ----------
-    readout : ReadCircuit
-        Readout that defines h.
+    readout : ReadCircuit or None
+        Readout that defines h. None: two-point readings R_jk = Z_jj + Z_kk − 2 Z_jk in ohm, whose h
+        has no curvature.
     """
 
-    readout: ReadCircuit
+    readout: ReadCircuit | None
+
+    @property
+    def two_point(self) -> bool:
+        """Whether h = p + q − 2t."""
+        return self.readout is None
 
     def read(self, entries: Entries, shape: tuple[int, ...]) -> Array:
+        """Return h of the entries, (…, rows, columns)."""
+        if self.readout is None:
+            return across(entries)
         reading = self.readout.reading(*entries)
         return reading if reading.shape == shape else np.array(np.broadcast_to(reading, shape))
 
     def slopes(self, entries: Entries, shape: tuple[int, ...]) -> Entries:
+        """Return the first derivatives (h_p, h_q, h_t), or (h_p, h_q, h_t, h_e, h_f)."""
+        if self.readout is None:
+            return TWO_POINT_SLOPES
         names = slope_names(with_potentials=len(entries) > 3)
-        return tuple(self._derivatives(names, entries, shape))
+        return tuple(self._derivatives(self.readout, names, entries, shape))
 
-    def curvatures(self, entries: Entries, shape: tuple[int, ...]) -> Array:
+    def curvatures(self, entries: Entries, shape: tuple[int, ...]) -> Array | None:
+        """Return the second derivatives, (entries, entries, rows, columns); None: h is linear."""
+        if self.readout is None:
+            return None
         with_potentials = len(entries) > 3
         names = curvature_names(with_potentials=with_potentials)
-        derivatives = self._derivatives(names, entries, shape)
+        derivatives = self._derivatives(self.readout, names, entries, shape)
         return np.asarray(derivatives[curvature_places(with_potentials=with_potentials)])
 
+    def change(self, slopes: Entries, change: Entries) -> Array:
+        """Return h_p·dp + h_q·dq + h_t·dt, (…, rows, columns)."""
+        if self.readout is None:
+            return across(change)
+        row, column, *others = (slope * part for slope, part in zip(slopes, change, strict=True))
+        return np.asarray(sum(others, row + column))
+
+    def loading(self, slopes: Entries, weights: Array) -> Loading:
+        """Return W of weights (…, rows, columns) of the readings.
+
+        Of two-point readings it is L_w, the Laplacian with the weights as conductances.
+        """
+        if self.readout is None:
+            return Loading(line_sums(weights), -weights)
+        return loading_of(*(weights * slope for slope in slopes))
+
+    @staticmethod
     def _derivatives(
-        self, names: tuple[str, ...], entries: Entries, shape: tuple[int, ...]
+        readout: ReadCircuit, names: tuple[str, ...], entries: Entries, shape: tuple[int, ...]
     ) -> Array:
         """Return derivatives of h, (names, rows, columns)."""
         every = np.empty((len(entries), *shape))
         for number, part in enumerate(entries):
             every[number] = part
-        return equation_derivatives(self.readout, *shape, names)(every).reshape(-1, *shape)
+        return equation_derivatives(readout, *shape, names)(every).reshape(-1, *shape)
+
+
+TWO_POINT = Law(None)
 
 
 @cache

@@ -16,15 +16,15 @@ from lampest.files.document import INLINE, Document, to_yaml, validated
 from lampest.files.typed import Configuration
 from lampest.panel.conditions import Experiment, MeasuredSubject, Temperature, Water
 from lampest.panel.faults import Faults
-from lampest.panel.panel import Array, Modules, Panel, connected_parts
-from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
-from lampest.panel.readouts.lines import (
+from lampest.panel.lines import (
     SeriesPerLine,
     as_tuple,
     check_resistors,
     lines_text,
     per_line,
 )
+from lampest.panel.panel import Array, Modules, Panel, connected_parts
+from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.wiring import Contacts, Lines, NeighbourLeaks, Wiring
 from lampest.panel.response import AnyResponse, Film
 from lampest.panel.sizes import SIZED, Size, Systematic, check_sizes, plain_size

@@ -295,7 +295,7 @@ def _excluded_ends(scene: Scene) -> str:
     circuit: Any = scene.circuit
     if getattr(circuit, "idle_load_ohm", 0.0) is None:
         from lampest.panel.circuit import nominal_terminations  # for circuits with the key alone
-        from lampest.panel.readouts.lines import opposite
+        from lampest.panel.lines import opposite
 
         floating = not nominal_terminations(circuit).sensing.connected(own=False).size
         if floating:

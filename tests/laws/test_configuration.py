@@ -50,8 +50,8 @@ from lampest.files.document import (
     validated,
 )
 from lampest.panel.faults import Faults
+from lampest.panel.lines import SeriesPerLine
 from lampest.panel.readouts import AnyReadout, TwoPointReadout
-from lampest.panel.readouts.lines import SeriesPerLine
 from lampest.panel.readouts.wiring import ContactPrior, Contacts
 from lampest.panel.response import Film, PowerResponse, TableResponse
 from lampest.panel.scene import Scene

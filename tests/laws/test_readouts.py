@@ -15,6 +15,7 @@ from numpy.testing import assert_allclose
 from lampest import Array, Bounds, Contacts, Faults, LoadedColumnsReadout, Panel, Readings, Scene
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.typed import members_of
+from lampest.panel.equation import equation_of
 from lampest.panel.network import Network
 from lampest.panel.readouts import AnyReadout
 from lampest.panel.readouts.wired_network import contact_responses
@@ -233,9 +234,9 @@ def test_the_symbolic_equation_gives_the_reading_of_the_network(scene: Scene) ->
     own_column = np.tile(diagonal[None, rows:], (rows, 1))
     entries = [own_row, own_column, impedance[:rows, rows:]]
     symbols = [casadi.SX.sym(name, rows, columns) for name in ("row", "column", "mutual")]
-    ends = readout.addresses(cells)[0].ends
-    if ends is not None:
-        volt = impedance @ (readout.ties(cells) * ends)
+    (excitation, *_) = equation_of(readout, rows, columns).excitations(readout.ties(cells)[None])
+    if excitation is not None:
+        volt = impedance @ excitation
         entries += [np.tile(volt[:rows, None], columns), np.tile(volt[None, rows:], (rows, 1))]
         symbols += [casadi.SX.sym(name, rows, columns) for name in ("at_row", "at_column")]
     equation = casadi.Function("equation", symbols, [readout.reading(*symbols)])

@@ -35,9 +35,9 @@ from lampest.cost.terms import LogGradient, LogRatio, Misfit
 from lampest.estimate.sequence import reconstruct
 from lampest.files.levels import Witness
 from lampest.inference.prepared import Prepared
+from lampest.panel.lines import SeriesPerLine
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.driven_readout import DrivenReadout
-from lampest.panel.readouts.lines import SeriesPerLine
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.recording.simulation.simulation import Simulation

@@ -28,8 +28,8 @@ from lampest import (
 )
 from lampest.panel.circuit import Ends, Terminations, scanned
 from lampest.panel.equation import equation_of
+from lampest.panel.lines import PerLine, Side
 from lampest.panel.readouts.driven import DrivenCircuit
-from lampest.panel.readouts.lines import PerLine, Side
 
 COUNT = 200
 SHAPES = ((3, 4), (4, 3), (5, 5), (2, 6), (1, 4), (4, 1))

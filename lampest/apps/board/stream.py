@@ -23,9 +23,9 @@ from lampest.apps.board.sample import (
 )
 from lampest.apps.board.source import PRINTED_BAUDS, ByteSource, NoBoardError, opened_source
 from lampest.files.errors import InputError
+from lampest.panel.lines import as_tuple
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.lines import as_tuple
 from lampest.panel.readouts.loaded_columns import LoadedColumnsReadout
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import COUNTER

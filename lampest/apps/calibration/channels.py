@@ -29,9 +29,9 @@ from lampest.inference.circuits.kinds import RESISTORS
 from lampest.inference.prepared import Prepared
 from lampest.panel.effects import systematic_of, usual_sizes
 from lampest.panel.effects.channels import CHANNELS
+from lampest.panel.lines import SeriesPerLine, of_side
 from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import DrivenCircuit
-from lampest.panel.readouts.lines import SeriesPerLine, of_side
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.posterior.gaussian import Information

@@ -31,9 +31,9 @@ from lampest.panel.effects.channels import TYPICAL_OHM, WORST_OHM
 from lampest.panel.effects.converter_curve import ConverterCurve
 from lampest.panel.effects.reference import E24_TOLERANCE
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
+from lampest.panel.lines import MAX_OHM, LineNumber, Side
 from lampest.panel.panel import Array
 from lampest.panel.readouts.channel_memory import with_memory
-from lampest.panel.readouts.lines import MAX_OHM, LineNumber, Side
 from lampest.panel.scene import Scene
 from lampest.recording.simulation.measure import SHORT_OHM
 

@@ -15,8 +15,8 @@ from lampest.apps.calibration.calibration import DIGITS, FRACTION_DIGITS
 from lampest.files.levels import SIGNIFICANT
 from lampest.panel.effects.converter_memory import KeptShare
 from lampest.panel.effects.wire import WirePerCell
+from lampest.panel.lines import LineNumber, SeriesPerLine, Side
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import LineNumber, SeriesPerLine, Side
 from lampest.panel.scene import Scene
 
 # Numbers that are estimated where the scene names them.

@@ -12,10 +12,10 @@ from lampest.apps.calibration.calibration import MIN_SAMPLE
 from lampest.files.errors import InputError
 from lampest.files.levels import MAD_TO_SIGMA
 from lampest.files.whole import note_read
+from lampest.panel.lines import Side
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import ENDLESS
-from lampest.panel.readouts.lines import Side
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM
 

@@ -11,10 +11,10 @@ from lampest.apps.microcontroller.drift import frames_to_follow
 from lampest.files.document import parse_document
 from lampest.files.errors import InputError
 from lampest.panel.equation import equation_of
+from lampest.panel.lines import Side
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.driven import DrivenCircuit
-from lampest.panel.readouts.lines import Side
 from lampest.panel.scene import Scene
 from lampest.runs.case import CaseResult
 

@@ -16,9 +16,9 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 
 from lampest.files.typed import members_of
+from lampest.panel.lines import Side, opposite
 from lampest.panel.readouts import AnyReadout, Readout
 from lampest.panel.readouts.driven_readout import DrivenReadout
-from lampest.panel.readouts.lines import Side, opposite
 from lampest.panel.scene import Scene
 
 # Names of the resistor that a converter reads across.

@@ -23,10 +23,10 @@ from lampest.inference.circuits.kinds import (
     entries_of,
     with_potentials,
 )
+from lampest.panel.lines import SeriesPerLine, opposite
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import Characteristic, Known, known
-from lampest.panel.readouts.lines import SeriesPerLine, opposite
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings

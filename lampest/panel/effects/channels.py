@@ -5,8 +5,8 @@ from typing import ClassVar
 import numpy as np
 
 from lampest.panel.effects import ReadoutNumber
+from lampest.panel.lines import MAX_OHM
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import MAX_OHM
 
 # Resistance of a channel of a CD74HC4067 at 5 V, by its data sheet.
 BEST_OHM = 40.0

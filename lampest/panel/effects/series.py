@@ -4,9 +4,9 @@ import numpy as np
 
 from lampest.panel.effects import SharedEffect
 from lampest.panel.effects.channels import CHANNELS
+from lampest.panel.lines import MAX_OHM, of_side
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import MAX_OHM, of_side
 from lampest.panel.scene import Scene
 
 

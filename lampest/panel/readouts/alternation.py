@@ -14,8 +14,8 @@ import numpy as np
 from lampest.panel.difference_network import excitations
 from lampest.panel.equation import Equation
 from lampest.panel.kirchhoff import laplacian
+from lampest.panel.lines import of_side
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import of_side
 
 # Rounds, change of log g at convergence, and range of conductances about those of the closed form,
 # beyond which a reading no longer depends on its cell (tests/oracles).
@@ -46,7 +46,7 @@ class Alternation:
         Parameters
         ----------
         measured : array, shape (rows, columns)
-            Readings, volt.
+            Voltages at the converter, volt.
         uniform : array, same shape
             Cells of the closed form, ohm.
         near : array, same shape, or None

@@ -4,8 +4,8 @@ from typing import Protocol, Self
 
 import numpy as np
 
+from lampest.panel.lines import PerLine, Side, along, of_side
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import PerLine, Side, along, of_side
 from lampest.panel.readouts.wiring import Wiring
 
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from lampest.files.errors import counted
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration, check_range, check_ranges
+from lampest.panel.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
 
 MAX_VOLT = 1e3  # V: limit of low voltage in IEC 60038
 MIN_REPEATS = 50  # repeated readings, which determine a noise to a tenth

@@ -3,14 +3,14 @@
 The base class has the equation and the keys that all such circuits share.
 """
 
-from dataclasses import replace
 from math import inf
-from typing import Any, ClassVar, Literal, Self
+from typing import ClassVar, Literal
 
 import numpy as np
 
+from lampest.panel.circuit import Ends, Terminations, scanned
+from lampest.panel.lines import Groups, LineNumber, check_resistors, parallel
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import LineNumber, check_resistors
 from lampest.panel.readouts.readout import SHORT_SHARE, Readout, Surroundings
 
 
@@ -27,10 +27,12 @@ class Divider(Readout):
     signal: ClassVar[str] = "resistance"
     signal_name: ClassVar[str] = "two-point resistance, divider equation"
     in_series: ClassVar[bool] = True
+    of_sensed: ClassVar[tuple[str, ...]] = ("reference_ohm",)
     series_name: ClassVar[str] = "series_resistance_ohm"
     reference_ohm: float = 1000.0
     measured_across: Literal["reference", "sensor"] = "reference"
     input_ohm: float | None = None
+    groups: Groups | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -38,8 +40,21 @@ class Divider(Readout):
         if self.input_ohm is not None:
             check_resistors("input_ohm", self.input_ohm, most=inf)
 
-    def apparent_resistance(self, measured: Array) -> Array:
-        return measured
+    def terminations(self, driven: int, sensed: int) -> Terminations:
+        """Return the ends: the supply at the driven row, the reference at the columns read.
+
+        All other lines float.
+        """
+        floating = Ends.floating(driven), Ends.floating(sensed)
+        supply = Ends.of(np.zeros(driven), self.supply_volt)
+        reference = parallel(np.full(sensed, self.reference_ohm), self.input_ohm)
+        return Terminations(
+            "rows",
+            scanned(supply, floating[0]),
+            scanned(Ends.of(reference), floating[1], self.groups),
+            gain=np.ones(sensed),
+            as_resistance=True,
+        )
 
     def most_in_series(self, measured: Array, sigma: Array) -> float:
         return float(measured[np.isfinite(sigma)].min(initial=np.inf))
@@ -79,10 +94,6 @@ class Divider(Readout):
             return sigma
         slope = self._between_lines(recorded) / recorded
         return np.asarray(sigma * slope ** (2 if self.measured_across == "sensor" else 1))
-
-    def off_by(self, fraction: float) -> Self:
-        changes: dict[str, Any] = {"reference_ohm": self.reference_ohm * (1 + fraction)}
-        return replace(self, **changes)
 
     def line_numbers(self) -> tuple[LineNumber, ...]:
         return (

@@ -1,37 +1,19 @@
 """Circuits that drive the lines of one side, one after the other, and sense the other side.
 
-A kind is a file with its keys and one function from keys to ends, `DrivenCircuit.terminations`.
-Everything else follows from the ends: `lampest.panel.equation` has the equation of the readings,
-`lampest.panel.readouts.starts` the cells at which solves begin, and
-`lampest.panel.readouts.inequalities` the bounds.
+`DrivenCircuit` has the keys that such circuits share, and the ends that follow from them.
 """
 
-from abc import abstractmethod
-from collections.abc import Sequence
 from dataclasses import replace
 from math import inf
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.typed import check_ranges
-from lampest.panel.circuit import (
-    FOLLOWS,
-    NOMINAL_LINES,
-    Ends,
-    Terminations,
-    nominal_terminations,
-)
+from lampest.panel.circuit import FOLLOWS, Ends, Terminations, nominal_terminations
+from lampest.panel.diode import Diode
 from lampest.panel.equation import equation_of
-from lampest.panel.joined_network import JoinedNetwork
-from lampest.panel.network import Network
-from lampest.panel.panel import Array, connected_parts
-from lampest.panel.readouts import inequalities, starts
-from lampest.panel.readouts.channels import errors_of_channels
-from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
-from lampest.panel.readouts.diode import Diode
-from lampest.panel.readouts.lines import (
+from lampest.panel.lines import (
     Groups,
     LineNumber,
     PerLine,
@@ -42,25 +24,17 @@ from lampest.panel.readouts.lines import (
     check_groups,
     check_resistors,
     lines_text,
-    listed_lines,
     of_side,
     opposite,
     per_line,
     with_channels,
 )
-from lampest.panel.readouts.readout import (
-    SHORT_SHARE,
-    USUAL_OHM,
-    Address,
-    FreeTest,
-    Readout,
-    Surroundings,
-)
-from lampest.panel.readouts.unseen import Scale, unseen_scales
-from lampest.panel.readouts.wiring import Wiring
+from lampest.panel.panel import Array
+from lampest.panel.readouts.channels import errors_of_channels
+from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
+from lampest.panel.readouts.readout import Readout, Surroundings
 
 MAX_OFFSET_VOLT = 0.1  # amplifiers without trimming: 15 mV (data sheet of the LM324)
-LARGEST_OHM = 1e8  # of cells whose scale no reading shows: insulation beside usual ones
 
 
 class DrivenCircuit(Readout):
@@ -92,9 +66,6 @@ class DrivenCircuit(Readout):
         ground, or the supply with polarity: down, and load_volt.
     offset_volt : PerLine, or None
         Offset of each sensed line's amplifier in volt, which is recorded in addition.
-    of_driven, of_sensed : tuple of str
-        Keys of resistances of driven, and of sensed lines; the first one of sensed lines is the
-        reference resistor of a reading.
     may_be_zero, may_be_infinite : tuple of str
         Keys of resistances that may be 0, or infinite.
     """
@@ -118,10 +89,6 @@ class DrivenCircuit(Readout):
     offset_volt: PerLine | None = None
 
     # Ends of the lines, which every kind states.
-
-    @abstractmethod
-    def terminations(self, driven: int, sensed: int) -> Terminations:
-        """Return the ends of the lines of a panel with so many driven and sensed lines."""
 
     def driven_ends(self, count: int) -> Ends:
         """Return the ends of driven lines while they are driven: the source behind drive_ohm."""
@@ -156,25 +123,6 @@ class DrivenCircuit(Readout):
     def _ground(self) -> float:
         """Potential of the ends without one of their own: ground, or the supply, in volt."""
         return self.supply_volt if self.polarity == "down" else 0.0
-
-    @property
-    def nominal_lines(self) -> tuple[int, int]:
-        """Numbers of driven and of sensed lines that lists and groups tell, otherwise two."""
-        sides = (
-            (self.of_driven, self.driven_groups),
-            ((*self.of_sensed, "offset_volt"), self.groups),
-        )
-        driven, sensed = (
-            max(
-                [
-                    *(len(value) for key in keys if isinstance(value := getattr(self, key), tuple)),
-                    *([] if groups is None else [max(listed_lines(groups)) + 1]),
-                ],
-                default=NOMINAL_LINES,
-            )
-            for keys, groups in sides
-        )
-        return driven, sensed
 
     @property
     def driving_volt(self) -> float:
@@ -315,170 +263,17 @@ class DrivenCircuit(Readout):
         return self.driven
 
     @property
-    def by_columns(self) -> bool:
-        return self.driven == "columns" if self.scan_order is None else super().by_columns
-
-    @property
-    def mirrored(self) -> bool:
-        return nominal_terminations(self).sign < 0
-
-    @property
     def recorded_reference_volt(self) -> float:
         """Recorded value of a network's reading of 0."""
         return nominal_terminations(self).recorded_reference
 
-    def _offset(self, shape: tuple[int, ...]) -> Array | float:
-        """Return what amplifiers add to recorded values, to be broadcast to (rows, columns)."""
+    def offset(self, shape: tuple[int, ...]) -> Array | float:
         if self.offset_volt is None:
             return 0.0
         sensed = of_side(self.driven, *shape[-2:])[1]
         offset = along(opposite(self.driven), per_line("offset_volt", self.offset_volt, sensed))
         # An inverting amplifier is recorded below its reference
         return -offset if nominal_terminations(self).amplified else offset
-
-    def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
-        ends = nominal_terminations(self)
-        level = ends.recorded_reference + self._offset(recorded.shape)
-        if ends.sign > 0 and not np.any(level):
-            return recorded
-        return np.asarray(ends.sign * (recorded - level))
-
-    def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
-        ends = nominal_terminations(self)
-        level = ends.recorded_reference + self._offset(reading.shape)
-        if ends.sign > 0 and not np.any(level):
-            return reading
-        return np.asarray(level + ends.sign * reading)
-
-    # Readings of cells.
-
-    def addresses(self, measured: Array) -> tuple[Address, ...]:
-        equation = equation_of(self, *measured.shape)
-        terms = equation.potentials
-        ties = np.atleast_2d(self.ties(measured))
-        ends: Sequence[Array | None] = [None] * len(ties)
-        if terms is not None and terms.sourced:
-            ends = list(terms.ends)
-        return tuple(
-            Address(of_address, read > 0, volts)
-            for of_address, read, volts in zip(ties, equation.read_at, ends, strict=True)
-        )
-
-    def ties(self, measured: Array) -> Array:
-        """Return the ties of the bases, (lines,) siemens, or (addresses, lines) of several.
-
-        Lines that 0 ohm hold have infinite ties.
-        """
-        return self.ties_of_parts(measured, None)
-
-    def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
-        equation = equation_of(self, *measured.shape[-2:])
-        ties = equation.ties_of_parts(parts, lambda: self.apparent_resistance(measured))
-        return ties[0] if len(ties) == 1 else ties
-
-    def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
-        """Return the solved network for ties (lines,), or (addresses, lines) of several bases."""
-        equation = equation_of(self, *cell_resistance.shape)
-        each = np.atleast_2d(ties)
-        networks = [
-            self.solved_network(cell_resistance, of_address, wiring, excitation)
-            for of_address, excitation in zip(each, equation.excitations(each), strict=True)
-        ]
-        if ties.ndim == 1:
-            return networks[0]
-        return JoinedNetwork.addressed(networks, equation.read_at > 0)
-
-    def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
-        """Return the readings of cells of any contrast.
-
-        Open cells may divide the panel into parts.
-        """
-        if cell_resistance.ndim == 3:
-            return np.stack([self.exact_reading(frame, wiring) for frame in cell_resistance])
-        volt = np.full(cell_resistance.shape, self.driving_volt / 2)
-        conducting = np.isfinite(cell_resistance)
-        if wiring is not None:
-            conducting = wiring.connecting(conducting)
-        ties = self.ties_of_parts(volt, connected_parts(conducting))
-        with np.errstate(divide="ignore"):
-            return self.network(cell_resistance, ties, wiring).reading()
-
-    def reading(self, row: Any, column: Any, mutual: Any, *potentials: Any) -> Any:
-        """Return the readings; see `lampest.panel.equation.Equation.reading`."""
-        return equation_of(self, *mutual.shape).reading(row, column, mutual, *potentials)
-
-    # Cells at which solves begin, and their bounds.
-
-    def apparent_resistance(self, measured: Array) -> Array:
-        return starts.apparent_resistance(self, measured)
-
-    def uniform_start(self, measured: Array) -> Array:
-        return starts.uniform_start(self, measured)
-
-    def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
-        return starts.start(self, measured, upper, near)
-
-    def several_panels(self, rows: int, columns: int) -> bool:
-        return starts.several_panels(self, rows, columns)
-
-    def every_panel(
-        self,
-        measured: Array,
-        limits: tuple[Array, Array],
-        tolerance: float,
-        firsts: Sequence[Array] = (),
-    ) -> list[Array]:
-        return starts.panels_beyond_folds(self, measured, limits, tolerance, firsts)
-
-    def panels_alike(self, measured: Array) -> list[tuple[float, Array]]:
-        return starts.uniform_branches(self, measured)
-
-    def unseen_scales(self, rows: int, columns: int) -> tuple[Scale, ...]:
-        equation = equation_of(self, rows, columns)
-        # A load, or nothing that conducts elsewhere, shows the scale
-        if np.isfinite(equation.load).all() or equation.floating:
-            return ()
-        return unseen_scales(self, rows, columns)
-
-    def resolution(self, measured: Array, sigma: Array) -> Array:
-        """Return the resolution limit, see `Readout.resolution`.
-
-        Without a scale it is that of any cell: no reading says more. Where no closed form gives a
-        cell by its reading, it is the largest limit of uniform panels: a press moves the readings
-        of other cells beyond those of any uniform panel.
-        """
-        rows, columns = measured.shape[-2:]
-        if self.unseen_scales(rows, columns):
-            return np.full(measured.shape, LARGEST_OHM)
-        if starts.by_uniform_panels(self, measured):
-            return np.asarray(starts.uniform_responses(self, rows, columns) / sigma)
-        return super().resolution(measured, sigma)
-
-    def nearly_shorted(self, measured: Array) -> Array:
-        """Return cells that count as shorts, (…, rows, columns) ohm.
-
-        A share of the uniform start bounds them, too, because with idle lines at ground the
-        apparent resistance is many times too large. So is the nearest uniform panel where a reading
-        lies beyond those of all.
-        """
-        start = self.uniform_start(measured)
-        if starts.by_uniform_panels(self, measured):
-            return SHORT_SHARE * np.minimum(start, USUAL_OHM)
-        return np.asarray(np.minimum(super().nearly_shorted(measured), SHORT_SHARE * start))
-
-    def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        equation = equation_of(self, *measured.shape[-2:])
-        least = self.nearly_shorted(measured)
-        bound = inequalities.least_cells(equation, measured, sigma)
-        return least if bound is None else np.asarray(np.maximum(bound, least))
-
-    def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
-        equation = equation_of(self, *measured.shape[-2:])
-        return inequalities.free_tests(equation, lines_text(self.drive_ohm), measured, sigma)
-
-    def most_in_series(self, measured: Array, sigma: Array) -> float:
-        equation = equation_of(self, *measured.shape[-2:])
-        return inequalities.largest_drive_ohm(equation, measured, sigma)
 
     # Changes of the circuit.
 
@@ -501,14 +296,6 @@ class DrivenCircuit(Readout):
         changes: dict[str, Any] = {"drive_ohm": with_channels("drive_ohm", self.drive_ohm, driven)}
         if self.sense_ohm:
             changes["sense_ohm"] = with_channels("sense_ohm", self.sense_ohm, sensed)
-        return replace(self, **changes)
-
-    def off_by(self, fraction: float) -> Self:
-        """Return the circuit with every reference resistor larger by a fraction."""
-        name = self.of_sensed[0]
-        value: PerLine = getattr(self, name)
-        larger = tuple(number * (1 + fraction) for number in as_tuple(value))
-        changes: dict[str, Any] = {name: larger if isinstance(value, tuple) else larger[0]}
         return replace(self, **changes)
 
     def line_numbers(self) -> tuple[LineNumber, ...]:

@@ -7,9 +7,8 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from lampest.panel.circuit import FOLLOWS, Terminations, scanned
-from lampest.panel.readouts.diode import Diode
-from lampest.panel.readouts.driven import DrivenCircuit
-from lampest.panel.readouts.lines import (
+from lampest.panel.diode import Diode
+from lampest.panel.lines import (
     Groups,
     PerLine,
     Side,
@@ -18,6 +17,7 @@ from lampest.panel.readouts.lines import (
     opposite,
     per_line,
 )
+from lampest.panel.readouts.driven import DrivenCircuit
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,8 +6,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from lampest.panel.circuit import Ends, Terminations, scanned
-from lampest.panel.readouts.driven import DrivenCircuit
-from lampest.panel.readouts.lines import (
+from lampest.panel.lines import (
     MIN_OHM,
     Groups,
     PerLine,
@@ -16,6 +15,7 @@ from lampest.panel.readouts.lines import (
     opposite,
     per_line,
 )
+from lampest.panel.readouts.driven import DrivenCircuit
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,12 +3,36 @@
 All are functions of the numbers of a circuit's equation, `lampest.panel.equation.Equation`.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from lampest.files.levels import NOISE_REACH
 from lampest.panel.equation import Equation
+from lampest.panel.lines import lines_text
 from lampest.panel.panel import Array
-from lampest.panel.readouts.readout import FreeTest
+
+
+@dataclass(frozen=True, eq=False)
+class FreeTest:
+    """Inequality that readings of a circuit satisfy for any cells, tested on frames.
+
+    Attributes
+    ----------
+    law : str
+        The inequality in words.
+    excess : array, shape (frames,)
+        Largest violation in each frame, in standard deviations.
+    count : int
+        Number of inequalities of a frame.
+    single : array, shape (frames, rows, columns), or None
+        Violation by each reading in standard deviations, if the inequality bounds one reading.
+    """
+
+    law: str
+    excess: Array
+    count: int
+    single: Array | None = None
 
 
 def least_cells(equation: Equation, measured: Array, sigma: Array | None) -> Array | None:
@@ -24,38 +48,40 @@ def least_cells(equation: Equation, measured: Array, sigma: Array | None) -> Arr
     idle_float = np.isinf(equation.driving.base.ohm).all() and loaded_or_floating.all()
     if not (equation.plain and idle_float and np.isfinite(equation.load).all()):
         return None
-    noise = np.zeros_like(measured)
+    volt = equation.volt(measured)
+    noise = np.zeros_like(volt)
     if sigma is not None:
-        noise = np.where(np.isfinite(sigma), sigma, measured)
+        of_volt = equation.volt_sigma(measured, sigma)
+        noise = np.where(np.isfinite(of_volt), of_volt, volt)
     by_volt = 1 / (equation.gain * equation.load)
     # Upper bound of the current, and with it a lower bound of the potential
-    current = equation.sum_together(measured * by_volt)
+    current = equation.sum_together(volt * by_volt)
     current = current + NOISE_REACH * np.sqrt(equation.sum_together((noise * by_volt) ** 2))
     driven = np.maximum(equation.driven_volt(current, equation.drive), 0)
     return np.asarray(driven / current - equation.load)
 
 
-def free_tests(
-    equation: Equation, drive_text: str, measured: Array, sigma: Array
-) -> tuple[FreeTest, ...]:
+def free_tests(equation: Equation, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
     """Return the tests v_ij ≤ U − Rd_i Σ_k v_ik/Rs_k and Σ_i v_ij ≤ U; see `Readout.free_tests`.
 
     The sum over k is over simultaneous loads. The first one: no sensed line has a higher potential
-    than the driven one, which is below the source by the loads' current through its Rd, in words
-    `drive_text`. The second one, for idle lines at ground through no more than Rd: if all driven
+    than the driven one, which is below the source by the loads' current through its Rd. The second
+    one, for idle lines at ground through no more than Rd: if all driven
     lines were at the source, no sensed line would be above it (superposition, Z·t ≤ 1).
     """
     if equation.potentials is not None:
         return _tests_of_potentials(equation, measured, sigma)
     load = equation.load
-    volt, noise = np.where(np.isfinite(sigma), (measured, sigma), 0.0) / equation.gain
+    read = equation.volt(measured), equation.volt_sigma(measured, sigma)
+    volt, noise = np.where(np.isfinite(sigma), read, 0.0) / equation.gain
     # U ≥ v_ij + Rd_i Σ_k v_ik/Rs_k + V_d, with the propagated noise of both terms
     simultaneous = equation.together is None or len(equation.ties) > 1
     drop = (equation.drive if simultaneous else 0.0) / load
     lost = equation.lost(equation.sum_together(volt / load))
     below = volt + equation.sum_together(volt * drop) + lost
     spread = np.hypot(noise, np.sqrt(equation.sum_together((noise * drop) ** 2)))
-    law = f"no sensed line stands above the driven one behind its {drive_text}"
+    drive = lines_text(tuple(equation.driving.own.ohm.tolist()))
+    law = f"no sensed line stands above the driven one behind its {drive}"
     tests = [(law, below, np.where(noise > 0, spread, 0.0))]
     if equation.grounded:
         driven = -2 if equation.terminations.driven == "rows" else -1

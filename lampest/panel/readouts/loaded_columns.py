@@ -6,9 +6,9 @@ from typing import Literal
 import numpy as np
 
 from lampest.panel.circuit import Ends, Terminations, scanned
-from lampest.panel.readouts.diode import Diode
+from lampest.panel.diode import Diode
+from lampest.panel.lines import Groups, PerLine, Side, lines_text, opposite
 from lampest.panel.readouts.driven import DrivenCircuit
-from lampest.panel.readouts.lines import Groups, PerLine, Side, lines_text, opposite
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,26 +1,40 @@
-"""Base of the readouts: ties of the lines to ground, the equation of a reading, and the converter.
+"""Base of the readouts: a circuit that states how each line ends, and its converter.
 
-A kind of readout is one file that defines its ties and its reading. All other methods have defaults
-that follow from these two.
+A kind of readout is one file with its keys and one function from keys to ends, `terminations`. All
+else follows from the ends: `lampest.panel.equation` has the equation of the readings,
+`lampest.panel.readouts.starts` the cells at which solves begin, and
+`lampest.panel.readouts.inequalities` the bounds.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.law import EquationLaw, Law
+from lampest.panel.circuit import NOMINAL_LINES, Terminations, nominal_terminations
+from lampest.panel.equation import equation_of
+from lampest.panel.law import Law
+from lampest.panel.lines import (
+    LineNumber,
+    PerLine,
+    as_tuple,
+    listed_lines,
+    of_side,
+    per_line,
+)
 from lampest.panel.network import Network, SolvedNetwork
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Panel, connected_parts
+from lampest.panel.readouts import inequalities, starts
 from lampest.panel.readouts.converter import Converter
-from lampest.panel.readouts.lines import LineNumber, of_side, per_line
+from lampest.panel.readouts.inequalities import FreeTest
+from lampest.panel.readouts.starts import USUAL_OHM
+from lampest.panel.readouts.unseen import Scale, unseen_scales
 from lampest.panel.readouts.wiring import Wiring
 
-USUAL_OHM = 10_000.0  # of cells whose scale no resistor sets
-MIN_LOAD_SHARE = 1e-3  # of a load: least apparent resistance, for readings at the end of the range
+LARGEST_OHM = 1e8  # of cells whose scale no reading shows: insulation beside usual ones
 # Of the apparent resistance: readings of such a cell differ by a millionth from those of a short.
 SHORT_SHARE = 1e-6
 
@@ -45,49 +59,6 @@ class Surroundings(Protocol):
         """Wire, contacts and touching lines; None without any."""
 
 
-@dataclass(frozen=True, eq=False)
-class FreeTest:
-    """Inequality that readings of a circuit satisfy for any cells, tested on frames.
-
-    Attributes
-    ----------
-    law : str
-        The inequality in words.
-    excess : array, shape (frames,)
-        Largest violation in each frame, in standard deviations.
-    count : int
-        Number of inequalities of a frame.
-    single : array, shape (frames, rows, columns), or None
-        Violation by each reading in standard deviations, if the inequality bounds one reading.
-    """
-
-    law: str
-    excess: Array
-    count: int
-    single: Array | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Address:
-    """Readings that are taken at the same time, with the state of all lines meanwhile.
-
-    Attributes
-    ----------
-    ties : array, shape (lines,)
-        Ties of the lines to ground, siemens: of idle lines, and of the loads that are a part of Z.
-        Infinite where a line is held at ground; see
-        `lampest.panel.difference_network.DifferenceNetwork` for its entries.
-    read : boolean array, shape (rows, columns)
-        Which readings are taken.
-    ends : array, shape (lines,), or None
-        Potentials in which the lines end; None: at the ground of the circuit.
-    """
-
-    ties: Array
-    read: NDArray[np.bool_]
-    ends: Array | None = None
-
-
 @dataclass(frozen=True, kw_only=True)
 class Readout(Converter, ABC):
     """Base of readouts: the circuit of a kind, with the fields of its converter from `Converter`.
@@ -110,6 +81,9 @@ class Readout(Converter, ABC):
         Whether the scene's series resistance adds to every reading.
     series_name : str
         Scene's key of a resistance in series with the panel; '' without one.
+    of_driven, of_sensed : tuple of str
+        Keys of numbers of driven, and of sensed lines; the first one of sensed lines is the
+        reference resistor of a reading.
 
     >>> issubclass(lampest.GroundedReadout, lampest.Readout)
     True
@@ -122,16 +96,45 @@ class Readout(Converter, ABC):
     unique: ClassVar[bool] = False
     in_series: ClassVar[bool] = False
     series_name: ClassVar[str] = ""
+    of_driven: ClassVar[tuple[str, ...]] = ()
+    of_sensed: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def terminations(self, driven: int, sensed: int) -> Terminations:
+        """Return the ends of the lines of a panel with so many driven and sensed lines."""
+
+    @property
+    def nominal_lines(self) -> tuple[int, int]:
+        """Numbers of driven and of sensed lines that lists and groups tell, otherwise two."""
+        sides = (
+            (self.of_driven, getattr(self, "driven_groups", None)),
+            ((*self.of_sensed, "offset_volt"), getattr(self, "groups", None)),
+        )
+        driven, sensed = (
+            max(
+                [
+                    *(
+                        len(value)
+                        for key in keys
+                        if isinstance(value := vars(self).get(key), tuple)
+                    ),
+                    *([] if groups is None else [max(listed_lines(groups)) + 1]),
+                ],
+                default=NOMINAL_LINES,
+            )
+            for keys, groups in sides
+        )
+        return driven, sensed
 
     @property
     def mirrored(self) -> bool:
         """Whether the voltage at the converter falls where the network's reading rises."""
-        return False
+        return nominal_terminations(self).sign < 0
 
     @property
     def by_columns(self) -> bool:
         """Whether a scan goes column by column; a list of readings counts as rows."""
-        return self.scan_order == "columns"
+        return (self.noisy_side if self.scan_order is None else self.scan_order) == "columns"
 
     def scan_places(self, rows: int, columns: int) -> NDArray[np.intp]:
         """Return the numbers of the readings, rows first, in scan order, (rows · columns,).
@@ -184,59 +187,66 @@ class Readout(Converter, ABC):
     def description(self) -> str:
         """Return the circuit and its numbers with their units, in words."""
 
-    # The circuit, which every kind defines.
-
-    @abstractmethod
-    def ties(self, measured: Array) -> Array:
-        """Return the ties t of the lines to ground for readings (rows, columns).
-
-        The result has shape (rows + columns,), in siemens.
-        """
-
-    @abstractmethod
-    def reading(self, row: Any, column: Any, mutual: Any) -> Any:
-        """Return y = h(Z_jj, Z_kk, Z_jk) > 0 of impedances (rows, columns) ohm, elementwise.
-
-        The arguments are arrays of NumPy or matrices of CasADi.
-        """
-
-    @abstractmethod
-    def apparent_resistance(self, measured: Array) -> Array:
-        """Return the cells that would give each reading if they were alone on the panel.
-
-        Shape (…, rows, columns), in ohm.
-        """
-
-    # Consequences of the circuit.
-
     @property
     def law(self) -> Law:
         """Law of the readings, h with its derivatives."""
-        return EquationLaw(self)
+        return Law(self)
 
-    def addresses(self, measured: Array) -> tuple[Address, ...]:
-        """Return the addresses of a scan, for readings (rows, columns).
+    # Readings of cells.
 
-        `reading` takes the entries of Z = (L(g) + diag(t))⁻¹ with the ties t of the address at
-        which a reading is taken. Most circuits have one.
+    def ties(self, measured: Array) -> Array:
+        """Return the ties to ground of the bases, (lines,) siemens, or (addresses, lines).
+
+        Lines that 0 ohm hold have infinite ties.
         """
-        return (Address(self.ties(measured), np.ones(measured.shape, dtype=bool)),)
+        return self.ties_of_parts(measured, None)
 
     def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
-        """Return the ties t.
+        """Return the ties of a panel that open cells may divide.
 
         `parts`, (lines,), is the number of each line's part, None for a connected panel.
         """
-        return self.ties(measured)
+        equation = equation_of(self, *measured.shape[-2:])
+        ties = equation.ties_of_parts(parts, lambda: self.apparent_resistance(measured))
+        return ties[0] if len(ties) == 1 else ties
 
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
-        """Return the solved network of cells (rows, columns) ohm.
+        """Return the solved network of cells (rows, columns) ohm, with `wiring` before them.
 
-        `ties` are the conductances of the lines to ground, siemens, and `wiring` lies between cells
-        and terminals.
-        Raises numpy.linalg.LinAlgError if a line is not connected.
+        The ties are those of `ties`. Raises numpy.linalg.LinAlgError if a line is not connected.
         """
-        return self.solved_network(cell_resistance, ties, wiring)
+        equation = equation_of(self, *cell_resistance.shape)
+        each = np.atleast_2d(ties)
+        networks = [
+            self.solved_network(cell_resistance, of_address, wiring, excitation)
+            for of_address, excitation in zip(each, equation.excitations(each), strict=True)
+        ]
+        if ties.ndim == 1:
+            return networks[0]
+        from lampest.panel.joined_network import JoinedNetwork  # for several bases
+
+        return JoinedNetwork.addressed(networks, equation.read_at > 0)
+
+    def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
+        """Return the readings y of cells of any contrast.
+
+        The cells are (rows, columns) or (frames, rows, columns) ohm; the readings have the same
+        shape. Open cells may divide the panel into parts.
+        """
+        if cell_resistance.ndim == 3:
+            return np.stack([self.exact_reading(frame, wiring) for frame in cell_resistance])
+        conducting = np.isfinite(cell_resistance)
+        if wiring is not None:
+            conducting = wiring.connecting(conducting)
+        equation = equation_of(self, *cell_resistance.shape)
+        parts = connected_parts(conducting)
+        ties = np.squeeze(equation.ties_of_parts(parts, lambda: np.array(USUAL_OHM)))
+        with np.errstate(divide="ignore"):
+            return self.network(cell_resistance, ties, wiring).reading()
+
+    def reading(self, row: Any, column: Any, mutual: Any, *potentials: Any) -> Any:
+        """Return the readings; see `lampest.panel.equation.Equation.reading`."""
+        return equation_of(self, *mutual.shape).reading(row, column, mutual, *potentials)
 
     def solved_network(
         self,
@@ -260,16 +270,18 @@ class Readout(Converter, ABC):
             return DifferenceNetwork.held(cell_resistance, ties, self.law, sources, leaks)
         return DifferenceNetwork.wired(cell_resistance, ties, self.law, wiring, sources)
 
-    def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
-        """Return the readings y of cells of any contrast.
+    # Cells at which solves begin, and their bounds.
 
-        The cells are (rows, columns) or (frames, rows, columns) ohm; the readings have the same
-        shape.
+    def apparent_resistance(self, measured: Array) -> Array:
+        """Return the cells that would give each reading if they were alone on the panel.
+
+        Shape (…, rows, columns), in ohm.
         """
-        if cell_resistance.ndim == 3:
-            return np.stack([self.exact_reading(frame, wiring) for frame in cell_resistance])
-        with np.errstate(divide="ignore"):
-            return self.network(cell_resistance, self.ties(cell_resistance), wiring).reading()
+        return starts.apparent_resistance(self, measured)
+
+    def uniform_start(self, measured: Array) -> Array:
+        """Return cells (…, rows, columns) ohm as if all were equal."""
+        return starts.uniform_start(self, measured)
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Return cells to start a solve from, (rows, columns) ohm.
@@ -283,21 +295,11 @@ class Readout(Converter, ABC):
         near : array, shape (rows, columns), or None
             Earlier estimate, ohm.
         """
-        return self.uniform_start(measured) if near is None else near
-
-    def panels_alike(self, measured: Array) -> list[tuple[float, Array]]:
-        """Return the panels that give readings, the most probable one first.
-
-        A panel is ln p and cells (rows, columns) ohm. The list is empty where uniform panels give
-        the median reading with one resistance alone; see `lampest.panel.readouts.branches`.
-        """
-        del measured
-        return []
+        return starts.start(self, measured, upper, near)
 
     def several_panels(self, rows: int, columns: int) -> bool:
         """Return whether the readings of usual cells may be those of quite different cells, too."""
-        del rows, columns
-        return False
+        return starts.several_panels(self, rows, columns)
 
     def every_panel(
         self,
@@ -321,33 +323,38 @@ class Readout(Converter, ABC):
         firsts : sequence of array, shape (rows, columns)
             Cells at which searches begin, in addition to uniform ones, ohm.
         """
-        del measured, limits, tolerance, firsts
-        return []
+        return starts.panels_beyond_folds(self, measured, limits, tolerance, firsts)
 
-    def uniform_start(self, measured: Array) -> Array:
-        """Return cells (…, rows, columns) ohm as if all were equal.
+    def panels_alike(self, measured: Array) -> list[tuple[float, Array]]:
+        """Return the panels that give readings, the most probable one first.
 
-        By default they are the apparent resistance.
+        A panel is ln p and cells (rows, columns) ohm. The list is empty where uniform panels give
+        the median reading with one resistance alone; see `lampest.panel.readouts.branches`.
         """
-        return self.apparent_resistance(measured)
+        return starts.uniform_branches(self, measured)
 
-    def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        """Return lower bounds of the cells, (…, rows, columns) ohm, for readings and their σ.
-
-        σ is None if it is unknown.
-        """
-        return self.nearly_shorted(measured)
-
-    def nearly_shorted(self, measured: Array) -> Array:
-        """Return cells (…, rows, columns) ohm whose readings do not differ from those of shorts."""
-        return SHORT_SHARE * self.apparent_resistance(measured)
+    def unseen_scales(self, rows: int, columns: int) -> tuple[Scale, ...]:
+        """Return the scales of cells that no reading shows: 'all', 'rows', 'columns'."""
+        equation = equation_of(self, rows, columns)
+        # A load, or nothing that conducts elsewhere, shows the scale
+        if np.isfinite(equation.load).all() or equation.floating:
+            return ()
+        return unseen_scales(self, rows, columns)
 
     def resolution(self, measured: Array, sigma: Array) -> Array:
         """Return the resolution limit r_max = |∂y_c/∂g_c|/σ at the uniform start.
 
         Shape (…, rows, columns), in ohm. An open cell in place of a cell of r_max changes its
-        reading by the noise σ. r_max is at least twice the start.
+        reading by the noise σ. r_max is at least twice the start. Without a scale it is that of any
+        cell: no reading says more. Where no closed form gives a cell by its reading, it is the
+        largest limit of uniform panels: a press moves the readings of other cells beyond those of
+        any uniform panel.
         """
+        rows, columns = measured.shape[-2:]
+        if self.unseen_scales(rows, columns):
+            return np.full(measured.shape, LARGEST_OHM)
+        if starts.by_uniform_panels(self, measured):
+            return np.asarray(starts.uniform_responses(self, rows, columns) / sigma)
         if measured.ndim > 2:
             frames = zip(measured, sigma, strict=True)
             return np.stack([self.resolution(*frame) for frame in frames])
@@ -356,9 +363,45 @@ class Readout(Converter, ABC):
         # |∂y_c/∂g_c|/σ = |J_cc|/(g σ) = |J_cc|·r/σ
         return np.asarray(np.maximum(np.abs(response) * start / sigma, 2 * start))
 
-    def unseen_scales(self, rows: int, columns: int) -> tuple[str, ...]:
-        """Return the scales of cells that no reading shows: 'all', 'rows', 'columns'."""
-        return ()
+    def nearly_shorted(self, measured: Array) -> Array:
+        """Return cells that count as shorts, (…, rows, columns) ohm.
+
+        A share of the uniform start bounds them, too, because with idle lines at ground the
+        apparent resistance is many times too large. So is the nearest uniform panel where a reading
+        lies beyond those of all.
+        """
+        start = self.uniform_start(measured)
+        if starts.by_uniform_panels(self, measured):
+            return SHORT_SHARE * np.minimum(start, USUAL_OHM)
+        return SHORT_SHARE * np.minimum(self.apparent_resistance(measured), start)
+
+    def least_cells(self, measured: Array, sigma: Array | None) -> Array:
+        """Return lower bounds of the cells, (…, rows, columns) ohm, for readings and their σ.
+
+        σ is None if it is unknown.
+        """
+        equation = equation_of(self, *measured.shape[-2:])
+        least = self.nearly_shorted(measured)
+        bound = inequalities.least_cells(equation, measured, sigma)
+        return least if bound is None else np.asarray(np.maximum(bound, least))
+
+    def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
+        """Return tests of inequalities that the circuit's readings satisfy for any cells.
+
+        `measured` and `sigma` are (frames, rows, columns); sigma is infinite for readings that are
+        no values.
+        """
+        equation = equation_of(self, *measured.shape[-2:])
+        return inequalities.free_tests(equation, measured, sigma)
+
+    def most_in_series(self, measured: Array, sigma: Array) -> float:
+        """Return the largest possible resistance in series with the panel, ohm.
+
+        `measured` and `sigma` are those of `free_tests`, computed for a circuit without resistance
+        in series.
+        """
+        equation = equation_of(self, *measured.shape[-2:])
+        return inequalities.largest_drive_ohm(equation, measured, sigma)
 
     def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
         """Return the common factor of all cells relative to a prediction.
@@ -384,31 +427,27 @@ class Readout(Converter, ABC):
         """
         return np.full(measured.shape, np.inf)
 
-    def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
-        """Return tests of inequalities that the circuit's readings satisfy for any cells.
-
-        `measured` and `sigma` are (frames, rows, columns); sigma is infinite for readings that are
-        no values.
-        """
-        return ()
-
-    def most_in_series(self, measured: Array, sigma: Array) -> float:
-        """Return the largest possible resistance in series with the panel, ohm.
-
-        The result is 0 if the kind has none. `measured` and `sigma` are those of `free_tests`,
-        computed for a circuit without resistance in series.
-        """
-        return 0.0
-
     # Between recorded values and the network's readings.
+
+    def offset(self, shape: tuple[int, ...]) -> Array | float:
+        """Return what amplifiers add to recorded values, to be broadcast to (rows, columns)."""
+        return 0.0
 
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
         """Return the network's readings of recorded values, (…, rows, columns)."""
-        return recorded
+        ends = nominal_terminations(self)
+        level = ends.recorded_reference + self.offset(recorded.shape)
+        if ends.sign > 0 and not np.any(level):
+            return recorded
+        return np.asarray(ends.sign * (recorded - level))
 
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
         """Return the recorded values of the network's readings, (…, rows, columns)."""
-        return reading
+        ends = nominal_terminations(self)
+        level = ends.recorded_reference + self.offset(reading.shape)
+        if ends.sign > 0 and not np.any(level):
+            return reading
+        return np.asarray(level + ends.sign * reading)
 
     @property
     def direction(self) -> float:
@@ -453,8 +492,12 @@ class Readout(Converter, ABC):
         return np.asarray(self.from_recorded(recorded, scene) - network.reading())
 
     def off_by(self, fraction: float) -> Self:
-        """Return the circuit with its reference resistor larger by a fraction."""
-        return self
+        """Return the circuit with every reference resistor larger by a fraction."""
+        name = self.of_sensed[0]
+        value: PerLine = getattr(self, name)
+        larger = tuple(number * (1 + fraction) for number in as_tuple(value))
+        changes: dict[str, Any] = {name: larger if isinstance(value, tuple) else larger[0]}
+        return replace(self, **changes)
 
     def line_numbers(self) -> tuple[LineNumber, ...]:
         """Return the numbers of the circuit that known resistors determine.

@@ -17,11 +17,12 @@ from lampest.panel.readouts import branches
 from lampest.panel.readouts.alternation import Alternation
 from lampest.panel.readouts.branches import LEVELS, MAX_CELLS, MAX_MISFIT, MIN_FOLD, misfit
 from lampest.panel.readouts.floating import convex_start, uniform_factor
-from lampest.panel.readouts.readout import MIN_LOAD_SHARE, USUAL_OHM
 from lampest.panel.readouts.wiring import Wiring
 
 UNIFORM_LEVELS = 140  # of uniform panels, from 10 ohm to 100 Mohm: 12 % from one to the next
 UNIFORM_KNOTS = 48  # of these levels that networks are solved for; the others are interpolated
+USUAL_OHM = 10_000.0  # of cells whose scale no resistor sets
+MIN_LOAD_SHARE = 1e-3  # of a load: least apparent resistance, for readings at the end of the range
 OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
 
 
@@ -60,6 +61,8 @@ def apparent_resistance(circuit: SolvableCircuit, measured: Array) -> Array:
     For a reading V the resistance is Rs·((U − V_d)·c/V − 1) − Rd.
     """
     equation = _equation(circuit, measured)
+    if equation.terminations.as_resistance:
+        return measured
     if by_uniform_panels(circuit, measured):
         return _of_uniform_panels(circuit, measured)
     load = _reference(equation)
@@ -88,7 +91,7 @@ def uniform_start(circuit: SolvableCircuit, measured: Array) -> Array:
             return apparent
     driven = -2 if equation.terminations.driven == "rows" else -1
     # Voltages over the supply, with a lower limit for open cells.
-    share = measured / (equation.source * equation.gain)
+    share = equation.volt(measured) / (equation.source * equation.gain)
     share = np.maximum(share, OPEN_SHARE * share.max(axis=(-2, -1), keepdims=True))
     remainder = 1 - share.sum(axis=driven, keepdims=True)
     # A negative remainder is noise, or the substitute of a dead line. Then the load counts as one
@@ -136,7 +139,8 @@ def start(
         firsts = branches.uniform_panels(log_medians(circuit, *measured.shape), positive)
     if len(firsts) == 1 and equation.plain and np.isfinite(equation.load).all():
         alternation = Alternation(equation, circuit.ties(measured))
-        alternated = alternation.cells(measured, uniform_start(circuit, measured), near)
+        volt = equation.volt(measured)
+        alternated = alternation.cells(volt, uniform_start(circuit, measured), near)
         cells = np.minimum(alternated, upper)
         if misfit(circuit.network(cells, circuit.ties(measured)), positive) < MAX_MISFIT:
             return np.asarray(cells)

@@ -4,12 +4,13 @@ A divider measures the resistance.
 """
 
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.law import TWO_POINT, Law
+from lampest.panel.lines import Groups, check_apart, check_groups
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array, EachModule, Modules
 from lampest.panel.readouts.divider import Divider
@@ -19,12 +20,12 @@ from lampest.panel.readouts.floating import (
     two_point_resistance,
     uniform_factor,
 )
-from lampest.panel.readouts.lines import Groups, check_apart, check_groups
-from lampest.panel.readouts.readout import FreeTest, Readout, Surroundings
+from lampest.panel.readouts.inequalities import FreeTest
+from lampest.panel.readouts.readout import Readout, Surroundings
 from lampest.panel.readouts.wiring import Wiring
 
 # Keys of two_point that dividers in parallel do not share.
-OWN = ("kind", "groups", "measured_across")
+OWN = ("kind", "measured_across")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,9 +95,7 @@ class TwoPointReadout(Divider):
             field.name: getattr(self, field.name) for field in fields(self) if field.name not in OWN
         }
         rows, columns = scene.series_lines
-        return ParallelDividers(
-            **numbers, columns=self.groups, row_ohm=tuple(rows), column_ohm=tuple(columns)
-        )
+        return ParallelDividers(**numbers, row_ohm=tuple(rows), column_ohm=tuple(columns))
 
     def description(self) -> str:
         converter = "" if self.input_ohm is None else f", converter input {self.input_ohm:g} ohm"
@@ -112,10 +111,6 @@ class TwoPointReadout(Divider):
     def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
         return grounding(measured, parts)
 
-    def reading(self, row: Any, column: Any, mutual: Any) -> Any:
-        """Return R = Z_jj + Z_kk − 2 Z_jk in ohm; paper, equations (5)-(10)."""
-        return row + column - 2 * mutual
-
     @property
     def law(self) -> Law:
         return TWO_POINT
@@ -130,14 +125,6 @@ class TwoPointReadout(Divider):
         if wiring is not None:
             return super().exact_reading(cell_resistance, wiring)
         return two_point_resistance(cell_resistance)
-
-    def uniform_start(self, measured: Array) -> Array:
-        """Return R·MN/(M + N − 1), exact for equal cells."""
-        return np.asarray(measured / uniform_factor(*measured.shape[-2:]))
-
-    def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
-        """Return cells that reproduce attainable readings exactly; see `convex_start`."""
-        return convex_start(measured, upper, near)
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
         """Return the lower bounds r ≥ R: parallel paths lower a reading; paper, equation (12)."""

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.panel.readouts.readout import Readout
+from lampest.panel.readouts.starts import SolvableCircuit
 
 Scale = Literal["all", "rows", "columns"]
 TYPICAL_OHM = 3000.0
@@ -23,7 +23,7 @@ NULL = 1e-6  # singular value over the largest; of readings that are shown 0.01 
 WITHIN = 0.9  # share of a scale's square that lies in the null space
 
 
-def unseen_scales(circuit: Readout, rows: int, columns: int) -> tuple[Scale, ...]:
+def unseen_scales(circuit: SolvableCircuit, rows: int, columns: int) -> tuple[Scale, ...]:
     """Return the scales that no reading shows: of all cells, of each row, of each column."""
     listed = any(isinstance(value, tuple) for value in vars(circuit).values())
     if not listed:
@@ -32,7 +32,7 @@ def unseen_scales(circuit: Readout, rows: int, columns: int) -> tuple[Scale, ...
 
 
 @lru_cache(maxsize=64)
-def _unseen(circuit: Readout, rows: int, columns: int) -> tuple[Scale, ...]:
+def _unseen(circuit: SolvableCircuit, rows: int, columns: int) -> tuple[Scale, ...]:
     """Return the scales of a circuit that lie in the null space of its Jacobian at random cells.
 
     A scale is unseen if more than WITHIN of the square of each of its directions lies there.

@@ -6,8 +6,8 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from lampest.panel.circuit import Ends, Terminations, nominal_terminations, scanned
+from lampest.panel.lines import MIN_OHM, PerLine, Side, as_tuple, lines_text, per_line
 from lampest.panel.readouts.driven import DrivenCircuit
-from lampest.panel.readouts.lines import MIN_OHM, PerLine, Side, as_tuple, lines_text, per_line
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration
+from lampest.panel.lines import PerLine, as_tuple, check_lines, check_resistors, per_line
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import PerLine, as_tuple, check_lines, check_resistors, per_line
 
 
 @dataclass(frozen=True)

@@ -23,10 +23,10 @@ from lampest.panel.effects import shared_effect_of
 from lampest.panel.effects.channels import CHANNELS
 from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.effects.reference import REFERENCE
+from lampest.panel.lines import of_side
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.channel_memory import with_memory
-from lampest.panel.readouts.lines import of_side
 from lampest.panel.readouts.readout import in_panel_order
 from lampest.panel.readouts.wiring import Contacts
 from lampest.panel.scene import Scene
