@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 
 import lampest
 from lampest import Array
-from lampest.panel.circuit import Ends, Terminations, scanned
 
 
 @dataclass(frozen=True)
@@ -60,15 +59,16 @@ class Divider(lampest.Readout):
         """The two resistors."""
         return f"divider of {self.load_ohm:g} ohm, driven through {self.drive_ohm:g} ohm"
 
-    def terminations(self, driven: int, sensed: int) -> Terminations:
+    def terminations(self, driven: int, sensed: int) -> lampest.Terminations:
         """Return the ends: the supply behind Rd at one row, Rs at every column."""
-        load = Ends.of(np.full(sensed, self.load_ohm))
-        return Terminations(
+        load = lampest.Ends.of(np.full(sensed, self.load_ohm))
+        return lampest.Terminations(
             "rows",
-            scanned(
-                Ends.of(np.full(driven, self.drive_ohm), self.supply_volt), Ends.floating(driven)
+            lampest.scanned(
+                lampest.Ends.of(np.full(driven, self.drive_ohm), self.supply_volt),
+                lampest.Ends.floating(driven),
             ),
-            scanned(load, load),
+            lampest.scanned(load, load),
             gain=np.ones(sensed),
         )
 
