@@ -51,6 +51,9 @@ from .formulation.constraints import KnownCells as KnownCells
 from .formulation.constraints import ProgramPart as ProgramPart
 from .formulation.constraints import part_types as part_types
 from .inference.circuits.model_check import ModelCheck as ModelCheck
+from .panel.circuit import Ends as Ends
+from .panel.circuit import Terminations as Terminations
+from .panel.circuit import scanned as scanned
 from .panel.conditions import Experiment as Experiment
 from .panel.conditions import MeasuredSubject as MeasuredSubject
 from .panel.conditions import Temperature as Temperature

@@ -32,6 +32,10 @@ class Ends:
         0 of a line that floats.
     follows : bool
         Whether connected lines end at the potential of the line that is read, not at `volt`.
+
+    >>> import numpy as np
+    >>> lampest.Ends.of(np.array([50.0, 200.0]), 5.0).siemens
+    array([0.02 , 0.005])
     """
 
     ohm: Array
@@ -107,6 +111,12 @@ class Terminations:
         divider, in ohm, not a voltage.
     diode : Diode, or None
         Diode in series with the end of the driven line.
+
+    >>> import numpy as np
+    >>> source, load = lampest.Ends.of(np.zeros(2), 5.0), lampest.Ends.of(np.full(3, 1000.0))
+    >>> driving = lampest.scanned(source, lampest.Ends.floating(2))
+    >>> lampest.Terminations("rows", driving, lampest.scanned(load, load), np.ones(3)).source
+    array([5., 5.])
     """
 
     driven: Side
@@ -177,6 +187,11 @@ def scanned(
         Lines behind one multiplexer each. Line k of every other group is selected, too.
     together : Ends, shape (lines,), or None
         Of the lines that are selected with the named one; None: `own`.
+
+    >>> import numpy as np
+    >>> lampest.scanned(lampest.Ends.of(np.zeros(2), 5.0), lampest.Ends.floating(2)).ohm
+    array([[ 0., inf],
+           [inf,  0.]])
     """
     count = len(own.ohm)
     named = np.eye(count, dtype=bool)

@@ -59,21 +59,18 @@ class Divider(lampest.Readout):
         """The two resistors."""
         return f"divider of {self.load_ohm:g} ohm, driven through {self.drive_ohm:g} ohm"
 
-    def ties(self, measured: Array) -> Array:
-        """1/Rs at the columns."""
-        rows, columns = measured.shape
-        return np.concatenate([np.zeros(rows), np.full(columns, 1 / self.load_ohm)])
-
-    def reading(self, row: Any, column: Any, mutual: Any) -> Any:
-        """Volt."""
-        return self.supply_volt * mutual / (self.drive_ohm + row)
-
-    def apparent_resistance(self, measured: Array) -> Array:
-        """r = Rs·(Vcc/V − 1) − Rd, ohm."""
-        cells: Array = np.maximum(
-            self.load_ohm * (self.supply_volt / measured - 1) - self.drive_ohm, 1.0
+    def terminations(self, driven: int, sensed: int) -> lampest.Terminations:
+        """Return the ends: the supply behind Rd at one row, Rs at every column."""
+        load = lampest.Ends.of(np.full(sensed, self.load_ohm))
+        return lampest.Terminations(
+            "rows",
+            lampest.scanned(
+                lampest.Ends.of(np.full(driven, self.drive_ohm), self.supply_volt),
+                lampest.Ends.floating(driven),
+            ),
+            lampest.scanned(load, load),
+            gain=np.ones(sensed),
         )
-        return cells
 
 
 @dataclass(frozen=True)

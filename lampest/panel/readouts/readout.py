@@ -492,7 +492,12 @@ class Readout(Converter, ABC):
         return np.asarray(self.from_recorded(recorded, scene) - network.reading())
 
     def off_by(self, fraction: float) -> Self:
-        """Return the circuit with every reference resistor larger by a fraction."""
+        """Return the circuit with every reference resistor larger by a fraction.
+
+        A kind that names no key of sensed lines has none.
+        """
+        if not self.of_sensed:
+            return self
         name = self.of_sensed[0]
         value: PerLine = getattr(self, name)
         larger = tuple(number * (1 + fraction) for number in as_tuple(value))
