@@ -186,7 +186,6 @@ class Ipopt(Solver):
 
         The solve is warm where a frame precedes, and cold if that fails.
         """
-        instance = self._instance(start)
         iterations = 0
         if self.previous is not None:
             multipliers = self.previous.multipliers
@@ -197,6 +196,7 @@ class Ipopt(Solver):
                 if STATUS.get(result.status) is Status.OPTIMUM:
                     return warm, result, result.iterations
                 iterations = result.iterations
+        instance = self._instance(start)
         result = self._built().minimise(instance)
         return instance, result, iterations + result.iterations
 
