@@ -22,7 +22,7 @@ from lampest.panel.faults import Faults
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_median, chi_square_tail
-from lampest.recording.garbled import garbled_lines, middle, readings_of
+from lampest.recording.garbled import GarbledLines, garbled_lines, middle, readings_of
 from lampest.recording.readings import (
     Readings,
     equal_rows,
@@ -132,9 +132,13 @@ class _View:
         return self.recording.scene
 
     @cached_property
+    def garbled_lines(self) -> tuple[GarbledLines, ...]:
+        return garbled_lines(self.recording)
+
+    @cached_property
     def garbled(self) -> NDArray[np.bool_]:
         """Readings that arrived garbled, (frames, rows, columns)."""
-        return readings_of(garbled_lines(self.recording), self.recording)
+        return readings_of(self.garbled_lines, self.recording)
 
     @cached_property
     def readings(self) -> Readings:
@@ -480,9 +484,9 @@ def _readings(view: _View) -> Iterator[Finding]:
 
 def _frames(view: _View) -> Iterator[Finding]:
     """Find garbled frames, and frames that repeat the one before."""
-    garbled = garbled_lines(view.recording)
-    if garbled:
-        places = first_and_more([lines.name_in_words for lines in garbled], MAX_NAMED)
+    if view.garbled_lines:
+        names = [lines.name_in_words for lines in view.garbled_lines]
+        places = first_and_more(names, MAX_NAMED)
         yield Finding(
             "frames", f"garbled: {places}", "left out; they are no readings of this panel"
         )

@@ -8,7 +8,6 @@ well: a reading that stands alone is impossible there, and missing. In unloaded 
 changes, and all outliers are missing. No reading is replaced.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,12 +26,18 @@ from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import largest_normal, largest_of
 from lampest.recording.garbled import GarbledLines, garbled_lines, readings_of
+from lampest.recording.neighbours import (
+    MIN_RATIO_TO_SCATTER,
+    WINDOW,
+    Expected,
+    Predictor,
+    by_median,
+    first_of_windows,
+    from_window,
+)
 from lampest.recording.readings import Readings, Sidedness, median, stand_in
 from lampest.recording.recording import UNLOADED, Recording
 
-WINDOW = 4  # neighbouring frames that are compared
-# Deviation over the scatter of the neighbours, so that an arriving load is not flagged.
-MIN_RATIO_TO_SCATTER = 3.0
 # Ratio of the deviation to the median deviation of the row or the column. A load on one cell
 # changes these by 0.22 of the change of its own reading where all lines float: the change has rank
 # one (10 x 10; 0.21 at 32 x 32).
@@ -47,12 +52,6 @@ QUIET_SHARE = 0.25
 MAX_REPEATED = 0.5
 ABSENT_OHM = 1e12  # a place without a cell
 MIN_FRAMES = 3  # with fewer, the deviating frame cannot be identified
-
-# (prediction from the neighbours in time, its standard deviation by their scatter, standard
-# deviation of the deviation by noise alone as a multiple of σ).
-Expected = tuple[Array, Array, Array]
-# arguments: the neighbours, and their offsets in frames
-Predictor = Callable[[Array, NDArray[np.intp]], Expected]
 
 
 def detect_outliers(
@@ -77,11 +76,10 @@ def detect_outliers(
     """
     # Two predictions: the median suits rest, a straight line suits motion. A reading is flagged if
     # either one fails.
-    predictors = [_by_median, *([_by_line] if len(value) > WINDOW else [])]
+    predictors = [by_median, *([_by_line] if len(value) > WINDOW else [])]
     frames = np.arange(len(value))
-    width = min(len(value), WINDOW + 1)
-    first = np.clip(frames - WINDOW // 2, 0, len(value) - width)
-    expected = [_from_window(value, first, frames - first, predict) for predict in predictors]
+    first = first_of_windows(len(value))
+    expected = [from_window(value, first, frames - first, predict) for predict in predictors]
     # Of the frames around: that of a touched cell is another.
     scale = np.broadcast_to(median(scale), scale.shape)
     outlying = np.zeros(value.shape, dtype=bool)
@@ -372,7 +370,7 @@ class FramesBefore:
         value = np.stack([frame.plain_values for frame in self.frames])
         sigma = readings.known_sigma
         scale = sigma * np.fmax(_pair_scale(value, np.broadcast_to(sigma, value.shape)), 1.0)
-        expected = _by_median(value)
+        expected = by_median(value)
         middle, spread, _ = expected
         with np.errstate(divide="ignore", invalid="ignore"):
             outlying = _exceeds_threshold(readings.plain_values, scale, expected)
@@ -380,21 +378,6 @@ class FramesBefore:
             return np.zeros(outlying.shape, dtype=bool)
         scale = np.hypot(scale, spread)
         return no_cell_moves(scene, outlying, readings.plain_values, middle, scale)
-
-
-def _from_window(
-    value: Array, first: NDArray[np.intp], place: NDArray[np.intp], predict: Predictor
-) -> Expected:
-    """Return the prediction of frames first + place from the other frames of their window.
-
-    The window of a prediction begins at `first`. The neighbours are gathered as (width − 1, frames,
-    ...), with their offsets (width − 1, frames).
-    """
-    width = min(len(value), WINDOW + 1)
-    within = first[:, None] + np.arange(width)
-    target = first + place
-    nearest = within[within != target[:, None]].reshape(len(first), width - 1).T
-    return predict(value[nearest], nearest - target)
 
 
 def _is_usual(
@@ -433,29 +416,10 @@ def _is_usual(
     begins = np.arange(frames - WINDOW)
     for frame in np.flatnonzero(~middle):
         near = begins[np.argsort(np.abs(begins - first[frame]), kind="stable")[: 3 * block]]
-        predicted, _, _ = _from_window(value, near, np.full(len(near), place[frame]), predict)
+        predicted, _, _ = from_window(value, near, np.full(len(near), place[frame]), predict)
         usual[frame] = median(np.abs(value[near + place[frame]] - predicted))
     usual = MAD_TO_SIGMA * np.nan_to_num(usual)
     return np.asarray((usual > 0) & (deviation <= largest * usual))
-
-
-def _by_median(neighbours: Array, offset: NDArray[np.intp] | None = None) -> Expected:
-    """Return the median of the neighbours, (frames, …), with their scatter.
-
-    Parameters
-    ----------
-    neighbours : array, shape (neighbours, frames, …)
-    offset : integer array
-        Not used.
-    """
-    middle = median(neighbours)[0]
-    # var(y − median of n) = σ² (1 + π/(2n))
-    noise = np.sqrt(1 + np.pi / (2 * len(neighbours)))
-    return (
-        middle,
-        MAD_TO_SIGMA * median(np.abs(neighbours - middle))[0],
-        np.full(middle.shape, noise),
-    )
 
 
 def _by_line(neighbours: Array, offset: NDArray[np.intp]) -> Expected:

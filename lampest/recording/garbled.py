@@ -20,14 +20,17 @@ from numpy.typing import NDArray
 from lampest.files.errors import first_and_more
 from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, UNUSUAL
 from lampest.panel.panel import Array
+from lampest.recording.neighbours import (
+    MIN_RATIO_TO_SCATTER,
+    by_median,
+    first_of_windows,
+    from_window,
+)
 from lampest.recording.readings import median
 from lampest.recording.recording import UNLOADED, Recording
 
 MIN_FRAMES = 5  # with fewer, the neighbours of a frame do not show which one is the odd one
 MIN_ALIKE = 3  # unloaded or measured frames: of two, none is the odd one
-WINDOW = 2  # neighbouring frames before and after
-# Deviation over the scatter of the neighbours, so that an arriving load is not flagged.
-MIN_RATIO_TO_SCATTER = 3.0
 MIN_LINE_SHARE = 0.25  # of deviating readings, beyond which a line counts as affected
 # of deviating readings in the affected lines, and in the other ones
 MIN_SHARE = 0.6
@@ -184,12 +187,8 @@ def _expected(values: Array, role: NDArray[np.uint8]) -> tuple[Array, Array]:
         frames = np.arange(len(own))
         if len(own) < MIN_ALIKE:
             continue
-        width = min(2 * WINDOW + 1, len(own))
-        first = np.clip(frames - WINDOW, 0, len(own) - width)
-        within = first[:, None] + np.arange(width)
-        nearest = within[within != frames[:, None]].reshape(len(frames), width - 1).T
-        middle[alike] = median(own[nearest])[0]
-        spread[alike] = MAD_TO_SIGMA * median(np.abs(own[nearest] - middle[alike]))[0]
+        first = first_of_windows(len(own))
+        middle[alike], spread[alike], _ = from_window(own, first, frames - first, by_median)
     return middle, spread
 
 
