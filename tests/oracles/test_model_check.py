@@ -112,6 +112,27 @@ def test_a_verdict_says_whether_other_circuits_were_compared() -> None:
     assert alone.explains and not alone.compared
 
 
+def test_a_circuit_under_which_most_cells_moved_is_not_called_less_likely() -> None:
+    """The voltages of loaded columns are those of a divider between two lines, of other cells."""
+    random = np.random.default_rng(5)
+    row, column = np.indices((8, 8)) - 3.5
+    palm = np.exp(-((row / 2.4) ** 2) - (column / 1.9) ** 2)
+    sway = 1 + 0.15 * np.sin(0.8 * np.arange(6))
+    cells = np.repeat(5000 * np.exp(0.1 * random.standard_normal((1, 8, 8))), 10, axis=0)
+    cells[4:] *= np.exp(-palm * sway[:, None, None])
+    columns = LoadedColumnsReadout(
+        load_ohm=10_000, drive_ohm=1080, adc_bits=12, readings=8, noise_lsb=1.0
+    )
+    volt = columns.exact_reading(cells)
+    volt = volt + columns.noise_volt() / np.sqrt(8) * random.standard_normal(volt.shape)
+    divider = TwoPointReadout(adc_bits=12, readings=8, noise_lsb=1.0)
+    scene = Scene(Panel(8, 8), divider, lampest.SeriesPerLine(70.0, 72.0))
+    check = Prepared(recording_of(scene, divider.recorded_from_volt(volt), 4)).check
+    assert check.mark == "yes" and not check.compared
+    assert "most cells would have moved under" in check.sentence
+    assert "press a few cells" in check.sentence and "no other known one" not in check.sentence
+
+
 @promise(
     "theory/model_check: Between circuits, changed cells are either single ones or loads, "
     "with equal probability."

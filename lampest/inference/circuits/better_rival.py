@@ -54,7 +54,7 @@ def better_rival(frames: ComparedFrames, specified: Explanation | None) -> Bette
 
     A better rival explains them where the scene's circuit does not, or gains more than
     MIN_EVIDENCE_GAIN. Rivals under which most cells have moved do not count, because the still
-    cells cannot be identified then.
+    cells cannot be identified then. One that would gain as much is `covered`: neither is likelier.
 
     Parameters
     ----------
@@ -73,7 +73,27 @@ def better_rival(frames: ComparedFrames, specified: Explanation | None) -> Bette
             remembering = with_converter_memory(replace(explanation, rival=rival), frames)
             candidates += [remembering] if remembering.rival is not rival else []
     best = _best_candidate(candidates, frames, at_fault=specified is None)
-    return BetterExplanation() if best is None else _compared(specified, best, frames)
+    better = BetterExplanation() if best is None else _compared(specified, best, frames)
+    covered = "" if specified is None else _under_cover(candidates, specified)
+    return replace(better, covered=covered)
+
+
+def _under_cover(candidates: Sequence[Explanation], specified: Explanation) -> str:
+    """Return the circuit of largest evidence under which most cells moved, in words.
+
+    The text is '' where none gains more than MIN_EVIDENCE_GAIN over the scene's circuit. Another
+    memory alone is the edge of a load.
+    """
+    memory = specified.rival.scene.converter_memory
+    gains = {
+        candidate.rival.name: (specified.beyond_noise - candidate.beyond_noise)
+        / candidate.pair.excess
+        for candidate in candidates
+        if candidate.pair and candidate.rival.kind and not mostly_still(candidate.pair.moved)
+        if candidate.rival.scene.converter_memory == memory
+    }
+    name = max(gains, key=lambda rival: gains[rival], default="")
+    return name if name and gains[name] > MIN_EVIDENCE_GAIN else ""
 
 
 def _needs_rivals(specified: Explanation) -> bool:

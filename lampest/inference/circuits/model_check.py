@@ -34,6 +34,10 @@ from lampest.recording.recording import (
 
 EXPLAINED = "the circuit can give these readings"
 NO_LIKELIER = "no other known one is likelier"
+COVERED = (
+    "most cells would have moved under {}, which gives the readings as well: "
+    "press a few cells, and leave the others free"
+)
 # Deviation of ln of a module's median reading at rest from the other modules: none of 1,640
 # simulated modules whose cells scatter by 0.2 exceeds it, and a reference that is off by 20 % does.
 MIN_AWAY = 0.15
@@ -169,7 +173,7 @@ class Question(ComparedFrames):
             return self._check_without_cells()
         best = self._better(besides) if self._complete else BetterExplanation()
         explains = not self.fault and not best.name
-        compared = explains and not best.nearly and not self._uncompared
+        compared = explains and not (best.nearly or best.covered or self._uncompared)
         check = ModelCheck(
             explains,
             self._verdict(best),
@@ -227,8 +231,9 @@ class Question(ComparedFrames):
             return f"{self.fault}; {alternative}"
         if best.name:
             return f"{best.name} explains the readings better: {best.reason}"
-        if self._uncompared:
-            return f"{EXPLAINED}; other circuits were not compared: {self._uncompared}"
+        uncompared = self._uncompared or (best.covered and COVERED.format(best.covered))
+        if uncompared:
+            return f"{EXPLAINED}; other circuits were not compared: {uncompared}"
         return EXPLAINED if best.nearly else f"{EXPLAINED}, and {NO_LIKELIER}"
 
     @cached_property
