@@ -1,11 +1,11 @@
 """Choice of weights in a linear model, by risk or evidence.
 
-The risk of one penalty's weight follows from a generalised eigendecomposition that serves all
-weights λ.
+The risk of one penalty's weight follows from a singular value decomposition that serves all weights
+λ.
 
 The data and the other penalties o have the curvature A = Jᵀ Ω J + Σ λ_o Z_oᵀ Z_o. With A = R Rᵀ and
-R⁻¹ Zᵀ Z R⁻ᵀ = Q diag(κ) Qᵀ, the change of the estimate is p = T q with T = R⁻ᵀ Q and q(λ) = −f·(b +
-λ d), f = 1/(1 + λ κ), where b and d are the slopes of everything else and of the penalty. The risk
+R⁻¹ Zᵀ = Q diag(√κ) Vᵀ, the change of the estimate is p = T q with T = R⁻ᵀ Q and q(λ) = −f·(b + λ
+d), f = 1/(1 + λ κ), where b and d are the slopes of everything else and of the penalty. The risk
 that the weight minimises is a sum over κ.
 
 The evidence chooses the weights of any number of penalties by a fixed point, λ_t = s² γ_t / η_t.
@@ -19,7 +19,7 @@ from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, eigh, solve_triangular
+from scipy.linalg import cho_factor, solve_triangular
 from scipy.special import erf
 
 from lampest.cost.losses import PenaltyEvidence
@@ -34,7 +34,7 @@ PRECISION = 0.005  # of log λ
 # Factor of the range of λ beyond the stiffest and the softest direction; share of the largest κ
 # below which κ is zero.
 EXTENT_FACTOR = 1e4
-NEGLIGIBLE = 1e-12
+NEGLIGIBLE = 1e-24
 # iterations of the fixed point; change of log λ at which they end
 MAX_ROUNDS = 30
 TOLERANCE = 0.01
@@ -51,7 +51,7 @@ class Spectrum:
     Attributes
     ----------
     stiffness : array, shape (unknowns,)
-        κ, ascending.
+        κ, descending.
     pull, penalty_slope : array, shape (unknowns,)
         Slopes in the basis T: b_o of the other penalties, and d of this one at λ = 1.
     directions : array, shape (data rows, unknowns)
@@ -117,8 +117,11 @@ class Spectrum:
         weight = np.sqrt(loss.stiffness(residual))
         penalty = weight * model.penalty[of_term]
         penalties = weight * penalties
-        # R⁻¹ Zᵀ Z R⁻ᵀ = Q diag(κ) Qᵀ, T = R⁻ᵀ Q
-        stiffness, vectors = eigh(penalties @ penalties.T)
+        # R⁻¹ Zᵀ = Q diag(√κ) Vᵀ, T = R⁻ᵀ Q. Its square would lose κ below 1e-16 of the largest one.
+        _, triangle = np.linalg.qr(penalties.T)
+        vectors, root, _ = np.linalg.svd(triangle.T)
+        stiffness = np.zeros(len(vectors))
+        stiffness[: len(root)] = root**2
         basis = solve_triangular(factor, vectors, lower=True, trans="T")
         directions = jacobian @ basis
         gram = basis.T @ basis
@@ -130,7 +133,7 @@ class Spectrum:
         if covariance is not None and loss.enters != "dual":
             doubt = back @ covariance[np.ix_(model.free, model.free)] @ back.T
         return cls(
-            stiffness=np.maximum(stiffness, 0),
+            stiffness=stiffness,
             pull=basis.T @ (rows[~of_term].T @ (curvature * model.penalty[~of_term])),
             penalty_slope=vectors.T @ (penalties @ penalty),
             directions=directions,
@@ -181,7 +184,7 @@ class Spectrum:
     @property
     def extent(self) -> tuple[float, float]:
         """Logarithms of the least and the largest λ that affect directions the data determine."""
-        # Rounding of all stiffnesses is that of the largest one.
+        # Rounding of all singular values is that of the largest one.
         penalised = self.stiffness > NEGLIGIBLE * self.stiffness.max()
         effective = self.stiffness[penalised & self.determined]
         smallest = -float(np.log(EXTENT_FACTOR * effective.max()))
