@@ -12,7 +12,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.state import Step, held_by_all
 from lampest.files.applications import applications
 from lampest.files.levels import TWO_SIDED
-from lampest.files.typed import freeze_arrays
+from lampest.files.typed import ReadOnlyArrays, cached_array
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
@@ -151,7 +151,7 @@ def frame_misfit(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Estimates:
+class Estimates(ReadOnlyArrays):
     """Cell resistances of a recording's measured frames, with error bars, changes and pressures.
 
     Values of cells are (frames, rows, columns) over the measured frames, NaN where a frame failed.
@@ -209,9 +209,6 @@ class Estimates:
     prepared: Prepared
     contacts: Contacts | None = None
     automatic: bool = False
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
 
     def __repr__(self) -> str:
         solved = int(self.solved.sum())
@@ -524,7 +521,7 @@ class Estimates:
             return {}
         return frame_misfit(self.reading_model, self.measured, self.sigma, self.resolution)
 
-    @cached_property
+    @cached_array
     def _bars(self) -> dict[str, Array] | None:
         """Error bars by name; None unless an estimate and the baseline have them.
 

@@ -7,7 +7,7 @@ import typing
 from abc import ABCMeta
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass, replace
-from functools import cache, wraps
+from functools import cache, cached_property, wraps
 from math import inf
 from types import UnionType
 from typing import Annotated, Any, ClassVar, ParamSpec, Self, TypeVar, cast
@@ -189,13 +189,45 @@ def real_array(values: Any, label: str) -> NDArray[Any]:
     return as_double(array)
 
 
-def freeze_arrays(owner: Any) -> None:
-    """Make the arrays of a frozen object read-only in it; other names of them stay as they are."""
-    for name, value in vars(owner).items():
-        if isinstance(value, np.ndarray) and value.flags.writeable:
-            view = value.view()
-            view.flags.writeable = False
-            object.__setattr__(owner, name, view)
+def cached_array(method: Callable[[Any], R]) -> cached_property[R]:
+    """Return a cached property whose arrays are read-only."""
+
+    @wraps(method)
+    def frozen(owner: Any) -> R:
+        return cast(R, read_only(method(owner)))
+
+    return cached_property(frozen)
+
+
+class ReadOnlyArrays:
+    """Mixin of frozen objects: their arrays are read-only, in copies and pickles as well.
+
+    Other names of the arrays stay as they are.
+    """
+
+    def __post_init__(self) -> None:
+        self._freeze_arrays()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._freeze_arrays()
+
+    def _freeze_arrays(self) -> None:
+        for name, value in vars(self).items():
+            object.__setattr__(self, name, read_only(value))
+
+
+def read_only(value: Any) -> Any:
+    """Return read-only views of an array or of those in a tuple or dict; else the value itself."""
+    if type(value) is tuple:
+        return tuple(map(read_only, value))
+    if type(value) is dict:
+        return {name: read_only(item) for name, item in value.items()}
+    if not isinstance(value, np.ndarray) or not value.flags.writeable:
+        return value
+    view = value.view()
+    view.flags.writeable = False
+    return view
 
 
 def as_double(array: NDArray[Any]) -> NDArray[Any]:

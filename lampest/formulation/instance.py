@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lampest.cost.problem import Evaluation
+from lampest.files.typed import ReadOnlyArrays
 from lampest.formulation.circuit import Circuit
 from lampest.formulation.patterns import Excitation
 from lampest.formulation.program import Program, Rule, value_of
@@ -77,7 +78,7 @@ class Multipliers:
 
 
 @dataclass(frozen=True, eq=False)
-class ProgramResult:
+class ProgramResult(ReadOnlyArrays):
     """Result of IPOPT.
 
     Attributes

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lampest.files.document import MAX_NUMBER, MIN_NUMBER
 from lampest.files.process import check_memory
-from lampest.files.typed import Configuration, check_positive_fields, check_ranges
+from lampest.files.typed import Configuration, cached_array, check_positive_fields, check_ranges
 
 Array = NDArray[np.floating[Any]]
 MAX_PITCH_MM = 1e6  # mm: a kilometre, beyond any panel
@@ -194,7 +194,7 @@ class Panel(Configuration):
         """Number of crossings, rows · columns."""
         return self.rows * self.columns
 
-    @cached_property
+    @cached_array
     def present(self) -> NDArray[np.bool_]:
         """Whether a crossing has a cell, boolean (rows, columns)."""
         present = np.full(self.shape, self.cells is None)
@@ -264,7 +264,7 @@ class Panel(Configuration):
         module = self.modules.each
         return Panel(module.rows, module.columns, module.pitch_mm)
 
-    @cached_property
+    @cached_array
     def places_mm(self) -> Array:
         """Positions x and y of every cell in mm, (2, rows, columns).
 
@@ -290,7 +290,7 @@ class Panel(Configuration):
             heights[row, column] = z[0]
         return heights
 
-    @cached_property
+    @cached_array
     def neighbours(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
         """Pairs of neighbouring cells.
 

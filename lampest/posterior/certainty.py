@@ -7,13 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import TWO_SIDED
+from lampest.files.typed import ReadOnlyArrays
 from lampest.panel.panel import Array
 from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import LinearModel
 
 
 @dataclass(frozen=True, eq=False)
-class Certainty:
+class Certainty(ReadOnlyArrays):
     """Certainty of log r, or of a change of it.
 
     All arrays have one shape, such as (frames, rows, columns).

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import TWO_SIDED
+from lampest.files.typed import ReadOnlyArrays
 from lampest.panel.effects import Shared
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import MAX_DENSE
@@ -42,7 +43,7 @@ MAX_STEPS = 20  # which reach a factor of 20,000: the tangent of an undetermined
 
 
 @dataclass(frozen=True, eq=False)
-class Bars:
+class Bars(ReadOnlyArrays):
     """Error bars of one frame, all arrays (rows, columns).
 
     Attributes

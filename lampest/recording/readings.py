@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, brief, in_words
 from lampest.files.levels import NOISE_REACH, UNUSUAL
-from lampest.files.typed import freeze_arrays, real_array
+from lampest.files.typed import ReadOnlyArrays, real_array
 from lampest.panel.panel import Array, Modules, beyond_any_panel, check_line_memory
 from lampest.panel.scene import Scene
 
@@ -100,7 +100,7 @@ def median(values: Array, axis: int = 0) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Readings:
+class Readings(ReadOnlyArrays):
     """Readings of the network, (…, rows, columns), in the readout's unit (ohm or volt).
 
     Attributes
@@ -130,9 +130,6 @@ class Readings:
     side: Array
     seen: Array
     constant: Array | None = None
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
 
     def __repr__(self) -> str:
         """Return the object in one line, arrays by their shapes."""

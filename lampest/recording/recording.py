@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lampest.files import hdf5
 from lampest.files.applications import applications
 from lampest.files.errors import InputError, extra
-from lampest.files.typed import Validated, freeze_arrays, typed
+from lampest.files.typed import ReadOnlyArrays, Validated, typed
 from lampest.panel.panel import Array, Panel, as_panels_have
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
@@ -36,7 +36,7 @@ MAX_NEIGHBOURS = 2  # frames or networks that decide with the strongest one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Recording(Validated):
+class Recording(ReadOnlyArrays, Validated):
     """Frames of one panel in temporal order.
 
     Parameters
@@ -128,7 +128,7 @@ class Recording(Validated):
                 raise InputError(f"{self.name}: /entry/{path} has another shape than the frames")
         if self.acquisition is not None and len(self.acquisition.host_time) != frames:
             raise InputError(f"{self.name}: /entry/acquisition has another length than the frames")
-        freeze_arrays(self)
+        super().__post_init__()
 
     def __repr__(self) -> str:
         """Return a description in one line: '24 frames (3 unloaded) of 10 × 10 cells'."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, brief, extra
-from lampest.files.typed import freeze_arrays, installed
+from lampest.files.typed import ReadOnlyArrays, installed
 from lampest.panel.panel import Array
 from lampest.panel.scene_file import scene_text
 from lampest.recording.file import coordinates
@@ -68,7 +68,7 @@ OPTIMA = ("local optimum", "optimum", "an optimum,")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CaseResult(Content):
+class CaseResult(ReadOnlyArrays, Content):
     """Result of a case: the estimates of a recording's measured frames by an estimator.
 
     Raises InputError for unfit names, wrong shapes and impossible values. Arrays that are not
@@ -142,7 +142,7 @@ class CaseResult(Content):
                 self._check_shape(f"{base}/{folder.folder}/{name}", values, FRAMES)
         self.check(COLUMNS)
         self.swept  # noqa: B018
-        freeze_arrays(self)
+        super().__post_init__()
 
     @property
     def chosen_weights(self) -> str:

@@ -14,10 +14,10 @@ from lampest.files.document import INLINE
 from lampest.files.errors import brief
 from lampest.files.typed import (
     Extensible,
+    ReadOnlyArrays,
     Validated,
     check_positive_fields,
     check_ranges,
-    freeze_arrays,
     typed,
 )
 from lampest.panel.panel import Array
@@ -271,7 +271,7 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Solution(ReadOnlyArrays):
     """Checked estimate of one solve.
 
     Arrays are NaN unless the estimate is an optimum, or an approximation that was requested.
@@ -326,9 +326,6 @@ class Solution:
     convex: bool = False
     starts: int = 1
     solver: str = ""
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
 
     def __repr__(self) -> str:
         """Return the object in one line, arrays by their shapes."""

@@ -4,7 +4,7 @@ import contextlib
 import copy
 import inspect
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -50,6 +50,20 @@ NEEDS_ARGUMENTS: dict[str, Callable[[], Any]] = {
 }
 
 
+READ_ONLY = {
+    "Recording",
+    "Readings",
+    "Reconstruction",
+    "CaseResult",
+    "Step",
+    "Solution",
+    "Bars",
+    "Certainty",
+    "OwnSolution",
+    "ProgramResult",
+}
+
+
 def test_every_public_object_is_pickled() -> None:
     """A walk over the public names: classes, functions, objects without arguments, and results."""
     pickled = 0
@@ -86,23 +100,32 @@ def test_arrays_of_a_recording_are_read_only() -> None:
     values[0] = 1.0  # the caller's own array stays the caller's
 
 
-def test_arrays_of_results_are_read_only() -> None:
-    """Arrays that an object holds; those that a property computes are the caller's copies."""
+def held_arrays(value: Any, name: str, walked: dict[int, Any]) -> Iterator[tuple[str, np.ndarray]]:
+    """Arrays that a public object or its error bars hold; others are the caller's copies."""
+    if id(value) in walked:
+        return
+    walked[id(value)] = value
+    if isinstance(value, np.ndarray):
+        yield name, value
+    elif isinstance(value, tuple | list | dict):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from held_arrays(item, name, walked)
+    elif type(value).__name__ in READ_ONLY:
+        for attribute in filter(lambda text: text[0] != "_", dir(value)):
+            with contextlib.suppress(InputError, AttributeError):
+                held = getattr(value, attribute)
+                if held is getattr(value, attribute):
+                    yield from held_arrays(held, f"{name}.{attribute}", walked)
+
+
+@pytest.mark.parametrize("way", [lambda held: held, *WAYS.values()], ids=["made", *WAYS])
+def test_arrays_of_public_objects_are_read_only(way: Callable[[Any], Any]) -> None:
     estimate = lampest.reconstruct(small_recording(), TERMS, formulation="reduced")
-    objects = [
-        estimate,
-        estimate.readings,
-        estimate.steps[0].solution,
-        estimate.result("LSM"),
-        small_recording().readings(),
-    ]
-    for held in objects:
-        arrays = {
-            name: value for name, value in vars(held).items() if isinstance(value, np.ndarray)
-        }
-        assert arrays
-        writeable = [name for name, array in arrays.items() if array.flags.writeable]
-        assert not writeable, type(held).__name__
+    objects = {name: make() for name, make in NEEDS_ARGUMENTS.items() if name in READ_ONLY}
+    objects |= {"Reconstruction": estimate, "CaseResult": estimate.result("LSM")}
+    arrays = [pair for name, made in objects.items() for pair in held_arrays(way(made), name, {})]
+    assert len(arrays) > 40
+    assert not [name for name, array in arrays if array.flags.writeable]
 
 
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
