@@ -12,6 +12,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
+from lampest.files.typed import Validated, real_array, typed
 from lampest.panel.diode import Diode
 from lampest.panel.lines import Groups, Side
 from lampest.panel.panel import Array
@@ -21,7 +22,7 @@ NOMINAL_LINES = 2  # of a side, where no list tells their number: one is used, o
 
 
 @dataclass(frozen=True, eq=False)
-class Ends:
+class Ends(Validated):
     """Ends of lines: a resistance and a potential each.
 
     Attributes
@@ -41,6 +42,15 @@ class Ends:
     ohm: Array
     volt: Array
     follows: bool = False
+
+    def __post_init__(self) -> None:
+        ohm, volt = (real_array(getattr(self, name), name) for name in ("ohm", "volt"))
+        if ohm.shape != volt.shape or not ohm.ndim:
+            raise ValueError(
+                f"ohm of shape {ohm.shape} and volt of {volt.shape}: one of each a line"
+            )
+        if not (np.all(ohm >= 0) and np.all(np.isfinite(volt))):
+            raise ValueError("ohm must be zero or positive, volt finite")
 
     @classmethod
     def of(cls, ohm: Array, volt: Array | float | str = 0.0) -> Self:
@@ -91,7 +101,7 @@ class Ends:
 
 
 @dataclass(frozen=True, eq=False)
-class Terminations:
+class Terminations(Validated):
     """Ends of all lines of a panel, at every address of a scan.
 
     Attributes
@@ -172,6 +182,7 @@ class Terminations:
         return np.asarray(self.sign * (volt - self.reference))
 
 
+@typed
 def scanned(
     own: Ends, idle: Ends, groups: Groups | None = None, together: Ends | None = None
 ) -> Ends:

@@ -36,7 +36,7 @@ ROWS = {
     "ripple": (Row(ripple_lsb=1.0), "still"),
     "creep": (Row(creep=0.03), "still"),
     "converter_memory": (Row(memory=0.03), "mouth"),
-    "motion": (Row(speed=0.2), "still"),
+    "motion": (Row(speed=0.3), "still"),
 }
 
 

@@ -207,10 +207,12 @@ def share_of_motion(
     likely = [steady]
     if shows_trembling:
         likely.append(search.likeliest(shares, TREMBLINGS))
-    return _share(search, likely)
+    return _share(search, likely, known)
 
 
-def _share(search: "MotionSearch", likely: "Sequence[MotionEvidence]") -> Share:
+def _share(
+    search: "MotionSearch", likely: "Sequence[MotionEvidence]", known: float | None
+) -> Share:
     """Return the share by the likeliest motion without trembling, then with one if it may be.
 
     The reach is the share over the reliability of the displacements,
@@ -220,12 +222,14 @@ def _share(search: "MotionSearch", likely: "Sequence[MotionEvidence]") -> Share:
     log_odds = np.array([motion.log_evidence for motion in likely])
     odds = np.exp(log_odds - log_odds.max())
     odds /= odds.sum()
-    means, deviations = np.array([motion.share for motion in likely]).T
+    means, deviations = np.array(
+        [motion.share if known is None else (known, 0.0) for motion in likely]
+    ).T
     mean = float(odds @ means)
     spread = float(np.sqrt(odds @ (deviations**2 + (means - mean) ** 2)))
     errors, displacements = np.sum([frame.errors_and_displacements for frame in search.moving], 0)
     reliability = max(1 - errors / displacements, MIN_RELIABILITY) if displacements else 1.0
-    reach = max(mean, min(float(means.max()) / reliability, 1.0))
+    reach = max(mean, min(float(means.max()) / reliability, 1.0)) if known is None else known
     # The share of the scan is anywhere between both.
     deviation = float(np.hypot(spread, (reach - mean) / np.sqrt(3)))
     return Share(
@@ -299,9 +303,19 @@ class MotionSearch:
     def likeliest(
         self, shares: tuple[float, float], tremblings: tuple[float, float] = (0.0, 0.0)
     ) -> MotionEvidence:
-        """Return the motion of largest evidence between limits of the share and of trembling."""
+        """Return the motion of largest evidence between limits of the share and of trembling.
+
+        The search begins without errors of readings, and with the largest ones: more cells seem to
+        have moved without them, and may hide them.
+        """
         low = np.array([shares[0], tremblings[0] ** 2, 0.0])
         high = np.array([shares[1], tremblings[1] ** 2, self.own])
+        begins = [np.array([*low[:2], own]) for own in dict.fromkeys((0.0, self.own))]
+        found = (self._descended(begin, (low, high)) for begin in begins)
+        return min(found, key=lambda motion: motion.cost)
+
+    def _descended(self, begin: Array, limits: tuple[Array, Array]) -> MotionEvidence:
+        """Return the motion of largest evidence that a search from one position reaches."""
         starts = [usual_starts(frame.changes.change) for frame in self.moving]
 
         def model(position: Array) -> MotionEvidence:
@@ -312,7 +326,7 @@ class MotionSearch:
             starts[:] = [[of_frame] for of_frame in moved]
             return self.evidence(position, changes, moved)
 
-        return SCORING.minimum(model, low, (low, high))[1]
+        return SCORING.minimum(model, begin, limits)[1]
 
     def evidence(
         self, position: Array, changes: Sequence[Changes], moved: Sequence[Chosen]

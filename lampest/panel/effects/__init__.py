@@ -190,8 +190,9 @@ def sized_effects(sizes: Systematic) -> tuple[SharedEffect, ...]:
 
     The files of the others are not loaded.
     """
-    chosen = (key for key in SHARED if sizes.entry(key) or key == REFERENCE)
-    return (*map(_shipped, chosen), *(shared_effect_of(key) for key, size in sizes.own if size))
+    keys = dict.fromkeys((*SHARED, *(key for key, _ in sizes.own)))
+    chosen = (key for key in keys if sizes.entry(key) or key == REFERENCE)
+    return tuple(map(shared_effect_of, chosen))
 
 
 @cache
