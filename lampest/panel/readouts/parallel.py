@@ -3,7 +3,7 @@
 Each multiplexer has its own reference resistor.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 from lampest.panel.circuit import Terminations
@@ -34,7 +34,7 @@ class ParallelDividers(Divider):
     of_sensed: ClassVar[tuple[str, ...]] = ("reference_ohm", "column_ohm")
     reference_ohm: float = 1000.0
     input_ohm: float | None = None
-    groups: Groups
+    groups: Groups = field()  # needed, although other dividers have none
     row_ohm: PerLine = 0.0
     column_ohm: PerLine = 0.0
 
