@@ -204,7 +204,10 @@ def test_the_wheel_holds_only_the_package_and_no_gpl(dist: Path) -> None:
         assert {name.split("/")[0] for name in names} == {
             "lampest",
             f"lampest-{PROJECT['version']}.dist-info",
+            f"lampest-{PROJECT['version']}.data",
         }
+        of_environment = [name for name in names if ".data/" in name]
+        assert of_environment == [f"lampest-{PROJECT['version']}.data/scripts/lampest"]
         for name in names:
             text = (
                 archive.read(name).partition(b"\n\n")[0]
