@@ -5,6 +5,7 @@ The locks of the build are tested as well.
 
 import os
 import re
+import runpy
 import subprocess
 import sys
 import tarfile
@@ -215,6 +216,12 @@ def test_the_wheel_holds_only_the_package_and_no_gpl(dist: Path) -> None:
                 else archive.read(name)
             )
             assert not re.search(rb"GNU General Public|GPL-[23]|simavr\.h", text), name
+
+
+def test_processes_of_a_run_do_not_run_the_command_again() -> None:
+    """They import the script of the main process by another name."""
+    names = runpy.run_path(str(ROOT / "scripts" / "lampest"), run_name="__mp_main__")
+    assert "main" not in names
 
 
 def test_an_audit_names_unchecked_packages(capsys: pytest.CaptureFixture[str]) -> None:
