@@ -3,7 +3,8 @@
 #   make run       set-up, then two lampreys, with weights that the data choose and with the paper's: table on screen; results, pictures in results/table1/
 #   make install   set-up alone: .venv with the command .venv/bin/lampest
 #   make test      set-up with what tests need, then the tests that guard behaviour, the board's, and a choice of the rest: some minutes
-#   make test-all  all tests: those of `make test`, the others, which carry the mark `slow`, and `make rounding` with slow rows
+#   make test-all  all tests: those of `make test`, the others, which carry the mark `slow`, with disturbed readings, and `make rounding`
+#                  with slow rows
 #   make rounding  golden results again, with readings that are changed by 1e-13, then without NumPy's vector extensions: two minutes or three
 #   make quick     the tests that notice most in a minute: laws, golden results, defaults, import, wrong input; golden results once more
 #                  with readings that are changed by 1e-13; Python alone
@@ -48,7 +49,7 @@ test: $(VENV)/.installed-dev board-packages
 	@$(PYTEST) $(SPREAD) -m 'not slow'
 
 test-all: test
-	@$(PYTEST) $(SPREAD) -m slow
+	@$(PYTEST) $(SPREAD) -m slow --disturbed --deselect $(GOLDEN)
 	@$(MAKE) --silent --no-print-directory rounding ROWS='slow or not slow'
 
 rounding: $(VENV)/.installed-dev

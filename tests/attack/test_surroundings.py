@@ -93,7 +93,10 @@ def test_closed_standard_streams_change_no_file(
     (folder / "new.h5").unlink()
 
 
-@pytest.mark.parametrize("after", [0.05, 0.1, 0.2, 0.3, 0.5])
+@pytest.mark.parametrize(
+    "after",
+    [0.05, *(pytest.param(after, marks=pytest.mark.slow) for after in (0.1, 0.2, 0.5)), 0.3],
+)
 def test_an_interrupt_while_a_command_loads_is_no_traceback(folder: Path, after: float) -> None:
     """Python itself may still print one before it runs the first line of the command."""
     begun = "import sys; sys.stdout.write('b'); sys.stdout.flush()\n"

@@ -170,6 +170,7 @@ def test_a_mistake_in_the_file_of_a_script_gives_one_sentence(
     )
 
 
+@pytest.mark.slow
 def test_weights_without_noise_and_truth_are_chosen_by_risk(
     disk: SimpleNamespace, lampest: Command
 ) -> None:

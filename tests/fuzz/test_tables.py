@@ -15,28 +15,33 @@ from lampest.apps.foreign.line_reader import LineReader, TextFrame
 from tests.fuzz import tables
 
 SEED = int(os.environ.get("TABLES_SEED", "1"))
-COUNT = 200
-LIVE_COUNT = 40
+FEW = 50  # in `make test`
+MANY = 200
 MIN_TAKEN = 0.8  # of the tables are imported, whole or in parts
 EXACT = 1e-6  # of codes
 
 
-def test_no_table_of_the_grammar_is_imported_wrong(tmp_path: Path) -> None:
+EACH_COUNT = pytest.mark.parametrize("count", [FEW, pytest.param(MANY, marks=pytest.mark.slow)])
+
+
+@EACH_COUNT
+def test_no_table_of_the_grammar_is_imported_wrong(tmp_path: Path, count: int) -> None:
     outcomes: Counter[str] = Counter()
     wrong = []
-    for number in range(COUNT):
+    for number in range(count):
         drawn = tables.table(np.random.default_rng([SEED, number]))
         outcome = tables.outcome(drawn, tmp_path)
         outcomes[outcome.partition(":")[0]] += 1
         if outcome.startswith("wrong"):
             wrong.append(f"{number}: {drawn.name}: {outcome}")
     assert not wrong, f"TABLES_SEED={SEED}: {wrong}"
-    assert outcomes["right"] + outcomes["missing"] >= MIN_TAKEN * COUNT, outcomes
+    assert outcomes["right"] + outcomes["missing"] >= MIN_TAKEN * count, outcomes
 
 
-def test_lines_that_come_one_by_one_give_the_same_frames() -> None:
+@EACH_COUNT
+def test_lines_that_come_one_by_one_give_the_same_frames(count: int) -> None:
     """A live reader returns frames of the truth alone, before the last line has come."""
-    for number in range(LIVE_COUNT):
+    for number in range(count // 5):
         drawn = tables.table(np.random.default_rng([SEED, 1000 + number]))
         reader = LineReader(drawn.codes.shape[1:])
         early: list[TextFrame] = []
@@ -64,10 +69,11 @@ readout: {kind: loaded_columns, load_ohm: 10000, supply_volt: 5, adc_bits: 10, r
 """
 
 
-def test_a_damaged_scene_gives_one_sentence(tmp_path: Path) -> None:
+@EACH_COUNT
+def test_a_damaged_scene_gives_one_sentence(tmp_path: Path, count: int) -> None:
     """Lines lost, doubled or cut, and signs changed: a scene is read, or refused with its place."""
     path = tmp_path / "scene.yaml"
-    for number in range(100):
+    for number in range(count // 2):
         rng = np.random.default_rng([SEED, 2000 + number])
         text = list(SCENE)
         for _ in range(int(rng.integers(1, 5))):

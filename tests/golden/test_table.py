@@ -38,16 +38,12 @@ LONG_ROWS = {  # rows of 0.4 s or more, but those of a scene each
     "estimate smoother of shared errors",
     "estimate streams together",
     "inputs units",
-    "posterior errors student whole True",
     "recognition detected rod",
     "report live smoother",
-    "report pictures of files",
-    "report pictures of variants",
     "runs damaged files",
     "runs faults of run",
     "runs faults of simulate",
     "runs faults of study bench",
-    "runs refused commands",
     "runs run files",
     "solvers minima",
     "studies budgets",
@@ -58,7 +54,6 @@ LONG_ROWS = {  # rows of 0.4 s or more, but those of a scene each
     "whole files",
     "whole simulation several without names",
     "whole simulation swept load",
-    "whole weights figure",
 }
 SLOW_ROWS = {  # rows of two seconds or more on a busy machine
     "checks mistakes",
@@ -78,13 +73,18 @@ SLOW_ROWS = {  # rows of two seconds or more on a busy machine
     "estimate estimate with gaps",
     "estimate estimate with scene faults",
     "estimate estimate with scene wired pull-ups",
+    "posterior errors student whole True",
     "recognition detected mouth",
     "recognition detected on modules",
     "recognition detected two",
     "report commands",
     "report descriptions",
+    "report pictures of files",
+    "report pictures of variants",
     "report timeline",
+    "runs refused commands",
     "whole parts",
+    "whole weights figure",
 }
 ROWS = [
     pytest.param(

@@ -366,6 +366,7 @@ def test_effects_that_a_scene_cannot_name_leave_advice_as_found(
     assert [finding.what for finding in effects.unnamed_effects(Plain())] == ["own", "gain"]
 
 
+@pytest.mark.slow
 def test_errors_beyond_those_of_parts_are_another_circuit() -> None:
     """A verdict of "no" comes with advice, here with what to check."""
     (finding,) = advice.Audit(Prepared(with_errors(0.2))).advice
@@ -374,6 +375,7 @@ def test_errors_beyond_those_of_parts_are_another_circuit() -> None:
     assert Prepared(named).check.explains is False
 
 
+@pytest.mark.slow
 def test_a_load_that_moves_by_a_pitch_a_frame_is_advised_to_be_named() -> None:
     audit = advice.Audit(Prepared(moving_load(41, "mouth", Motion(speed=1.0), {})))
     assert audit.verdict.mark == "no"

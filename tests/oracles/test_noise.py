@@ -413,14 +413,15 @@ STATIC_LINE = "systematic: {reading_error: estimated}"
     ("size", "seeds"),
     [
         pytest.param(0.01, range(8), marks=pytest.mark.slow),
-        (0.03, range(20, 23)),
+        (0.03, range(20, 28)),
         pytest.param(0.1, range(20, 26), marks=pytest.mark.slow),
     ],
 )
 def test_the_size_of_static_errors_is_estimated_from_still_cells(size: float, seeds: range) -> None:
     """Large ones bend the answer and press cells against their bounds.
 
-    No cells give the readings of the largest.
+    No cells give the readings of the largest. Bars of single recordings hold for 62 to 98 % of the
+    cells, so that the mean is taken over all of them.
     """
     recordings = [recorded(seed, scene_of(0.7, STATIC), static=size) for seed in seeds]
     sizes = [
@@ -435,8 +436,7 @@ def test_the_size_of_static_errors_is_estimated_from_still_cells(size: float, se
         for prepared in unnamed
     )
     assert (
-        np.mean([coverage_of(recording) for recording in recordings[:4]], axis=0).min()
-        > MIN_COVERAGE
+        np.mean([coverage_of(recording) for recording in recordings], axis=0).min() > MIN_COVERAGE
     )
 
 

@@ -374,6 +374,7 @@ def test_multipliers_of_bounds_are_the_price_of_a_bound() -> None:
     assert (multipliers / low**2).sum() == pytest.approx(price, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_covariance_is_that_of_estimates_from_drawn_readings() -> None:
     """Linear theory of 400 samples: 3.5 standard errors of a variance are a quarter of it."""
     count = 400

@@ -1,4 +1,4 @@
-"""Tools of the tests: the mutation study, and the comparison of two results files."""
+"""Tools of the tests: mutations, disturbed readings, and the comparison of two results files."""
 
 import ast
 import subprocess
@@ -15,6 +15,7 @@ from support import METHODS, invented_case
 from lampest import write_results
 from tests.mutation.__main__ import GOLDEN, guards_of
 from tests.mutation.operators import Mutant, mutants_of
+from tests.rounding import disturbed
 
 SOURCE = """LIMIT = 2.5
 class Panel:
@@ -152,3 +153,15 @@ def test_the_relative_difference_of_odd_values_is_defined() -> None:
     assert relative_difference([0.0], [1e-300]) == 1
     assert relative_difference([1.0], [1.0, 2.0]) == np.inf
     assert relative_difference([1.0, np.nan], [1.0, 2.0]) == np.inf
+
+
+def test_readings_are_disturbed_once_and_equal_ones_equally() -> None:
+    readings = np.random.default_rng(1).lognormal(0.0, 9.0, 1000)
+    changed = disturbed(readings)
+    relative = changed / readings - 1
+    assert np.std(relative) > 1e-14 and np.abs(relative).max() < 1.2e-13
+    assert abs(np.mean(relative)) < 1e-14
+    np.testing.assert_array_equal(disturbed(changed), changed)
+    np.testing.assert_array_equal(disturbed(readings[::-1]), changed[::-1])
+    special = np.array([0.0, -np.inf, np.inf, np.nan])
+    np.testing.assert_array_equal(disturbed(special), special)

@@ -1,11 +1,12 @@
 """The way from nothing to a live map, as the README has it, with a board that prints."""
 
 import re
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from printing_board import (
     frame_with_millis,
     json_frames,
@@ -18,8 +19,10 @@ from printing_board import (
 from lampest import Array, Recording, Scene, read_scene
 
 README = Path(__file__).parents[3] / "README.md"
-SCRIPT = "from lampest.cli import main; main()"
 FRAMES = 24
+ESTIMATED_S = 0.25  # a frame, so that a slow machine estimates each
+RECORDED_S = 0.05
+PAGE = ("--http", "127.0.0.1:0")
 PRESSED = (slice(4, 7), slice(8, 11))
 
 
@@ -29,12 +32,16 @@ def commands() -> list[list[str]]:
     return [line.split() for line in block.strip().splitlines()]
 
 
-def run(folder: Path, words: list[str]) -> str:
-    """Run a command of the README and return its output."""
-    command = [sys.executable, "-c", SCRIPT, *words[1:]]
-    completed = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-    assert completed.returncode == 0, completed.stderr
-    return completed.stdout
+@pytest.fixture
+def run(tmp_path: Path, lampest: Callable[..., SimpleNamespace]) -> Callable[[list[str]], str]:
+    """Return a function that runs a command of the README in a folder, and returns its output."""
+
+    def ran(words: list[str]) -> str:
+        completed = lampest(*words[1:], folder=tmp_path)
+        assert completed.code == 0, completed.err
+        return completed.out
+
+    return ran
 
 
 def codes(scene: Scene, seed: int) -> Array:
@@ -48,34 +55,36 @@ def codes(scene: Scene, seed: int) -> Array:
     return np.rint(steps + rng.standard_normal(steps.shape)).clip(0, 1023).astype(int)
 
 
-def test_five_lines_lead_from_nothing_to_a_live_map(tmp_path: Path) -> None:
+def test_five_lines_lead_from_nothing_to_a_live_map(
+    tmp_path: Path, run: Callable[[list[str]], str]
+) -> None:
     init, listed, live, record, info = commands()
-    run(tmp_path, init)
-    run(tmp_path, listed)
+    run(init)
+    run(listed)
     scene = read_scene(tmp_path / "mat" / "scene.yaml")
-    for form, words, limits in (
-        (frame_with_millis, live, ["--http", "127.0.0.1:0", "--count", str(FRAMES - 3)]),
-        (rows_and_a_blank_line, record, []),
+    for form, period, words, limits in (
+        (frame_with_millis, ESTIMATED_S, live, [*PAGE, "--count", str(FRAMES - 3)]),
+        (rows_and_a_blank_line, RECORDED_S, record, []),
     ):
         words = [*words, *limits]
         if "--out" in words:
             words[words.index("--count") + 1] = str(FRAMES - 2)
-        with on_terminal(printed(form, codes(scene, 1)), period=0.25) as url:
+        with on_terminal(printed(form, codes(scene, 1)), period) as url:
             words[words.index("--port") + 1] = url
-            output = run(tmp_path, words)
+            output = run(words)
         assert "the board prints: one " in output
     recording = Recording.load(tmp_path / "mine.h5")
     change = recording.recorded[-1] / recording.recorded[0]
     assert np.all(np.abs(change[PRESSED] - 1) > 0.5)
-    assert "model      no" not in run(tmp_path, info)
+    assert "model      no" not in run(info)
 
 
-def test_a_board_behind_a_socket_is_live(tmp_path: Path) -> None:
+def test_a_board_behind_a_socket_is_live(tmp_path: Path, run: Callable[[list[str]], str]) -> None:
     """Frames that an ESP32 sends over Wi-Fi are estimated as they come, and end with it."""
     init, _, live, *_ = commands()
-    run(tmp_path, init)
+    run(init)
     frames = printed(json_frames, codes(read_scene(tmp_path / "mat" / "scene.yaml"), 2))
-    with on_socket(frames, period=0.25) as url:
+    with on_socket(frames, ESTIMATED_S) as url:
         live[live.index("--port") + 1] = url
-        output = run(tmp_path, [*live, "--http", "127.0.0.1:0", "--count", str(FRAMES - 4)])
+        output = run([*live, *PAGE, "--count", str(FRAMES - 4)])
     assert "the board prints: " in output and f"{FRAMES - 4} frames" in output

@@ -37,6 +37,7 @@ def test_a_failed_command_is_no_measurement(tmp_path: Path) -> None:
         processor_seconds(("info", "absent.h5"), tmp_path)
 
 
+@pytest.mark.slow
 def test_every_command_is_measured_next_to_the_solves_of_the_run(
     monkeypatch: pytest.MonkeyPatch, lampest: Callable[..., SimpleNamespace]
 ) -> None:
