@@ -169,13 +169,13 @@ class Iterate:
     def outcome(self, status: Status, iterations: int) -> Outcome:
         """Return the outcome at this point.
 
-        The certificate's Newton step is taken first if it comes from a factor, is long enough to
-        improve the estimate, and short enough for the certificate to remain valid.
+        The certificate's Newton step is taken first if it is long enough to improve the estimate,
+        and short enough for the certificate to remain valid.
         """
         final = self.certificate
         cells = self.at.cell_resistance
         dual = self.hessian.smoothing.slope(self.at.nonsmooth)
-        if final is not None and final.factor is not None and final.settled and not len(dual):
+        if final is not None and final.settled and not len(dual):
             length = np.abs(final.step).max()
             if MIN_LAST_STEP < length <= STEPS.refactor_distance:
                 cells = np.exp(self.at.position + final.step.reshape(cells.shape))
