@@ -129,6 +129,7 @@ def test_frames_wait_for_a_disk_that_is_full_for_a_moment(
     assert max(progress.frames for progress in counted[:70]) < 60, "absent frames were counted"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("call", [9, 40, 171])
 def test_a_write_that_fails_once_is_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: int
@@ -179,6 +180,7 @@ def test_a_small_file_system_keeps_the_frames_that_it_has_room_for(
     assert recording.acquisition.event_label == ("no space",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("remaining", [0, FILLED_UP_TO])
 @pytest.mark.parametrize("trouble", ["", "the board is gone"])
 def test_frames_are_kept_where_their_rewriting_has_no_room(

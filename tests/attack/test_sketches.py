@@ -97,6 +97,7 @@ def hostile() -> Iterator[CaseResult]:
         yield from replaced(case, scene=dataclasses.replace(case.scene, readout=codes))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @attack(60, 1000)
 def test_hostile_results_give_a_sound_header_or_are_refused(

@@ -37,6 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return small_folder(tmp_path_factory.mktemp("surroundings") / "work")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("encoding", "words"),
     [("ascii", ("show", "terms")), ("latin-1", ("compare", "results.h5"))],
@@ -57,6 +58,7 @@ def test_a_full_standard_output_is_one_sentence(folder: Path, words: tuple[str, 
     assert (completed.returncode, completed.stderr) == (2, sentence)
 
 
+@pytest.mark.slow
 def test_a_command_runs_without_docstrings(folder: Path) -> None:
     surroundings = environment() | {"PYTHONOPTIMIZE": "2"}
     for words in (("--help",), ("info", "small.h5")):
@@ -74,6 +76,7 @@ def imported(folder: Path) -> bytes:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", [(1,), (2,), (0, 1, 2)])
 def test_closed_standard_streams_change_no_file(
     folder: Path, imported: bytes, closed: tuple[int, ...]

@@ -51,6 +51,7 @@ def test_empty_and_root_paths_are_refused_as_outputs(
         yield _untouched(work_folder, (*writer, place))
 
 
+@pytest.mark.slow
 @attack(12, 30)
 def test_devices_pipes_sockets_folders_and_links_are_refused_as_outputs(
     rng: Rng, folder: Path, count: int
@@ -72,6 +73,7 @@ def test_devices_pipes_sockets_folders_and_links_are_refused_as_outputs(
             yield _untouched(work_folder, (*writer, f"{kind}.h5")) or _precious(folder)
 
 
+@pytest.mark.slow
 @attack(12, 100)
 def test_every_input_of_every_command_is_refused_as_its_output(
     rng: Rng, folder: Path, count: int

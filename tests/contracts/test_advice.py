@@ -63,6 +63,7 @@ def test_a_clean_recording_has_no_advice(tmp_path: Path, lampest: Command) -> No
     )
 
 
+@pytest.mark.slow
 @promise(
     "theory/model_check: `lampest info FILE --apply` writes the lines into the recording's scene"
 )

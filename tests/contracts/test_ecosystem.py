@@ -167,6 +167,7 @@ def test_an_installation_takes_as_much_room_as_the_readme_says() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_help_of_init_the_readme_and_the_guide_have_the_same_words_for_circuits(
     lampest: Command, tmp_path: Path
 ) -> None:

@@ -129,6 +129,7 @@ def test_csv_quotes_names_that_spreadsheets_would_compute(lampest: Run, tmp_path
         ]
 
 
+@pytest.mark.slow
 def test_pyarrow_and_pandas_read_the_parquet_export(
     lampest: Run, results: Path, tmp_path: Path
 ) -> None:
@@ -188,6 +189,7 @@ def test_scipy_reads_the_mat_export(lampest: Run, results: Path) -> None:
     assert held[0]["start_time"] == START
 
 
+@pytest.mark.slow
 def test_xarray_reads_the_zarr_export(lampest: Run, results: Path) -> None:
     import xarray
     from zarr.storage import ZipStore
@@ -244,6 +246,7 @@ def test_a_failed_export_leaves_no_file(results: Path) -> None:
     assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
 
 
+@pytest.mark.slow
 def test_pynwb_reads_the_nwb_export_with_subject_and_start(lampest: Run, tmp_path: Path) -> None:
     from pynwb import read_nwb, validate
 

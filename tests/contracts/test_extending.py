@@ -128,6 +128,7 @@ def test_a_loss_joins_with_one_file_and_one_name(recording: Recording) -> None:
         lampest.reconstruct(recording, [Misfit(loss=Forgetful())], formulation="reduced")
 
 
+@pytest.mark.slow
 def test_a_readout_joins_with_one_file_and_one_name() -> None:
     readout = Divider(load_ohm=5000.0, readings=100)
     recording = simulated(readout)
@@ -152,6 +153,7 @@ def test_a_method_joins_with_one_file_and_one_name(recording: Recording) -> None
     assert set(single.status) == {"approximate, as the formulation asks; not an optimum"}
 
 
+@pytest.mark.slow
 def test_a_column_joins_with_one_file_and_one_name(recording: Recording, tmp_path: Path) -> None:
     estimate = lampest.reconstruct(recording, [Misfit()], formulation="reduced")
     estimate.save(tmp_path / "r.h5", "mine", columns=[CONTRAST])
@@ -179,6 +181,7 @@ def test_a_plot_joins_with_one_file_and_one_name(recording: Recording, tmp_path:
     assert file.name == "histogram_ellipse.png"
 
 
+@pytest.mark.slow
 def test_an_installed_package_adds_its_names_to_yaml(
     tmp_path: Path, package: Callable[..., None], lampest: Callable[..., SimpleNamespace]
 ) -> None:

@@ -208,6 +208,7 @@ def test_wrong_frames_weights_and_files_give_one_sentence(lamprey: Recording) ->
         replace(lamprey, recorded=lamprey.recorded / 1000)
 
 
+@pytest.mark.slow
 def test_a_recording_and_a_reconstruction_print_one_line_each(
     lamprey: Recording, estimate: Reconstruction
 ) -> None:
@@ -284,6 +285,7 @@ def test_estimates_without_noise_have_no_error_bars(lamprey: Recording) -> None:
         bare.plot("pressure")
 
 
+@pytest.mark.slow
 def test_labelled_arrays_agree_with_results_files(estimate: Reconstruction, tmp_path: Path) -> None:
     estimate.save(tmp_path / "r.h5")
     dataset = estimate.to_xarray()
@@ -390,6 +392,7 @@ def test_the_automatic_weight_is_better_than_the_papers_weight(few_frames: Recor
     assert errors["default"] < CLEARLY_BETTER * errors["paper"]
 
 
+@pytest.mark.slow
 def test_unknown_noise_takes_the_same_rule(few_frames: Recording) -> None:
     silent = replace(
         few_frames,

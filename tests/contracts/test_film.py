@@ -135,6 +135,7 @@ def test_yaml_and_csv_give_the_same_scene_and_it_is_printed_without_out(
     assert public.read_scene(path.with_name("scene.yaml")).response is not None
 
 
+@pytest.mark.slow
 def test_impossible_loads_give_one_sentence(
     rods: list[Path], tmp_path: Path, lampest: Command
 ) -> None:

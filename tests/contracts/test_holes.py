@@ -51,6 +51,7 @@ def recorded(path: Path, values: np.ndarray) -> Path:
     return path
 
 
+@pytest.mark.slow
 @promise("howto/readings: **Recordings that cannot be read** fail their own cases only")
 def test_a_batch_skips_only_the_truncated_file(tmp_path: Path, lampest: Command) -> None:
     values = healthy(2)

@@ -737,6 +737,7 @@ def test_drive_and_converter_of_a_virtual_ground_have_separate_voltages(tmp_path
 # The command.
 
 
+@pytest.mark.slow
 def test_the_page_shows_the_output_of_the_command(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs/apps/foreign/import.md").read_text(encoding="utf-8")
     typed = re.split(

@@ -79,6 +79,7 @@ def test_a_table_of_any_layout_becomes_a_recording() -> None:
     assert Recording.from_dataframe(wide, unit="ohm", scene=scene).scene == scene
 
 
+@pytest.mark.slow
 def test_the_table_of_an_estimate_gives_its_recording_back(estimate: Reconstruction) -> None:
     table = estimate.to_dataframe()
     recording = Recording.from_dataframe(

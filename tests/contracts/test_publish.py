@@ -159,6 +159,7 @@ def test_mqtt_carries_the_message(lampest: Run, tmp_path: Path) -> None:
         check_message(message)
 
 
+@pytest.mark.slow
 @needs_broker
 def test_home_assistant_discovers_entities_that_read_the_stream(tmp_path: Path) -> None:
     """The page's package sends to a real broker; its templates read a message of the stream."""
@@ -210,6 +211,7 @@ def test_live_reports_a_lost_broker_and_reconnects(lampest: Run, tmp_path: Path)
     assert received and "password" not in completed.err
 
 
+@pytest.mark.slow
 @needs_broker
 def test_a_refusing_broker_gives_one_sentence(lampest: Run, tmp_path: Path) -> None:
     port = free_port()

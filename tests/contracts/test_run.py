@@ -136,6 +136,7 @@ def test_a_failed_frame_holds_nan_and_stops_nothing(
         assert np.all(np.isnan(values))
 
 
+@pytest.mark.slow
 @promise("howto/batches: A second run in the same folder at the same time is refused.")
 def test_a_folder_admits_one_run_at_a_time(disk: SimpleNamespace, lampest: Command) -> None:
     out = disk.folder / "out"
@@ -152,6 +153,7 @@ def test_a_folder_admits_one_run_at_a_time(disk: SimpleNamespace, lampest: Comma
     assert lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1").code == 0
 
 
+@pytest.mark.slow
 def test_settings_of_the_command_override_the_file(disk: SimpleNamespace, lampest: Command) -> None:
     arguments = ("--set", "formulation=per_pixel", "--set", "estimators.LSM.terms.misfit.weight=3")
     assert (
@@ -164,6 +166,7 @@ def test_settings_of_the_command_override_the_file(disk: SimpleNamespace, lampes
     assert "formulation: per_pixel" in second.case_yaml and "weight: 3" in first.case_yaml
 
 
+@pytest.mark.slow
 def test_recordings_are_relative_to_the_run_file_and_results_hold_published_figures(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -219,6 +222,7 @@ def test_shipped_runs_are_valid(name: str) -> None:
     }
 
 
+@pytest.mark.slow
 def test_a_missing_library_gives_one_sentence(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -132,6 +132,7 @@ def test_the_error_names_an_unknown_estimator_of_a_setting(starter: Path, lampes
     assert "there is no estimator 'x'; there are no_penalty, smooth, few_changes" in unlike.err
 
 
+@pytest.mark.slow
 def test_numbers_that_a_recording_determines_are_information_and_no_warning(
     tmp_path: Path, lampest: Command
 ) -> None:
@@ -275,6 +276,7 @@ def test_noise_that_agrees_with_the_scene_is_not_reported(tmp_path: Path, lampes
     assert "noise 0 LSB, measured" not in lampest("info", tmp_path / "m.h5").out
 
 
+@pytest.mark.slow
 def test_counts_of_one_are_singular(starter: Path, lampest: Command) -> None:
     assert "10 bits, 1 reading, noise 1 LSB" in lampest("info", starter / "example.h5").out
 
@@ -360,6 +362,7 @@ CIRCUITS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "circuit",
     ["grounded", *(pytest.param(circuit, marks=pytest.mark.slow) for circuit in CIRCUITS)],

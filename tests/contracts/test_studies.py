@@ -148,6 +148,7 @@ def test_a_study_writes_its_table_its_samples_with_units_and_its_pictures(
     assert all(picture.read_bytes().startswith(b"\x89PNG") for picture in pictures)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new", "place"),
     [

@@ -95,6 +95,7 @@ def test_three_commands_lead_from_the_wheel_to_a_picture(dist: Path, tmp_path: P
     assert "nodal" in table and "results/bench/bench.csv" in table
 
 
+@pytest.mark.slow
 def test_the_package_page_has_no_dead_links_and_the_sdist_holds_tests_and_pages(dist: Path) -> None:
     (wheel,) = dist.glob("*.whl")
     (archive,) = dist.glob("*.tar.gz")

@@ -66,6 +66,7 @@ def full(monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
     monkeypatch.setattr(Path, "write_bytes", failing)
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_a_full_disk_keeps_the_cases_that_fit(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch

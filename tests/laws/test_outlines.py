@@ -113,6 +113,7 @@ def test_neighbours_in_space_have_no_cell_in_the_sphere_between_them() -> None:
             assert ((a, b) in pairs) == bool(distances.min() > radius)
 
 
+@pytest.mark.slow
 def test_results_of_cells_in_space_state_their_height_and_a_penalty_goes_by_distance(
     tmp_path: Path,
 ) -> None:
@@ -195,6 +196,7 @@ def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.long
 @promise("howto/outlines: They are not estimated, and their resistance in results is NaN.")
 @pytest.mark.parametrize("outline", ["glove", "ring"])
@@ -254,6 +256,7 @@ def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path)
     assert estimate.result().to_xarray()["x"].dims == ("row", "column")
 
 
+@pytest.mark.slow
 def test_an_impossible_reading_is_left_out() -> None:
     """One contact fails in every frame.
 

@@ -124,6 +124,7 @@ def test_fits_of_rivals_begin_at_the_cells_of_a_neighbour(
     ]
 
 
+@pytest.mark.slow
 def test_of_rivals_that_differ_in_names_of_lines_one_is_searched_in_series(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -149,6 +149,7 @@ def test_labels_and_kinds_are_unique() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_rim_of_any_mouth_balances_its_suction() -> None:
     """The rim's force is the suction's, however long or uneven it is.
 

@@ -84,6 +84,7 @@ def test_every_effect_that_advice_may_name_is_compared() -> None:
     assert {*ROWS, *WITHOUT_DEVIATION} == shared | others
 
 
+@pytest.mark.slow
 @promise("theory/model_check: The number of advice is the one that its entry estimates")
 @pytest.mark.parametrize("key", ROWS)
 def test_advice_has_the_number_of_the_estimate(key: str) -> None:
@@ -104,6 +105,7 @@ def test_advice_on_loaded_columns_has_the_number_of_the_estimate(key: str, row: 
     assert key in checked(loaded_columns(11, row))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("load", ["still", "swaying"])
 def test_advice_on_an_own_effect_has_the_number_of_the_estimate(
     load: str, package: Callable[..., None]

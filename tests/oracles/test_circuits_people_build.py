@@ -53,6 +53,7 @@ def audit(built: Any, stated: Any) -> Audit:
     return Audit(Prepared(recording))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("built", "stated", "line"),
     [
@@ -87,6 +88,7 @@ def test_a_circuit_that_people_build_is_named_with_its_line(
     assert finding.line == line
 
 
+@pytest.mark.slow
 def test_no_amplifier_is_advised_where_each_reading_would_be_a_cell() -> None:
     stated = TwoPointReadout(reference_ohm=4700.0, **CONVERTER)
     check = audit(FEEDBACK, stated).prepared.check

@@ -127,6 +127,7 @@ def test_errors_that_frames_share_stay_out_of_sigma(systematic: Systematic) -> N
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", ["readings off by 2 %", "readings off by 5 %"])
 def test_errors_of_readings_that_the_unloaded_panel_shows_are_taken_off(row: str) -> None:
     """In σ alone they left cells under mouths 18 and 26 % off; unnamed 29 and more."""
@@ -171,6 +172,7 @@ def test_stated_errors_are_taken_off_without_unloaded_frames() -> None:
     assert figures(alone, advised=False).error < 22
 
 
+@pytest.mark.slow
 def test_stated_errors_are_taken_off_panels_of_more_than_four_hundred_cells() -> None:
     """Uncorrected, cells of 24 × 24 are 32 % off, as unnamed; with the error in σ 21 %."""
     random = np.random.default_rng(5)

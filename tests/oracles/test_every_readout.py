@@ -396,6 +396,7 @@ def wired_volts(cells: Array, scene: Scene) -> Array:
     return volt
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "readout",
     [
@@ -425,6 +426,7 @@ def test_a_dead_driven_line_leaves_the_model(readout: Any) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_recording_and_its_results_have_the_unit_volt(tmp_path: Path) -> None:
     recording = panel_of(LOADED, 1.0)
     recording.save(tmp_path / "panel.h5")
@@ -638,6 +640,7 @@ TWO_PANELS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ohm", TWO_PANELS)
 def test_the_more_probable_of_two_panels_with_equal_readings_is_estimated(ohm: Any) -> None:
     """Cells on the other side of the largest reading are 20 to 100 times as large.

@@ -153,6 +153,7 @@ def test_the_profile_of_a_held_cell_follows_the_valley(side: int) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("term", [lampest.Gradient(), lampest.RelativeChange()])
 def test_a_missing_reading_does_not_choose_the_weight(term: object) -> None:
     """The penalty decides an unread cell whatever its weight.

@@ -48,6 +48,7 @@ def garble(
         image[...] = np.roll(image.ravel(), -1).reshape(image.shape)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "share"),
     [
@@ -71,6 +72,7 @@ def test_garbled_lines_of_a_frame_are_detected(kind: str, share: float) -> None:
     assert np.mean(detected) > share
 
 
+@pytest.mark.slow
 def test_a_lost_code_displaces_the_remaining_ones() -> None:
     detected = []
     for seed in range(2 * len(PLANS)):
@@ -93,6 +95,7 @@ def test_no_frame_of_clean_recordings_is_garbled() -> None:
         assert not garbled_lines(recorded(plan.scene, codes, plan.unloaded)), seed
 
 
+@pytest.mark.slow
 def test_a_garbled_frame_affects_neither_the_circuit_check_nor_the_strongest_frame() -> None:
     plan = Plan.drawn(4, "two_point")
     codes = plan.codes()

@@ -100,6 +100,7 @@ def shorted_cell(plan: Plan) -> tuple[str, Health]:
     return "faults: {shorted: [[3, 2]]}", health(plan, replace(plan, cells=cells).codes())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "share"),
     [
@@ -147,6 +148,7 @@ def test_a_bar_that_sweeps_tells_no_order_of_the_lines_that_it_crosses(seed: int
     assert "order" not in {finding.room for finding in Health.of(recording).findings}
 
 
+@pytest.mark.slow
 def test_a_noisy_row_and_a_noisy_cell_are_named() -> None:
     for plan in map(Plan.drawn, PLANS):
         if plan.unloaded < 6:
@@ -166,6 +168,7 @@ def test_a_noisy_row_and_a_noisy_cell_are_named() -> None:
         )
 
 
+@pytest.mark.slow
 def test_a_repeated_frame_and_a_gap_in_time_are_named() -> None:
     for plan in map(Plan.drawn, PLANS):
         codes = plan.codes()

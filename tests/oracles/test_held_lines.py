@@ -74,6 +74,7 @@ def test_the_panel_is_the_one_in_which_most_cells_stand_still(
         assert cells[PRESSED] == pytest.approx(loaded[PRESSED], rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("keys", "typical", "broken"),
     [(SENSED, 3000.0, False), (BOTH, 800.0, True), (DRIVEN, 3000.0, True)],
@@ -122,6 +123,7 @@ def test_a_cell_of_a_tenth_is_no_short_where_readings_rise_and_fall() -> None:
     assert not [finding.what for finding in findings if "shorted" in finding.what]
 
 
+@pytest.mark.slow
 def test_panels_that_no_frame_tells_apart_are_both_named() -> None:
     """A load that changes all cells leaves none that stand still."""
     resting, _ = panels(6600.0, 1.0)
@@ -133,6 +135,7 @@ def test_panels_that_no_frame_tells_apart_are_both_named() -> None:
     assert "alike" in check.sentence or check.mark == "no"
 
 
+@pytest.mark.slow
 def test_random_circuits_have_clear_and_right_panels_or_a_doubt() -> None:
     clear = 0
     for seed in range(200, 208):
@@ -159,6 +162,7 @@ def test_idle_sensed_lines_fold_the_readings_too(seed: int) -> None:
     assert abs(np.median(off)) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [94145, 96020])
 def test_near_a_fold_errors_of_readings_and_channels_are_not_advised(seed: int) -> None:
     """Linear theory does not hold there, and another panel may be meant."""

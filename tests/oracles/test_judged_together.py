@@ -50,6 +50,7 @@ def test_channels_are_told_beside_errors_of_each_reading() -> None:
     assert abs(size - 0.01) < 2 * size_deviation
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "place",
     ["small", *(pytest.param(place, marks=pytest.mark.slow) for place in ("still", "mouth"))],
@@ -77,6 +78,7 @@ def test_bars_hold_a_load_whose_trembling_moves_most_cells() -> None:
     assert Health.of(trembling).well
 
 
+@pytest.mark.slow
 def test_a_load_that_trembles_is_advised_to_be_named() -> None:
     trembling = Prepared(recording(500, LOADS["trembling"], Row(), {}))
     assert "motion: estimated" in {finding.line for finding in unnamed_effects(trembling)}
@@ -136,6 +138,7 @@ def test_a_load_that_stands_does_not_tremble() -> None:
     assert known.motion.trembling < 0.002
 
 
+@pytest.mark.slow
 def test_bars_carry_the_memory_that_a_palm_does_not_tell() -> None:
     row = ROWS["memory of 3 %"]
     palm = recording(102, LOADS["palm"], row, row.estimated)

@@ -142,6 +142,7 @@ def test_the_converged_published_method_reaches_the_verified_optimum(
     )
 
 
+@pytest.mark.slow
 def test_ipopt_over_log_r_ends_at_the_minima_of_the_other_solvers() -> None:
     case = read_run(TABLE1, ("formulation=reduced",)).cases[1]
     solves = timed_frames(case)

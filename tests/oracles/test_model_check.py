@@ -112,6 +112,7 @@ def test_a_verdict_says_whether_other_circuits_were_compared() -> None:
     assert alone.explains and not alone.compared
 
 
+@pytest.mark.slow
 def test_a_circuit_under_which_most_cells_moved_is_not_called_less_likely() -> None:
     """The voltages of loaded columns are those of a divider between two lines, of other cells."""
     random = np.random.default_rng(5)
@@ -133,6 +134,7 @@ def test_a_circuit_under_which_most_cells_moved_is_not_called_less_likely() -> N
     assert "press a few cells" in check.sentence and "no other known one" not in check.sentence
 
 
+@pytest.mark.slow
 @promise(
     "theory/model_check: Between circuits, changed cells are either single ones or loads, "
     "with equal probability."
@@ -284,6 +286,7 @@ def test_differing_channels_are_not_taken_for_another_series_resistance() -> Non
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [411, 413])
 def test_an_omitted_series_resistance_is_named_beyond_linear_theory(seed: int) -> None:
     _, recording = next(wrong(seed, 10, 10))
@@ -329,6 +332,7 @@ def grouped(scene: Scene) -> Scene:
     return replace(scene, readout=replace(scene.readout, groups=BLOCKS))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_multiplexers_in_parallel_are_named(seed: int) -> None:
     check = Prepared(misdescribed(grouped(TWO_POINT_SCENE), TWO_POINT_SCENE, seed)).check
@@ -361,6 +365,7 @@ def test_a_memory_of_readings_that_are_taken_column_by_column_is_named() -> None
     assert check.addition["readout"] == {"scan_order": "columns"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scene",
     [TWO_POINT_SCENE, pytest.param(HOBBY, marks=pytest.mark.slow)],

@@ -128,6 +128,7 @@ def test_an_effect_without_an_entry_in_the_scene_is_not_estimated(
         assert estimate.advice
 
 
+@pytest.mark.slow
 def test_an_absent_effect_changes_no_reading_and_a_specified_one_is_modelled() -> None:
     plain = standing_load(3)
     noise = Prepared(plain).noise
@@ -144,6 +145,7 @@ def test_an_absent_effect_changes_no_reading_and_a_specified_one_is_modelled() -
         assert np.nanmedian(wider.cell_resistance_errors / narrow.cell_resistance_errors) > WIDER
 
 
+@pytest.mark.slow
 def test_results_hold_the_number_with_its_deviation(tmp_path: Path) -> None:
     estimate = lampest.reconstruct(standing_load(4, systematic=STATIC, gain="estimated"))
     estimate.save(tmp_path / "results.h5")
@@ -183,6 +185,7 @@ def test_warnings_name_undetermined_effects_and_the_needed_recording(
     assert advised in line and estimate.solved.all()
 
 
+@pytest.mark.slow
 def test_still_cells_show_the_share_of_a_scan_and_readings_are_interpolated_to_its_middle() -> None:
     """A rock creeps by a tenth of a pitch a frame, and each reading has its own time."""
     unnamed, estimated = (
@@ -263,6 +266,7 @@ def with_errors(size: float, **keys: Any) -> Recording:
     return lampest.simulate(of_rod, "rod")
 
 
+@pytest.mark.slow
 def test_a_circuit_that_fails_is_advised_the_error_with_which_it_explains() -> None:
     audit = advice.Audit(Prepared(with_errors(0.05)))
     assert audit.verdict.mark == "no"
@@ -273,12 +277,14 @@ def test_a_circuit_that_fails_is_advised_the_error_with_which_it_explains() -> N
     assert verdict.mark == "doubtful" and "only with errors of this size" in verdict.sentence
 
 
+@pytest.mark.slow
 def test_an_error_that_the_scene_states_is_no_doubt_of_its_circuit() -> None:
     stated = Prepared(with_errors(0.05, systematic=Systematic(reading_error=0.05)))
     assert "only with errors" not in advice.Audit(stated).verdict.sentence
     assert stated.check.explains
 
 
+@pytest.mark.slow
 def test_channels_that_differ_are_advised_and_not_as_errors_of_each_reading() -> None:
     differing = channels_recording(100, LOADS["mouth"], Row(channel_ohm=10.0), {})
     lines = [finding.line for finding in effects.unnamed_effects(Prepared(differing))]
@@ -287,6 +293,7 @@ def test_channels_that_differ_are_advised_and_not_as_errors_of_each_reading() ->
     assert not effects.unnamed_effects(alike)
 
 
+@pytest.mark.slow
 def test_channels_are_advised_under_a_hand_that_covers_most_cells() -> None:
     """Cells that moved were more than half, and nothing was advised."""
     hand = Load(("hand",), swaying=0.05)
@@ -296,18 +303,21 @@ def test_channels_are_advised_under_a_hand_that_covers_most_cells() -> None:
     assert not effects.unnamed_effects(Prepared(channels_recording(4001, hand, Row(), {})))
 
 
+@pytest.mark.slow
 def test_noise_is_not_advised_where_ripple_explains_it() -> None:
     rippled = channels_recording(4003, LOADS["still"], Row(ripple_lsb=1.0), {})
     lines = [finding.line for finding in advice.Audit(Prepared(rippled)).advice]
     assert lines == ["ripple: estimated"]
 
 
+@pytest.mark.slow
 def test_a_gain_of_frames_is_not_also_creep() -> None:
     gained = channels_recording(4003, LOADS["still"], Row(gain=0.01), {})
     lines = [finding.line for finding in advice.Audit(Prepared(gained)).advice]
     assert lines == ["gain: estimated"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("load", ["still", "small"])
 def test_a_ripple_that_the_scene_names_is_no_motion(load: str) -> None:
     """Still cells seemed to move with the load, in a scan that took 0 ± 0.6 of the time."""
@@ -416,6 +426,7 @@ def test_bars_hold_scatter_of_films_that_errors_of_readings_hide() -> None:
     assert possible is not None and 0.05 < possible.film_scatter < 0.2
 
 
+@pytest.mark.slow
 def test_penalties_that_compare_frames_expect_nothing_of_films() -> None:
     load = LOADS["small"]
     scene_keys = {"systematic": Systematic(reading_error=0.02)}

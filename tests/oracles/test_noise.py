@@ -440,6 +440,7 @@ def test_the_size_of_static_errors_is_estimated_from_still_cells(size: float, se
     )
 
 
+@pytest.mark.slow
 def test_error_bars_allow_for_uncertain_static_errors() -> None:
     """An error of 0.2 % is too small to be advised.
 
@@ -454,12 +455,14 @@ def test_error_bars_allow_for_uncertain_static_errors() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise_lsb", [0.7, 2.5])
 def test_estimating_absent_static_errors_hardly_widens_error_bars(noise_lsb: float) -> None:
     recordings = [recorded(seed, scene_of(noise_lsb, STATIC), noise_lsb) for seed in range(9, 13)]
     assert 0.85 < np.median([own_part(recording)[1] for recording in recordings]) < 1.25
 
 
+@pytest.mark.slow
 def test_an_error_of_readings_is_estimated_only_where_a_coarse_scan_shows_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -499,12 +502,14 @@ def test_an_uneven_unloaded_panel_is_no_sign_of_channels_that_differ() -> None:
         assert costs[1, 0] > costs[0, 0] - DOUBTFUL_GAIN
 
 
+@pytest.mark.slow
 def test_a_spread_of_channels_that_any_larger_one_explains_is_not_advised() -> None:
     """The converter's 8 bits leave cells of a third more or less; no channels differ."""
     drawn = sound(94030)
     assert drawn is not None and not lines_of(drawn[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [94002, 94147])
 def test_cells_that_differ_by_a_factor_of_ten_are_no_errors_of_readings(seed: int) -> None:
     """About cells that are likeliest beside another error, linear theory finds one."""
@@ -512,6 +517,7 @@ def test_cells_that_differ_by_a_factor_of_ten_are_no_errors_of_readings(seed: in
     assert drawn is not None and STATIC_LINE not in lines_of(drawn[1])
 
 
+@pytest.mark.slow
 def test_codes_without_noise_show_no_ripple() -> None:
     """In each frame some ten of 216 readings have another code than in the first one."""
     drawn = sound(94026)
@@ -631,6 +637,7 @@ def test_still_cells_show_a_series_resistance_and_a_gentle_load_none() -> None:
     )
 
 
+@pytest.mark.slow
 def test_noisy_cells_are_not_taken_for_a_static_error() -> None:
     """So noisy that a large error of each reading would explain the cells that moved, too."""
     rod = lampest.Rod(centre_mm=(35.0, 35.0), diameter_mm=40.0, mass_g=400.0)
@@ -665,6 +672,7 @@ def test_a_load_in_the_last_unloaded_frames_is_named(loaded: int, tmp_path: Path
     )
 
 
+@pytest.mark.slow
 def test_a_varying_gain_is_not_taken_for_a_load_in_the_unloaded_frames() -> None:
     """The supply moves all readings of a frame.
 

@@ -156,6 +156,7 @@ def test_an_ambiguous_contact_is_named_but_not_corrected() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_size_of_a_leak_is_estimated_and_a_converter_curve_is_not_taken_for_an_effect() -> None:
     line = Prepared(panel(2, leak_ohm=5e3, leak_from=UNLOADED)).check.better
     leak_kohm = float(line.split("a leak of ")[1].split(" kohm")[0])

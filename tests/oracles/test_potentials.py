@@ -110,6 +110,7 @@ OTHERS: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow
 @promise(
     "howto/readouts: Loads, idle driven lines and idle sensed lines may end in a potential of "
     "their own"

@@ -426,6 +426,7 @@ def test_an_unsolvable_program_has_a_status_and_no_number() -> None:
     assert np.isnan(values).all() and np.isnan(solved.cell_resistance_errors).all()
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_ipopt_solves_ends_a_program() -> None:
     text = """
 import signal

@@ -87,6 +87,7 @@ EQUAL = 1e-8  # of log r, between cells that a heavy penalty holds together; mea
 MAX_ITERATIONS = 200  # limit: a third above the largest number measured
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [False, True])
 def test_cost_and_gradient_agree_with_an_independent_implementation(joint: bool) -> None:
     """At points that are no optima; the statement's own derivatives by differences."""
@@ -344,6 +345,7 @@ def solution_of_a_skin(kind: str, *terms: Term) -> Solution:
     return Stream.begin(Estimator(terms, error_bars=False), scene, 1.0, readings).baseline.solution
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weight", [0.0, 1e-3])
 @pytest.mark.parametrize("kind", CIRCUITS)
 def test_a_frame_with_a_wrong_model_is_solved_quickly_at_any_weight(
@@ -356,6 +358,7 @@ def test_a_frame_with_a_wrong_model_is_solved_quickly_at_any_weight(
     assert solution.iterations < MAX_ITERATIONS
 
 
+@pytest.mark.slow
 def test_readings_beyond_the_corner_of_a_loss_still_lead_to_the_minimum() -> None:
     misfit = Misfit(weighting="noise", loss=Student(corner=4.0))
     solution = solution_of_a_skin("loaded", misfit, term_types()["log_gradient"](weight=1e-3))

@@ -101,6 +101,7 @@ def test_an_outlier_of_an_unloaded_frame_is_left_out_of_the_mean() -> None:
         assert np.argwhere(cleaned.readings.seen == 0).tolist() == [[1, 2, 3]]
 
 
+@pytest.mark.slow
 def test_noise_that_the_scene_leaves_open_is_no_doubt() -> None:
     """Key-less scenes were doubtful: scatter of 1.4 to 5.4 times the *specified* noise."""
     for kind in READOUTS:

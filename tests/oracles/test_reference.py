@@ -238,6 +238,7 @@ def test_a_missing_reading_has_a_wider_interval_that_holds_it() -> None:
     )
 
 
+@pytest.mark.slow
 @promise("howto/weights: Error bars include this uncertainty.")
 def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
     """Bars of a weight given as a number are smaller, most where the weight matters most."""

@@ -143,6 +143,7 @@ def test_a_reading_that_bends_the_cells_leaves() -> None:
     assert abs(residuals_of(left)[wrong]) > 10 * CORNER_SIGMA
 
 
+@pytest.mark.slow
 def test_readings_are_exchanged_beside_absolute_losses() -> None:
     terms = (TERMS[0], TotalVariation(weight=0.5))
     cost = Estimator(terms, "reduced").cost(SCENE, 1, partial=False)
@@ -150,6 +151,7 @@ def test_readings_are_exchanged_beside_absolute_losses() -> None:
     assert solution.solved and solution.starts > 2
 
 
+@pytest.mark.slow
 def test_exchanges_lead_both_solvers_to_the_lowest_minimum(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -275,6 +275,7 @@ def test_cells_near_a_breathing_soft_load_do_not_determine_channels() -> None:
     assert np.mean(in_intervals(estimate)) > MIN_COVERAGE_AT_STEPS
 
 
+@pytest.mark.slow
 def test_shared_errors_widen_the_error_bars_of_cells() -> None:
     specified = estimate_of(
         panel(2, systematic=Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
@@ -285,6 +286,7 @@ def test_shared_errors_widen_the_error_bars_of_cells() -> None:
     )
 
 
+@pytest.mark.slow
 def test_errors_new_in_each_scan_are_averaged_over_frames() -> None:
     """An offset of each row of 0.4 LSB rms.
 
@@ -303,6 +305,7 @@ def test_errors_new_in_each_scan_are_averaged_over_frames() -> None:
     assert together < MAX_LEFT * alone
 
 
+@pytest.mark.slow
 def test_a_frame_with_too_few_readings_is_left_out() -> None:
     recording = panel(5)
     recorded = recording.recorded.copy()

@@ -65,6 +65,7 @@ def test_bars_of_cells_that_an_absolute_loss_holds_are_as_wide_as_their_errors(l
     assert LEAST_RATIO < ratio < MOST_RATIO
 
 
+@pytest.mark.slow
 def test_bars_of_plateaus_are_as_wide_as_their_errors() -> None:
     ratio = ratio_of_bars("small", 731, lampest.TotalVariationOfChange())
     assert LEAST_RATIO < ratio < MOST_RATIO

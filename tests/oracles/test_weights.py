@@ -246,6 +246,7 @@ def test_a_warning_names_a_chosen_weight_that_prevents_the_fit() -> None:
     assert chosen.automatic and not any("readings are missed" in line for line in chosen.checks)
 
 
+@pytest.mark.slow
 def test_uniform_values_lie_within_their_bands_and_others_do_not() -> None:
     rng = np.random.default_rng(1)
     tails = [uniform_tail(rng.uniform(size=50)) for _ in range(60)]

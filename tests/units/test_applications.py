@@ -62,6 +62,7 @@ def install(folder: Path, points: str) -> None:
     (about / "entry_points.txt").write_text(f"[lampest.applications]\n{points}\n")
 
 
+@pytest.mark.slow
 def test_an_installed_application_adds_a_command_its_former_name_and_lines(tmp_path: Path) -> None:
     install(tmp_path, "music = music:APPLICATION")
     assert lampest(tmp_path, "play", "--loud") == (0, "LOUD\n", "")

@@ -66,6 +66,7 @@ def test_newton_ends_nearer_the_optimum_of_absolute_losses_than_ipopt() -> None:
     assert np.all(ipopt <= least * (1 + 1e-7)) and ipopt.max() > newton.max() * (1 + 1e-9)
 
 
+@pytest.mark.slow
 def test_newton_ends_at_the_minimum_of_ipopt_where_no_reading_shows_the_scale() -> None:
     rng = np.random.default_rng(7)
     readout = lampest.DrivenReadout(

@@ -62,6 +62,7 @@ def run(folder: Path, text: str = RUN, **options: Any) -> Report:
     return run_batch(read_run(folder / "run.yaml"), folder / "out", Serial(), **options)
 
 
+@pytest.mark.slow
 def test_all_estimators_share_one_check_which_is_that_of_reconstruct(
     folder: Path, checked: list[str]
 ) -> None:
@@ -75,6 +76,7 @@ def test_all_estimators_share_one_check_which_is_that_of_reconstruct(
         assert sorted(filter(None, case.warnings.split("\n"))) == sorted(estimate.checks)
 
 
+@pytest.mark.slow
 def test_a_recording_that_has_not_changed_is_not_checked_again(
     folder: Path, checked: list[str]
 ) -> None:
@@ -89,6 +91,7 @@ def test_a_recording_that_has_not_changed_is_not_checked_again(
     assert checked == ["mine", "mine"]
 
 
+@pytest.mark.slow
 def test_a_recording_that_has_changed_and_a_damaged_check_are_checked_again(
     folder: Path, checked: list[str]
 ) -> None:

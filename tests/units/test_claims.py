@@ -147,6 +147,7 @@ def test_pressures_of_a_scene_without_a_film_follow_no_memory(
         )
 
 
+@pytest.mark.slow
 def test_the_library_calls_nothing_but_arithmetic_and_has_no_globals(tmp_path: Path) -> None:
     """Symbols of its object files: functions of its own, of math.h, and moves of memory."""
     objects = list[str]()

@@ -73,6 +73,7 @@ def test_columns_hold_texts_and_truth_values(tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.slow
 def test_two_terms_of_one_kind_keep_their_costs(tmp_path: Path) -> None:
     scene = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout())
     frames = 640.0 * np.exp(0.1 * np.random.default_rng(0).standard_normal((2, 3, 4)))

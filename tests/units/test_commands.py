@@ -181,6 +181,7 @@ def test_init_of_a_mat_writes_a_scene_of_contacts_with_a_useful_penalty(
     )
 
 
+@pytest.mark.slow
 def test_detect_writes_into_results_and_leaves_the_recordings_folder_alone(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -195,6 +196,7 @@ def test_detect_writes_into_results_and_leaves_the_recordings_folder_alone(
     assert written == ["detections.h5", "timeline_mine.png", "visits.csv"]
 
 
+@pytest.mark.slow
 def test_detect_names_no_visits_and_animals_where_all_panels_are_mats(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -404,6 +406,7 @@ def test_a_recording_ends_with_a_line_and_its_warnings(
         assert completed.code == (130 if "ended_by" in ending else 0)
 
 
+@pytest.mark.slow
 def test_a_simulation_takes_overrides_and_checks_its_space_first(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -429,6 +432,7 @@ def test_a_simulation_takes_overrides_and_checks_its_space_first(
     assert not (tmp_path / "deep").exists()
 
 
+@pytest.mark.slow
 def test_results_of_other_cases_are_renamed_and_never_replace_a_recording(
     disk: SimpleNamespace, lampest: Command
 ) -> None:
@@ -461,6 +465,7 @@ def test_results_of_other_cases_are_renamed_and_never_replace_a_recording(
     assert (out / "results.h5").read_bytes() == (disk.folder / "small.h5").read_bytes()
 
 
+@pytest.mark.slow
 def test_plot_draws_a_given_frame_and_estimator(tmp_path: Path, lampest: Command) -> None:
     results = tmp_path / "results.h5"
     new = tmp_path / "new"

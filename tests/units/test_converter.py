@@ -235,6 +235,7 @@ def audit(built: lampest.Readout, stated: lampest.Readout, frames: int = 6) -> A
     return Audit(Prepared(recording))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "stated", [LoadedColumnsReadout(load_ohm=5e3, **ESP32), GroundedReadout(**ESP32)]
 )
@@ -246,6 +247,7 @@ def test_a_dead_zone_and_a_full_scale_of_their_own_are_named(stated: lampest.Rea
     assert audit(stated, stated).prepared.check.mark == "yes"
 
 
+@pytest.mark.slow
 def test_a_dead_zone_below_which_most_readings_are_zero_is_asked_for() -> None:
     stated = GroundedReadout(load_ohm=150.0, **ESP32)
     question = "does the converter read nothing below some voltage"
@@ -254,6 +256,7 @@ def test_a_dead_zone_below_which_most_readings_are_zero_is_asked_for() -> None:
     assert question not in audit(stated, stated).verdict.sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("drive", "bits", "mark"), [(50.0, 12, "no"), (0.0, 10, "doubtful")])
 def test_codes_that_fall_behind_an_inverting_amplifier_are_named(
     drive: float, bits: int, mark: str
@@ -267,6 +270,7 @@ def test_codes_that_fall_behind_an_inverting_amplifier_are_named(
     assert "inverting" not in audit(stated, stated).verdict.sentence
 
 
+@pytest.mark.slow
 def test_a_converters_input_to_ground_beside_pull_ups_is_named() -> None:
     stated = LoadedColumnsReadout(polarity="down", load_ohm=35e3, drive_ohm=25.0, **ESP32)
     audited = audit(replace(stated, input_ohm=1e5), stated)
@@ -283,6 +287,7 @@ def test_amplifiers_without_a_channel_show_cells_apart() -> None:
     assert np.abs(apparent / cells - 1).max() < 0.05
 
 
+@pytest.mark.slow
 def test_the_voltage_of_code_0_is_estimated_by_cells_that_stand_still() -> None:
     stated = GroundedReadout(load_ohm=3300.0, **ESP32)
     sought = replace(stated, converter=Characteristic(zero_volt="estimated", full_volt=3.12))
@@ -291,6 +296,7 @@ def test_the_voltage_of_code_0_is_estimated_by_cells_that_stand_still() -> None:
     assert abs(zero - DEAD_ZONE.zero_volt) < 3 * sd < 3e-3
 
 
+@pytest.mark.slow
 def test_a_voltage_of_code_0_that_no_load_shows_is_a_doubt() -> None:
     """Without crosstalk every cell follows its reading, whatever code 0 stands for."""
     stated = VirtualGroundReadout(feedback_ohm=1e3, drive_ohm=0.0, **ESP32)

@@ -111,6 +111,7 @@ def test_results_equal_those_of_serial_even_if_a_worker_dies(
     assert not list((disk.folder / "two" / "cases").glob(".*"))
 
 
+@pytest.mark.slow
 def test_errors_stay_with_their_task() -> None:
     answers = {"1 + 1": "2", "1 / 0": "division by zero", "2 + 2": "4"}
     for executor in EXECUTORS:
@@ -146,6 +147,7 @@ def half_written(mark: Path) -> str:
     return "whole"
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_while_sending_blocks_no_process(tmp_path: Path) -> None:
     marks = [tmp_path / name for name in "ab"]
     assert sorted(Processes(2).results(half_written, marks)) == [(mark, "whole") for mark in marks]
@@ -173,6 +175,7 @@ except InputError as error:
 """
 
 
+@pytest.mark.slow
 def test_a_batch_needs_no_thread_and_reports_a_failed_process_start() -> None:
     completed = subprocess.run(
         [sys.executable, "-c", NO_THREADS], capture_output=True, text=True, timeout=60
@@ -208,6 +211,7 @@ def test_ctrl_c_caught_by_compiled_code_ends_a_batch() -> None:
     assert isinstance(outcome, SystemError)
 
 
+@pytest.mark.slow
 def test_a_scheduler_is_located_by_its_file_and_threaded_workers_are_refused(
     tmp_path: Path,
 ) -> None:
@@ -265,6 +269,7 @@ class Lost(Serial):
         raise LostError("the scheduler is gone")
 
 
+@pytest.mark.slow
 def test_a_lost_scheduler_costs_no_finished_case(disk: SimpleNamespace) -> None:
     run = read_run(disk.run(disk.text + "formulation: reduced\n"))
     report = run_batch(run, disk.folder / "out", Lost())
@@ -332,6 +337,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_local_cluster_listens_only_on_the_loopback_address(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -343,6 +349,7 @@ def test_a_local_cluster_listens_only_on_the_loopback_address(
     assert not list(outcomes) and log.level == logging.ERROR
 
 
+@pytest.mark.slow
 def test_a_scheduler_with_certificates_needs_their_files(keys: Path) -> None:
     import distributed
 

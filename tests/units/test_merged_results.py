@@ -41,6 +41,7 @@ def axes(path: Path) -> dict[str, Any]:
     return scales
 
 
+@pytest.mark.slow
 def test_stored_cases_give_the_file_of_cases_in_memory(tmp_path: Path) -> None:
     cases = [invented_case(name, stem, failed=(1,)) for stem in ("b", "a") for name in METHODS[:2]]
     write_results(tmp_path / "memory.h5", cases)

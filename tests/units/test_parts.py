@@ -122,6 +122,7 @@ def test_parts_give_the_results_of_the_whole_recording(
     assert lampest("check", tmp_path / "parts" / "results.h5").code == 0
 
 
+@pytest.mark.slow
 def test_results_of_parts_record_automatic_weights(tmp_path: Path, small: None) -> None:
     save(tmp_path, frames(40))
     recording = stored.StoredRecording.of(tmp_path / "long.h5")
@@ -283,6 +284,7 @@ def test_methods_that_need_all_frames_refuse_long_recordings(
         assert not os.path.lexists(tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_a_part_of_the_frames_is_read_alone(tmp_path: Path, lampest: Command) -> None:
     save(tmp_path, frames(30))
     (tmp_path / "run.yaml").write_text(RUN)
@@ -301,6 +303,7 @@ def test_a_part_of_the_frames_is_read_alone(tmp_path: Path, lampest: Command) ->
     assert excerpt.number is not None and list(excerpt.number) == [5, 6, 7, 8]
 
 
+@pytest.mark.slow
 def test_a_long_recording_is_closed_by_parts(
     tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:

@@ -118,6 +118,7 @@ def held_arrays(value: Any, name: str, walked: dict[int, Any]) -> Iterator[tuple
                     yield from held_arrays(held, f"{name}.{attribute}", walked)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [lambda held: held, *WAYS.values()], ids=["made", *WAYS])
 def test_arrays_of_public_objects_are_read_only(way: Callable[[Any], Any]) -> None:
     estimate = lampest.reconstruct(small_recording(), TERMS, formulation="reduced")

@@ -4,6 +4,8 @@ import json
 import subprocess
 import sys
 
+import pytest
+
 from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.panel.effects.creep import FilmCreep
 
@@ -73,6 +75,7 @@ print(json.dumps({
 """
 
 
+@pytest.mark.slow
 def test_scenes_calibrations_and_recognition_read_priors_from_the_effects_files() -> None:
     completed = subprocess.run(
         [sys.executable, "-c", CHANGED], capture_output=True, text=True, check=True

@@ -85,6 +85,7 @@ class Page(HTMLParser):
         return [str(given[attribute]) for _, given in self.tags if attribute in given]
 
 
+@pytest.mark.slow
 def test_a_page_is_self_contained_and_recommends_nothing_without_truth_and_noise() -> None:
     """Texts that come from files are text."""
     names = ("<script>alert(1)&", "a\"b'c", "$\\frac$ x^2", "{{ 7 * 191 }}", "y" * 190)
@@ -121,6 +122,7 @@ def test_a_page_is_self_contained_and_recommends_nothing_without_truth_and_noise
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(1, 4, 4), (2, 1, 1), (2, 1, 7), (2, 7, 1), (2, 2, 30)])
 def test_a_report_of_any_shape_is_written_despite_failures(shape: tuple[int, int, int]) -> None:
     """In one case no frame was solved; in another changes are NaN without an unloaded panel."""
@@ -140,6 +142,7 @@ def test_a_report_of_any_shape_is_written_despite_failures(shape: tuple[int, int
         assert word in page.text, word
 
 
+@pytest.mark.slow
 def test_a_slider_shows_the_maps_of_every_frame() -> None:
     """Frames stand in a strip one under another, in the order of the labels."""
     case = invented_case("LSM", shape=(4, 3, 5))
@@ -160,6 +163,7 @@ def test_a_slider_shows_the_maps_of_every_frame() -> None:
     assert [slider["max"] for slider in sliders] == ["3"]
 
 
+@pytest.mark.slow
 def test_a_slider_of_a_long_recording_leaves_frames_out_and_says_so() -> None:
     case = invented_case("LSM", shape=(MAX_FRAMES + 50, 2, 2))
     shown = all_frames([case], place=101)
@@ -212,6 +216,7 @@ def maps() -> tuple[np.ndarray, np.ndarray]:
     return pressure, errors
 
 
+@pytest.mark.slow
 def test_forces_of_noisy_maps_scatter_by_their_errors() -> None:
     pressure, errors = maps()
     rng = np.random.default_rng(4)

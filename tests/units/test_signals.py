@@ -72,6 +72,7 @@ def test_a_signal_before_the_first_frame_leaves_nothing(tmp_path: Path) -> None:
     assert process.returncode == 130 and not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_recording_outlives_its_terminal_with_nohup(tmp_path: Path) -> None:
     out = tmp_path / "r.h5"
     words = ("nohup", COMMAND, "record", "--out", out, "--count", 40, "--period", "0.01", "--port")

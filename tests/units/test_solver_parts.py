@@ -141,6 +141,7 @@ def test_a_solve_ends_as_its_termination_says(start: Evaluation) -> None:
     assert outcome.iterations == 2
 
 
+@pytest.mark.slow
 def test_a_solve_whose_steps_are_all_refused_does_not_claim_an_optimum(start: Evaluation) -> None:
     """Without an accepted step, a point with a gradient is a breakdown."""
     outcome = solved(start, NewtonParts(acceptance=lambda point, trial, predicted: False))

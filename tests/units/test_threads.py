@@ -107,6 +107,7 @@ def run(text: str, *arguments: object) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 8, pytest.param(32, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "ways", ["squares", "absolute,student", "program", "squares,absolute,program,student"]
@@ -214,6 +215,7 @@ def test_processes_forked_while_threads_limit_blas_can_limit_it() -> None:
     )
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_only_the_main_thread() -> None:
     run(
         """

@@ -44,6 +44,7 @@ FORMULATIONS: dict[Any, tuple[Any, ...]] = {
 }
 
 
+@pytest.mark.slow
 def test_failed_cases_stop_no_other_and_are_solved_by_the_next_run(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -124,6 +124,7 @@ def test_a_difference_of_cells_or_statuses_counts(
     assert equal(*pair, 1e-12) is equal(*reversed(pair), 1e-12) is alike
 
 
+@pytest.mark.slow
 def test_rows_show_differences_and_the_exit_code_shows_equality(pair: tuple[Path, Path]) -> None:
     def code(*words: object) -> int:
         program = [sys.executable, "-m", "tests.studies.equal", *map(str, words)]

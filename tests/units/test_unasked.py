@@ -51,6 +51,7 @@ def test_small_readings_of_dissimilar_cells_are_no_saturated_stage(seed: int) ->
     assert drawn is not None and saturated(drawn[1]) is None
 
 
+@pytest.mark.slow
 def test_cells_that_are_unlike_are_no_errors_of_readings() -> None:
     """Cells that scatter by a factor of e were taken for readings that are off by 20 +- 1 %."""
     drawn = sound(93044, drifts=False)

@@ -68,6 +68,7 @@ def test_scales_that_no_reading_shows_follow_from_the_circuit(
     assert readout.unseen_scales(*SHAPE) == scales
 
 
+@pytest.mark.slow
 def test_the_verdict_names_the_scales_and_no_bound_excludes_the_cells() -> None:
     made = recording(INPUTS, INPUTS)
     answer = verdict(EXPLAINED, Prepared(made))
@@ -80,6 +81,7 @@ def test_the_verdict_names_the_scales_and_no_bound_excludes_the_cells() -> None:
     assert np.all((lower <= cells()) & (cells() <= upper))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["reduced", "nodal"])
 def test_the_unloaded_panel_and_usual_cells_choose_scales_that_no_reading_shows(
     formulation: Any,
@@ -128,6 +130,7 @@ def test_a_plain_misfit_has_the_same_priors_in_its_own_unit() -> None:
         assert plain.weight == pytest.approx(float(by_noise.weight) * square)
 
 
+@pytest.mark.slow
 def test_codes_that_are_rounded_down_are_named_where_readings_are_redundant() -> None:
     """Without resistors a column has one reading more than ratios of cells."""
     built = replace(INPUTS, adc_bits=12)
@@ -155,6 +158,7 @@ def test_codes_that_are_rounded_down_are_named_where_readings_are_redundant() ->
     assert again.prepared.check.explains
 
 
+@pytest.mark.slow
 def test_codes_of_fewer_bits_are_asked_for() -> None:
     """They pile up at the last code of fewer bits; a panel that reads little has no such pile."""
     built = LoadedColumnsReadout(load_ohm=3e4, adc_bits=10, readings=1)

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import pytest
 from small_files import write_recording
 
 import lampest
@@ -78,6 +79,7 @@ NAMED = ("channels", "reference")  # effects of the scene of ring.h5
 MAX_PASSED = 43  # files whose functions a frame calls
 
 
+@pytest.mark.slow
 def test_a_check_that_searches_for_a_resistance_loads_no_library_of_optimisation() -> None:
     """Loading it took an eighth of the command."""
     completed = subprocess.run(

@@ -109,6 +109,7 @@ def test_flash_and_memory_match_the_readme() -> None:
     assert memory < 8192 / 2, "half of the memory stays for the stack"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rows", "columns", "readings", "period_ms", "rate"), ROWS_OF_TABLE)
 def test_a_board_keeps_the_shortest_period_of_the_table(
     tmp_path: Path, rows: int, columns: int, readings: int, period_ms: float, rate: float

@@ -40,6 +40,7 @@ YEAR_2023_S = 1.7e9  # seconds since 1970
 CODE_ERROR = 0.02  # relative, of readings of 10 bits
 
 
+@pytest.mark.slow
 def test_readings_scatter_around_the_truth_as_their_sigma_says(tmp_path: Path) -> None:
     cells = np.repeat(random_cells(np.random.default_rng(5), 1), 20, axis=0)
     with bench(tmp_path, cells) as board:
@@ -52,6 +53,7 @@ def test_readings_scatter_around_the_truth_as_their_sigma_says(tmp_path: Path) -
     assert recording.role.tolist() == [UNLOADED] * 12 + [MEASURED] * 8
 
 
+@pytest.mark.slow
 def test_a_slowly_settling_line_carries_the_previous_cell_into_the_reading(tmp_path: Path) -> None:
     """The simulated line has a time constant.
 
@@ -138,6 +140,7 @@ def test_the_library_lists_its_headers() -> None:
 WIRINGS = {"two_point": scene, "loaded_columns": loaded_scene}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "wiring", [pytest.param("two_point", marks=pytest.mark.slow), "loaded_columns"]
 )

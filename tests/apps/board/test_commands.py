@@ -88,6 +88,7 @@ def test_shorted_lines_calibrate_the_next_recording(tmp_path: Path) -> None:
     assert Recording.load(tmp_path / "r.h5").scene == calibrated
 
 
+@pytest.mark.slow
 def test_record_lists_ports_or_says_that_there_are_none() -> None:
     output, complained = lampest("record", "--list")
     assert bool(output) != ("there is no serial port" in complained)

@@ -95,6 +95,7 @@ def test_every_circuit_reaches_the_optimum_of_lampest(circuit):
     assert_same_optimum(scene_of(circuit), [NOISY, lampest.LogGradient()])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "terms",
     mostly_slow(
@@ -129,6 +130,7 @@ def test_every_term_and_loss_reaches_the_optimum_of_lampest(terms):
     assert_same_optimum(scene_of("two_point"), terms)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scene",
     mostly_slow(
@@ -261,11 +263,13 @@ def test_the_mega_estimates_eight_by_eight_cells_in_two_seconds(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_the_library_takes_24_kilobytes_of_flash(tmp_path):
     words = ["make", "-s", "-C", str(FIRMWARE), f"BUILD={tmp_path}", "estimate-size"]
     assert int(subprocess.run(words, capture_output=True, text=True, check=True).stdout) < MAX_FLASH
 
 
+@pytest.mark.slow
 def test_standard_deviations_match_the_linear_system():
     sums, case = solved_case(scene_of("two_point"), [NOISY, lampest.LogGradient(weight=1.0)])
     constants = Constants.of(case)
@@ -287,6 +291,7 @@ def test_standard_deviations_match_the_linear_system():
     np.testing.assert_allclose(estimated, np.sqrt(variance), rtol=ITERATED)
 
 
+@pytest.mark.slow
 def test_a_baseline_follows_a_drift_and_refuses_a_load():
     scene = scene_of("two_point")
     sums, case = solved_case(scene, [NOISY, lampest.LogGradient(weight=1.0)])
@@ -302,6 +307,7 @@ def test_a_baseline_follows_a_drift_and_refuses_a_load():
         np.testing.assert_allclose(host.frame(sums[4])[0], previous, atol=SAME)
 
 
+@pytest.mark.slow
 def test_bad_frames_get_a_status_and_keep_the_estimate():
     scene = scene_of("loaded_columns")
     sums, case = solved_case(scene, [NOISY, lampest.LogGradient(weight=1.0)])
@@ -323,6 +329,7 @@ def test_bad_frames_get_a_status_and_keep_the_estimate():
         assert (status[0], status[5]) == (FINE, 1) and np.isfinite(change).all()
 
 
+@pytest.mark.slow
 def test_missing_readings_and_bounds_reach_the_optimum_of_lampest():
     scene = scene_of("two_point")
     sums = sums_of(scene, pressed_cells(scene))
@@ -597,6 +604,7 @@ def test_every_press_of_a_chord_is_detected_without_ghosts(circuit, count, tmp_p
             assert {tuple(map(int, key)) for key in np.argwhere(pressed)} == expected
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_sketch_and_prints_its_accuracy(lamprey, tmp_path):
     folder = tmp_path / "mat"
     words = ["export", str(lamprey[0]), "--to", "c", "--out", str(folder), "--milliseconds", "20"]
@@ -663,6 +671,7 @@ def test_milliseconds_are_a_range_of_cycles_of_the_manual():
     assert "16 to 18" in row
 
 
+@pytest.mark.slow
 def test_the_smallest_sufficient_budget_is_chosen(lamprey):
     _, case = lamprey
     constants = Constants.of(case)

@@ -94,6 +94,7 @@ def test_one_damaged_byte_in_a_hundred_costs_only_the_frames_it_hits(
     assert 20 <= len(undamaged) <= len(accepted)
 
 
+@pytest.mark.slow
 def test_unplugging_marks_a_gap_in_the_same_file(tmp_path: Path) -> None:
     cells = random_cells(np.random.default_rng(9), 1)
     states: list[Progress] = []
@@ -115,6 +116,7 @@ def test_unplugging_marks_a_gap_in_the_same_file(tmp_path: Path) -> None:
     assert np.all(np.abs(recording.resistance / recording.resistance[0] - 1) < NOISE_OF_CODES)
 
 
+@pytest.mark.slow
 def test_a_reset_board_is_configured_and_started_again(tmp_path: Path) -> None:
     with bench(
         tmp_path,
@@ -129,6 +131,7 @@ def test_a_reset_board_is_configured_and_started_again(tmp_path: Path) -> None:
     assert recording.resistance.shape == (40, 5, 5)
 
 
+@pytest.mark.slow
 def test_a_running_recording_can_be_read_but_not_repaired(tmp_path: Path) -> None:
     frame_counts: list[int] = []
     out = tmp_path / "r.h5"

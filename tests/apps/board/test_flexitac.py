@@ -93,6 +93,7 @@ def board(page: Any) -> Iterator[tuple[str, threading.Event]]:
         os.close(end)
 
 
+@pytest.mark.slow
 def test_the_code_of_the_page_locates_the_pressed_cells(
     page: Any, board: tuple[str, threading.Event]
 ) -> None:

@@ -174,6 +174,7 @@ def test_a_line_at_another_rate_is_said(tmp_path: Path) -> None:
     assert not (tmp_path / "r.h5").exists()
 
 
+@pytest.mark.slow
 def test_bytes_that_come_too_fast_are_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

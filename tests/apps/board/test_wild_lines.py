@@ -710,6 +710,7 @@ def test_frames_lost_by_all_boards_count_as_lost_and_a_silent_board_ends_the_rec
         image_of(monkeypatch, boards | {"d": [InputError("no board at d")]})
 
 
+@pytest.mark.slow
 def test_a_requested_recording_follows_the_unloaded_frames(tmp_path: Path) -> None:
     messages: list[tuple[str, bool]] = []
     path = tmp_path / "one.h5"
@@ -754,6 +755,7 @@ def test_a_requested_recording_follows_the_unloaded_frames(tmp_path: Path) -> No
     )
 
 
+@pytest.mark.slow
 def test_a_recording_summary_counts_its_events(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

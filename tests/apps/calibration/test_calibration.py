@@ -255,6 +255,7 @@ def test_calibrated_channels_lie_within_their_deviations_and_improve_the_cells()
     assert errors[1] < IMPROVED * errors[0]
 
 
+@pytest.mark.slow
 def test_a_calibration_without_loads_says_that_nothing_is_known(
     tmp_path: Path, lampest: Callable[..., SimpleNamespace]
 ) -> None:
@@ -295,6 +296,7 @@ def test_recordings_that_do_not_determine_a_circuit_are_refused() -> None:
         calibrate_channels([replace(unloaded, recorded=np.full_like(unloaded.recorded, np.nan))])
 
 
+@pytest.mark.slow
 def test_error_bars_of_gains_and_curve_contain_the_truth() -> None:
     """The fit is tested alone, on data that obey its assumptions.
 

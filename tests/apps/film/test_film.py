@@ -197,6 +197,7 @@ def test_intervals_contain_deviating_films() -> None:
     assert MIN_COVERAGE < np.mean(inside) < MAX_COVERAGE
 
 
+@pytest.mark.slow
 def test_only_a_creep_that_is_estimated_carries_later_frames_back() -> None:
     """Pressures of the first frames, with and without the release of the load."""
     moved = {}

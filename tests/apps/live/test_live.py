@@ -244,6 +244,7 @@ def test_slow_solving_continues_with_the_newest_frame_and_counts_skipped_ones(
     assert (view.frames, view.lost, view.skipped, len(view.history)) == (7, 10, 4, 2)
 
 
+@pytest.mark.slow
 def test_a_failed_frame_shows_no_number_and_the_next_is_solved(lamprey: Recording) -> None:
     resistance = lamprey.resistance.copy()
     resistance[4, 1:] = np.nan

@@ -55,6 +55,7 @@ def codes(scene: Scene, seed: int) -> Array:
     return np.rint(steps + rng.standard_normal(steps.shape)).clip(0, 1023).astype(int)
 
 
+@pytest.mark.slow
 def test_five_lines_lead_from_nothing_to_a_live_map(
     tmp_path: Path, run: Callable[[list[str]], str]
 ) -> None:

@@ -84,6 +84,7 @@ def garbled(rng, sums, top):
     )[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("circuit", "shape"),
     [
@@ -186,6 +187,7 @@ def test_a_frame_that_has_not_settled_moves_no_baseline():
     assert not host.follow()
 
 
+@pytest.mark.slow
 def test_the_export_chooses_a_shorter_time_constant_for_a_film_that_moves():
     scene = scene_of("grounded_one")
     frames = 60
@@ -199,6 +201,7 @@ def test_the_export_chooses_a_shorter_time_constant_for_a_film_that_moves():
     assert moving < still
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("adc_bits", "readings"),
     [
@@ -223,6 +226,7 @@ def test_any_converter_whose_sums_fit_32_bits_is_estimated(adc_bits, readings):
     assert np.isfinite(change).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("circuit", "adc_bits", "readings"),
     [
@@ -317,6 +321,7 @@ def test_unwired_channels_of_multiplexers_in_parallel_are_refused():
         CircuitLines.of(readout, (6, 4))
 
 
+@pytest.mark.slow
 def test_constants_of_another_version_are_refused(tmp_path):
     _, constants, host = panel("grounded_one")
     text = header(constants, "panel", ())

@@ -50,6 +50,7 @@ def test_a_higher_threshold_leaves_no_ghosts_of_converter_memory(circuit, thresh
     assert errors[1:] == (0, 0, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3])
 def test_scans_behind_an_open_row_are_judged_although_they_do_not_settle(seed):
     errors = errors_of("two_point", "one open row", 20, seed, 0.6)
@@ -57,6 +58,7 @@ def test_scans_behind_an_open_row_are_judged_although_they_do_not_settle(seed):
     assert errors[2:] == (0, 0)
 
 
+@pytest.mark.slow
 def test_a_key_is_released_on_a_film_that_has_drifted():
     rng = np.random.default_rng(3)
     scene = Scene(lampest.Panel(*SHAPE, 10.0), CIRCUITS["grounded"])

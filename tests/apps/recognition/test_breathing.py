@@ -342,6 +342,7 @@ def test_a_leaking_creeping_or_touched_cup_is_not_alive(course: Array, seed: int
     assert np.max(odds) < ANSWER_LOG_ODDS and odds[-1] < 0.5
 
 
+@pytest.mark.slow
 def test_a_pump_restores_the_suction_of_the_last_one() -> None:
     """Jumps of one size and interval; those of a cup that is pushed lead from level to level."""
     number = np.floor(BLOCKS / 50)
@@ -376,6 +377,7 @@ def test_rare_and_frequent_bumps_are_not_pumping() -> None:
     assert np.mean(passed) <= 0.1
 
 
+@pytest.mark.slow
 def test_a_rested_mouth_is_recognised_within_minutes() -> None:
     long = Pumping.begin(np.ones(1), np.zeros(1), -BLOCK_S, 0)
     for number in range(400):  # twenty minutes

@@ -270,6 +270,7 @@ def test_unloaded_readings_do_not_differ_from_their_baseline() -> None:
     assert np.all(np.abs(frame.residual()) < 0.2 * resting.sigma.ravel())
 
 
+@pytest.mark.slow
 def test_a_profile_leads_most_fits_out_of_a_shallower_valley() -> None:
     """24 fits begin with another diameter, and end higher."""
     released = []
@@ -575,6 +576,7 @@ def test_a_weaker_returning_lamprey_is_detected() -> None:
     assert len(answer) == 2 and all(attachment.sucks > 0.9 for attachment in answer)
 
 
+@pytest.mark.slow
 def test_a_lamprey_with_weaker_suction_stays_attached() -> None:
     less = load_that_leaves(
         None, replace(STRONG, pressure_kpa=-3, rim_kpa=20), release=60, start=-0.9

@@ -45,6 +45,7 @@ def test_a_bound_beyond_rest_counts_as_a_change_of_that_much() -> None:
     assert spread.tolist() == [[0.01, pytest.approx(0.1), np.inf, 0.01]]
 
 
+@pytest.mark.slow
 def test_a_press_at_the_rail_is_recognised_next_to_a_weaker_one(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     resting = 40_000 * np.exp(0.2 * rng.standard_normal(SHAPE))

@@ -62,6 +62,7 @@ def nearest(watch: Watch, load: OralDisc) -> Attachment:
     return min(watch.attachments, key=lambda attachment: attachment.distance(load.centre_mm))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [110, 112, 122, 127, 128, 129])
 def test_a_visit_of_two_hours_stays_a_visit_where_a_second_load_arrives_beside_it(
     seed: int,

@@ -342,6 +342,7 @@ def test_a_frame_that_cannot_be_computed_is_left_out_with_a_note(
     )
 
 
+@pytest.mark.slow
 def test_a_failed_recognition_is_repeated_with_the_next_frames(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

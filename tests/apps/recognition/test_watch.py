@@ -194,6 +194,7 @@ def test_a_load_in_the_last_frames_is_recognised() -> None:
     assert live.detected.answer == CANNOT_SAY and "touched the panel at 17.0 s" in live.detected.why
 
 
+@pytest.mark.slow
 def test_live_and_detect_end_the_same_attachments_at_the_same_frames() -> None:
     """A pulled mouth that leaves, a rod, and a mouth that stays."""
     pulling = dataclasses.replace(MOUTH, pressure_kpa=-40)
@@ -241,6 +242,7 @@ def test_the_leaving_one_of_two_loads_is_reported_without_its_memory(second_load
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pressure_kpa", "factor", "diameter_mm", "memory_share"), [(-6, 8, 33, 0.0), (-5, 6, 40, 0.05)]
 )
@@ -256,6 +258,7 @@ def test_a_pull_ends_no_visit_and_leaves_no_phantom(
     assert visits == [(8.0, 34.0), (44.0, 50.0)]
 
 
+@pytest.mark.slow
 @promise("apps/recognition/detect: A warning names it, and the visit ends when the animal leaves.")
 @pytest.mark.parametrize("lines", [(3,), (16,), neighbours(10, 10)])
 def test_a_leak_that_begins_under_a_mouth_is_named_and_the_visit_ends(

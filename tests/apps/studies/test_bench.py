@@ -101,6 +101,7 @@ def test_all_solvers_agree_on_solved_frames() -> None:
     assert tiny.left_out == ()
 
 
+@pytest.mark.slow
 def test_the_gap_refers_to_the_lowest_objective_of_several_solvers(tmp_path: Path) -> None:
     file = BenchFile(1, (3,), LSM, frames=1, repeats=1)
     frames = run_bench(file, quiet).frames
