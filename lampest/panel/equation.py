@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from lampest.panel.circuit import CircuitOfLines, Ends, Terminations, nominal_terminations
 from lampest.panel.diode import Diode
 from lampest.panel.lines import along, of_side, opposite
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, check_line_memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -398,6 +398,7 @@ class Equation:
 @lru_cache(maxsize=256)
 def equation_of(circuit: CircuitOfLines, rows: int, columns: int) -> Equation:
     """Return the numbers of a circuit's equation on a panel, found from its terminations."""
+    check_line_memory(rows, columns)
     nominal = nominal_terminations(circuit)
     driven_count, sensed_count = of_side(nominal.driven, rows, columns)
     ends = circuit.terminations(driven_count, sensed_count)

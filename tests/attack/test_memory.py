@@ -127,16 +127,7 @@ def test_panels_of_1_by_60001_cells_are_refused_for_lack_of_memory(
         seconds=SECONDS,
         memory="4GB",
     )
-    sentence = (
-        completed.code == 3
-        and "there are 4.0 GiB" in completed.err
-        and "Traceback" not in completed.err
-    )
-    yield (
-        completed.within(SECONDS, MEGABYTES)
-        if sentence
-        else completed.described("a run of a wide panel")
-    )
+    yield _bounded(completed, "60001", "GiB of memory are needed", "there are 4.0 GiB")
 
 
 def _bounded(completed: CompletedCommand, *words: str) -> str:

@@ -82,6 +82,7 @@ def calibrate_resistors(
         these resistors do not explain the readings.
     """
     scene = common_scene(recordings)
+    scene.panel.check_memory()
     name = recordings[0].name
     if not scene.circuit.line_numbers():
         raise InputError(

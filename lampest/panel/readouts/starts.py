@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from lampest.panel.circuit import CircuitOfLines
+from lampest.panel.circuit import CircuitOfLines, nominal_terminations
 from lampest.panel.equation import Equation, equation_of
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
@@ -155,13 +155,15 @@ def several_panels(circuit: SolvableCircuit, rows: int, columns: int) -> bool:
     They do where idle lines hold the driven one harder than its driver does. The readings of
     uniform panels show it.
     """
+    # Where the driven line has no resistance, or no idle line is held, readings only rise
+    if not nominal_terminations(circuit).driving.ohm.diagonal().any():
+        return False
     equation = equation_of(circuit, rows, columns)
-    # Where no idle line is held, or the driven one has no resistance, readings only rise
     held = any(
         np.any(np.isfinite(side.base.ohm) & (side.base.ohm != side.own.ohm))
         for side in (equation.driving, equation.sensing)
     )
-    if not held or equation.drive.max() == 0 or circuit.unseen_scales(rows, columns):
+    if not held or circuit.unseen_scales(rows, columns):
         return False
     medians = log_medians(circuit, rows, columns)
     return bool(medians.max() - medians[0] > MIN_FOLD)
