@@ -15,7 +15,12 @@ from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, SubproblemStep, restricted, steihaug
 from lampest.solvers.iterate import Iterate
-from lampest.solvers.preconditioners import Preconditioner, gauss_newton_factor, preconditioner
+from lampest.solvers.preconditioners import (
+    Cholesky,
+    Preconditioner,
+    gauss_newton_factor,
+    preconditioner,
+)
 from lampest.solvers.steps import STEPS
 
 Mask = NDArray[np.bool_]
@@ -72,11 +77,20 @@ class QuadraticModel:
         The preconditioner is the newest one if the point is near enough to it, else a new one.
         """
         hessian = point.hessian
+        in_log_r = shares_conductance(point.at)
+        curved = np.zeros_like(hessian.gradient) if in_log_r else hessian.gradient
+        if hessian.dense and len(point.at.nonsmooth):
+            # Corners change the matrix from step to step: its factor solves the model at once.
+            matrix = hessian.matrix.copy()
+            matrix.flat[:: len(matrix) + 1] += curved
+            chosen = np.flatnonzero(hessian.free)
+            part = matrix if len(chosen) == len(matrix) else matrix[np.ix_(chosen, chosen)]
+            factor = Cholesky.of(point.at.cell_resistance, chosen, part)
+            if factor is not None:
+                return cls(lambda step: np.asarray(matrix @ step), factor)
         cached = point.newest_preconditioner
         if cached is None or cached.distance(point.at.cell_resistance) > STEPS.max_reuse_distance:
             cached = preconditioner(hessian, hessian.free)
-        in_log_r = shares_conductance(point.at)
-        curved = np.zeros_like(hessian.gradient) if in_log_r else hessian.gradient
         return cls(lambda step: hessian.product(step) + curved * step, cached)
 
     def gauss_newton(self, point: Iterate) -> "QuadraticModel":

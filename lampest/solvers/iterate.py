@@ -12,10 +12,11 @@ from lampest.solvers.bounds import MILLIONTH, moved_by
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Preconditioner
-from lampest.solvers.smoothing import Smoothing
+from lampest.solvers.smoothing import MAX_SHARE, Smoothing
 from lampest.solvers.solution import Outcome, Status
 from lampest.solvers.steps import STEPS
 
+MIN_GAP_SHARE = 0.5  # of the tolerance: gap of the finest smoothing
 MIN_LAST_STEP = MILLIONTH / 1000  # of log r: a shorter step improves no digit of an estimate
 
 
@@ -79,16 +80,32 @@ class Iterate:
         return float(self.hessian.residual)
 
     @cached_property
-    def gap(self) -> float:
-        """Duality gap Σ w·(|x| − z·x) of the smoothed absolute losses over the cost's scale."""
-        if not len(self.at.nonsmooth):
-            return 0.0
-        slope = self.hessian.smoothing.slope(self.at.nonsmooth)
-        return self.at.dual_gap(slope) / self.at.cost_scale
+    def slope(self) -> Array:
+        """Slopes ψ'(x) of the smoothed absolute losses, which are duals of a smoothed optimum."""
+        return self.hessian.smoothing.slope(self.at.nonsmooth)
 
-    def sharp(self, tolerance: float) -> bool:
-        """Return whether the duality gap of the smoothing is at most `tolerance` of the cost."""
-        return self.gap <= tolerance * self._smoothed_cost
+    def sharp(self, tolerance: float, dual: Array | None = None) -> bool:
+        """Return whether the duality gap Σ w·(|x| − z·x) is at most `tolerance` of the cost.
+
+        The duals z are ψ'(x) by default.
+        """
+        if not len(self.at.nonsmooth):
+            return True
+        gap = self.at.dual_gap(self.slope if dual is None else dual) / self.at.cost_scale
+        return gap <= tolerance * self._smoothed_cost
+
+    def dual_of_optimum(self, tolerance: float) -> Array | None:
+        """Return duals that prove an optimum within the tolerance; None where there are none.
+
+        Their gap and the projected gradient with them are below the tolerance. The unknown duals
+        prove it some steps before ψ'(x), whose digits are those of residuals at 0.
+        """
+        if self.residual <= tolerance and self.sharp(tolerance):
+            return self.slope
+        dual = self.hessian.smoothing.dual
+        if not len(dual) or not self.sharp(tolerance, dual):
+            return None
+        return dual if self.dual_residual <= tolerance else None
 
     @property
     def _smoothed_cost(self) -> float:
@@ -103,13 +120,32 @@ class Iterate:
     def sharpened(self, tolerance: float) -> "Iterate":
         """Return the same point with the smoothing of the next step.
 
-        The smoothing stays once its gap is `tolerance` of the cost: slopes of narrower corners have
-        no digits where heavy weights hold residuals at 0.
+        μ is a share of the mean complementarity: MAX_SHARE, or the root of the gap over the cost if
+        that is less and the gradient with the duals is not behind the gap. The smoothing stays once
+        its gap is half of `tolerance` of the cost: slopes of narrower corners have no digits where
+        heavy weights hold residuals at 0.
         """
-        before = self.hessian.smoothing
-        least = tolerance * self._smoothed_cost * self.at.cost_scale
-        smoothing = before.narrowed(self.at, least)
-        return self if smoothing is before else Iterate.of(self.at, smoothing, convex=self.convex)
+        smoothing = self.hessian.smoothing
+        if not len(smoothing.dual):
+            return self
+        cost = self._smoothed_cost * self.at.cost_scale
+        complementarity = smoothing.complementarity(self.at)
+        level = smoothing.level(self.at)
+        gap = complementarity * level
+        share = MAX_SHARE
+        if gap < MAX_SHARE**2 * cost and self.dual_residual <= gap / self.at.cost_scale:
+            share = float(np.sqrt(gap / cost))
+        least = MIN_GAP_SHARE * tolerance * cost / max(level, np.finfo(float).tiny)
+        narrowed = smoothing.narrowed(share * complementarity, least)
+        if narrowed is smoothing:
+            return self
+        return Iterate.of(self.at, narrowed, convex=self.convex)
+
+    @cached_property
+    def dual_residual(self) -> float:
+        """Largest entry of the projected gradient with the duals of the absolute losses."""
+        gradient = self.at.log_gradient(self.hessian.smoothing.dual)
+        return float(self.at.projected_gradients(gradient))
 
     def certified(self) -> "Iterate":
         """Return this point with its certificate.
@@ -166,15 +202,15 @@ class Iterate:
             return self.preconditioner
         return verdict.factor
 
-    def outcome(self, status: Status, iterations: int) -> Outcome:
-        """Return the outcome at this point.
+    def outcome(self, status: Status, iterations: int, dual: Array | None = None) -> Outcome:
+        """Return the outcome at this point, with duals that are ψ'(x) by default.
 
         The certificate's Newton step is taken first if it is long enough to improve the estimate,
         and short enough for the certificate to remain valid.
         """
         final = self.certificate
         cells = self.at.cell_resistance
-        dual = self.hessian.smoothing.slope(self.at.nonsmooth)
+        dual = self.slope if dual is None else dual
         if final is not None and final.settled and not len(dual):
             length = np.abs(final.step).max()
             if MIN_LAST_STEP < length <= STEPS.refactor_distance:

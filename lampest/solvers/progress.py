@@ -55,15 +55,18 @@ def decreases_enough(
 def sufficient_decrease(point: Iterate, trial: Iterate, predicted: float) -> bool:
     """Return whether the step from a point to a trial is accepted, see `decreases_enough`.
 
-    `predicted` is the decrease of the cost that the quadratic model predicts.
+    `predicted` is the decrease of the cost that the quadratic model predicts. The trial's gradient
+    is computed only where that decrease is within rounding.
     """
+    certain = predicted > MIN_DECREASE_SHARE * abs(point.objective)
+    trial_residual = point.residual if certain else trial.residual
     return bool(
         decreases_enough(
             point.objective - trial.objective,
             predicted,
             point.objective,
             point.residual,
-            trial.residual,
+            trial_residual,
         )
     )
 

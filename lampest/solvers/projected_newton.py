@@ -119,19 +119,20 @@ class ProjectedNewton(Solver):
                 return iterate.outcome(status, iteration)
             stationary = iterate.residual <= tolerance
             sharp = iterate.sharp(tolerance)
-            # At an optimum of the smoothed cost: end where the certificate holds.
-            if stationary and sharp:
+            dual = iterate.dual_of_optimum(tolerance)
+            # At an optimum: end where the certificate holds.
+            if dual is not None:
                 iterate = iterate.certified()
                 if iterate.settled or unsettled == STEPS.max_tries:
-                    return iterate.outcome(Status.OPTIMUM, iteration)
+                    return iterate.outcome(Status.OPTIMUM, iteration, dual)
                 unsettled += 1
             trial = None
             if sharp or not stationary:
                 iterate, trial = self._stepped(iterate, stationary=stationary)
             # Without a step the solve ends unless absolute losses can still be smoothed less.
             if trial is None and sharp:
-                status = Status.OPTIMUM if stationary else Status.BREAKDOWN
-                return iterate.outcome(status, iteration)
+                status = Status.BREAKDOWN if dual is None else Status.OPTIMUM
+                return iterate.outcome(status, iteration, dual)
             reached = trial or iterate.centred()
             iterate = reached.sharpened(tolerance)
             if iterate is not reached:

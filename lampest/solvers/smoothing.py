@@ -6,9 +6,10 @@ both slacks positive. With t eliminated, the loss is
     ψ(x) = t − β log(t/2β) − 2β,   t = β + √(β² + x²),   ψ'(x) = x/t
 
 and with the duals as further unknowns, (1 − z²) x = 2β z, its second derivative is
-(1 − z²)/(t + z x). After every step μ is a tenth of the mean complementarity, which is large while
-duals are far from their residuals.
-Source: Nocedal & Wright, Numerical Optimization, 2006, sections 16.6 and 19.2.
+(1 − z²)/(t + z x). After every step μ is a share of the mean complementarity, which is large while
+duals are far from their residuals (`Iterate.sharpened`).
+Source: Nocedal & Wright, Numerical Optimization, 2006, sections 16.6 and 19.2; Wächter & Biegler,
+Math. Program. 106, 2006, equations (7) and (8) (μ and the share of the way to the boundary).
 """
 
 from dataclasses import dataclass, replace
@@ -20,8 +21,8 @@ from lampest.cost.problem import Evaluation
 from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array
 
-REDUCTION = 0.1  # of the mean complementarity: μ of the next step
-TO_BOUNDARY = 0.99  # share of the way to the first dual that reaches ±1
+MAX_SHARE = 0.1  # of the mean complementarity: μ of the next step
+TO_BOUNDARY = 0.99  # least share of the way to the first dual that reaches ±1
 LEVEL_SHARE = 1e-3  # of the cost: w β of all rows at a start whose residuals are all zero
 
 
@@ -74,7 +75,7 @@ class Smoothing:
     def start(cls, at: Evaluation) -> "Smoothing":
         """Return the smoothing of a first point: z = 0, and μ a tenth of the mean w |x|/2."""
         slope = at.cost.slope
-        level = REDUCTION * float(slope @ np.abs(at.nonsmooth)) / 2
+        level = MAX_SHARE * float(slope @ np.abs(at.nonsmooth)) / 2
         level = (level or LEVEL_SHARE * at.cost_scale) / max(len(slope), 1)
         return cls(level / np.where(slope > 0, slope, level), np.zeros(len(slope)))
 
@@ -91,21 +92,23 @@ class Smoothing:
         change = ((1 - self.dual**2) * after.nonsmooth - 2 * self.width * self.dual) / size
         room = np.where(change > 0, 1 - self.dual, 1 + self.dual)
         reach = float(np.min(room / np.maximum(np.abs(change), np.finfo(float).tiny)))
-        return replace(self, dual=self.dual + min(1.0, TO_BOUNDARY * reach) * change)
+        share = max(TO_BOUNDARY, 1 - self.level(before) / before.cost_scale)
+        return replace(self, dual=self.dual + min(1.0, share * reach) * change)
 
     def centred(self, at: Evaluation) -> "Smoothing":
         """Return the smoothing with the duals z = ψ'(x)."""
         return replace(self, dual=self.slope(at.nonsmooth))
 
-    def narrowed(self, at: Evaluation, gap: float) -> "Smoothing":
-        """Return the smoothing of the next step, whose duality gap need not fall below `gap`.
-
-        μ is REDUCTION of the mean of (t − z x)/2β, in units of μ, unless it is smaller already.
-        """
-        if not len(self.dual):
-            return self
+    def complementarity(self, at: Evaluation) -> float:
+        """Return the mean of (t − z x)/2β over the rows, 1 where the duals are ψ'(x)."""
         size = self._size(at.nonsmooth)
-        complementarity = float(np.mean((size - self.dual * at.nonsmooth) / (2 * self.width)))
-        least = gap / max(float(at.cost.slope @ self.width), np.finfo(float).tiny)
-        factor = min(1.0, max(REDUCTION * complementarity, least))
+        return float(np.mean((size - self.dual * at.nonsmooth) / (2 * self.width)))
+
+    def level(self, at: Evaluation) -> float:
+        """Return w β summed over the rows, the duality gap where the duals are ψ'(x)."""
+        return float(at.cost.slope @ self.width)
+
+    def narrowed(self, share: float, least: float) -> "Smoothing":
+        """Return the smoothing of `share` times the width, at most 1 and at least `least`."""
+        factor = min(1.0, max(share, least))
         return self if factor == 1.0 else replace(self, width=factor * self.width)
