@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, counted
 from lampest.panel.panel import Array
-from lampest.posterior.interval import student_two_sided
 from lampest.report.compare import weighted_residual
 from lampest.report.words import digits, listed, median_text
 from lampest.runs.case import CaseResult
@@ -222,12 +221,12 @@ def mean_interval(values: Array, parts: int) -> Interval:
     Schmeiser, Oper. Res. 30, 1982 (batch means).
     """
     mean = float(np.mean(values))
-    means = [part.mean() for part in np.array_split(values, parts)]
-    reach = (
-        float(student_two_sided(parts - 1) * np.std(means, ddof=1) / np.sqrt(parts))
-        if parts > 1
-        else np.inf
-    )
+    reach = np.inf
+    if parts > 1:
+        from lampest.posterior.interval import student_two_sided  # with scipy.special
+
+        means = [part.mean() for part in np.array_split(values, parts)]
+        reach = float(student_two_sided(parts - 1) * np.std(means, ddof=1) / np.sqrt(parts))
     return Interval(mean, mean - reach, mean + reach)
 
 
