@@ -148,7 +148,7 @@ def _drawn(figure: Figure, kind: str) -> bytes:
 
 
 @contextmanager
-def _laid_out(figure: Figure) -> Iterator[FigureCanvasAgg]:
+def _laid_out(figure: Figure) -> Iterator[Any]:
     """Yield a canvas of a figure that is laid out for its pixels, so that it is drawn once."""
     engine = figure.get_layout_engine()
     dots = figure.dpi
