@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -35,14 +36,18 @@ def compare(
         Also print published figures that the run file quotes.
     """
     from lampest.report.compare import compare_files, legend, model_notes, screen_blocks, write_csv
+    from lampest.runs.results import Reader, read_results
 
+    read: Reader = partial(read_results, frames=screen.frames_of(frames))
+    if report:
+        read = cache(read)  # the table and the page are made of the same results
     with screen.progress("recordings") as on_recording:
-        rows = compare_files(results, screen.frames_of(frames))
+        rows = compare_files(results, read)
         if csv:
             write_csv(csv, rows)
         if report:
             write_report = applications().required("page", "report", "--report")
-            write_report(results, report, on_recording, screen.frames_of(frames))
+            write_report(results, report, on_recording, read)
     blocks = screen_blocks(rows, published=published)
     for block in blocks:
         screen.say(block.title)

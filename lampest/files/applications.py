@@ -151,7 +151,7 @@ def applications() -> Applications:
     for path in sorted(FOLDER.glob("*/__init__.py")):
         usable[path.parent.name] = import_module(f"lampest.apps.{path.parent.name}").APPLICATION
     objections = []
-    for point in _entry_points():
+    for point in entry_points_of(GROUP):
         named = f"{GROUP}: {point.name} = {point.value} of an installed package"
         try:
             application = point.load()
@@ -173,19 +173,19 @@ def applications() -> Applications:
     return Applications(usable, tuple(objections))
 
 
-def _entry_points() -> list[Any]:
-    """Return the entry points of the group, ordered by name.
+def entry_points_of(group: str) -> list[Any]:
+    """Return the entry points of a group, ordered by name.
 
     A search for the group's name in the entry point files of installed packages comes first,
     because Python's own search takes longer than a command needs to print its help.
     """
     places = [Path(place or ".") for place in sys.path]
     files = (file for place in places for file in place.glob("*-info/entry_points.txt"))
-    if not any(GROUP in file.read_text(encoding="utf-8", errors="replace") for file in files):
+    if not any(group in file.read_text(encoding="utf-8", errors="replace") for file in files):
         return []
     from importlib.metadata import entry_points  # with email and zipfile
 
-    return sorted(entry_points(group=GROUP), key=lambda point: point.name)
+    return sorted(entry_points(group=group), key=lambda point: point.name)
 
 
 def loaded(target: str) -> Any:

@@ -17,8 +17,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import psutil
-
 from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -142,6 +140,8 @@ def memory_limit() -> float:
         if size is None or not float(size[1]):
             raise InputError(f"{ALLOWED}: {setting!r} is no size such as 8GB")
         return float(size[1]) * 1024.0 ** " KMGT".index(size[2].upper() or " ")
+    import psutil  # not for commands that read results alone
+
     free = [float(psutil.virtual_memory().available)]
     with suppress(OSError, ValueError):  # without Linux' control groups, or where the most is 'max'
         limit = float(Path("/sys/fs/cgroup", "memory.max").read_text())

@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar, ParamSpec, Self, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.applications import GROUPS, applications, loaded
+from lampest.files.applications import GROUPS, applications, entry_points_of, loaded
 from lampest.files.document import MAX_NUMBER, MIN_NUMBER, adapter, conformed, schema_of
 from lampest.files.errors import InputError, in_words
 
@@ -384,10 +384,8 @@ def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
 
     Raises InputError if an object cannot be loaded, or is of another class.
     """
-    from importlib.metadata import entry_points  # with email and zipfile
-
     objects = []
-    for point in sorted(entry_points(group=group), key=lambda point: point.name):
+    for point in entry_points_of(group):
         named = f"{group}: {point.name} = {point.value} of an installed package"
         try:
             member = point.load()

@@ -22,7 +22,14 @@ from lampest.files.whole import write_whole
 from lampest.panel.panel import Array
 from lampest.report.words import digits, no_formula, text_of
 from lampest.runs.case import data_frame
-from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, read_results
+from lampest.runs.results import (
+    CaseResult,
+    PublishedFigures,
+    Reader,
+    Results,
+    StepFigures,
+    read_results,
+)
 
 if TYPE_CHECKING:
     from lampest.runs.case import DataFrame
@@ -160,12 +167,12 @@ def weighted_residual(case: CaseResult) -> Array:
     return np.where(case.valued, (case.reading_model - case.measured) / sigma, np.nan)
 
 
-def compare_files(paths: Sequence[str | Path], frames: range | None = None) -> list[Row]:
-    """Return the rows of several results files, restricted to `frames` if given.
+def compare_files(paths: Sequence[str | Path], read: Reader = read_results) -> list[Row]:
+    """Return the rows of several results files, each read by a function of its path.
 
     Raises InputError for an unreadable file.
     """
-    return [row for path in paths for row in compare(read_results(path, frames=frames), str(path))]
+    return [row for path in paths for row in compare(read(path), str(path))]
 
 
 def compare(results: Results, source: str = "") -> list[Row]:

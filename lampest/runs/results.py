@@ -1,7 +1,7 @@
 """Results files: writer and reader of cases."""
 
 import json
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
 from math import prod
@@ -35,6 +35,7 @@ from lampest.runs.case import CaseResult as CaseResult
 from lampest.runs.columns import FRAMES, MAPS, Column, Variable
 
 FORMAT = "results/1"
+Reader = Callable[[str | Path], "Results"]
 POSITIONS = "y x"  # attribute `coordinates` of the CF conventions, which xarray reads
 
 

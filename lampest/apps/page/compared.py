@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, counted
 from lampest.panel.panel import Array
-from lampest.posterior.interval import student_two_sided
 from lampest.report.compare import weighted_residual
 from lampest.report.words import digits, listed, median_text
 from lampest.runs.case import CaseResult
-from lampest.runs.results import read_results
+from lampest.runs.results import Reader, read_results
 
 # Successive parts of a recording whose means are taken as independent. Intervals of 20, 60 and 200
 # frames of an autoregression with 0.8 hold the mean in 77, 91 and 94 %, with parts as long as the
@@ -93,17 +92,17 @@ def first_of(cases: Mapping[str, CaseResult]) -> CaseResult:
     return next(iter(cases.values()))
 
 
-def read_batch(paths: Sequence[Path], frames: range | None = None) -> Batch:
-    """Return the cases of all files, grouped by recording.
+def read_batch(paths: Sequence[Path], read: Reader = read_results) -> Batch:
+    """Return the cases of all files, each read by a function of its path, grouped by recording.
 
-    If two files use a name for different cases, the number of the file is added: 'LSM [2]'.
-    `frames` is as in `read_results`. Raises InputError for unreadable, repeated and empty files.
+    If two files use a name for different cases, the number of the file is added: 'LSM [2]'. Raises
+    InputError for unreadable, repeated and empty files.
     """
     if len({path.resolve() for path in paths}) < len(paths):
         raise InputError("a results file is named twice")
     cases: list[CaseResult] = []
     for number, path in enumerate(paths, 1):
-        cases += [_renamed(case, cases, number) for case in read_results(path, frames=frames).cases]
+        cases += [_renamed(case, cases, number) for case in read(path).cases]
     if not cases:
         raise InputError(f"{', '.join(map(str, paths))}: no results to report")
     return Batch.of([str(path) for path in paths], cases)
@@ -222,12 +221,12 @@ def mean_interval(values: Array, parts: int) -> Interval:
     Schmeiser, Oper. Res. 30, 1982 (batch means).
     """
     mean = float(np.mean(values))
-    means = [part.mean() for part in np.array_split(values, parts)]
-    reach = (
-        float(student_two_sided(parts - 1) * np.std(means, ddof=1) / np.sqrt(parts))
-        if parts > 1
-        else np.inf
-    )
+    reach = np.inf
+    if parts > 1:
+        from lampest.posterior.interval import student_two_sided  # with scipy.special
+
+        means = [part.mean() for part in np.array_split(values, parts)]
+        reach = float(student_two_sided(parts - 1) * np.std(means, ddof=1) / np.sqrt(parts))
     return Interval(mean, mean - reach, mean + reach)
 
 

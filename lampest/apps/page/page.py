@@ -32,6 +32,7 @@ from lampest.report.strongest import reference_words, strongest_index
 from lampest.report.words import digits
 from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
+from lampest.runs.results import Reader, read_results
 
 SPREAD = "residuals: robust standard deviation [σ]"
 MAX_NARROW = 2  # maps of a figure of half the width
@@ -42,7 +43,7 @@ def write_report(
     paths: Sequence[Path],
     out: Path,
     on_recording: Callable[[int, int], None] = lambda done, total: None,
-    frames: range | None = None,
+    read: Reader = read_results,
 ) -> None:
     """Write the report of some results files; the same files give the same bytes.
 
@@ -57,10 +58,10 @@ def write_report(
         The page.
     on_recording : callable
         Receives the numbers of drawn and of all recordings.
-    frames : range or None
-        Frames of the recordings, as in `read_results`.
+    read : callable
+        Returns the results of a path.
     """
-    write_whole(out, report(compared.read_batch(paths, frames), on_recording))
+    write_whole(out, report(compared.read_batch(paths, read), on_recording))
 
 
 def report(

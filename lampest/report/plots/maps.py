@@ -503,8 +503,9 @@ def maps_figure(
     )
     for axes in grid.flat[len(tiles) :]:
         axes.set_visible(False)
-    for axes in grid.flat[max(len(tiles) - arrangement.across, 0) : len(tiles)]:
-        axes.tick_params(labelbottom=True)
+    for number, axes in enumerate(grid.flat[: len(tiles)]):  # ticks where numbers stand beside them
+        lowest = number + arrangement.across >= len(tiles)
+        axes.tick_params(bottom=lowest, labelbottom=lowest, left=number % arrangement.across == 0)
     signs = max(10, int(17 * arrangement.map_width))  # that fit over a map
     painters = [MapPainter(panel, level, contoured) for level in scales]
     maps_of_scale = len(tiles) // len(scales)

@@ -3,9 +3,9 @@
 import re
 from base64 import b64encode
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from io import BytesIO
-from itertools import product
+from itertools import chain, product
 from math import ceil, floor, log10
 from pathlib import Path
 from typing import Any
@@ -135,25 +135,30 @@ def _drawn(figure: Figure, kind: str) -> bytes:
     """Render a figure reproducibly; texts become paths, so that no fonts are needed."""
     stream = BytesIO()
     dated = {"png": ("Software",), "svg": ("Date", "Creator"), "pdf": ("CreationDate",)}[kind]
-    with rc_context({"svg.hashsalt": "lampest", "svg.fonttype": "path"}), ExitStack() as stack:
+    metadata = dict.fromkeys(dated)
+    for spine in chain.from_iterable(axes.spines.values() for axes in figure.axes):
+        spine.set_in_layout(False)  # its ticks fit into the gaps
+    with rc_context({"svg.hashsalt": "lampest", "svg.fonttype": "path"}):
         if kind == "png":
-            stack.enter_context(_laid_out(figure))
-        figure.savefig(stream, format=kind, dpi=DOTS_PER_INCH, metadata=dict.fromkeys(dated))
+            with _laid_out(figure) as canvas:
+                canvas.print_png(stream, metadata=metadata)
+        else:
+            figure.savefig(stream, format=kind, metadata=metadata)
     return stream.getvalue()
 
 
 @contextmanager
-def _laid_out(figure: Figure) -> Iterator[None]:
-    """Lay a figure out for its pixels, so that it is not drawn for that first, and then again."""
+def _laid_out(figure: Figure) -> Iterator[Any]:
+    """Yield a canvas of a figure that is laid out for its pixels, so that it is drawn once."""
     engine = figure.get_layout_engine()
     dots = figure.dpi
-    FigureCanvasAgg(figure)
+    canvas = FigureCanvasAgg(figure)
     figure.dpi = DOTS_PER_INCH
     if engine is not None:
         engine.execute(figure)
     figure.set_layout_engine("none")
     try:
-        yield
+        yield canvas
     finally:
         figure.set_layout_engine(engine)
         figure.dpi = dots
