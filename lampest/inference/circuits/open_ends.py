@@ -38,7 +38,7 @@ DOUBTFUL_SHIFT = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class OpenEnd:
+class LeftOutEnd:
     """An end of lines that a scene leaves out.
 
     Attributes
@@ -62,7 +62,7 @@ class OpenEnd:
     scenes: tuple[tuple[Mapping[str, Any], Scene], ...]
 
 
-def open_ends(scene: Scene, cell_ohm: float = 1000.0) -> Iterator[OpenEnd]:
+def open_ends(scene: Scene, cell_ohm: float = 1000.0) -> Iterator[LeftOutEnd]:
     """Yield the ends that a scene leaves out.
 
     Parameters
@@ -79,7 +79,7 @@ def open_ends(scene: Scene, cell_ohm: float = 1000.0) -> Iterator[OpenEnd]:
 
         sensed = opposite(circuit.driven)
         if not nominal_terminations(circuit).sensing.connected(own=False).size:
-            yield OpenEnd(
+            yield LeftOutEnd(
                 f"ends of idle {sensed}, as of outputs at LOW",
                 "readout.idle_load_ohm",
                 0.0,
@@ -88,7 +88,7 @@ def open_ends(scene: Scene, cell_ohm: float = 1000.0) -> Iterator[OpenEnd]:
             )
     may_stay = getattr(circuit, "idle_stays", True) is False
     if may_stay and 0 < min(as_tuple(circuit.idle_ohm), default=inf) < inf:
-        yield OpenEnd(
+        yield LeftOutEnd(
             f"resistors that stay at driven {circuit.driven}",
             "readout.idle_stays",
             0.0,
@@ -97,7 +97,7 @@ def open_ends(scene: Scene, cell_ohm: float = 1000.0) -> Iterator[OpenEnd]:
         )
 
 
-def _sheet(scene: Scene, cell_ohm: float) -> OpenEnd:
+def _sheet(scene: Scene, cell_ohm: float) -> LeftOutEnd:
     """Return the leaks between neighbouring strips of one uncut sheet."""
     sides = [
         side
@@ -110,7 +110,7 @@ def _sheet(scene: Scene, cell_ohm: float) -> OpenEnd:
         leaks = dict.fromkeys(sides, ohm)
         with suppress(ValueError):  # the scene may have faults that leave no place for leaks
             scenes.append(({"leak_ohm": leaks}, replace(scene, leak_ohm=NeighbourLeaks(**leaks))))
-    return OpenEnd(
+    return LeftOutEnd(
         "leaks between neighbouring strips, which one uncut sheet has",
         "leak_ohm",
         SHEET_COST,
@@ -136,7 +136,7 @@ class TriedEnd:
 
     Attributes
     ----------
-    end : OpenEnd
+    end : LeftOutEnd
     entries : mapping
         Entries of the scene that state it.
     gain : float
@@ -146,7 +146,7 @@ class TriedEnd:
         the moved cells under load if that is larger.
     """
 
-    end: OpenEnd
+    end: LeftOutEnd
     entries: Mapping[str, Any]
     gain: float
     shift: float
@@ -212,7 +212,7 @@ def undetermined_ends(specified: Explanation, frames: ComparedFrames) -> Undeter
     return UndeterminedEnds(tuple(doubts), tuple(remarks))
 
 
-def _possible(end: OpenEnd, specified: Explanation, frames: ComparedFrames) -> list[TriedEnd]:
+def _possible(end: LeftOutEnd, specified: Explanation, frames: ComparedFrames) -> list[TriedEnd]:
     """Return the sizes of an end that the frames do not exclude.
 
     The search ends at a size with which no cells give the readings, or that is less probable than
