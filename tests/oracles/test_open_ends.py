@@ -71,6 +71,7 @@ def check_of_sheet(cells: Array, random: np.random.Generator, built: float, **ke
     return check_of(random, scene, volt)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(8, 8), (6, 9)])
 def test_idle_columns_that_may_be_held_are_a_doubt_until_the_scene_states_them(
     shape: tuple[int, int],
@@ -88,6 +89,7 @@ def test_idle_columns_that_may_be_held_are_a_doubt_until_the_scene_states_them(
     assert stated.mark == "yes" and "idle_load_ohm" not in stated.sentence
 
 
+@pytest.mark.slow
 def test_a_press_shows_that_idle_columns_float_and_that_nothing_leaks() -> None:
     random = np.random.default_rng(8)
     readout = replace(GROUNDED, load_ohm=4700.0, sense_ohm=70.0, adc_bits=12)
@@ -98,6 +100,7 @@ def test_a_press_shows_that_idle_columns_float_and_that_nothing_leaks() -> None:
     assert "exclude" not in check.sentence and "about as likely" not in check.sentence
 
 
+@pytest.mark.slow
 def test_idle_columns_that_are_stated_to_float_are_no_question() -> None:
     random = np.random.default_rng(9)
     readout = replace(GROUNDED, idle_load_ohm=inf)
@@ -107,6 +110,7 @@ def test_idle_columns_that_are_stated_to_float_are_no_question() -> None:
     assert check.mark == "yes" and "idle_load_ohm" not in check.sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_one_sheet_of_film_is_a_doubt_or_named_and_none_where_the_scene_states_it(
     seed: int,
@@ -119,6 +123,7 @@ def test_one_sheet_of_film_is_a_doubt_or_named_and_none_where_the_scene_states_i
     assert stated.mark == "yes" and "leak_ohm" not in stated.sentence
 
 
+@pytest.mark.slow
 def test_soft_loads_on_cut_squares_leave_a_right_circuit_its_yes_and_say_what_they_hide() -> None:
     random = np.random.default_rng(3)
     check = check_of_sheet(soft_load(random, (8, 8), 5000.0), random, inf)
