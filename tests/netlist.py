@@ -284,6 +284,7 @@ def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Re
     lines, sense_lines = (range(count) for count in matrix.shape)
     states = (
         isinstance(readout, DrivenReadout)
+        or getattr(readout, "idle_load_ohm", None) is not None
         or getattr(readout, "groups", None) is not None
         or getattr(readout, "driven_groups", None) is not None
         or has_potentials(readout)
@@ -340,6 +341,8 @@ def network_of_states(matrix: Array, readout: Any, driven: int, sensed: int) -> 
         )
         for line in range(count)
     ]
+    if getattr(readout, "idle_stays", False):
+        network.append((("d", driven), idle_end, per_line(readout.idle_ohm, count)[driven]))
     if isinstance(readout, VirtualGroundReadout):
         channels = per_line(readout.sense_ohm, sense_count)
         ends = [load_end if line == sensed else idle_load_end for line in range(sense_count)]

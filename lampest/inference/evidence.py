@@ -13,6 +13,9 @@ circuits are compared, the moved cells are single ones, as above, or loads with 
 (`Changes.gain_of_loads`). Of loads d_M is N(0, S) with a smooth S, and ln |P_MM + 1| becomes
 ln |1 + P_MM S|. An outline costs OUTLINE_COST an edge, because a walk along edges goes on in one of
 three directions.
+
+A load that touches most cells has no outline. It is a smooth field, whose size, distance and share
+of each cell's own are open (`Changes.cost_of_field`).
 Sources: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83, 1988; Goodnight, The American Statistician
 33, 1979; Madras & Slade, The Self-Avoiding Walk, 1993 (number of outlines of a length).
 """
@@ -20,6 +23,7 @@ Sources: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83, 1988; Goodnight, The Amer
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -36,6 +40,10 @@ OUTLINE_COST = 2 * float(np.log(3))  # for each edge between a moved and a still
 OWN_SHARE = 0.01
 # −2 ln prior odds of a bound, an effect or a resistance in series that an explanation needs
 PARAMETER_COST = 12.0
+# Smooth fields that are tried: deviations of ln r, distances in cells, shares of the variance.
+FIELD_DEVIATIONS = (0.3, 1.0)
+FIELD_CELLS = (1.0, 1.5, 2.0, 3.0, 5.0)
+OWN_SHARES = (1e-4, 1e-3, 1e-2, 1e-1)
 MAX_EXCHANGES = 4  # for each cell, of one search
 MIN_PIVOT = 1e-300  # rounding may take a pivot to zero, whose logarithm does not exist
 FIRST_ROOM = 16  # added cells for which memory is taken first; it doubles as needed
@@ -165,6 +173,27 @@ class Changes:
         )
         as_cells = MOVED_COST * len(slope) + _slab_cost(of_moved, slope, np.eye(len(slope)))
         return 2 * float(np.logaddexp(0.0, (as_cells - as_loads) / 2) - np.log(2))
+
+    def cost_of_field(self, place: NDArray[np.intp]) -> float:
+        """Return −2 ln evidence of the changes as a smooth field over all cells.
+
+        The field is N(0, s² ((1 − o) S + o)) with S of a distance ℓ. All FIELD_DEVIATIONS s,
+        FIELD_CELLS ℓ and shares OWN_SHARES o of a cell's own are equally probable.
+
+        Parameters
+        ----------
+        place : integer array, shape (n, 2)
+            Row and column of each cell.
+        """
+        square = ((place[:, None] - place) ** 2).sum(axis=-1)
+        unit = np.eye(len(place))
+        logarithms = []
+        for cells, own in product(FIELD_CELLS, OWN_SHARES):
+            field = (1 - own) * smooth_covariance(square, cells) + own * unit
+            for deviation in FIELD_DEVIATIONS:
+                covariance = self.covariance + deviation**2 * field
+                logarithms.append(-sum(misfit_and_volume(covariance, self.change)) / 2)
+        return -2 * float(np.logaddexp.reduce(logarithms) - np.log(len(logarithms)))
 
     def part(self, cells: Chosen) -> "Changes":
         """Return the changes of these cells alone."""

@@ -269,6 +269,15 @@ class FittedPair:
         # quadratic form of d
         return self.evidence.score - self.frames[1].log_volume + self._volume
 
+    def density_of_loads(self, *, field: bool) -> float:
+        """Return `density` where the moved cells may be loads, and with `field` a smooth field."""
+        score = self._score
+        if field:
+            changes = self.with_columns(self.columns(()))
+            as_field = changes.cost_of_field(self._place) + self._prior
+            score = -2 * float(np.logaddexp(-score / 2, -as_field / 2) - np.log(2))
+        return score - self.frames[1].log_volume + self._volume
+
     @property
     def misfits(self) -> float:
         """The misfit χ² of both frames, and PARAMETER_COST of each bound.

@@ -284,24 +284,12 @@ def _scene(scene: Scene) -> Iterator[Sentence]:
 
 
 def _excluded_ends(scene: Scene) -> str:
-    """Return the ends of lines that a scene takes as none, with their keys; '' for none.
+    """Return the ends of lines that a scene leaves out, with their keys; '' for none."""
+    from lampest.inference.circuits.open_ends import (
+        open_ends,
+    )  # circuits: for a scene's words alone
 
-    With leaks of a sheet, or with sensed lines that are held while they idle, readings are nearly
-    those of other cells on a circuit without.
-    """
-    ends = []
-    if scene.purpose == "mat" and scene.leak_ohm is None:
-        ends.append("leaks between neighbouring strips, which one uncut sheet has (leak_ohm)")
-    circuit: Any = scene.circuit
-    if getattr(circuit, "idle_load_ohm", 0.0) is None:
-        from lampest.panel.circuit import nominal_terminations  # for circuits with the key alone
-        from lampest.panel.lines import opposite
-
-        floating = not nominal_terminations(circuit).sensing.connected(own=False).size
-        if floating:
-            sensed = opposite(circuit.driven)
-            ends.append(f"ends of idle {sensed}, as of outputs at LOW (readout.idle_load_ohm)")
-    return "; ".join(ends)
+    return "; ".join(f"{end.words} ({end.key})" for end in open_ends(scene))
 
 
 def _in_words(part: Any) -> str:

@@ -19,6 +19,7 @@ from lampest.inference.cells_fit import well_determined
 from lampest.inference.circuits.better_rival import better_rival
 from lampest.inference.circuits.compared_frames import ComparedFrames, below_series, broken_law
 from lampest.inference.circuits.explanation import Explanation
+from lampest.inference.circuits.open_ends import UndeterminedEnds, undetermined_ends
 from lampest.inference.nuisances import BetterExplanation, CircuitEffects, find_effects
 from lampest.inference.pair import FittedPair
 from lampest.panel.effects.line_effect import LineEffect
@@ -173,10 +174,14 @@ class Question(ComparedFrames):
             return self._check_without_cells()
         best = self._better(besides) if self._complete else BetterExplanation()
         explains = not self.fault and not best.name
-        compared = explains and not (best.nearly or best.covered or self._uncompared)
+        ends = UndeterminedEnds()
+        if explains and self.explanation is not None:
+            ends = undetermined_ends(self.explanation, self)
+        likely = best.nearly or ends.doubts
+        compared = explains and not (likely or best.covered or self._uncompared)
         check = ModelCheck(
             explains,
-            self._verdict(best),
+            "; ".join((self._verdict(best, alone=not likely), *ends.remarks)),
             best.name,
             self.widening,
             besides.common_change,
@@ -190,7 +195,7 @@ class Question(ComparedFrames):
             doubts.append(f"the unloaded frames scatter by {scatter:.2g} times the specified noise")
         if explains and best.nearly:
             doubts.append(f"{best.nearly} gives them about as well, or better")
-        return check.with_doubts(*doubts)
+        return check.with_doubts(*doubts, *ends.doubts)
 
     def _check_without_cells(self) -> ModelCheck:
         """Return the check where there is no fit and no contradiction.
@@ -220,8 +225,15 @@ class Question(ComparedFrames):
             return besides
         return best
 
-    def _verdict(self, best: BetterExplanation) -> str:
-        """Return the verdict in words: the fault, the best alternative, or neither."""
+    def _verdict(self, best: BetterExplanation, *, alone: bool) -> str:
+        """Return the verdict in words: the fault, the best alternative, or neither.
+
+        Parameters
+        ----------
+        best : BetterExplanation
+        alone : bool
+            Whether no other known circuit is about as likely.
+        """
         if self.fault:
             if not self._complete:
                 return f"{self.fault}; other circuits were not compared: {self._uncompared}"
@@ -234,7 +246,7 @@ class Question(ComparedFrames):
         uncompared = self._uncompared or (best.covered and COVERED.format(best.covered))
         if uncompared:
             return f"{EXPLAINED}; other circuits were not compared: {uncompared}"
-        return EXPLAINED if best.nearly else f"{EXPLAINED}, and {NO_LIKELIER}"
+        return f"{EXPLAINED}, and {NO_LIKELIER}" if alone else EXPLAINED
 
     @cached_property
     def _uncompared(self) -> str:
