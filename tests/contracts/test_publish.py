@@ -20,8 +20,6 @@ import numpy as np
 import pytest
 from support import until
 
-from lampest import InputError
-
 ROOT = Path(__file__).parents[2]
 MAX_KPA = 40.0  # where the response's curve ends
 NEWTON_PER_KPA = 0.1  # on a cell of 10 mm × 10 mm
@@ -157,36 +155,6 @@ def test_mqtt_carries_the_message(lampest: Run, tmp_path: Path) -> None:
     )
     for message in messages:
         check_message(message)
-
-
-@pytest.mark.slow
-@needs_broker
-def test_home_assistant_discovers_entities_that_read_the_stream(tmp_path: Path) -> None:
-    """The page's package sends to a real broker; its templates read a message of the stream."""
-    from jinja2 import Environment
-    from paho.mqtt.subscribe import simple
-
-    page = (ROOT / "docs/howto/adding/application.md").read_text(encoding="utf-8")
-    code = page.split("# home/lampest_home.py\n")[1].split("```")[0]
-    package: dict[str, Any] = {}
-    exec(code, package)
-    port = free_port()
-    with broker(tmp_path, port):
-        package["home"]("panel/one", "127.0.0.1", port)
-        messages = simple("homeassistant/#", hostname="127.0.0.1", port=port, msg_count=3)
-    with pytest.raises(InputError, match="no broker answers"):
-        package["home"]("panel/one", "127.0.0.1", port)
-    states = {}
-    message = {"verdict": "pressing", "force": 3.5, "detection": {"answer": "presses"}}
-    assert message.keys() <= SCHEMA["properties"].keys()
-    assert message["verdict"] in SCHEMA["properties"]["verdict"]["enum"]
-    for entity in messages:
-        about = json.loads(entity.payload)
-        assert about["state_topic"] == "panel/one" and entity.topic.endswith("/config")
-        template = Environment().from_string(about["value_template"])
-        states[about["name"]] = template.render(value_json=message)
-        template.render(value_json={"verdict": "nothing", "force": None, "detection": None})
-    assert states == {"touched": "ON", "force": "3.5", "answer": "presses"}
 
 
 @pytest.mark.slow

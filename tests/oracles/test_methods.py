@@ -1,7 +1,6 @@
 """Rungs of the ladder against closed forms and the full solution, and the paper's own solver."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,6 @@ from numpy.testing import assert_allclose
 from promises import promise
 
 from docs.studies.as_published import Weights, left_by_solver
-from docs.studies.log_r import timed_frames
 from lampest import (
     Array,
     Estimates,
@@ -30,7 +28,6 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.approximate import LinearisedMethod, TruncatedMethod
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.sequence import reconstruct
-from lampest.runs.config import read_run
 from lampest.solvers.posed import Bounds
 from tests.estimates import recording_of
 
@@ -45,7 +42,6 @@ OF_ONE_STEP = (
     0.07  # of a change by log 0.7: a step errs by half of its square, 0.064; measured 0.041
 )
 STOPPED = 0.02  # relative, of cells where the published stopping rules end
-TABLE1 = Path(__file__).parents[2] / "configs" / "table1.yaml"
 
 
 def resting(shape: tuple[int, int]) -> Array:
@@ -140,15 +136,6 @@ def test_the_converged_published_method_reaches_the_verified_optimum(
     assert published.data_error == pytest.approx(
         100 * np.abs(model / measured.recorded[1:] - 1), abs=ROUNDING
     )
-
-
-@pytest.mark.slow
-def test_ipopt_over_log_r_ends_at_the_minima_of_the_other_solvers() -> None:
-    case = read_run(TABLE1, ("formulation=reduced",)).cases[1]
-    solves = timed_frames(case)
-    assert {solve.solver for solve in solves} == {"reduced", "nodal", "log r"}
-    assert min(solve.iterations for solve in solves if solve.solver == "log r") > 0
-    assert max(solve.above for solve in solves) < ROUNDING
 
 
 @promise(

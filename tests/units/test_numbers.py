@@ -10,7 +10,6 @@ from lampest.apps.recognition import (
     breath,
     breathing,
     contacts,
-    departure,
     hypotheses,
     open_lines,
     pumping,
@@ -62,12 +61,9 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
     "docs/theory/recognition.md": [
         ("with a time constant of 20 s", watch_parts.FOLLOWS_S, 20),
         ("A change has to exceed half of it.", watch.MIN_CHANGE, 0.5),
-        ("have less than a quarter of that unevenness", departure.MAX_REMAINING, 0.25),
-        ("and at least three, have risen", departure.MIN_RELIEVED, 3),
         ("more than 80 % of its resistances", open_lines.OPEN_SHARE, 0.8),
         ("exceed twice those at rest", open_lines.OPEN_RATIO, 2),
         ("The longest time between two looks is a minute.", watch.LOOKS_S, 60),
-        ("less than three tenths of the weaker group's peak", contacts.FAINT_SHARE, 0.3),
         ("an interquartile range of ln r₀ of 0.9", suction.MAX_RANGE, 0.9),
         ("A window is full after 8 s.", breathing.WINDOW_S, 8),
         ("From 3.5 s on, incomplete windows count", breathing.MIN_WINDOW_S, 3.5),
@@ -96,6 +92,7 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
     "docs/apps/recognition/detect.md": [
         ("by three standard deviations, by 5 %", levels.NOISE_REACH, 3),
         ("and by a twentieth of the strongest change", contacts.GHOST_SHARE, 0.05),
+        ("falls below three tenths of the weaker one's", contacts.FAINT_SHARE, 0.3),
         ("at less than 15 % of the strongest", contacts.SMALL_SHARE, 0.15),
         ("Panels of more than 1024 cells", watch.MAX_CELLS, 1024),
     ],
