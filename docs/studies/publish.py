@@ -133,22 +133,18 @@ def heard(kind: str, where: str, seconds: float) -> None:
     print(json.dumps(came))
 
 
+def heard_by(kind: str, where: str, seconds: float) -> subprocess.Popen[str]:
+    """Return a process that runs `heard`."""
+    command = ["-m", "docs.studies.publish", "--listen", kind, where, str(seconds)]
+    return subprocess.Popen([sys.executable, *command], stdout=subprocess.PIPE, text=True)
+
+
 def measured(kind: str, where: str, frames: int, estimator: str) -> np.ndarray:
     """(frames, 2) latency and solve in ms of those that came, after the warm ones."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "long.h5"
         long_recording(path, WARM + frames)
-        seconds = (WARM + frames) / RATE + 12
-        command = [
-            sys.executable,
-            "-m",
-            "docs.studies.publish",
-            "--listen",
-            kind,
-            where,
-            str(seconds),
-        ]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as listener:
+        with heard_by(kind, where, (WARM + frames) / RATE + 12) as listener:
             time.sleep(2)
             live(
                 Replay(path),
