@@ -178,9 +178,17 @@ class CellsFit(SumOfSquares):
     @property
     def hopeless(self) -> bool:
         """Whether no minimum that further iterations reach from these cells is within noise."""
+        return self.hopeless_with(1.0)
+
+    def hopeless_with(self, variance_factor: float) -> bool:
+        """Return the same for readings with variances that are larger by this factor at most.
+
+        χ² of any cells is lower by this factor at most.
+        """
+        chi_square = self.chi_square / variance_factor
         if not self.jacobian.size:
-            return self.chi_square > MAX_CHI_SQUARE * self.residual.size
-        return not self._may_be_noise(self.chi_square / MAX_LOWERED)
+            return chi_square > MAX_CHI_SQUARE * self.residual.size
+        return not self._may_be_noise(chi_square / MAX_LOWERED)
 
     def _may_be_noise(self, chi_square: float) -> bool:
         """Return whether P(χ²_degrees ≥ chi_square) ≥ SIGNIFICANCE.

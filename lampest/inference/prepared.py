@@ -233,6 +233,8 @@ class Prepared:
         size, _ = self.noise.estimated.get("systematic.reading_error", (0.0, 0.0))
         if self._named_errors is None or size > LARGEST_READING_ERROR:
             return check
+        if self.question.hopeless_with(self._named_errors):
+            return check
         question = replace(self.question, named_errors=self._named_errors)
         if question.fault:
             return check

@@ -228,6 +228,19 @@ def test_a_fit_is_within_noise_where_its_tail_is(deviations: float) -> None:
 
 
 @pytest.mark.slow
+def test_errors_beside_noise_are_not_tried_where_chi_square_stays_beyond_noise() -> None:
+    """Readings of negative cells: χ² falls by the factor of the variances at most."""
+    random = np.random.default_rng(6)
+    cells = 3000 * np.exp(0.2 * random.standard_normal((5, 5)))
+    scene = Scene(Panel(5, 5), TwoPointReadout(readings=4, noise_lsb=0.7))
+    ohm = lampest.two_point_resistance(cells)
+    ohm[0, 0] *= 1.5
+    recording = recording_of(scene, np.repeat(ohm[None], 4, axis=0), unloaded=2)
+    question = Prepared(recording).question
+    assert question.fault and question.hopeless_with(np.full((4, 5, 5), 0.1))
+    assert not question.hopeless_with(np.full((4, 5, 5), 1000.0))
+
+
 def test_the_misfit_of_cells_alone_stays_within_its_degrees_of_freedom() -> None:
     """With 3 % of noise some cells of nearly every panel would have to be negative.
 

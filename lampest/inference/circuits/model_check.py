@@ -23,7 +23,7 @@ from lampest.inference.circuits.open_ends import UndeterminedEnds, undetermined_
 from lampest.inference.nuisances import BetterExplanation, CircuitEffects, find_effects
 from lampest.inference.pair import FittedPair
 from lampest.panel.effects.line_effect import LineEffect
-from lampest.panel.panel import Modules
+from lampest.panel.panel import Array, Modules
 from lampest.recording.readings import mean_change
 from lampest.recording.recording import (
     MAX_NEIGHBOURS,
@@ -149,6 +149,22 @@ class Question(ComparedFrames):
     def below(self) -> str:
         """A sentence on the reading that lies significantly below its series resistance, or ''."""
         return below_series(self.specified, self)
+
+    def hopeless_with(self, errors: Array) -> bool:
+        """Return whether no cells explain the frames with errors beside noise.
+
+        Parameters
+        ----------
+        errors : array, shape (frames, rows, columns)
+            Standard deviations, see `named_errors`.
+        """
+        if self.explanation is None:
+            return False
+        wider = replace(self, named_errors=errors).readings(self.specified)
+        return any(
+            fit.hopeless_with(float(np.max((readings.known_sigma / fit.measured.known_sigma) ** 2)))
+            for fit, readings in zip(self.explanation.fits, wider, strict=False)
+        )
 
     @property
     def _few_bounds(self) -> bool:
