@@ -79,7 +79,7 @@ class QuadraticModel:
         hessian = point.hessian
         in_log_r = shares_conductance(point.at)
         curved = np.zeros_like(hessian.gradient) if in_log_r else hessian.gradient
-        cached = None
+        cached: Preconditioner | None = None
         if hessian.dense and len(point.at.nonsmooth):
             # Corners change the matrix from step to step. Products with H keep the digits that its
             # factor loses under heavy weights.
