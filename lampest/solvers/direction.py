@@ -79,16 +79,16 @@ class QuadraticModel:
         hessian = point.hessian
         in_log_r = shares_conductance(point.at)
         curved = np.zeros_like(hessian.gradient) if in_log_r else hessian.gradient
+        cached: Preconditioner | None = None
         if hessian.dense and len(point.at.nonsmooth):
-            # Corners change the matrix from step to step: its factor solves the model at once.
+            # Corners change the matrix from step to step. Products with H keep the digits that its
+            # factor loses under heavy weights.
             matrix = hessian.matrix.copy()
             matrix.flat[:: len(matrix) + 1] += curved
             chosen = np.flatnonzero(hessian.free)
             part = matrix if len(chosen) == len(matrix) else matrix[np.ix_(chosen, chosen)]
-            factor = Cholesky.of(point.at.cell_resistance, chosen, part)
-            if factor is not None:
-                return cls(lambda step: np.asarray(matrix @ step), factor)
-        cached = point.newest_preconditioner
+            cached = Cholesky.of(point.at.cell_resistance, chosen, part)
+        cached = cached or point.newest_preconditioner
         if cached is None or cached.distance(point.at.cell_resistance) > STEPS.max_reuse_distance:
             cached = preconditioner(hessian, hessian.free)
         return cls(lambda step: hessian.product(step) + curved * step, cached)
