@@ -37,13 +37,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark all variants of a test but FAST_VARIANTS, spread over them, as slow.
 
-    Leave `soak` out unless requested.
+    Leave `soak` out unless requested, and `exact` where readings are disturbed.
     """
     if "soak" not in config.getoption("-m"):
         config.hook.pytest_deselected(
             items=[item for item in items if item.get_closest_marker("soak")]
         )
         items[:] = [item for item in items if not item.get_closest_marker("soak")]
+    if config.getoption("disturbed"):
+        config.hook.pytest_deselected(
+            items=[item for item in items if item.get_closest_marker("exact")]
+        )
+        items[:] = [item for item in items if not item.get_closest_marker("exact")]
     chosen = config.getoption("--variants")
     thinned = [
         item

@@ -26,7 +26,7 @@ from lampest.recording.simulation import run as simulate
 
 TAKEN = "taken"
 REFUSED = "refused"
-MAX_SECONDS = 5.0
+MAX_SECONDS = 30.0
 MAX_KILOBYTES = 1_200_000
 HANG_SECONDS = 120
 SMALL_SIMULATION = 50_000

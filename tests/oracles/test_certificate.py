@@ -132,6 +132,7 @@ def solution_of(
 @promise(
     "theory/inverse_problem: Sixteen extreme panels without noise return to 10⁻⁶ in every reading"
 )
+@pytest.mark.exact
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "auto"])
 @pytest.mark.parametrize("name", EXTREME_PANELS)
 def test_estimates_of_extreme_panels_meet_every_reading(name: str, formulation: str) -> None:
