@@ -21,7 +21,7 @@ from lampest.inference.prepared import Prepared
 
 LOADS = {**PRESSED, "hand": Load(("hand",), swaying=0.05)}
 CIRCUITS = "sound circuits"
-TREMBLES = "trembling"
+JITTERS = "jitter"
 ROWS = {
     **KNOWN,
     "contact of 60 ohm": Row(contact_ohm=60.0),

@@ -4,7 +4,7 @@ The questions are whether a load sucks and breathes, its size, and its time.
 
 Pressures come from `mouth_scenes`, whose films, rims and electronics are not the package's; here
 they get a course over time: touch, suction, breathing with a phase that wanders, leaks, hands that
-tremble, release; and films that creep and keep a part of their answer. Only the panel's two-point
+jitter, release; and films that creep and keep a part of their answer. Only the panel's two-point
 resistances are the package's.
 
     python -m docs.studies.attachments --scenes 10 --seed 7 --rates 4 --out seen.csv
@@ -60,7 +60,7 @@ PULLED = "pulled mouth"
 CURRENT = "mouth in current"
 CUP_CURRENT = "cup in current"
 HAND_PUMPED = "hand-pumped cup"
-RING = "trembling ring"
+RING = "jitter ring"
 WATER = "moving water"
 MOVING = "mouth in moving water"
 CUP_MOVING = "cup in moving water"
@@ -201,7 +201,7 @@ def courses(
         * np.pi
         * (hertz * time + np.cumsum(0.03 * np.sqrt(step) * rng.standard_normal(len(time))))
     )
-    tremble = 1 + 0.015 * _wandering(rng, step)
+    jitter = 1 + 0.015 * _wandering(rng, step)
     (own,) = rng.spawn(1)  # so that scenes without a body are as they were
     beats = np.clip(_wandering(own, step, 3.0), 0, 1) * np.sin(
         2 * np.pi * own.uniform(0.4, 1.6) * time
@@ -247,7 +247,7 @@ def courses(
         leak = leak * np.exp(rng.normal(0, 0.15, len(bumps)) @ (since >= bumps[:, None]))
     return (
         np.stack(
-            [press * (leak if "cup" in kind or kind == STILL else tremble), suck * leak, body],
+            [press * (leak if "cup" in kind or kind == STILL else jitter), suck * leak, body],
             axis=1,
         ),
         0.0,

@@ -39,7 +39,7 @@ LOADS = {
     "still": Load(("rod", "rock")),
     "palm": Load(("palm",), swaying=0.1),
     "swaying": Load(("hand", "cup"), swaying=0.1),
-    "trembling": Load(("rock", "rod"), swaying=0.1, scanned=True),
+    "jitter": Load(("rock", "rod"), swaying=0.1, scanned=True),
     "small": Load(("rock", "dot"), strength=0.3, swaying=0.05),
     "mouth": Load(("mouth", "ring"), swaying=0.05),
 }
@@ -237,7 +237,7 @@ def figures(made: Recording, *, advised: bool = True) -> Figures:
 
 
 def scenes(row: Row, load: Load) -> dict[str, Mapping[str, Any]]:
-    """Return the keys of each scene of a row; a load that trembles in a scan is named, too."""
+    """Return the keys of each scene of a row; a load that jitters in a scan is named, too."""
     every = {"unnamed": NO_KEYS}
     for name, keys, motion in (
         ("estimated", row.estimated, "estimated"),

@@ -21,9 +21,9 @@ import lampest
 from lampest import LoadedColumnsReadout, Recording, Scene, Simulation, TwoPointReadout
 from lampest.audit.advice import Audit
 from lampest.files.levels import SIGNIFICANCE
+from lampest.inference.circuits.alternatives import Alternative
 from lampest.inference.circuits.explanation import Explanation
 from lampest.inference.circuits.model_check import ModelCheck, Question
-from lampest.inference.circuits.rivals import Rival
 from lampest.inference.prepared import Prepared
 from lampest.recording.simulation.measure import measured
 
@@ -222,7 +222,12 @@ def evidence(exact: Recording) -> float:
     moved = np.abs(change - np.median(change)) > 0.01
     named = np.arange(len(exact.role))
     question = Question(
-        Rival(exact.scene, exact.recorded, exact.sigma), exact.role, unloaded, measured, 1.0, named
+        Alternative(exact.scene, exact.recorded, exact.sigma),
+        exact.role,
+        unloaded,
+        measured,
+        1.0,
+        named,
     )
     results = Explanation.of(question.specified, question, patient=True)
     if 2 * moved.sum() >= moved.size:

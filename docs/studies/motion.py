@@ -30,7 +30,7 @@ SCENES: dict[str, Mapping[str, Any]] = {
 
 
 class Motion(NamedTuple):
-    """Pitches per frame, share by which the load trembles, and share of the time of a scan."""
+    """Pitches per frame, share by which the load jitters, and share of the time of a scan."""
 
     speed: float = 0.0
     depth: float = 0.0
@@ -43,8 +43,8 @@ MOTIONS = {
     "0.1 pitches a frame": Motion(speed=0.1),
     "0.3 pitches a frame": Motion(speed=0.3),
     "1 pitch a frame": Motion(speed=1.0),
-    "trembles by 2 %": Motion(depth=0.02),
-    "trembles by 10 %": Motion(depth=0.1),
+    "jitters by 2 %": Motion(depth=0.02),
+    "jitters by 10 %": Motion(depth=0.1),
 }
 
 

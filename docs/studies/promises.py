@@ -95,10 +95,10 @@ BREAKS = {
     "the_status_says_that_the_unloaded_panel_of_a_comparison_is_not_verified": Break(
         "estimate/stream.py", "Stream._as_compared", "return step"
     ),
-    "bars_hold_a_load_that_trembles_within_a_scan": Break(
+    "bars_hold_a_load_that_jitters_within_a_scan": Break(
         "inference/effects/motion.py",
         "interpolated",
-        "share = share._replace(trembling=0.0)",
+        "share = share._replace(jitter=0.0)",
     ),
     "an_effect_without_an_entry_in_the_scene_is_not_estimated": Break(
         "estimate/estimates.py", "Estimates.solved", "self.advice"

@@ -8,9 +8,9 @@ import numpy as np
 from lampest.audit.effects import unnamed_effects
 from lampest.audit.health import Health
 from lampest.files.errors import InputError
-from lampest.inference.circuits.better_rival import MIN_RISEN, rises_only
+from lampest.inference.circuits.alternatives import changes_beyond_noise
+from lampest.inference.circuits.better_alternative import MIN_RISEN, rises_only
 from lampest.inference.circuits.model_check import ModelCheck
-from lampest.inference.circuits.rivals import changes_beyond_noise
 from lampest.inference.prepared import Prepared
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.unseen import unseen_sentence

@@ -45,7 +45,7 @@ FIT = LevenbergMarquardt(
 )
 # Fits with cells at the boundary r = 0 or r = ∞ take 2 to 30 further iterations.
 LONG_FIT = replace(FIT, evaluations=40, share=0.0)
-# Fits of rivals on panels of more than MAX_CELLS take some 20 iterations of the solver of the
+# Fits of alternatives on panels of more than MAX_CELLS take some 20 iterations of the solver of the
 # estimates, where circuits that cannot explain the readings take hundreds.
 BRIEF = Settings(max_iterations=25)
 # Factor on the lower bound that estimates have: a short behind a drive resistor of a kilo-ohm is

@@ -58,17 +58,17 @@ class Share(NamedTuple):
         Mean of the share without attenuation: the interpolation is wrong over that time.
     gain : float
         Decrease of −2 ln evidence from no motion to the most probable one.
-    trembling : float
+    jitter : float
         Relative standard deviation of the load within a scan.
     steady : float
-        Probability of no trembling.
+        Probability of no jitter.
     """
 
     mean: float
     deviation: float
     reach: float
     gain: float = 0.0
-    trembling: float = 0.0
+    jitter: float = 0.0
     steady: float = 1.0
 
 

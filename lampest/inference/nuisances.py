@@ -24,7 +24,8 @@ from lampest.panel.sizes import ESTIMATED
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MIN_CHANGE
 
-# Rivals or effects that are solved exactly, the best ones of linear theory; effects at a time.
+# Alternatives or effects that are solved exactly, the best ones of linear theory; effects at a
+# time.
 MAX_CANDIDATES = 3
 # Fewer moved cells that an effect must bring: a converter's nonlinearity moves one.
 MIN_SPARED_CELLS = 2

@@ -5,9 +5,9 @@ from numpy.typing import NDArray
 
 from lampest.files.applications import applications
 from lampest.files.errors import first_and_more
+from lampest.inference.circuits.alternatives import changes_beyond_noise
 from lampest.inference.circuits.kinds import choices
 from lampest.inference.circuits.model_check import ModelCheck, module_factors
-from lampest.inference.circuits.rivals import changes_beyond_noise
 from lampest.inference.module_noise import named_modules
 from lampest.inference.noise import NoiseEstimate
 from lampest.recording.readings import Readings

@@ -96,7 +96,7 @@ class Scene(Configuration):
         bits; None: none.
     motion : float or 'estimated', or None
         Share of the time between frames that a scan takes while loads move, 0 to 1. Frames tell
-        how much loads tremble within a scan. None: none.
+        how much loads jitter within a scan. None: none.
     creep : float or 'estimated', or None
         Change of log r of all cells alike since the unloaded frames, which is no load; None: none.
     outliers : {'keep', 'exclude'}, or None

@@ -56,7 +56,7 @@ EFFECTS = (
         ("supply_ripple_lsb", "supply_ripple_hz"),
     ),
     Listed("lampest.panel.effects.water:MovingWater", of_frames=("motion",)),
-    Listed("lampest.panel.effects.motion:LoadMotion", "motion", ("trembling", "resting")),
+    Listed("lampest.panel.effects.motion:LoadMotion", "motion", ("jitter", "resting")),
     Listed(
         "lampest.panel.effects.converter_memory:KeptShare",
         "converter_memory",

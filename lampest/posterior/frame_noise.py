@@ -33,7 +33,7 @@ class FrameNoise:
     motion : array, shape (3,) or (0,)
         Relative standard deviations of the readings in the patterns of `motion_patterns`; of
         circuits that read resistances.
-    trembling : float
+    jitter : float
         Relative standard deviation of the load at a time, about that at the middle of a scan.
     resting : array, shape (rows, columns), or None
         Readings of the unloaded panel, from which the load changes those of a frame.
@@ -50,7 +50,7 @@ class FrameNoise:
     common_ripple: Array
     line_ripple: Array
     motion: Array = field(default_factory=lambda: np.zeros(0), kw_only=True)
-    trembling: float = field(default=0.0, kw_only=True)
+    jitter: float = field(default=0.0, kw_only=True)
     resting: Array | None = field(default=None, kw_only=True)
     memory: float = field(default=0.0, kw_only=True)
     effect_errors: Array | None = None

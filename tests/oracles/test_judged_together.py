@@ -1,4 +1,4 @@
-"""Effects that other things imitate: the slope of a load, trembling, and errors of readings."""
+"""Effects that other things imitate: the slope of a load, jitter, and errors of readings."""
 
 from dataclasses import replace
 
@@ -61,42 +61,42 @@ def test_a_large_memory_of_the_converter_is_advised(place: str) -> None:
     assert "converter_memory" in {line.partition(":")[0] for line in lines_of(remembering)}
 
 
-@promise("howto/error_bars: With `motion`, bars also hold loads that tremble within a scan.")
+@promise("howto/error_bars: With `motion`, bars also hold loads that jitter within a scan.")
 @pytest.mark.parametrize("motion", ["estimated", 1.0])
-def test_bars_hold_a_load_that_trembles_within_a_scan(motion: str | float) -> None:
+def test_bars_hold_a_load_that_jitters_within_a_scan(motion: str | float) -> None:
     """With the steps between frames alone, 51 to 58 % of the changes were held."""
-    trembling = recording(500, LOADS["trembling"], Row(), {"motion": motion})
-    of_load = figures(trembling, advised=False)
+    jitter = recording(500, LOADS["jitter"], Row(), {"motion": motion})
+    of_load = figures(jitter, advised=False)
     assert of_load.own > 85 and of_load.changes > 85
-    assert 0.03 < Prepared(trembling).noise.motion.trembling < 0.12
+    assert 0.03 < Prepared(jitter).noise.motion.jitter < 0.12
 
 
-def test_bars_hold_a_load_whose_trembling_moves_most_cells() -> None:
-    """No cells stood still without trembling, and 16 % were held."""
-    trembling = recording(101, LOADS["trembling"], Row(), {"motion": 1.0})
-    assert figures(trembling, advised=False).own > 85
-    assert Health.of(trembling).well
+def test_bars_hold_a_load_whose_jitter_moves_most_cells() -> None:
+    """No cells stood still without jitter, and 16 % were held."""
+    jitter = recording(101, LOADS["jitter"], Row(), {"motion": 1.0})
+    assert figures(jitter, advised=False).own > 85
+    assert Health.of(jitter).well
 
 
 @pytest.mark.slow
-def test_a_load_that_trembles_is_advised_to_be_named() -> None:
-    trembling = Prepared(recording(500, LOADS["trembling"], Row(), {}))
-    assert "motion: estimated" in {finding.line for finding in unnamed_effects(trembling)}
+def test_a_load_that_jitters_is_advised_to_be_named() -> None:
+    jitter = Prepared(recording(500, LOADS["jitter"], Row(), {}))
+    assert "motion: estimated" in {finding.line for finding in unnamed_effects(jitter)}
 
 
 @pytest.mark.parametrize(("seed", "advised"), [(500, True), (101, False)])
-def test_trembling_that_moves_most_cells_is_estimated_and_not_advised(
+def test_jitter_that_moves_most_cells_is_estimated_and_not_advised(
     seed: int, advised: bool
 ) -> None:
-    """A load on most cells, such as a hand, looks like one that trembles."""
-    prepared = Prepared(recording(seed, LOADS["trembling"], Row(), {}))
+    """A load on most cells, such as a hand, looks like one that jitters."""
+    prepared = Prepared(recording(seed, LOADS["jitter"], Row(), {}))
     compared = prepared.recording, prepared.noise.readings
     assert share_of_motion(*compared, 1.0) is not None
-    assert (share_of_motion(*compared, 1.0, trembling_alone=False) is not None) == advised
+    assert (share_of_motion(*compared, 1.0, jitter_alone=False) is not None) == advised
 
 
 def test_the_slope_of_the_evidence_of_motion_is_that_of_its_cost() -> None:
-    prepared = Prepared(recording(500, LOADS["trembling"], Row(), {}))
+    prepared = Prepared(recording(500, LOADS["jitter"], Row(), {}))
     moving = moving_frames(prepared.recording, prepared.noise.readings, None, None)
     search = MotionSearch(moving, own=1e-4)
     middle = np.array([0.4, 2e-3, 1e-5])
@@ -116,7 +116,7 @@ def test_the_slope_of_the_evidence_of_motion_is_that_of_its_cost() -> None:
 def test_a_search_for_motion_ends_at_once_where_the_slope_shows_none(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """With and without trembling, each search evaluates its start and the step from there."""
+    """With and without jitter, each search evaluates its start and the step from there."""
     prepared = Prepared(recording(500, LOADS["still"], Row(), {}))
     tried = []
     evaluate = MotionSearch.evidence
@@ -130,12 +130,12 @@ def test_a_search_for_motion_ends_at_once_where_the_slope_shows_none(
     assert len(tried) <= 8
 
 
-def test_a_load_that_stands_does_not_tremble() -> None:
+def test_a_load_that_stands_does_not_jitter() -> None:
     standing = recording(500, LOADS["still"], Row(), {"motion": "estimated"})
     noise = Prepared(standing).noise
-    assert noise.motion.trembling < 0.002
+    assert noise.motion.jitter < 0.002
     known = Prepared(replace(standing, scene=replace(standing.scene, motion=1.0))).noise
-    assert known.motion.trembling < 0.002
+    assert known.motion.jitter < 0.002
 
 
 @pytest.mark.slow
@@ -158,10 +158,10 @@ def test_an_edge_that_looks_like_a_memory_is_within_its_deviation() -> None:
     assert rod.frame.memory == deviation
 
 
-def test_a_load_that_trembles_tells_no_memory() -> None:
+def test_a_load_that_jitters_tells_no_memory() -> None:
     """It was taken for a memory of 0.22 +- 0.01."""
     both = {"converter_memory": "estimated", "motion": "estimated"}
-    noise = Prepared(recording(102, LOADS["trembling"], Row(), both)).noise
+    noise = Prepared(recording(102, LOADS["jitter"], Row(), both)).noise
     assert "converter_memory" not in noise.estimated
     assert "record one that stands" in noise.sentence
 

@@ -18,7 +18,7 @@ from lampest import (
     TwoPointReadout,
 )
 from lampest.files.levels import MIN_EVIDENCE_GAIN
-from lampest.inference.circuits.rivals import Rival
+from lampest.inference.circuits.alternatives import Alternative
 from lampest.inference.effects.converter_memory import estimated_memory, memory_gain
 from lampest.inference.prepared import Prepared
 from lampest.panel.readouts.channel_memory import with_memory
@@ -75,13 +75,13 @@ def test_no_share_is_tried_where_linear_theory_promises_no_gain(
 ) -> None:
     """A search costs as much as the whole check of a circuit."""
     tried: list[float] = []
-    with_memory = Rival.with_memory
+    with_memory = Alternative.with_memory
 
-    def noted(rival: Rival, share: float) -> Rival:
+    def noted(alternative: Alternative, share: float) -> Alternative:
         tried.append(share)
-        return with_memory(rival, share)
+        return with_memory(alternative, share)
 
-    monkeypatch.setattr(Rival, "with_memory", noted)
+    monkeypatch.setattr(Alternative, "with_memory", noted)
     assert gain_of(pressed_mat(0.0)) == 0
     assert len(tried) == 1  # the direction of linear theory
     assert gain_of(pressed_mat(0.04)) > MIN_EVIDENCE_GAIN

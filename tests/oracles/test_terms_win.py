@@ -260,7 +260,7 @@ def arriving(kind: str, seed: int, frames: int = 18) -> Recording:
     ("kind", "margin"), [("panel", 0.9), ("disc", 0.9), ("rod", 0.95), ("attachment", 0.85)]
 )
 def test_the_arrival_term_beats_the_best_single_weight(kind: str, margin: float) -> None:
-    """The rival is the change from the previous frame, with its best weight in hindsight."""
+    """The alternative is the change from the previous frame, with its best weight in hindsight."""
     errors = []
     best_errors = []
     for seed in range(2):

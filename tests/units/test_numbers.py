@@ -22,7 +22,7 @@ from lampest.estimate.methods import method
 from lampest.files import hdf5, levels, process
 from lampest.inference import noise, nuisances, variance_components
 from lampest.inference.circuits import model_check
-from lampest.inference.circuits import parameters as rival_parameters
+from lampest.inference.circuits import parameters as alternative_parameters
 from lampest.panel import trust_region
 from lampest.posterior import reference, reference_fit, sampled, track
 from lampest.recording import stored
@@ -53,7 +53,7 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
             nuisances.MIN_EVIDENCE_GAIN,
             36,
         ),
-        ("another circuit is better by 15 in", rival_parameters.DOUBTFUL_GAIN, 15),
+        ("another circuit is better by 15 in", alternative_parameters.DOUBTFUL_GAIN, 15),
         ("If more than a tenth of the readings is missing", model_check.MAX_MISSING, 0.1),
         ("up to three:", nuisances.MAX_CANDIDATES, 3),
         ("On panels of more than 400 cells", reference.MAX_CELLS, 400),

@@ -177,6 +177,6 @@ def test_codes_of_fewer_bits_are_asked_for() -> None:
 
 
 def test_a_circuit_with_feedback_is_checked() -> None:
-    """Among its rivals, those in parallel groups cannot have it."""
+    """Among its alternatives, those in parallel groups cannot have it."""
     follows = DrivenReadout(load_ohm=1e4, idle_volt="follows", idle_ohm=70.0)
     assert Prepared(recording(follows, follows)).check.explains is not None

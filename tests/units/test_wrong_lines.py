@@ -18,7 +18,7 @@ from lampest import (
 )
 from lampest.audit.finding import PASTE, Finding, advised_entries, with_addition, with_lines
 from lampest.files.document import in_one_line, parse_document
-from lampest.inference.circuits.rivals import BY_COLUMNS, Rival, rivals_of
+from lampest.inference.circuits.alternatives import BY_COLUMNS, Alternative, alternatives_of
 from lampest.panel.scene import validated_scene
 
 KIND = {"readout": {"kind": "grounded", "driven": "rows", "sense": "one", "load_ohm": 2000}}
@@ -50,13 +50,13 @@ def test_a_circuit_of_the_same_voltages_is_written() -> None:
     assert accepted == (line,) and isinstance(changed.readout, DrivenReadout)
 
 
-def rivals(scene: Scene) -> list[Rival]:
+def alternatives(scene: Scene) -> list[Alternative]:
     recorded = 1000 * np.exp(0.3 * np.random.default_rng(1).normal(size=(2, *scene.panel.shape)))
-    return list(rivals_of(Rival(scene, recorded, np.ones_like(recorded))))
+    return list(alternatives_of(Alternative(scene, recorded, np.ones_like(recorded))))
 
 
 def kinds(scene: Scene) -> list[str]:
-    return [rival.kind for rival in rivals(scene)]
+    return [alternative.kind for alternative in alternatives(scene)]
 
 
 @pytest.mark.parametrize(
@@ -68,24 +68,26 @@ def kinds(scene: Scene) -> list[str]:
     ],
     ids=lambda readout: readout.kind,
 )
-def test_the_entries_of_a_rival_make_its_circuit(readout: Readout) -> None:
+def test_the_entries_of_a_alternative_make_its_circuit(readout: Readout) -> None:
     scene = Scene(Panel(4, 4), readout)
-    for rival in rivals(scene):
-        if rival.order is not None:
+    for alternative in alternatives(scene):
+        if alternative.order is not None:
             continue
-        numbered = rival.with_memory(0.0812)
-        numbered = numbered.with_series(141.3) if rival.scene.circuit.in_series else numbered
+        numbered = alternative.with_memory(0.0812)
+        numbered = numbered.with_series(141.3) if alternative.scene.circuit.in_series else numbered
         made = with_addition(scene, numbered.addition)
-        assert made.readout == rival.scene.readout, rival.kind
+        assert made.readout == alternative.scene.readout, alternative.kind
         assert made.converter_memory == 0.081
-        assert made.series_resistance_ohm == (140 if rival.scene.circuit.in_series else 0)
+        assert made.series_resistance_ohm == (140 if alternative.scene.circuit.in_series else 0)
 
 
 def test_another_order_of_readings_has_no_entries() -> None:
     listed = [
-        rival for rival in rivals(Scene(Panel(4, 5), GroundedReadout())) if rival.order is not None
+        alternative
+        for alternative in alternatives(Scene(Panel(4, 5), GroundedReadout()))
+        if alternative.order is not None
     ]
-    assert listed and not any(rival.addition for rival in listed)
+    assert listed and not any(alternative.addition for alternative in listed)
 
 
 def test_a_line_of_advice_reads_back_as_its_entries() -> None:

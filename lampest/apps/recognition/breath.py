@@ -7,7 +7,7 @@ model
     noise ~ N(0, σ²),
 
 where the rates f_k with shares q_k are those of a rate f that wanders. The odds compare the A of
-breathing with that of tremble, summed over f and σ.
+breathing with that of jitter, summed over f and σ.
 Source: Bretthorst, Bayesian Spectrum Analysis and Parameter Estimation, 1988;
 docs/theory/recognition.md.
 """
@@ -346,14 +346,14 @@ class _Rhythm(NamedTuple):
 
     def odds(self, freedom: int) -> float:
         """Return ln of the odds of A = BREATHING_SD against A = TREMBLE_SD, or a leak."""
-        breathing, trembling = (
+        breathing, jitter = (
             logsumexp(_evidence(self.total, self.amplitude, self.gain, sd, freedom)[self.near])
             - log(self.near.sum())
             for sd in (BREATHING_SD, TREMBLE_SD)
         )
         leaks = _evidence(self.total, self.leak, self.leak_gain, LEAK_SD, freedom)
         leaking = logsumexp(leaks) - log(len(leaks))
-        steady = np.logaddexp(log(1 - LEAK_SHARE) + trembling, log(LEAK_SHARE) + leaking)
+        steady = np.logaddexp(log(1 - LEAK_SHARE) + jitter, log(LEAK_SHARE) + leaking)
         return float(breathing - steady + np.log(self.near.mean()))
 
 

@@ -378,14 +378,14 @@ class Detector:
         scatter = self.response_levels[-1] * frame.baseline.model_errors.response
         for _ in range(len(fits)):
             best = min(fits, key=attrgetter("score"))
-            rivals = [fit for fit in fits if fit is not best]
+            alternatives = [fit for fit in fits if fit is not best]
             calm, best = self._sharpened(frame, best, explains, calm, scatter)
             best, whitening = self._own(calm, best)
             # equal errors for all candidates: otherwise a poor candidate would excuse its misfit by
             # its own errors
             most = best.cost + MAX_LOG_RATIO
             besides = []
-            for fit in rivals:
+            for fit in alternatives:
                 fitting = self.fitting(fit.candidate, calm)
                 besides.append(fitting.best(fitting.effect(fit.parameters), whitening, most))
             fits = [best, *(self._own(calm, fit)[0] if fit.cost < most else fit for fit in besides)]

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 RATES_HZ = (0.5, 2.5)  # of breathing at rest
 # A: the mean amplitude of simulated mouths is 5.4 % of their suction. That of loads
-# that do not breathe is an assumption: cups tremble and leak, but at no single rate.
+# that do not breathe is an assumption: cups jitter and leak, but at no single rate.
 BREATHING_SD = 0.045
 # Relative standard deviation of the rate within seconds, assumed: no breath is a pure sine.
 WANDER = 0.06

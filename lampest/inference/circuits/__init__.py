@@ -1,17 +1,17 @@
 """The circuit of a recording: whether it explains the readings, and which other one would.
 
-The readings of the frames that decide are fitted under the scene's circuit. Rivals, which are other
-circuits, other orders of the readings and other converters, are first judged by laws that cost
-milliseconds, then by the evidence of the same frames.
+The readings of the frames that decide are fitted under the scene's circuit. Alternatives, which are
+other circuits, other orders of the readings and other converters, are first judged by laws that
+cost milliseconds, then by the evidence of the same frames.
 
 | module | content |
 |---|---|
 | `compared_frames` | the frames that decide, and the laws that a circuit cannot break |
 | `explanation` | cells that explain these frames under a circuit, with their evidence |
 | `kinds` | circuits of other kinds and settings with the same converter and resistor |
-| `rivals` | these circuits, other orders of the readings, other converters |
-| `parameters` | the most probable resistance in series and memory of a rival |
-| `better_rival` | the rival that explains the frames better than the scene's circuit |
+| `alternatives` | these circuits, other orders of the readings, other converters |
+| `parameters` | the most probable resistance in series and memory of an alternative |
+| `better_alternative` | the alternative that explains the frames better than the scene's circuit |
 | `model_check` | the verdict in a sentence |
 | `alike` | panels that read alike under one circuit, and the choice among them |
 """

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lampest.files.levels import SIGNIFICANCE
 from lampest.inference.circuits.alike import PanelChoice
-from lampest.inference.circuits.rivals import Rival, standing_frames
+from lampest.inference.circuits.alternatives import Alternative, standing_frames
 from lampest.inference.variance_components import noted_excess
 from lampest.panel.panel import Array
 from lampest.posterior.interval import largest_of
@@ -28,7 +28,7 @@ class ComparedFrames:
 
     Attributes
     ----------
-    specified : Rival
+    specified : Alternative
         The scene's circuit, with a saturated stage where the readings show one; outliers are
         missing.
     role : array, shape (frames,)
@@ -43,7 +43,7 @@ class ComparedFrames:
         motion. The errors of n unloaded frames are √n times the error of their mean.
     """
 
-    specified: Rival
+    specified: Alternative
     role: NDArray[np.uint8]
     resting: NDArray[np.intp]
     standing: NDArray[np.intp]
@@ -58,7 +58,7 @@ class ComparedFrames:
         A recording without an unloaded frame has its first frame instead.
         """
         role = recording.role
-        specified = Rival(
+        specified = Alternative(
             recording.scene, np.where(outliers, np.nan, recording.recorded), recording.sigma
         )
         readings = specified.readings
@@ -80,15 +80,15 @@ class ComparedFrames:
         first, last = self.named[self.standing[[0, -1]]]
         return f"frame {first}" if first == last else f"frames {first} to {last}"
 
-    def readings(self, rival: Rival) -> tuple[Readings, ...]:
+    def readings(self, alternative: Alternative) -> tuple[Readings, ...]:
         """Return the mean of the unloaded frames, and of the standing ones.
 
-        Raises InputError as `Rival.readings`.
+        Raises InputError as `Alternative.readings`.
         """
         chosen = np.concatenate([self.resting, self.standing])
         count = len(self.resting)
-        read = rival.readings[chosen]
-        usable = rival.ordered(self._usable[chosen])
+        read = alternative.readings[chosen]
+        usable = alternative.ordered(self._usable[chosen])
         read = replace(read, sigma=self.widening * read.known_sigma, seen=read.seen * usable)
         means = [read[:count].mean()]
         if len(self.standing):
@@ -96,16 +96,21 @@ class ComparedFrames:
         if self.named_errors is None:
             return tuple(means)
         # Errors that frames share do not average out.
-        errors = (self._named_error(rival, self.resting), self._named_error(rival, self.standing))
+        errors = (
+            self._named_error(alternative, self.resting),
+            self._named_error(alternative, self.standing),
+        )
         return tuple(
             replace(mean, sigma=np.hypot(mean.known_sigma, error))
             for mean, error in zip(means, errors, strict=False)
         )
 
-    def _named_error(self, rival: Rival, frames: NDArray[np.intp]) -> Array:
+    def _named_error(self, alternative: Alternative, frames: NDArray[np.intp]) -> Array:
         """Return the root mean square of the named errors over frames, (rows, columns)."""
         errors = np.zeros((1, 1, 1)) if self.named_errors is None else self.named_errors[frames]
-        return rival.ordered(np.sqrt(np.mean(errors**2, axis=0))) if len(frames) else errors[0]
+        return (
+            alternative.ordered(np.sqrt(np.mean(errors**2, axis=0))) if len(frames) else errors[0]
+        )
 
     @cached_property
     def panels(self) -> PanelChoice | None:
@@ -141,17 +146,17 @@ def noise_factor(resting: Readings) -> float:
     return noted_excess(float(squares.sum()), (len(resting.value) - 1) * int(plain.sum()))
 
 
-def broken_law(rival: Rival, frames: ComparedFrames) -> str:
+def broken_law(alternative: Alternative, frames: ComparedFrames) -> str:
     """Return the circuit's inequality that the readings violate significantly, in words.
 
     The text is '' where none is violated.
     """
-    readings = rival.readings
+    readings = alternative.readings
     sigma = replace(
         readings, seen=readings.seen * frames.specified.nearly_gaussian(1)
     ).sigma_of_values
     assert sigma is not None
-    for test in rival.scene.circuit.free_tests(readings.value, frames.widening * sigma):
+    for test in alternative.scene.circuit.free_tests(readings.value, frames.widening * sigma):
         frame = int(np.argmax(test.excess))
         if largest_of(test.excess[frame], test.count * len(test.excess)) < SIGNIFICANCE:
             beyond = f"{test.excess[frame]:.3g} times its noise"
@@ -159,19 +164,19 @@ def broken_law(rival: Rival, frames: ComparedFrames) -> str:
                 f"readings of frame {frames.named[frame]} break a law "
                 f"of the circuit by {beyond}: {test.law}"
             )
-    return below_series(rival, frames)
+    return below_series(alternative, frames)
 
 
-def below_series(rival: Rival, frames: ComparedFrames) -> str:
+def below_series(alternative: Alternative, frames: ComparedFrames) -> str:
     """Return a sentence on the reading that lies significantly below its series resistance.
 
     The sentence is '' where no reading does.
     """
-    scene = rival.scene
-    readings = rival.readings
+    scene = alternative.scene
+    readings = alternative.readings
     if scene.circuit.unit != "ohm" or readings.sigma is None:
         return ""
-    remaining = scene.circuit.from_recorded(rival.recorded, scene)
+    remaining = scene.circuit.from_recorded(alternative.recorded, scene)
     read = (readings.seen > 0) & np.isfinite(remaining)
     excess = np.where(read, -remaining / readings.sigma, -np.inf)
     if largest_of(excess.max(), excess.size) >= SIGNIFICANCE:

@@ -13,8 +13,8 @@ import numpy as np
 
 from lampest.files.errors import BROKEN, InputError
 from lampest.inference.cells_fit import CellsFit, fitted
+from lampest.inference.circuits.alternatives import Alternative
 from lampest.inference.circuits.compared_frames import ComparedFrames
-from lampest.inference.circuits.rivals import Rival
 from lampest.inference.pair import FittedPair
 
 FAR = 100.0  # in scores, beyond what channels and the selection of moved cells change
@@ -26,7 +26,7 @@ class Explanation:
 
     Attributes
     ----------
-    rival : Rival
+    alternative : Alternative
         The circuit.
     fits : tuple of CellsFit
         Fits of the unloaded panel and, if there is one, of the loaded frame.
@@ -34,14 +34,14 @@ class Explanation:
         The pair of both; None without a loaded frame, or on a panel of more than MAX_CELLS.
     """
 
-    rival: Rival
+    alternative: Alternative
     fits: tuple[CellsFit, ...]
     pair: FittedPair | None
 
     @classmethod
     def of(
         cls,
-        rival: Rival,
+        alternative: Alternative,
         frames: ComparedFrames,
         near: "Explanation | None" = None,
         *,
@@ -51,21 +51,21 @@ class Explanation:
 
         Parameters
         ----------
-        rival : Rival
+        alternative : Alternative
         frames : ComparedFrames
         near : Explanation or None
             Explanation by a similar circuit: the fits begin at its cells, and `like` applies.
         patient : bool
             See `fits_of`.
         """
-        fits = fits_of(rival, frames, near.fits if near else (), patient=patient)
-        return cls.by(fits, rival, frames, near)
+        fits = fits_of(alternative, frames, near.fits if near else (), patient=patient)
+        return cls.by(fits, alternative, frames, near)
 
     @classmethod
     def by(
         cls,
         fits: tuple[CellsFit, ...],
-        rival: Rival,
+        alternative: Alternative,
         frames: ComparedFrames,
         near: "Explanation | None" = None,
         specified: "Explanation | None" = None,
@@ -76,13 +76,13 @@ class Explanation:
         ----------
         fits : tuple of CellsFit
             Those of `fits_of`.
-        rival : Rival
+        alternative : Alternative
         frames : ComparedFrames
         near : Explanation or None
             Explanation by a similar circuit, to which `like` applies.
         specified : Explanation or None
-            Explanation by the scene's circuit, for a rival of it. A rival whose score is larger by
-            FAR with the channels and moved cells of that explanation keeps them.
+            Explanation by the scene's circuit, for an alternative of it. An alternative whose score
+            is larger by FAR with the channels and moved cells of that explanation keeps them.
         """
         if len(fits) < (2 if len(frames.standing) else 1):
             return None
@@ -90,10 +90,10 @@ class Explanation:
             pair = None
             if len(fits) == 2 and fits[0].jacobian.size:
                 pair = FittedPair(fits)
-            explanation = cls(rival, fits, pair)
+            explanation = cls(alternative, fits, pair)
             if near is not None:
                 explanation = explanation.like(near)
-            elif specified is not None and rival.order is None:
+            elif specified is not None and alternative.order is None:
                 coarse = explanation.like(specified)
                 explanation = coarse if coarse.score > specified.score + FAR else explanation
             return explanation if np.isfinite(explanation.score) else None
@@ -128,7 +128,7 @@ class Explanation:
 
 
 def fits_of(
-    rival: Rival,
+    alternative: Alternative,
     frames: ComparedFrames,
     near: Sequence[CellsFit] = (),
     *,
@@ -138,7 +138,7 @@ def fits_of(
 
     Parameters
     ----------
-    rival : Rival
+    alternative : Alternative
     frames : ComparedFrames
     near : sequence of CellsFit
         Fits of the first frames under a similar circuit, at whose cells the fits begin.
@@ -149,45 +149,45 @@ def fits_of(
     """
     fits: list[CellsFit] = []
     with suppress(InputError, *BROKEN):
-        chosen = frames.panels if rival is frames.specified else None
-        for number, frame in enumerate(frames.readings(rival)):
+        chosen = frames.panels if alternative is frames.specified else None
+        for number, frame in enumerate(frames.readings(alternative)):
             start = near[number].cells if number < len(near) else None
             if start is None and chosen is not None:
                 start = (chosen.resting, chosen.loaded)[number]
             if start is None and fits and not patient:
                 start = fits[0].cells
-            fit = fitted(rival.scene, frame, start, patient=patient)
+            fit = fitted(alternative.scene, frame, start, patient=patient)
             # of two panels that read alike the one that continues the unloaded panel is meant
             elsewhere = chosen is None and fit is not None and bool(fits)
             if elsewhere and fit and fit.network.branch != fits[0].network.branch:
-                fit = fitted(rival.scene, frame, fits[0].cells, patient=patient)
+                fit = fitted(alternative.scene, frame, fits[0].cells, patient=patient)
             if fit is None or not (patient or fit.within_noise):
                 break
             fits.append(fit)
     return tuple(fits)
 
 
-def rival_fits(
-    rival: Rival,
+def alternative_fits(
+    alternative: Alternative,
     frames: ComparedFrames,
     near: tuple[CellsFit, ...] = (),
     specified: Explanation | None = None,
 ) -> tuple[CellsFit, ...]:
-    """Return the fits under a rival, from the cells of the scene's circuit where these suffice.
+    """Return the fits under an alternative, from the scene's cells where these suffice.
 
     Where several panels read alike, the readout's start determines which one is meant.
 
     Parameters
     ----------
-    rival : Rival
+    alternative : Alternative
     frames : ComparedFrames
     near : tuple of CellsFit
         Fits under a circuit that is nearer; () without any.
     specified : Explanation or None
         Explanation by the scene's circuit.
     """
-    if near or specified is None or rival.order is not None:
-        return fits_of(rival, frames, near)
-    if rival.scene.circuit.several_panels(*rival.scene.panel.shape):
-        return fits_of(rival, frames)
-    return fits_of(rival, frames, specified.fits[:1]) or fits_of(rival, frames)
+    if near or specified is None or alternative.order is not None:
+        return fits_of(alternative, frames, near)
+    if alternative.scene.circuit.several_panels(*alternative.scene.panel.shape):
+        return fits_of(alternative, frames)
+    return fits_of(alternative, frames, specified.fits[:1]) or fits_of(alternative, frames)

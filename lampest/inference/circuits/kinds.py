@@ -28,7 +28,7 @@ CALLED = {
     "polarity": "polarity reversed",
     "measured_across": "read across the other resistor",
 }
-# Keys that alone make a rival of the specified kind, and what they mean.
+# Keys that alone make an alternative of the specified kind, and what they mean.
 OF_ONE_KEY = {
     "groups": "read in parallel",
     "driven_groups": "multiplexers of driven lines",
@@ -123,7 +123,7 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
 
     The converter, the resistor and all other common settings are those of the specified circuit.
     """
-    # Its presets are rivals of their own; what remains has lines that switches hold.
+    # Its presets are alternatives of their own; what remains has lines that switches hold.
     if kind is DrivenReadout:
         yield from _held_at_ground(specified)
         return

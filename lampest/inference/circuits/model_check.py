@@ -2,8 +2,8 @@
 
 One frame: are there positive cells that explain the readings within their noise, and do the
 readings satisfy the circuit's inequalities? Two frames: does another circuit, or an effect beside
-the circuit, explain them with a larger evidence (`lampest.inference.circuits.better_rival`)? The
-verdict is a sentence. Panels of modules have one from the modules whose readings change most.
+the circuit, explain them with a larger evidence (`lampest.inference.circuits.better_alternative`)?
+The verdict is a sentence. Panels of modules have one from the modules whose readings change most.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +16,7 @@ import numpy as np
 from lampest.files.applications import applications
 from lampest.files.levels import MAD_TO_SIGMA, MIN_EVIDENCE_GAIN, SIGNIFICANT
 from lampest.inference.cells_fit import well_determined
-from lampest.inference.circuits.better_rival import better_rival
+from lampest.inference.circuits.better_alternative import better_alternative
 from lampest.inference.circuits.compared_frames import ComparedFrames, below_series, broken_law
 from lampest.inference.circuits.explanation import Explanation
 from lampest.inference.circuits.open_ends import UndeterminedEnds, undetermined_ends
@@ -178,7 +178,7 @@ class Question(ComparedFrames):
         return missing <= MAX_MISSING and (self._few_bounds or bool(self.below))
 
     def check(self, besides: CircuitEffects, scatter: float) -> ModelCheck:
-        """Return the check of the circuit against its rivals and against these effects.
+        """Return the check of the circuit against its alternatives and against these effects.
 
         Parameters
         ----------
@@ -232,7 +232,7 @@ class Question(ComparedFrames):
 
     def _better(self, besides: CircuitEffects) -> BetterExplanation:
         """Return the better explanation by evidence: another circuit, or these effects."""
-        best = better_rival(self, None if self.fault else self.explanation)
+        best = better_alternative(self, None if self.fault else self.explanation)
         if (
             besides.name
             and (besides.fits_noise or not self.fault)

@@ -198,7 +198,7 @@ def undetermined_ends(specified: Explanation, frames: ComparedFrames) -> Undeter
     remarks: list[str] = []
     if specified.pair is None:
         return UndeterminedEnds()
-    for end in open_ends(specified.rival.scene, float(np.median(specified.fits[0].cells))):
+    for end in open_ends(specified.alternative.scene, float(np.median(specified.fits[0].cells))):
         possible = _possible(end, specified, frames)
         likeliest = max(possible, key=lambda tried: tried.gain, default=None)
         furthest = max(possible, key=lambda tried: abs(tried.shift), default=None)
@@ -226,8 +226,8 @@ def _possible(end: LeftOutEnd, specified: Explanation, frames: ComparedFrames) -
     most = 0.0
     near = specified
     for entries, scene in end.scenes:
-        rival = replace(specified.rival, scene=scene, kind=end.key)
-        further = Explanation.of(rival, frames, near)
+        alternative = replace(specified.alternative, scene=scene, kind=end.key)
+        further = Explanation.of(alternative, frames, near)
         if further is None or further.pair is None:
             break
         near = further

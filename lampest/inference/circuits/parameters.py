@@ -1,4 +1,4 @@
-"""Most probable values of a rival's parameters: a resistance in series, and the converter's memory.
+"""Most probable parameters of an alternative: a resistance in series, the converter's memory.
 
 A coarse grid is tried first. A search about its best value follows. Where linear theory allows no
 gain, neither is made: each value that is tried costs fits of both frames.
@@ -13,9 +13,9 @@ import numpy as np
 from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.cells_fit import CellsFit
+from lampest.inference.circuits.alternatives import Alternative
 from lampest.inference.circuits.compared_frames import ComparedFrames, broken_law
-from lampest.inference.circuits.explanation import FAR, Explanation, rival_fits
-from lampest.inference.circuits.rivals import Rival
+from lampest.inference.circuits.explanation import FAR, Explanation, alternative_fits
 from lampest.inference.evidence import PARAMETER_COST
 from lampest.panel.effects.converter_memory import KeptShare
 from lampest.panel.panel import Array
@@ -40,7 +40,7 @@ SERIES_ACCURACY = 0.05  # of that search, as a share of their distance
 
 
 def some_in_series(
-    rival: Rival,
+    alternative: Alternative,
     frames: ComparedFrames,
     to_beat: float = np.inf,
     *,
@@ -54,7 +54,7 @@ def some_in_series(
 
     Parameters
     ----------
-    rival : Rival
+    alternative : Alternative
         A circuit that does not explain the frames with its given resistance.
     frames : ComparedFrames
     to_beat : float
@@ -65,16 +65,16 @@ def some_in_series(
     specified : Explanation or None
         See `Explanation.by`.
     """
-    most = most_in_series(rival, frames)
+    most = most_in_series(alternative, frames)
     best = near = None
     begin = fits
     for ohm in np.linspace(0.0, most, SERIES_POINTS) if most else ():
-        if ohm == rival.ohm:
+        if ohm == alternative.ohm:
             continue
-        tried = replace(rival.with_series(ohm), at_limit=ohm in (0.0, most))
+        tried = replace(alternative.with_series(ohm), at_limit=ohm in (0.0, most))
         if broken_law(tried, frames):  # and with every larger one
             break
-        fits = rival_fits(tried, frames, begin, specified)
+        fits = alternative_fits(tried, frames, begin, specified)
         begin = fits or begin
         explanation = Explanation.by(fits, tried, frames, near, specified)
         if explanation is None:
@@ -95,28 +95,30 @@ def with_series(explanation: Explanation, frames: ComparedFrames) -> Explanation
     The search is made about the best of SERIES_POINTS, and about the given resistance only where a
     change of it may gain by linear theory.
     """
-    rival = explanation.rival
-    most = most_in_series(rival, frames)
+    alternative = explanation.alternative
+    most = most_in_series(alternative, frames)
     if not most:
         return explanation
     spacing = most / (SERIES_POINTS - 1)
     best = explanation
-    if rival.in_series is None:
+    if alternative.in_series is None:
         best = _best_beside(explanation, frames, most)
         if best is explanation:
             gain = _linear_gain(best, _response_to_series(best, spacing))
             if gain <= PARAMETER_COST:
                 return explanation
     search = _ParameterSearch(
-        lambda ohm: replace(rival.with_series(ohm), at_limit=False), frames, best
+        lambda ohm: replace(alternative.with_series(ohm), at_limit=False), frames, best
     )
     accuracy = SERIES_ACCURACY * spacing
-    search.between(max(best.rival.ohm - spacing, 0.0), best.rival.ohm + spacing, accuracy)
+    search.between(
+        max(best.alternative.ohm - spacing, 0.0), best.alternative.ohm + spacing, accuracy
+    )
     best = search.best.final
-    if best.rival.in_series is None:
+    if best.alternative.in_series is None:
         return best
-    at_limit = not 2 * accuracy < best.rival.ohm < most - 2 * accuracy
-    return replace(best, rival=replace(best.rival, at_limit=at_limit))
+    at_limit = not 2 * accuracy < best.alternative.ohm < most - 2 * accuracy
+    return replace(best, alternative=replace(best.alternative, at_limit=at_limit))
 
 
 def _best_beside(explanation: Explanation, frames: ComparedFrames, most: float) -> Explanation:
@@ -132,13 +134,13 @@ def _best_beside(explanation: Explanation, frames: ComparedFrames, most: float) 
     most : float
         The largest resistance, ohm.
     """
-    rival = explanation.rival
+    alternative = explanation.alternative
     ohms = np.linspace(0.0, most, SERIES_POINTS)
     best = explanation
-    for outwards in (ohms[ohms < rival.ohm][::-1], ohms[ohms > rival.ohm]):
+    for outwards in (ohms[ohms < alternative.ohm][::-1], ohms[ohms > alternative.ohm]):
         near = explanation
         for ohm in outwards:
-            tried = replace(rival.with_series(ohm), at_limit=ohm in (0.0, most))
+            tried = replace(alternative.with_series(ohm), at_limit=ohm in (0.0, most))
             further = None if broken_law(tried, frames) else Explanation.of(tried, frames, near)
             if further is None or further.score > best.score + DOUBTFUL_GAIN:
                 break
@@ -153,17 +155,17 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
     A scene that states a memory keeps it. Other memories are searched for where they may gain by
     linear theory.
     """
-    rival = explanation.rival
-    if rival.scene.converter_memory is not None or rival.scene.readout is None:
+    alternative = explanation.alternative
+    if alternative.scene.converter_memory is not None or alternative.scene.readout is None:
         return explanation
     if not may_gain_by_memory(explanation, frames):
         return explanation
-    search = _ParameterSearch(rival.with_memory, frames, explanation)
+    search = _ParameterSearch(alternative.with_memory, frames, explanation)
     coarse = min(MEMORIES, key=search.score)
     if search.best is explanation:
         return explanation
     search.between(coarse / 2, 2 * coarse, MEMORY_ACCURACY * coarse)
-    fraction = search.best.rival.scene.known_memory or 0.0
+    fraction = search.best.alternative.scene.known_memory or 0.0
     return search.best.final if MIN_MEMORY < fraction < MAX_MEMORY else explanation
 
 
@@ -173,20 +175,20 @@ class _ParameterSearch:
 
     Attributes
     ----------
-    rival_of : callable
+    alternative_of : callable
         Function (value) → the circuit with that value.
     frames : ComparedFrames
     best : Explanation
         The best explanation so far; the next fits begin at its cells.
     """
 
-    rival_of: Callable[[float], Rival]
+    alternative_of: Callable[[float], Alternative]
     frames: ComparedFrames
     best: Explanation
 
     def score(self, value: float) -> float:
         """Return the score of a value; infinite where no fit is found."""
-        explanation = Explanation.of(self.rival_of(float(value)), self.frames, self.best)
+        explanation = Explanation.of(self.alternative_of(float(value)), self.frames, self.best)
         if explanation is None:
             return np.inf
         self.best = min(self.best, explanation, key=attrgetter("score"))
@@ -242,7 +244,7 @@ def _response_to_series(explanation: Explanation, ohm: float) -> Array | None:
         return None
     # in series with every driven line, or with either side of lines that are alike
     rows = explanation.pair.shape[0]
-    driven = getattr(explanation.rival.scene.circuit, "driven", "rows")
+    driven = getattr(explanation.alternative.scene.circuit, "driven", "rows")
     lines = slice(0, rows) if driven == "rows" else slice(rows, None)
     return np.asarray(ohm * explanation.pair.channels[:, lines].sum(axis=1))
 
@@ -251,7 +253,7 @@ def _response_to_memory(explanation: Explanation, frames: ComparedFrames) -> Arr
     """Return the change of d by a usual memory of the converter, (cells,); None without a pair."""
     if explanation.pair is None:
         return None
-    remembering = frames.readings(explanation.rival.with_memory(LINEAR_MEMORY))
+    remembering = frames.readings(explanation.alternative.with_memory(LINEAR_MEMORY))
     resting, loaded = (
         fit.response((readings.value - fit.measured.value)[None])[:, 0]
         for fit, readings in zip(explanation.fits, remembering, strict=True)
@@ -259,14 +261,14 @@ def _response_to_memory(explanation: Explanation, frames: ComparedFrames) -> Arr
     return np.asarray(loaded - resting)
 
 
-def most_in_series(rival: Rival, frames: ComparedFrames) -> float:
+def most_in_series(alternative: Alternative, frames: ComparedFrames) -> float:
     """Return the largest resistance in series that the readings allow, ohm.
 
     The result is 0 where no such resistance is possible or known.
     """
-    if not rival.scene.circuit.series_name or len(frames.standing) == 0:
+    if not alternative.scene.circuit.series_name or len(frames.standing) == 0:
         return 0.0
-    without = without_series(rival)
+    without = without_series(alternative)
     try:
         read = frames.readings(without)
     except (InputError, *BROKEN):
@@ -280,6 +282,10 @@ def most_in_series(rival: Rival, frames: ComparedFrames) -> float:
     return MAX_SERIES_SHARE * most if np.isfinite(most) and most > 0 else 0.0
 
 
-def without_series(rival: Rival) -> Rival:
-    """Return the rival without resistance in series; the same where it has none."""
-    return rival.with_series(0.0) if rival.scene.circuit.series_name and rival.ohm else rival
+def without_series(alternative: Alternative) -> Alternative:
+    """Return the alternative without resistance in series; the same where it has none."""
+    return (
+        alternative.with_series(0.0)
+        if alternative.scene.circuit.series_name and alternative.ohm
+        else alternative
+    )

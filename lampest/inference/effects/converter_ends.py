@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
+from lampest.inference.circuits.alternatives import Alternative, with_converter
 from lampest.inference.circuits.compared_frames import ComparedFrames
 from lampest.inference.circuits.explanation import Explanation
-from lampest.inference.circuits.rivals import Rival, with_converter
 from lampest.inference.effects.effect import (
     Determined,
     Gathered,
@@ -310,7 +310,7 @@ def _zero_of_still_cells(recording: Recording) -> tuple[float, float] | None:
     known = replace(recording, recorded=recorded, scene=replace(scene, readout=begun))
     frames = ComparedFrames.of(known, np.zeros(recorded.shape, dtype=bool))
 
-    def rival_of(zero: float) -> Rival:
+    def alternative_of(zero: float) -> Alternative:
         ends = _with_zero(recording, zero)
         return with_converter(frames.specified, "zero", {}, converter=ends)
 
@@ -319,10 +319,10 @@ def _zero_of_still_cells(recording: Recording) -> tuple[float, float] | None:
     for start in ZERO_STARTS:
         zero = start * readout.full_scale_volt
         for _ in range(MAX_ZERO_STEPS):
-            explanation = Explanation.of(rival_of(zero), frames, patient=True)
+            explanation = Explanation.of(alternative_of(zero), frames, patient=True)
             if explanation is None or explanation.pair is None:
                 break
-            shifted = frames.readings(rival_of(zero + ZERO_SECANT * prior))
+            shifted = frames.readings(alternative_of(zero + ZERO_SECANT * prior))
             resting, loaded = (
                 fit.response((moved.value - fit.measured.value)[None])
                 for fit, moved in zip(explanation.fits, shifted, strict=True)

@@ -120,8 +120,8 @@ def _explanations(
     explanations = list[Explanation | None]()
     with np.errstate(all="ignore"):
         for share in shares.tolist():
-            rival = frames.specified.with_memory(share)
-            explanation = Explanation.of(rival, frames, near, patient=patient)
+            alternative = frames.specified.with_memory(share)
+            explanation = Explanation.of(alternative, frames, near, patient=patient)
             near = explanation or near
             # Channels and moved cells are of this share, not of the one before.
             explanations.append(explanation and explanation.final)
@@ -138,7 +138,7 @@ def _cost(explanation: Explanation | None) -> float:
     # p(recorded) = p(freed) |∂freed/∂recorded|. The score has the readings relative to their σ,
     # which is √(1 + m²) |∂freed/∂recorded| times that of the recorded ones.
     count = float(np.sum(explanation.fits[-1].readings.seen > 0))
-    memory = explanation.rival.scene.known_memory or 0.0
+    memory = explanation.alternative.scene.known_memory or 0.0
     return explanation.score + count * float(np.log1p(memory**2))
 
 

@@ -9,7 +9,7 @@ has in all frames, because a load changes their effect on the cells: the share i
 with their size where that is unknown. Errors that the readings of a frame share, such as a ripple
 that the scene names, are part of the covariance.
 
-A load that trembles faster than frames are taken displaces each reading along the change that the
+A load that jitters faster than frames are taken displaces each reading along the change that the
 load makes, by a random share of relative size q: σ grows by q times that change, and all readings
 of a frame share the load's deviation at the middle of the scan. Still cells tell q, jointly with
 the share.
@@ -46,7 +46,7 @@ from lampest.inference.nuisances import Besides
 from lampest.inference.pair import FittedPair
 from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.effects import estimated_errors, own_errors
-from lampest.panel.effects.motion import TREMBLINGS, LoadMotion
+from lampest.panel.effects.motion import JITTERS, LoadMotion
 from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array
@@ -62,13 +62,13 @@ from lampest.solvers.hessian import block_diagonal
 
 # Largest variance of each reading's own error beside a motion: larger ones explain any load.
 MAX_OWN_VARIANCE = 0.03**2
-# Steps of share, trembling² and own error²; a tenth of −ln evidence moves no share by half of its
+# Steps of share, jitter² and own error²; a tenth of −ln evidence moves no share by half of its
 # standard deviation.
 SCORING = LevenbergMarquardt(evaluations=12, settled=0.1, damping=0.0)
 # Least reliability of displacements: below it a share may be the whole time.
 MIN_RELIABILITY = 0.2
 POINTS = 201  # of a posterior over the shares
-# Probability of a steady load below which trembling is shown: that of NOISE_REACH in a normal
+# Probability of a steady load below which jitter is shown: that of NOISE_REACH in a normal
 # distribution.
 STEADY_ODDS = 0.0027
 LOADED_SHARE = 0.15  # of the largest change: a cell that changes by more is under the load
@@ -161,15 +161,15 @@ def share_of_motion(
     known: float | None = None,
     *,
     unknown_errors: bool = False,
-    trembling_alone: bool = True,
+    jitter_alone: bool = True,
     frame_noise: FrameNoise | None = None,
     resting_cells: Array | None = None,
 ) -> Share | None:
-    """Return the share of the time between frames that a scan takes, and the load's trembling.
+    """Return the share of the time between frames that a scan takes, and the load's jitter.
 
     The result is None where it is unknown. A load that moves displaces all readings of a frame
     along one known direction, by share · displacement. Cells that no load touches seem to move by K
-    times as much, K the inverse of the Jacobian. Share, trembling and the readings' own errors have
+    times as much, K the inverse of the Jacobian. Share, jitter and the readings' own errors have
     the largest evidence of the changes since rest, in the frames with the largest motion.
 
     Parameters
@@ -182,8 +182,8 @@ def share_of_motion(
         The share, where it is known.
     unknown_errors : bool
         Whether each reading has an error of its own of unknown size, the same in all frames.
-    trembling_alone : bool
-        Whether frames count in which cells are still with a load that trembles alone.
+    jitter_alone : bool
+        Whether frames count in which cells are still with a load that jitters alone.
     frame_noise : FrameNoise or None
         Errors that the readings of a frame share, such as a ripple: they, too, move all cells.
     """
@@ -194,29 +194,29 @@ def share_of_motion(
     search = MotionSearch(moving, MAX_OWN_VARIANCE if unknown_errors else 0.0)
     steady = search.likeliest(shares)
     compared = [frame for frame in moving if frame.still_and_free(steady.position)[0]]
-    shows_trembling = all(frame.still_and_free(steady.position)[1] for frame in compared)
-    if not compared and trembling_alone:
-        # Where a load trembles, cells stand still under no steady motion.
-        trembling = search.likeliest(shares, TREMBLINGS)
-        compared = [frame for frame in moving if frame.still_and_free(trembling.position)[1]]
+    shows_jitter = all(frame.still_and_free(steady.position)[1] for frame in compared)
+    if not compared and jitter_alone:
+        # Where a load jitters, cells stand still under no steady motion.
+        jitter = search.likeliest(shares, JITTERS)
+        compared = [frame for frame in moving if frame.still_and_free(jitter.position)[1]]
     if not compared:
         return None
     if len(compared) < len(moving):
         search = replace(search, moving=compared)
         steady = search.likeliest(shares)
     likely = [steady]
-    if shows_trembling:
-        likely.append(search.likeliest(shares, TREMBLINGS))
+    if shows_jitter:
+        likely.append(search.likeliest(shares, JITTERS))
     return _share(search, likely, known)
 
 
 def _share(
     search: "MotionSearch", likely: "Sequence[MotionEvidence]", known: float | None
 ) -> Share:
-    """Return the share by the likeliest motion without trembling, then with one if it may be.
+    """Return the share by the likeliest motion without jitter, then with one if it may be.
 
     The reach is the share over the reliability of the displacements,
-    1 − Σ errors²/Σ displacements², at most the whole time. A share that trembling hides remains
+    1 − Σ errors²/Σ displacements², at most the whole time. A share that jitter hides remains
     possible.
     """
     log_odds = np.array([motion.log_evidence for motion in likely])
@@ -249,7 +249,7 @@ class MotionEvidence:
     Attributes
     ----------
     position : array, shape (3,)
-        Share, trembling², and variance of each reading's own error.
+        Share, jitter², and variance of each reading's own error.
     cost : float
         −ln evidence.
     gradient, normal : array, shapes (3,) and (3, 3)
@@ -276,12 +276,12 @@ class MotionEvidence:
 
     @property
     def log_evidence(self) -> float:
-        """Logarithm of the evidence, with a prior of the trembling uniform in its logarithm."""
+        """Logarithm of the evidence, with a prior of the jitter uniform in its logarithm."""
         squared = float(self.position[1])
         if not squared:
             return -self.cost
         deviation = 0.5 / (squared * np.sqrt(self.normal[1, 1]))
-        width = min(np.sqrt(2 * np.pi) * deviation / np.log(TREMBLINGS[1] / TREMBLINGS[0]), 1.0)
+        width = min(np.sqrt(2 * np.pi) * deviation / np.log(JITTERS[1] / JITTERS[0]), 1.0)
         return float(np.log(width)) - self.cost
 
 
@@ -301,15 +301,15 @@ class MotionSearch:
     own: float
 
     def likeliest(
-        self, shares: tuple[float, float], tremblings: tuple[float, float] = (0.0, 0.0)
+        self, shares: tuple[float, float], jitters: tuple[float, float] = (0.0, 0.0)
     ) -> MotionEvidence:
-        """Return the motion of largest evidence between limits of the share and of trembling.
+        """Return the motion of largest evidence between limits of the share and of jitter.
 
         The search begins without errors of readings, and with the largest ones: more cells seem to
         have moved without them, and may hide them.
         """
-        low = np.array([shares[0], tremblings[0] ** 2, 0.0])
-        high = np.array([shares[1], tremblings[1] ** 2, self.own])
+        low = np.array([shares[0], jitters[0] ** 2, 0.0])
+        high = np.array([shares[1], jitters[1] ** 2, self.own])
         begins = [np.array([*low[:2], own]) for own in dict.fromkeys((0.0, self.own))]
         found = (self._descended(begin, (low, high)) for begin in begins)
         return min(found, key=lambda motion: motion.cost)
@@ -355,7 +355,7 @@ class MotionSearch:
         jacobian = -2 * np.sum(still * np.log(1 - share * weights))
         count = sum(int(cells.sum()) for cells in moved)
         cost = float(residual @ pull - volume + MOVED_COST * count + jacobian) / 2
-        # V_share and V_trembling are K diag(variances) Kᵀ, V_own is A Aᵀ.
+        # V_share and V_jitter are K diag(variances) Kᵀ, V_own is A Aᵀ.
         variances = np.concatenate([frame.slopes(share) for frame in self.moving], axis=1)
         of_readings = gain.T @ (precision @ gain)
         of_errors = by_error.T @ (precision @ by_error)
@@ -480,7 +480,7 @@ class MovingFrame:
         )
 
     def slopes(self, share: float) -> Array:
-        """Return ∂(variance of each reading)/∂(share, trembling²), (2, readings)."""
+        """Return ∂(variance of each reading)/∂(share, jitter²), (2, readings)."""
         noise, doubt, load = self._variances
         weight = self.displaced.weight.ravel()
         return np.stack([2 * noise * weight * (2 * share * weight - 1) + 2 * share * doubt, load])
@@ -495,12 +495,12 @@ class MovingFrame:
         Parameters
         ----------
         motion : array, shape (3,)
-            Share, trembling², and variance of each reading's own error.
+            Share, jitter², and variance of each reading's own error.
         """
-        share, trembling, own = motion
+        share, jitter, own = motion
         weight = share * self.displaced.weight.ravel()
         noise, doubt, load = self._variances
-        variance = trembling * load - 2 * noise * weight * (1 - weight)
+        variance = jitter * load - 2 * noise * weight * (1 - weight)
         if doubted:
             # The evidence takes motion as smooth: a wider doubt would favour small shares.
             variance = variance + share**2 * doubt
@@ -516,7 +516,7 @@ class MovingFrame:
     def still_and_free(self, motion: Array) -> tuple[bool, bool]:
         """Return whether most cells are still under a motion, and whether they have no load.
 
-        A load that trembles may move any cell that changed as loaded ones do. Cells count as still
+        A load that jitters may move any cell that changed as loaded ones do. Cells count as still
         without the doubt of the interpolation: with it, everything may be still.
         """
         exact = self.changes_by(motion, doubted=False)
@@ -529,14 +529,14 @@ class MovingFrame:
 def interpolated(noise: NoiseEstimate, recording: Recording, share: Share) -> NoiseEstimate:
     """Return the noise with readings that are interpolated to the middle of their scan.
 
-    Their σ contains the errors of the interpolation and of the load's trembling.
+    Their σ contains the errors of the interpolation and of the load's jitter.
 
     Parameters
     ----------
     noise : NoiseEstimate
     recording : Recording
     share : Share
-        Share of the time between frames that a scan takes, and the load's trembling.
+        Share of the time between frames that a scan takes, and the load's jitter.
     """
     readings = noise.readings
     measured = np.flatnonzero(recording.role == MEASURED)
@@ -548,13 +548,13 @@ def interpolated(noise: NoiseEstimate, recording: Recording, share: Share) -> No
     moved = np.maximum(displaced**2 - 2 * noise_variance * weight**2, 0.0)
     variance = own + (share.reach * doubt) ** 2 + share.deviation**2 * moved
     frame = noise.frame
-    if share.trembling and unloaded.any():
+    if share.jitter and unloaded.any():
         resting = readings[unloaded].mean().value
         by_load = np.zeros(readings.value.shape)
         by_load[measured] = readings.value[measured] - resting
-        variance += share.trembling**2 * np.maximum(by_load**2 - noise_variance, 0.0)
+        variance += share.jitter**2 * np.maximum(by_load**2 - noise_variance, 0.0)
         frame = frame or FrameNoise(recording.scene, int(unloaded.sum()), 0.0, NO_RIPPLE, NO_RIPPLE)
-        frame = replace(frame, trembling=share.trembling, resting=resting)
+        frame = replace(frame, jitter=share.jitter, resting=resting)
     readings = replace(
         readings, value=readings.value - share.mean * displaced, sigma=np.sqrt(variance)
     )
@@ -628,8 +628,8 @@ class ScanMotion(SceneEffect):
             share_of_motion,
             evidence.recording,
             readings,
-            # A load on most cells, such as a hand, is like one that trembles.
-            trembling_alone=False,
+            # A load on most cells, such as a hand, is like one that jitters.
+            jitter_alone=False,
             frame_noise=evidence.noise.frame,
             resting_cells=evidence.noise.resting_cells,
         )
@@ -648,5 +648,5 @@ def _in_words(noise: NoiseEstimate) -> str:
     if share is None or "motion" not in noise.estimated:
         return ""
     if share.steady < STEADY_ODDS and share.mean < NOISE_REACH * share.deviation:
-        return LoadMotion().trembling_sentence(share.trembling)
+        return LoadMotion().jitter_sentence(share.jitter)
     return LoadMotion().sentence(share.mean, share.deviation)

@@ -1,4 +1,4 @@
-"""Motion: loads that move, and tremble, while the readings of a frame are taken."""
+"""Motion: loads that move, and jitter, while the readings of a frame are taken."""
 
 from typing import Any
 
@@ -8,16 +8,16 @@ from lampest.panel.effects.sized_effect import SizedEffect
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import Readout
 
-# Least and largest trembling of a load within a scan, as shares of its change. The prior of the
-# logarithm is uniform between them, and no trembling is as probable as all others together.
-TREMBLINGS = 0.015, 0.25
+# Least and largest jitter of a load within a scan, as shares of its change. The prior of the
+# logarithm is uniform between them, and no jitter is as probable as all others together.
+JITTERS = 0.015, 0.25
 
 
 class LoadMotion(SizedEffect):
     """A displacement of each reading along the load's motion.
 
     The size is the share of the time between frames that a scan takes. Readings are interpolated to
-    the middle of their scan; what remains is the trembling of the load, a share of the change that
+    the middle of their scan; what remains is the jitter of the load, a share of the change that
     it makes.
     """
 
@@ -31,16 +31,16 @@ class LoadMotion(SizedEffect):
             f"takes {size:.2g} +- {deviation:.1g} of the time between frames"
         )
 
-    def trembling_sentence(self, trembling: float) -> str:
-        """Return that a load trembles, by a share of the change that it makes, in words."""
+    def jitter_sentence(self, jitter: float) -> str:
+        """Return that a load jitters, by a share of the change that it makes, in words."""
         return (
-            "still cells seem to move with the load, which trembles by "
-            f"{100 * trembling:.2g} % within a scan"
+            "still cells seem to move with the load, which jitters by "
+            f"{100 * jitter:.2g} % within a scan"
         )
 
     def columns(self, circuit: Readout, values: Array, *sizes: Any) -> Array:
-        """Return the column of the trembling; none where the unloaded panel was not read."""
-        trembling, resting = sizes
+        """Return the column of the jitter; none where the unloaded panel was not read."""
+        jitter, resting = sizes
         if resting is None:
             return np.zeros((0, *values.shape))
-        return np.asarray((trembling * (values - resting))[None])
+        return np.asarray((jitter * (values - resting))[None])

@@ -367,9 +367,9 @@ def test_a_failed_recognition_is_repeated_with_the_next_frames(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(3))
-def test_a_trembling_ring_is_never_taken_for_a_lamprey(number: int) -> None:
-    """The ring trembles by 3 % at a breathing rate; no cell has risen."""
-    recording, *_ = attached("trembling ring", 4.0, 8100 + number)
+def test_a_jitter_ring_is_never_taken_for_a_lamprey(number: int) -> None:
+    """The ring jitters by 3 % at a breathing rate; no cell has risen."""
+    recording, *_ = attached("jitter ring", 4.0, 8100 + number)
     known = known_before(recording)
     watch = known.watch()
     sucking = 0.0

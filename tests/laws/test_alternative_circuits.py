@@ -1,4 +1,4 @@
-"""Laws of the search for rival circuits: its shortcuts do not change the verdict."""
+"""Laws of the search for alternative circuits: its shortcuts do not change the verdict."""
 
 from dataclasses import replace
 
@@ -9,9 +9,9 @@ import lampest
 from lampest import DrivenReadout, GroundedReadout, LoadedColumnsReadout, Panel, Scene
 from lampest.inference import cells_fit
 from lampest.inference.cells_fit import LEAST_SQUARES, CellsFit, data_of_cells, fitted
-from lampest.inference.circuits import better_rival, explanation, parameters
+from lampest.inference.circuits import better_alternative, explanation, parameters
+from lampest.inference.circuits.alternatives import Alternative, alternatives_of
 from lampest.inference.circuits.compared_frames import broken_law
-from lampest.inference.circuits.rivals import Rival, rivals_of
 from lampest.inference.prepared import Prepared
 from lampest.panel.effects.loose_contact import LooseContact
 from lampest.panel.readouts.readout import Readout
@@ -22,7 +22,7 @@ from lampest.solvers.posed import cost_of_solve
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
-pytestmark = pytest.mark.long  # fits of rivals: seconds each
+pytestmark = pytest.mark.long  # fits of alternatives: seconds each
 
 CIRCUITS = (
     lampest.TwoPointReadout(),
@@ -52,10 +52,10 @@ def panel_cells(rows: int, columns: int) -> np.ndarray:
 def test_a_resistance_in_series_only_narrows_the_laws_of_a_circuit(circuit: Readout) -> None:
     scene = Scene(Panel(4, 5), circuit).with_series(0.0)
     recorded = circuit.to_recorded(circuit.exact_reading(panel_cells(4, 5)), scene)[None]
-    rival = Rival(scene, recorded, None)
+    alternative = Alternative(scene, recorded, None)
     previous: list[np.ndarray] = []
     for ohm in (0.0, 5.0, 20.0, 60.0):
-        tried = rival.with_series(ohm)
+        tried = alternative.with_series(ohm)
         readings = tried.readings
         tests = tried.scene.circuit.free_tests(readings.value, readings.known_sigma)
         # the law of idle lines at ground comes first, and only with resistances that are large
@@ -83,25 +83,25 @@ def pressed() -> lampest.Recording:
     return lampest.simulate(lampest.Simulation(1, 3, scene, frames=3, loads=(load,)))
 
 
-def test_rivals_whose_laws_the_readings_break_are_not_fitted(
+def test_alternatives_whose_laws_the_readings_break_are_not_fitted(
     monkeypatch: pytest.MonkeyPatch, pressed: lampest.Recording
 ) -> None:
     question = Prepared(pressed).question
-    tried: list[Rival] = []
+    tried: list[Alternative] = []
     fits_of = explanation.fits_of
 
-    def counted(rival: Rival, *further: object, **named: object) -> object:
-        tried.append(rival)
-        return fits_of(rival, *further, **named)  # type: ignore[arg-type]
+    def counted(alternative: Alternative, *further: object, **named: object) -> object:
+        tried.append(alternative)
+        return fits_of(alternative, *further, **named)  # type: ignore[arg-type]
 
     monkeypatch.setattr(explanation, "fits_of", counted)
     assert question.explanation is not None
-    better_rival.better_rival(question, question.explanation)
+    better_alternative.better_alternative(question, question.explanation)
     assert len(tried) > 3
-    assert not any(broken_law(rival, question) for rival in tried if rival.kind)
+    assert not any(broken_law(alternative, question) for alternative in tried if alternative.kind)
 
 
-def test_fits_of_rivals_begin_at_the_cells_of_a_neighbour(
+def test_fits_of_alternatives_begin_at_the_cells_of_a_neighbour(
     monkeypatch: pytest.MonkeyPatch, pressed: lampest.Recording
 ) -> None:
     question = Prepared(pressed).question
@@ -117,7 +117,7 @@ def test_fits_of_rivals_begin_at_the_cells_of_a_neighbour(
 
     assert question.explanation is not None
     monkeypatch.setattr(explanation, "fitted", noted)
-    better_rival.better_rival(question, question.explanation)
+    better_alternative.better_alternative(question, question.explanation)
     assert len(fits) > 10
     assert not [
         scene.readout for scene in cold if not scene.circuit.several_panels(*scene.panel.shape)
@@ -125,7 +125,7 @@ def test_fits_of_rivals_begin_at_the_cells_of_a_neighbour(
 
 
 @pytest.mark.slow
-def test_of_rivals_that_differ_in_names_of_lines_one_is_searched_in_series(
+def test_of_alternatives_that_differ_in_names_of_lines_one_is_searched_in_series(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     circuit = LoadedColumnsReadout(load_ohm=1000.0, drive_ohm=1000.0)
@@ -134,18 +134,18 @@ def test_of_rivals_that_differ_in_names_of_lines_one_is_searched_in_series(
     recording = lampest.simulate(lampest.Simulation(1, 3, scene, frames=3, loads=(load,)))
     swapped = replace(recording, scene=replace(scene, readout=replace(circuit, driven="columns")))
     question = Prepared(swapped).question
-    searched: list[Rival] = []
-    with_series = better_rival.with_series
+    searched: list[Alternative] = []
+    with_series = better_alternative.with_series
 
     def noted(candidate: explanation.Explanation, frames: object) -> object:
-        searched.append(candidate.rival)
+        searched.append(candidate.alternative)
         return with_series(candidate, frames)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(better_rival, "with_series", noted)
-    best = better_rival.better_rival(question, question.explanation)
+    monkeypatch.setattr(better_alternative, "with_series", noted)
+    best = better_alternative.better_alternative(question, question.explanation)
     assert best.name == "readout.driven: rows (rows and columns swapped)"
-    assert best.name in {rival.kind for rival in searched}
-    assert not [rival.kind for rival in searched if rival.order is not None]
+    assert best.name in {alternative.kind for alternative in searched}
+    assert not [alternative.kind for alternative in searched if alternative.order is not None]
 
 
 @pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: str(circuit.kind))
@@ -156,7 +156,7 @@ def test_a_fit_to_readings_that_no_cells_give_ends_at_the_minimum_of_the_solver(
     cells = panel_cells(4, 5)
     recorded = circuit.to_recorded(circuit.exact_reading(cells), scene)[None]
     # no cells give these beside the other readings of most circuits
-    frame = Rival(scene, FAR * recorded, None).readings[0]
+    frame = Alternative(scene, FAR * recorded, None).readings[0]
     fit = fitted(scene, frame, cells, patient=True)
     assert fit is not None
     data = replace(data_of_cells(scene, frame), lower=np.full((1, 4, 5), 1e-3))
@@ -168,57 +168,61 @@ def test_a_fit_to_readings_that_no_cells_give_ends_at_the_minimum_of_the_solver(
 
 
 @pytest.fixture
-def rival_fits(monkeypatch: pytest.MonkeyPatch) -> list[Rival]:
-    """Return the list of rivals that are fitted from now on."""
-    fitted_rivals: list[Rival] = []
+def alternative_fits(monkeypatch: pytest.MonkeyPatch) -> list[Alternative]:
+    """Return the list of alternatives that are fitted from now on."""
+    fitted_alternatives: list[Alternative] = []
     fits_of = explanation.fits_of
 
-    def counted(rival: Rival, *further: object, **named: object) -> object:
-        fitted_rivals.append(rival)
-        return fits_of(rival, *further, **named)  # type: ignore[arg-type]
+    def counted(alternative: Alternative, *further: object, **named: object) -> object:
+        fitted_alternatives.append(alternative)
+        return fits_of(alternative, *further, **named)  # type: ignore[arg-type]
 
     monkeypatch.setattr(explanation, "fits_of", counted)
-    return fitted_rivals
+    return fitted_alternatives
 
 
 def test_a_search_for_a_resistance_in_series_ends_where_none_can_win(
-    pressed: lampest.Recording, rival_fits: list[Rival]
+    pressed: lampest.Recording, alternative_fits: list[Alternative]
 ) -> None:
     question = Prepared(pressed).question
-    rival = next(rival for rival in rivals_of(question.specified) if "virtual" in rival.name)
-    best = parameters.some_in_series(rival, question)
+    alternative = next(
+        alternative
+        for alternative in alternatives_of(question.specified)
+        if "virtual" in alternative.name
+    )
+    best = parameters.some_in_series(alternative, question)
     assert best is not None
-    every_resistance = len(rival_fits)
-    rival_fits.clear()
-    assert parameters.some_in_series(rival, question, to_beat=best.score) is not None
-    assert len(rival_fits) == every_resistance
-    rival_fits.clear()
-    parameters.some_in_series(rival, question, to_beat=best.score - 1000)
-    assert len(rival_fits) == 1 < every_resistance
+    every_resistance = len(alternative_fits)
+    alternative_fits.clear()
+    assert parameters.some_in_series(alternative, question, to_beat=best.score) is not None
+    assert len(alternative_fits) == every_resistance
+    alternative_fits.clear()
+    parameters.some_in_series(alternative, question, to_beat=best.score - 1000)
+    assert len(alternative_fits) == 1 < every_resistance
 
 
 def test_of_the_right_circuit_the_next_resistances_are_fitted_and_no_memory(
-    rival_fits: list[Rival],
+    alternative_fits: list[Alternative],
 ) -> None:
     question = Prepared(lampest.datasets.load("lamprey_35mm")).question
     specified = question.explanation
     assert specified is not None
-    rival_fits.clear()
+    alternative_fits.clear()
     assert parameters.with_converter_memory(specified, question) is specified
-    assert not rival_fits
+    assert not alternative_fits
     assert parameters.with_series(specified, question) is specified
-    assert len(rival_fits) <= 2
+    assert len(alternative_fits) <= 2
 
 
 @pytest.mark.parametrize("circuit", CIRCUITS[:4], ids=lambda circuit: str(circuit.kind))
-def test_fits_of_rivals_never_need_the_solver(
+def test_fits_of_alternatives_never_need_the_solver(
     monkeypatch: pytest.MonkeyPatch, circuit: Readout
 ) -> None:
     scene = Scene(Panel(4, 5), circuit).with_series(0.0)
     cells = panel_cells(4, 5)
     recorded = circuit.to_recorded(circuit.exact_reading(cells), scene)[None]
     # no cells give the first of these readings; noise gives a part of the second ones
-    far, near = (Rival(scene, factor * recorded, None).readings[0] for factor in (FAR, NEAR))
+    far, near = (Alternative(scene, factor * recorded, None).readings[0] for factor in (FAR, NEAR))
     monkeypatch.setattr(cells_fit, "solved_from", None)
     assert fitted(scene, far, cells) is None
     fit = fitted(scene, near, cells)

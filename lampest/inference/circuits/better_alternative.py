@@ -1,7 +1,7 @@
-"""Choice of the rival circuit that explains a recording better than the scene's.
+"""Choice of the alternative circuit that explains a recording better than the scene's.
 
-A rival counts if its evidence is larger by MIN_EVIDENCE_GAIN. Its resistance in series and the
-memory of its converter are those of largest evidence.
+An alternative counts if its evidence is larger by MIN_EVIDENCE_GAIN. Its resistance in series and
+the memory of its converter are those of largest evidence.
 """
 
 from collections.abc import Sequence
@@ -12,22 +12,22 @@ import numpy as np
 
 from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.cells_fit import SMALL_CHI_SQUARE, CellsFit, well_determined
+from lampest.inference.circuits.alternatives import (
+    Alternative,
+    alternatives_of,
+    changes_beyond_noise,
+    in_other_scan_order,
+    other_converters,
+    rounded_down,
+)
 from lampest.inference.circuits.compared_frames import ComparedFrames, broken_law
-from lampest.inference.circuits.explanation import Explanation, rival_fits
+from lampest.inference.circuits.explanation import Explanation, alternative_fits
 from lampest.inference.circuits.parameters import (
     DOUBTFUL_GAIN,
     some_in_series,
     with_converter_memory,
     with_series,
     without_series,
-)
-from lampest.inference.circuits.rivals import (
-    Rival,
-    changes_beyond_noise,
-    in_other_scan_order,
-    other_converters,
-    rivals_of,
-    rounded_down,
 )
 from lampest.inference.evidence import PARAMETER_COST, mostly_still
 from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation, cell_factors
@@ -36,7 +36,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import DrivenCircuit
 
 SAME_SCORE = 1e-3  # scores that differ by less are rounding's
-# Fits end within some hundredths of their smallest χ², rivals within SMALL_CHI_SQUARE.
+# Fits end within some hundredths of their smallest χ², alternatives within SMALL_CHI_SQUARE.
 SAME_COST = SMALL_CHI_SQUARE
 # Of a circuit under which a load lowers no resistance, in -2 ln evidence, beside one of falling
 # codes: a press lowers some, and so does a cup's rim.
@@ -49,12 +49,13 @@ MIN_FILLED = 0.5
 MIN_IN_FILLED = 0.5
 
 
-def better_rival(frames: ComparedFrames, specified: Explanation | None) -> BetterExplanation:
-    """Return the rival that explains the readings better than the scene's circuit.
+def better_alternative(frames: ComparedFrames, specified: Explanation | None) -> BetterExplanation:
+    """Return the alternative that explains the readings better than the scene's circuit.
 
-    A better rival explains them where the scene's circuit does not, or gains more than
-    MIN_EVIDENCE_GAIN. Rivals under which most cells have moved do not count, because the still
-    cells cannot be identified then. One that would gain as much is `covered`: neither is likelier.
+    A better alternative explains them where the scene's circuit does not, or gains more than
+    MIN_EVIDENCE_GAIN. Alternatives under which most cells have moved do not count, because the
+    still cells cannot be identified then. One that would gain as much is `covered`: neither is
+    likelier.
 
     Parameters
     ----------
@@ -62,16 +63,18 @@ def better_rival(frames: ComparedFrames, specified: Explanation | None) -> Bette
     specified : Explanation or None
         The explanation by the scene's circuit; None where it does not explain the readings.
     """
-    if specified is not None and not _needs_rivals(specified):
+    if specified is not None and not _needs_alternatives(specified):
         return BetterExplanation()
-    candidates = _without_twins(_likely_rivals(frames, specified))
+    candidates = _without_twins(_likely_alternatives(frames, specified))
     assumed = [] if specified is None else [specified]
     candidates += [with_series(explanation, frames) for explanation in (*candidates, *assumed)]
     candidates += [with_converter_memory(explanation, frames) for explanation in assumed]
     for explanation in assumed:
-        for rival in in_other_scan_order(explanation.rival):
-            remembering = with_converter_memory(replace(explanation, rival=rival), frames)
-            candidates += [remembering] if remembering.rival is not rival else []
+        for alternative in in_other_scan_order(explanation.alternative):
+            remembering = with_converter_memory(
+                replace(explanation, alternative=alternative), frames
+            )
+            candidates += [remembering] if remembering.alternative is not alternative else []
     best = _best_candidate(candidates, frames, at_fault=specified is None)
     better = BetterExplanation() if best is None else _compared(specified, best, frames)
     covered = "" if specified is None else _under_cover(candidates, specified)
@@ -84,20 +87,20 @@ def _under_cover(candidates: Sequence[Explanation], specified: Explanation) -> s
     The text is '' where none gains more than MIN_EVIDENCE_GAIN over the scene's circuit. Another
     memory alone is the edge of a load.
     """
-    memory = specified.rival.scene.converter_memory
+    memory = specified.alternative.scene.converter_memory
     gains = {
-        candidate.rival.name: (specified.beyond_noise - candidate.beyond_noise)
+        candidate.alternative.name: (specified.beyond_noise - candidate.beyond_noise)
         / candidate.pair.excess
         for candidate in candidates
-        if candidate.pair and candidate.rival.kind and not mostly_still(candidate.pair.moved)
-        if candidate.rival.scene.converter_memory == memory
+        if candidate.pair and candidate.alternative.kind and not mostly_still(candidate.pair.moved)
+        if candidate.alternative.scene.converter_memory == memory
     }
-    name = max(gains, key=lambda rival: gains[rival], default="")
+    name = max(gains, key=lambda alternative: gains[alternative], default="")
     return name if name and gains[name] > MIN_EVIDENCE_GAIN else ""
 
 
-def _needs_rivals(specified: Explanation) -> bool:
-    """Return whether a rival can gain enough evidence over the scene's circuit.
+def _needs_alternatives(specified: Explanation) -> bool:
+    """Return whether an alternative can gain enough evidence over the scene's circuit.
 
     Where cells are determined badly, linear theory does not hold, and none is tried.
     """
@@ -107,11 +110,13 @@ def _needs_rivals(specified: Explanation) -> bool:
     return well_determined(specified.fits)
 
 
-def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> list[Explanation]:
-    """Return the MAX_CANDIDATES best explanations by rivals, better ones than the scene's.
+def _likely_alternatives(
+    frames: ComparedFrames, specified: Explanation | None
+) -> list[Explanation]:
+    """Return the MAX_CANDIDATES best explanations by alternatives, better ones than the scene's.
 
-    Rivals whose inequalities the readings break are not fitted. A resistance in series only makes
-    these inequalities narrower, so that they are tested without one.
+    Alternatives whose inequalities the readings break are not fitted. A resistance in series only
+    makes these inequalities narrower, so that they are tested without one.
     """
     change = changes_beyond_noise(frames.specified.scene, frames.specified.readings, frames.role)
     mostly_increases = bool(change.max(initial=0.0) > -change.min(initial=0.0))
@@ -119,26 +124,26 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
     limit = np.inf if specified is None else specified.score - SAME_SCORE
     if specified is not None and specified.pair is not None:
         limit -= specified.pair.gain_of_loads
-    rivals = [
-        rival
-        for rival in (
-            *rivals_of(frames.specified, reversed_too=mostly_increases),
+    alternatives = [
+        alternative
+        for alternative in (
+            *alternatives_of(frames.specified, reversed_too=mostly_increases),
             *other_converters(frames.specified, reversed_too=mostly_increases),
         )
-        if not broken_law(without_series(rival), frames)
+        if not broken_law(without_series(alternative), frames)
     ]
     explanations: list[Explanation | None] = []
-    failed: list[tuple[Rival, tuple[CellsFit, ...]]] = []
-    for rival in rivals:
-        lawful = rival.ohm == 0 or not broken_law(rival, frames)
-        fits = rival_fits(rival, frames, specified=specified) if lawful else ()
-        explanation = Explanation.by(fits, rival, frames, specified=specified)
+    failed: list[tuple[Alternative, tuple[CellsFit, ...]]] = []
+    for alternative in alternatives:
+        lawful = alternative.ohm == 0 or not broken_law(alternative, frames)
+        fits = alternative_fits(alternative, frames, specified=specified) if lawful else ()
+        explanation = Explanation.by(fits, alternative, frames, specified=specified)
         if explanation is None:
-            failed.append((rival, fits))
+            failed.append((alternative, fits))
         explanations.append(explanation)
     # A search for a resistance in series costs several fits: last, so that it ends where it cannot
     # reach the best ones.
-    for rival, fits in failed:
+    for alternative, fits in failed:
         # The last of MAX_CANDIDATES explanations is to be beaten.
         scores = sorted(
             explanation.score for explanation in explanations if explanation is not None
@@ -146,7 +151,9 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
         to_beat = min(
             limit, scores[MAX_CANDIDATES - 1] if len(scores) >= MAX_CANDIDATES else np.inf
         )
-        explanations.append(some_in_series(rival, frames, to_beat, fits=fits, specified=specified))
+        explanations.append(
+            some_in_series(alternative, frames, to_beat, fits=fits, specified=specified)
+        )
     if specified is None:
         explanations.append(some_in_series(frames.specified, frames))
         down = rounded_down(frames.specified)
@@ -166,11 +173,11 @@ def _without_twins(candidates: Sequence[Explanation]) -> list[Explanation]:
     Readings in another order are so to circuits in which rows and columns change places. Of the
     two, `_best_candidate` prefers the one that keeps the file's order.
     """
-    kept = [candidate.score for candidate in candidates if candidate.rival.order is None]
+    kept = [candidate.score for candidate in candidates if candidate.alternative.order is None]
     return [
         candidate
         for candidate in candidates
-        if candidate.rival.order is None
+        if candidate.alternative.order is None
         or not np.isclose(candidate.score, kept, rtol=0.0, atol=SAME_COST).any()
     ]
 
@@ -196,24 +203,24 @@ def _best_candidate(
     valid = []
     for candidate in candidates:
         still = candidate.pair is None or mostly_still(candidate.pair.moved)
-        if still and not broken_law(candidate.rival, frames) and candidate.rival.name:
+        if still and not broken_law(candidate.alternative, frames) and candidate.alternative.name:
             valid.append(candidate)
 
     reversible = any(
-        getattr(candidate.rival.scene.readout, "code_sign", 1.0) < 0 for candidate in valid
+        getattr(candidate.alternative.scene.readout, "code_sign", 1.0) < 0 for candidate in valid
     )
 
     def cost(candidate: Explanation) -> float:
-        # Among rivals a resistance in series is one more parameter, and so is a memory.
-        has_series = candidate.rival.in_series is not None
-        has_memory = candidate.rival.scene.converter_memory != specified_memory
+        # Among alternatives a resistance in series is one more parameter, and so is a memory.
+        has_series = candidate.alternative.in_series is not None
+        has_memory = candidate.alternative.scene.converter_memory != specified_memory
         rises = RISING_COST * (reversible and _only_rises(candidate))
         return candidate.beyond_noise + PARAMETER_COST * (has_series + has_memory) + rises
 
     # of circuits that differ in the names of lines alone, the one that keeps the file's order
     least = min(map(cost, valid), default=0.0)
     tied = [candidate for candidate in valid if cost(candidate) <= least + SAME_COST]
-    best = min(tied, key=lambda tie: (tie.rival.order is not None, cost(tie)), default=None)
+    best = min(tied, key=lambda tie: (tie.alternative.order is not None, cost(tie)), default=None)
     if best is None or not at_fault:
         return best
     apart = [cost(candidate) for candidate in valid if _reads_cells_apart(candidate)]
@@ -225,7 +232,7 @@ def _best_candidate(
 
 def _reads_cells_apart(candidate: Explanation) -> bool:
     """Return whether each line has an amplifier, so that any readings have cells."""
-    readout = candidate.rival.scene.readout
+    readout = candidate.alternative.scene.readout
     return isinstance(readout, DrivenCircuit) and nominal_terminations(readout).amplified
 
 
@@ -261,7 +268,7 @@ def _compared(
 ) -> BetterExplanation:
     """Return the best candidate as better, as nearly as good, or as neither."""
     if specified is None or best.pair is None:
-        return BetterExplanation(best.rival.name, addition=best.rival.addition)
+        return BetterExplanation(best.alternative.name, addition=best.alternative.addition)
     gain = (specified.beyond_noise - best.beyond_noise) / best.pair.excess
     if specified.pair is None or gain <= DOUBTFUL_GAIN or not best.pair.moved.any():
         return BetterExplanation()
@@ -269,13 +276,15 @@ def _compared(
     if insignificant or specified.pair.gain_apart(best.pair) <= DOUBTFUL_GAIN:
         # A resistance in series follows hidden errors of the circuit, a memory the edge of a load:
         # alone, neither is a doubt.
-        as_specified = best.rival.scene.converter_memory == frames.specified.scene.converter_memory
-        doubtful = insignificant and best.rival.kind and as_specified
-        return BetterExplanation(nearly=best.rival.name if doubtful else "")
+        as_specified = (
+            best.alternative.scene.converter_memory == frames.specified.scene.converter_memory
+        )
+        doubtful = insignificant and best.alternative.kind and as_specified
+        return BetterExplanation(nearly=best.alternative.name if doubtful else "")
     return BetterExplanation(
-        best.rival.name,
+        best.alternative.name,
         frames.loaded,
         int(best.pair.moved.sum()),
         cell_factors(specified.pair, best.pair),
-        addition=best.rival.addition,
+        addition=best.alternative.addition,
     )

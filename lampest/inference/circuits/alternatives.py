@@ -1,9 +1,10 @@
-"""Rival circuits of a recording, and the frames that they have to explain.
+"""Alternative circuits of a recording, and the frames that they have to explain.
 
-Rivals are circuits of the one equation with the scene's converter and resistor
+Alternatives are circuits of the one equation with the scene's converter and resistor
 (`lampest.inference.circuits.kinds`), and the scene's circuit with readings in another order or with
-another converter. Each has any resistance in series. All rivals share the converter's voltages:
-where the scene's circuit has computed resistances from them, that computation is inverted.
+another converter. Each has any resistance in series. All alternatives share the converter's
+voltages: where the scene's circuit has computed resistances from them, that computation is
+inverted.
 """
 
 from collections.abc import Iterator, Mapping
@@ -43,7 +44,7 @@ MAX_SHIFT = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Rival:
+class Alternative:
     """A circuit that may have made a recording.
 
     Attributes
@@ -65,8 +66,8 @@ class Rival:
     at_limit : bool
         Whether this number is at the end of its range, where it is no finding.
     order : array of int, or None
-        Numbers of the recorded readings, rows first, in the order in which this rival takes them;
-        None: as recorded.
+        Numbers of the recorded readings, rows first, in the order in which this alternative takes
+        them; None: as recorded.
     """
 
     scene: Scene
@@ -113,8 +114,8 @@ class Rival:
         """The resistance in series, ohm: the tried one, or that of the scene."""
         return self.scene.specified_in_series if self.in_series is None else self.in_series
 
-    def with_memory(self, fraction: float) -> "Rival":
-        """Return the rival with a converter that keeps a fraction of the channel before."""
+    def with_memory(self, fraction: float) -> "Alternative":
+        """Return the alternative with a converter that keeps a fraction of the channel before."""
         named = f"converter_memory near {fraction:.2g}"
         return replace(
             self,
@@ -124,15 +125,15 @@ class Rival:
         )
 
     def ordered(self, values: Array) -> Array:
-        """Return values of recorded readings (…, rows, columns) in the order of this rival."""
+        """Return recorded readings (…, rows, columns) in the order of this alternative."""
         if self.order is None:
             return values
         return np.asarray(
             values.reshape(*values.shape[:-2], -1)[..., self.order].reshape(values.shape)
         )
 
-    def with_series(self, ohm: float) -> "Rival":
-        """Return the rival with another resistance in series, ohm."""
+    def with_series(self, ohm: float) -> "Alternative":
+        """Return the alternative with another resistance in series, ohm."""
         return replace(self, scene=self.scene.with_series(float(ohm)), in_series=float(ohm))
 
     @cached_property
@@ -163,12 +164,12 @@ class Rival:
         return np.where(sigma <= most * self.recorded, 1.0, 0.0)
 
 
-def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival]:
-    """Generate the rivals: all variants of every kind but the specified circuit.
+def alternatives_of(specified: Alternative, *, reversed_too: bool = False) -> Iterator[Alternative]:
+    """Generate the alternatives: all variants of every kind but the specified circuit.
 
     Parameters
     ----------
-    specified : Rival
+    specified : Alternative
     reversed_too : bool
         Whether to include circuits under which the readings decrease with a load where those of the
         specified circuit increase.
@@ -191,13 +192,17 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
         with suppress(ValueError):  # the kind may have no model of another entry of the scene
             alike = type(circuit) is type(readout) and circuit.in_series
             series = scene.series_resistance_ohm if alike else 0.0
-            rival = replace(scene, readout=circuit, series_resistance_ohm=series, systematic=None)
+            alternative = replace(
+                scene, readout=circuit, series_resistance_ohm=series, systematic=None
+            )
             entries = entries_of(circuit, readout)
-            yield Rival(rival, values, sigma, entries_in_words(entries), {"readout": entries})
+            yield Alternative(
+                alternative, values, sigma, entries_in_words(entries), {"readout": entries}
+            )
     yield from _listed_by_columns(specified, readout)
 
 
-def rounded_down(specified: Rival) -> Rival | None:
+def rounded_down(specified: Alternative) -> Alternative | None:
     """Return the specified circuit with a converter that rounds down: code c is c + ½ steps.
 
     Such codes stand half a step too low. None where the scene states the converter.
@@ -212,7 +217,7 @@ def rounded_down(specified: Rival) -> Rival | None:
     return with_converter(specified, kind, entry, converter=ends)
 
 
-def in_other_scan_order(specified: Rival) -> Iterator[Rival]:
+def in_other_scan_order(specified: Alternative) -> Iterator[Alternative]:
     """Generate the specified circuit with readings taken in the other order.
 
     Only a memory of the converter distinguishes it from the specified one. None is generated where
@@ -230,7 +235,7 @@ def in_other_scan_order(specified: Rival) -> Iterator[Rival]:
     )
 
 
-def other_converters(specified: Rival, *, reversed_too: bool) -> Iterator[Rival]:
+def other_converters(specified: Alternative, *, reversed_too: bool) -> Iterator[Alternative]:
     """Generate the specified circuit with converters of another range or of fewer bits.
 
     None are generated where the scene states the converter. An esp32 is tried for readings of 12
@@ -253,7 +258,9 @@ def other_converters(specified: Rival, *, reversed_too: bool) -> Iterator[Rival]
             yield with_converter(specified, kind, {"adc_bits": bits}, adc_bits=bits)
 
 
-def with_converter(specified: Rival, kind: str, entry: Mapping[str, Any], **settings: Any) -> Rival:
+def with_converter(
+    specified: Alternative, kind: str, entry: Mapping[str, Any], **settings: Any
+) -> Alternative:
     """Return the specified circuit whose codes stand for other voltages.
 
     `entry` states the settings of its converter in a scene.
@@ -270,7 +277,7 @@ def with_converter(specified: Rival, kind: str, entry: Mapping[str, Any], **sett
     )
 
 
-def _listed_by_columns(specified: Rival, readout: Any) -> Iterator[Rival]:
+def _listed_by_columns(specified: Alternative, readout: Any) -> Iterator[Alternative]:
     """Generate the specified circuit with readings that a file lists column by column.
 
     The scene's rows may be those of the file, too: the other side of its lines is driven then. None
