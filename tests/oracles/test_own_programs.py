@@ -319,6 +319,7 @@ def limited(extra: float = 0.0) -> OwnProgram:
     return program.subject_to("total", total, 0.0, 3.0 + extra)
 
 
+@pytest.mark.exact
 @pytest.mark.parametrize("terms", [SMOOTH, [NOISE, lampest.LogGradient(1.0, lampest.Huber(0.1))]])
 @pytest.mark.parametrize("name", ["measured", "sigma"])
 def test_sensitivities_to_what_was_given_equal_differences(

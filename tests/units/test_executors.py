@@ -84,6 +84,7 @@ def test_ctrl_c_during_a_hand_over_leaves_no_busy_worker(monkeypatch: pytest.Mon
     "solve times."
 )
 @pytest.mark.slow
+@pytest.mark.exact
 @pytest.mark.parametrize("executor", EXECUTORS[1:], ids=NAMES[1:])
 def test_results_equal_those_of_serial_even_if_a_worker_dies(
     executor: Any, disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch

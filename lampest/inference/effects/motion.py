@@ -21,7 +21,7 @@ all frames, r = d − share · m and the covariance V(θ) of r, the derivatives 
     normal   = mᵀ V⁻¹ m [of the share] + ½ tr(V⁻¹ V_i V⁻¹ V_k),   V_i = ∂V/∂θ_i,
 
 of which the second are expected ones (Fisher scoring; Harville, JASA 72, 1977). Gauss–Newton steps
-from no motion end at once where the gradient shows none.
+begin without motion, and with half of the largest one.
 
 The displacement has errors, too, where a load moves unevenly between two frames. The still cells
 then seem stillest at less than the scan's share, as the slope of a regression is attenuated by
@@ -31,6 +31,7 @@ errors of its variable (Fuller, Measurement Error Models, 1987, section 1.1).
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -305,12 +306,14 @@ class MotionSearch:
     ) -> MotionEvidence:
         """Return the motion of largest evidence between limits of the share and of jitter.
 
-        The search begins without errors of readings, and with the largest ones: more cells seem to
-        have moved without them, and may hide them.
+        The search begins without motion and with half of the largest one, without errors of
+        readings and with the largest ones: more cells seem to have moved without either, and may
+        hide it.
         """
         low = np.array([shares[0], jitters[0] ** 2, 0.0])
         high = np.array([shares[1], jitters[1] ** 2, self.own])
-        begins = [np.array([*low[:2], own]) for own in dict.fromkeys((0.0, self.own))]
+        ends = product(dict.fromkeys((shares[0], sum(shares) / 2)), dict.fromkeys((0.0, self.own)))
+        begins = [np.array([share, low[1], own]) for share, own in ends]
         found = (self._descended(begin, (low, high)) for begin in begins)
         return min(found, key=lambda motion: motion.cost)
 
