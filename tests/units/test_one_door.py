@@ -139,6 +139,7 @@ def samples_of(recording: Recording) -> list[Sample]:
 
 
 @pytest.mark.slow
+@pytest.mark.exact
 @pytest.mark.parametrize("name", CASES)
 def test_every_entry_point_gives_the_same_cells(name: str) -> None:
     case = CASES[name]
