@@ -113,10 +113,10 @@ def test_the_slope_of_the_evidence_of_motion_is_that_of_its_cost() -> None:
     assert (np.linalg.eigvalsh(evidence(middle).normal) > 0).all()
 
 
-def test_a_search_for_motion_ends_at_once_where_the_slope_shows_none(
+def test_a_search_for_motion_takes_few_steps_where_a_load_stands(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """With and without jitter, each search evaluates its start and the step from there."""
+    """From each of two starts, with and without jitter, a search takes three evaluations or less."""
     prepared = Prepared(recording(500, LOADS["still"], Row(), {}))
     tried = []
     evaluate = MotionSearch.evidence
@@ -127,7 +127,7 @@ def test_a_search_for_motion_ends_at_once_where_the_slope_shows_none(
 
     monkeypatch.setattr(MotionSearch, "evidence", counted)
     assert share_of_motion(prepared.recording, prepared.noise.readings).gain < 1
-    assert len(tried) <= 8
+    assert len(tried) <= 12
 
 
 def test_a_load_that_stands_does_not_jitter() -> None:
