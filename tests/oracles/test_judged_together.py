@@ -116,7 +116,7 @@ def test_the_slope_of_the_evidence_of_motion_is_that_of_its_cost() -> None:
 def test_a_search_for_motion_takes_few_steps_where_a_load_stands(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """From each of two starts, with and without jitter, a search takes three evaluations or less."""
+    """With and without jitter, and from each of two starts: three evaluations at most."""
     prepared = Prepared(recording(500, LOADS["still"], Row(), {}))
     tried = []
     evaluate = MotionSearch.evidence
