@@ -50,6 +50,7 @@ test: $(VENV)/.installed-dev board-packages
 
 test-all: test
 	@$(PYTEST) $(SPREAD) -m slow --disturbed --deselect $(GOLDEN)
+	@$(PYTEST) $(SPREAD) -m 'slow and exact'
 	@$(MAKE) --silent --no-print-directory rounding ROWS='slow or not slow'
 
 rounding: $(VENV)/.installed-dev
