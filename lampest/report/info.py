@@ -285,9 +285,8 @@ def _scene(scene: Scene) -> Iterator[Sentence]:
 
 def _excluded_ends(scene: Scene) -> str:
     """Return the ends of lines that a scene leaves out, with their keys; '' for none."""
-    from lampest.inference.circuits.open_ends import (
-        open_ends,
-    )  # circuits: for a scene's words alone
+    # Circuits are loaded for a scene's words alone.
+    from lampest.inference.circuits.open_ends import open_ends
 
     return "; ".join(f"{end.words} ({end.key})" for end in open_ends(scene))
 

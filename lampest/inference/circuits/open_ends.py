@@ -24,11 +24,10 @@ from lampest.panel.lines import as_tuple, opposite
 from lampest.panel.readouts.wiring import NeighbourLeaks
 from lampest.panel.scene import Scene
 
-# −2 ln odds beyond which an end is excluded: under soft loads true ends lose 6 at most
+# −2 ln odds beyond which an end is excluded
 EXCLUDED = 12.0
-# −2 ln prior odds of a sheet without cuts, so that it is a doubt from DOUBTFUL_GAIN on. Of 48
-# recordings without leaks under soft loads, feet and palms the best leak gains 12 at most; of 30
-# with leaks of 1.4 cells half gain more than 15.
+# −2 ln prior odds of a sheet without cuts, so that it is a doubt from DOUBTFUL_GAIN on: under soft
+# loads and feet leaks that are not there gain nearly as much
 SHEET_COST = DOUBTFUL_GAIN + EXCLUDED
 # Leaks that are tried, over the median cell
 LEAKS_OVER_CELLS = (8.0, 4.0, 2.0, 1.4, 1.0, 0.7, 0.5)
