@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
-from lampest.cost.problem import Data, Evaluation
+from lampest.cost.problem import ROUNDING, Data, Evaluation
 from lampest.files.document import INLINE
 from lampest.files.errors import brief
 from lampest.files.typed import (
@@ -485,7 +485,8 @@ def _balanced_residual(hessian: Hessian) -> float | None:
     The subgradients |z| ≤ 1 of residuals x near the corner of an absolute loss minimise
     |g + Aᵀ diag(w) z|², A = ∂x/∂u over the cells that no bound holds; g has the other residuals.
     They need no digit of x, which may be rounding there. The smoothed loss is stiff at a corner, so
-    that a Newton step is short there even where the cost falls steeply beyond.
+    that a Newton step is short there even where the cost falls steeply beyond. What rounding of the
+    cells changes of the gradient, times the weight of a heavy penalty, is no residual.
 
     Returns None where no residual is near its corner, and on panels too large for a matrix.
     Source: Stark & Parker, Comput. Stat. 10, 1995 (bounded least squares).
@@ -511,11 +512,15 @@ def _balanced_residual(hessian: Hessian) -> float | None:
     # A cell at a bound may keep a gradient that points outward; first none is needed.
     lower, upper = at.data.log_bounds
     inside = ((at.position > lower) & (at.position < upper)).ravel()
+    signs = (-1.0) ** np.arange(cells.size).reshape(cells.shape)
+    rounded = at.elsewhere(cells * (1 + ROUNDING * signs))
     residuals = []
     for free in (np.ones_like(inside), inside):
         subgradient[corner] = lsq_linear(weighted[free], target[free], (-1.0, 1.0), method="bvls").x
-        residuals.append(float(at.projected_gradients(at.log_gradient(subgradient))))
-    return min(residuals)
+        gradient = at.log_gradient(subgradient)
+        rounding = np.abs(rounded.log_gradient(subgradient) - gradient).max() / at.cost_scale
+        residuals.append(float(at.projected_gradients(gradient) - rounding))
+    return max(min(residuals), 0.0)
 
 
 def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> Status:

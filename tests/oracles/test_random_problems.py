@@ -62,7 +62,7 @@ ONCE_UNSOLVED = [
     (31, 183),
     (31, 576),
 ]
-ONCE_UNSOLVED += [(31, 714), (31, 173), (31, 218), (53, 61)]
+ONCE_UNSOLVED += [(31, 714), (31, 173), (31, 218), (53, 61), (77, 146)]
 PROBLEMS = [pytest.param(11, n, marks=pytest.mark.slow) for n in SMALL_PROBLEMS if n != 6]
 PROBLEMS += [pytest.param(*numbers, marks=pytest.mark.slow) for numbers in ONCE_UNSOLVED]
 PROBLEMS += [pytest.param(1, number, marks=pytest.mark.soak) for number in range(1000)]
