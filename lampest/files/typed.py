@@ -33,8 +33,8 @@ class Checked(ABCMeta):
         Raises InputError if an argument has another type, is missing, unknown, or out of range.
         """
         try:
-            if issubclass(cls, Extensible):
-                kwargs = cls.gathered(kwargs)
+            if issubclass(cls, Completed):
+                kwargs = cls.completed(kwargs)
             return super().__call__(**_arguments(cls, cls.__name__, args, kwargs))
         except InputError:
             raise
@@ -60,19 +60,28 @@ class Configuration(Validated):
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
 
 
-class Extensible(Configuration):
+class Completed(Configuration):
+    """Base of configurations whose content is completed before it is validated."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        """Return the schema of the fields of the completed content. Called by pydantic."""
+        completed = {"type": "no-info", "function": cls.completed}
+        return {"type": "function-before", "function": completed, "schema": handler(source)}
+
+    @classmethod
+    def completed(cls, content: Any) -> Any:
+        """Return arguments, or the content of a file, with what follows from other entries."""
+        return content
+
+
+class Extensible(Completed):
     """Base of configurations to which installed packages add keys.
 
     A subclass has a field `own` of pairs (key, value), with the metadata INLINE.
     """
 
     own: tuple[tuple[str, Any], ...]
-
-    @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
-        """Return the schema of the fields, with further keys in `own`. Called by pydantic."""
-        gathered = {"type": "no-info", "function": cls.gathered}
-        return {"type": "function-before", "function": gathered, "schema": handler(source)}
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: Any, handler: Any) -> Any:
@@ -89,7 +98,7 @@ class Extensible(Configuration):
         return ()
 
     @classmethod
-    def gathered(cls, content: Any) -> Any:
+    def completed(cls, content: Any) -> Any:
         """Return arguments, or the content of a file, with added keys in `own`."""
         if not isinstance(content, dict):
             return content

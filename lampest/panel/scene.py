@@ -29,6 +29,7 @@ from lampest.panel.readouts.wiring import Contacts, Lines, NeighbourLeaks, Wirin
 from lampest.panel.response import AnyResponse, Film
 from lampest.panel.sizes import SIZED, Size, Systematic, check_sizes, plain_size
 
+CHOSEN_RANGE = "readout.converter.full_volt"  # of a chip with several ranges
 OF_APPLICATIONS = {"film": "film", "purpose": "recognition"}  # keys that only applications read
 
 
@@ -310,7 +311,10 @@ class Scene(Configuration):
         texts = []
         for path in self.assumed:
             part, _, name = path.partition(".")
-            value = getattr(getattr(self, part, None), name, None)
+            owner = getattr(self, part, None)
+            value = getattr(owner, name, None)
+            if path == CHOSEN_RANGE and self.readout is not None:
+                value = self.readout.characteristic.full_volt
             if value is not None:
                 text = f"{value:g}" if isinstance(value, float) else value
                 texts.append(f"{name}: {text}")
