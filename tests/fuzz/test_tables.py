@@ -147,3 +147,12 @@ def test_a_number_at_which_a_row_in_brackets_was_broken_is_missing(tmp_path: Pat
     expected = codes.astype(float)
     expected[3, 0, 3] = np.nan
     np.testing.assert_array_equal(recording.recorded, expected)
+
+
+def test_a_row_with_a_damaged_name_has_a_place_of_its_own(tmp_path: Path) -> None:
+    """R0 of one frame, R1 whose name is damaged, and R1 and R2 of the next one were a frame."""
+    codes = tables.codes(np.random.default_rng(5), 3, 3)
+    lines = [f"R{row}: {' '.join(map(str, frame[row]))}" for frame in codes for row in range(3)]
+    lines = [*lines[:13], "RZ" + lines[13][2:], *lines[16:], ""]
+    drawn = tables.Table("damaged name", "\n".join(lines), codes, marked=True)
+    assert tables.outcome(drawn, tmp_path) == "missing"
