@@ -47,7 +47,36 @@ class Checked(ABCMeta):
         return _signature(cls)
 
 
-class Validated(metaclass=Checked):
+class ReadOnlyArrays:
+    """Mixin of frozen objects: arrays of fields and of cached properties are read-only.
+
+    Those of copies and pickles are as well. Other names of the same arrays stay as they are.
+    """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for attribute in vars(cls).values():
+            if isinstance(attribute, cached_property):
+                attribute.func = _read_only_result(attribute.func)
+
+    def __post_init__(self) -> None:
+        self.__setstate__(vars(self))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update({name: read_only(value) for name, value in state.items()})
+
+
+def _read_only_result(method: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return a method whose result has read-only arrays."""
+
+    @wraps(method)
+    def frozen(owner: Any) -> Any:
+        return read_only(method(owner))
+
+    return frozen
+
+
+class Validated(ReadOnlyArrays, metaclass=Checked):
     """Base of dataclasses that validate their arguments in Python.
 
     YAML is validated by pydantic itself.
@@ -196,34 +225,6 @@ def real_array(values: Any, label: str) -> NDArray[Any]:
         kind = "complex numbers" if array.dtype.kind == "c" else in_words(values)
         raise InputError(f"{label}: {kind}, where an array of real numbers is needed")
     return as_double(array)
-
-
-def cached_array(method: Callable[[Any], R]) -> cached_property[R]:
-    """Return a cached property whose arrays are read-only."""
-
-    @wraps(method)
-    def frozen(owner: Any) -> R:
-        return cast(R, read_only(method(owner)))
-
-    return cached_property(frozen)
-
-
-class ReadOnlyArrays:
-    """Mixin of frozen objects: their arrays are read-only, in copies and pickles as well.
-
-    Other names of the arrays stay as they are.
-    """
-
-    def __post_init__(self) -> None:
-        self._freeze_arrays()
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self._freeze_arrays()
-
-    def _freeze_arrays(self) -> None:
-        for name, value in vars(self).items():
-            object.__setattr__(self, name, read_only(value))
 
 
 def read_only(value: Any) -> Any:

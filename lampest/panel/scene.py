@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lampest.files.applications import applications, loaded
 from lampest.files.document import INLINE, Document, to_yaml, validated
-from lampest.files.typed import Configuration, cached_array
+from lampest.files.typed import Configuration
 from lampest.panel.conditions import Experiment, MeasuredSubject, Temperature, Water
 from lampest.panel.faults import Faults
 from lampest.panel.lines import (
@@ -260,12 +260,12 @@ class Scene(Configuration):
         places = () if self.faults is None else self.faults.dead_modules
         return tuple(sorted({row * self.panel.layout.columns + column for row, column in places}))
 
-    @cached_array
+    @cached_property
     def blind(self) -> NDArray[np.bool_]:
         """Whether faults leave no reading, boolean (rows, columns)."""
         return self._of_faults(Faults.blind)
 
-    @cached_array
+    @cached_property
     def requested(self) -> NDArray[np.bool_]:
         """Whether a frame should have a reading, boolean (rows, columns).
 
@@ -273,7 +273,7 @@ class Scene(Configuration):
         """
         return self.panel.present & ~self.blind
 
-    @cached_array
+    @cached_property
     def open_cells(self) -> NDArray[np.bool_]:
         """Whether a crossing does not conduct, boolean (rows, columns).
 
@@ -281,12 +281,12 @@ class Scene(Configuration):
         """
         return ~self.panel.present | self._of_faults(Faults.open_cells)
 
-    @cached_array
+    @cached_property
     def shorted_cells(self) -> NDArray[np.bool_]:
         """Whether a cell shorts its lines, boolean (rows, columns)."""
         return self._of_faults(Faults.shorted_cells)
 
-    @cached_array
+    @cached_property
     def broken(self) -> NDArray[np.bool_]:
         """Whether a crossing has no cell to be estimated, boolean (rows, columns)."""
         return self.open_cells | self.shorted_cells

@@ -223,7 +223,7 @@ class Settings(Validated):
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class Outcome(ReadOnlyArrays):
     """Result of a solver before any check.
 
     Attributes

@@ -255,10 +255,10 @@ def _broken_fields(
     """
     broken = np.zeros(fields.shape, dtype=bool)
     texts = {
-        at: [text.strip("[](){}") for text in fields[at, : counts[at]]]
+        at: [*filter(None, (text.strip("[](){}") for text in fields[at, : counts[at]]))]
         for at in np.flatnonzero(others).tolist()
     }
-    parts = [at for at, line in texts.items() if all(map(WRITTEN.fullmatch, line))]
+    parts = [at for at, line in texts.items() if line and all(map(WRITTEN.fullmatch, line))]
     if len(parts) > max(1, MAX_BROKEN * whole.sum()):  # titles are numbers
         return broken
     for at in parts:
