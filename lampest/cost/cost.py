@@ -19,12 +19,13 @@ from lampest.cost.given import Given
 from lampest.cost.losses import Loss, Lowered
 from lampest.cost.terms import State, Term, term_kind
 from lampest.files.errors import InputError
+from lampest.files.typed import ReadOnlyArrays
 from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.panel import Array, Panel
 
 
 @dataclass(frozen=True)
-class Cost:
+class Cost(ReadOnlyArrays):
     """Cost φ over `frames` frames of a panel, built once and evaluated for any data.
 
     A loss without a derivative at 0 enters through its dual variables z, |z| ≤ 1: weight · Σ z·x.

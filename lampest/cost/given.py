@@ -12,6 +12,7 @@ from typing import Any, Protocol, Self
 import casadi
 import numpy as np
 
+from lampest.files.typed import ReadOnlyArrays
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
@@ -99,7 +100,7 @@ def input_field(
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Given:
+class Given(ReadOnlyArrays):
     """Inputs of a solve other than its unknowns.
 
     A field is an array in the data of a solve, a symbol in a compiled cost, a column (cells, 1) in

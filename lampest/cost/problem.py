@@ -16,6 +16,7 @@ from scipy import sparse
 from lampest.cost.cost import Cost
 from lampest.cost.given import Given
 from lampest.files.errors import BROKEN, brief
+from lampest.files.typed import ReadOnlyArrays
 from lampest.panel.compiled import Compiled, guarded, with_entries
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array
@@ -28,7 +29,7 @@ Panels = NDArray[np.intp] | int
 
 
 @dataclass(frozen=True, eq=False)
-class Data:
+class Data(ReadOnlyArrays):
     """Data of one solve, or of solves of many panels of one shape along a leading axis.
 
     Attributes
@@ -231,7 +232,7 @@ def _mapped(function: Compiled, panels: int, place: int) -> Compiled:
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation:
+class Evaluation(ReadOnlyArrays):
     """Cost φ and its derivatives at one point of one panel, or of each of many panels.
 
     Many panels are the leading axis of the arrays. Attributes with plural names are arrays over the

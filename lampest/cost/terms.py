@@ -43,9 +43,11 @@ class State(Given):
 
     All other fields are those that `Given` declares; None where they are not known.
 
-    >>> import dataclasses
-    >>> [field.name for field in dataclasses.fields(lampest.State)][:2]
-    ['measured', 'sigma']
+    >>> import numpy as np
+    >>> rest, loaded = np.array([[1000.0], [1000.0]]), np.array([[1000.0], [900.0]])
+    >>> given = {"panel": lampest.Panel(1, 2), "reading": loaded, "previous": rest}
+    >>> lampest.State(cell_resistance=loaded, **given).relative_change().ravel()
+    array([  0., -10.])
     """
 
     panel: Panel

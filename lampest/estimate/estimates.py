@@ -12,7 +12,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.state import Step, held_by_all
 from lampest.files.applications import applications
 from lampest.files.levels import TWO_SIDED
-from lampest.files.typed import ReadOnlyArrays, cached_array
+from lampest.files.typed import ReadOnlyArrays
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
@@ -521,7 +521,7 @@ class Estimates(ReadOnlyArrays):
             return {}
         return frame_misfit(self.reading_model, self.measured, self.sigma, self.resolution)
 
-    @cached_array
+    @cached_property
     def _bars(self) -> dict[str, Array] | None:
         """Error bars by name; None unless an estimate and the baseline have them.
 

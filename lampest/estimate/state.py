@@ -9,6 +9,7 @@ import numpy as np
 from lampest.cost.given import Background
 from lampest.estimate.objective import Objective
 from lampest.files.errors import brief
+from lampest.files.typed import ReadOnlyArrays
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.linear import LinearModel
@@ -107,7 +108,7 @@ def held_by_all(steps: Sequence[Step]) -> "Held | None":
 
 
 @dataclass(frozen=True, eq=False)
-class SequenceState:
+class SequenceState(ReadOnlyArrays):
     """State of a sequence of frames.
 
     Attributes

@@ -28,7 +28,7 @@ class InputError(ValueError):
     The message is one printable line whatever names and keys a file holds: control characters are
     written as escapes, and a long message is cut in its middle.
 
-    >>> issubclass(lampest.InputError, ValueError)
+    >>> isinstance(lampest.InputError("no such file"), ValueError)
     True
     """
 

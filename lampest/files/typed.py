@@ -33,8 +33,8 @@ class Checked(ABCMeta):
         Raises InputError if an argument has another type, is missing, unknown, or out of range.
         """
         try:
-            if issubclass(cls, Extensible):
-                kwargs = cls.gathered(kwargs)
+            if issubclass(cls, Completed):
+                kwargs = cls.completed(kwargs)
             return super().__call__(**_arguments(cls, cls.__name__, args, kwargs))
         except InputError:
             raise
@@ -47,7 +47,36 @@ class Checked(ABCMeta):
         return _signature(cls)
 
 
-class Validated(metaclass=Checked):
+class ReadOnlyArrays:
+    """Mixin of frozen objects: arrays of fields and of cached properties are read-only.
+
+    Those of copies and pickles are as well. Other names of the same arrays stay as they are.
+    """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for attribute in vars(cls).values():
+            if isinstance(attribute, cached_property):
+                attribute.func = _read_only_result(attribute.func)
+
+    def __post_init__(self) -> None:
+        self.__setstate__(vars(self))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update({name: read_only(value) for name, value in state.items()})
+
+
+def _read_only_result(method: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return a method whose result has read-only arrays."""
+
+    @wraps(method)
+    def frozen(owner: Any) -> Any:
+        return read_only(method(owner))
+
+    return frozen
+
+
+class Validated(ReadOnlyArrays, metaclass=Checked):
     """Base of dataclasses that validate their arguments in Python.
 
     YAML is validated by pydantic itself.
@@ -60,19 +89,28 @@ class Configuration(Validated):
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
 
 
-class Extensible(Configuration):
+class Completed(Configuration):
+    """Base of configurations whose content is completed before it is validated."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        """Return the schema of the fields of the completed content. Called by pydantic."""
+        completed = {"type": "no-info", "function": cls.completed}
+        return {"type": "function-before", "function": completed, "schema": handler(source)}
+
+    @classmethod
+    def completed(cls, content: Any) -> Any:
+        """Return arguments, or the content of a file, with what follows from other entries."""
+        return content
+
+
+class Extensible(Completed):
     """Base of configurations to which installed packages add keys.
 
     A subclass has a field `own` of pairs (key, value), with the metadata INLINE.
     """
 
     own: tuple[tuple[str, Any], ...]
-
-    @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
-        """Return the schema of the fields, with further keys in `own`. Called by pydantic."""
-        gathered = {"type": "no-info", "function": cls.gathered}
-        return {"type": "function-before", "function": gathered, "schema": handler(source)}
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: Any, handler: Any) -> Any:
@@ -89,7 +127,7 @@ class Extensible(Configuration):
         return ()
 
     @classmethod
-    def gathered(cls, content: Any) -> Any:
+    def completed(cls, content: Any) -> Any:
         """Return arguments, or the content of a file, with added keys in `own`."""
         if not isinstance(content, dict):
             return content
@@ -187,34 +225,6 @@ def real_array(values: Any, label: str) -> NDArray[Any]:
         kind = "complex numbers" if array.dtype.kind == "c" else in_words(values)
         raise InputError(f"{label}: {kind}, where an array of real numbers is needed")
     return as_double(array)
-
-
-def cached_array(method: Callable[[Any], R]) -> cached_property[R]:
-    """Return a cached property whose arrays are read-only."""
-
-    @wraps(method)
-    def frozen(owner: Any) -> R:
-        return cast(R, read_only(method(owner)))
-
-    return cached_property(frozen)
-
-
-class ReadOnlyArrays:
-    """Mixin of frozen objects: their arrays are read-only, in copies and pickles as well.
-
-    Other names of the arrays stay as they are.
-    """
-
-    def __post_init__(self) -> None:
-        self._freeze_arrays()
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self._freeze_arrays()
-
-    def _freeze_arrays(self) -> None:
-        for name, value in vars(self).items():
-            object.__setattr__(self, name, read_only(value))
 
 
 def read_only(value: Any) -> Any:

@@ -19,6 +19,7 @@ import scipy.sparse.csgraph
 import scipy.sparse.linalg
 from numpy.typing import NDArray
 
+from lampest.files.typed import ReadOnlyArrays
 from lampest.panel.equation import equation_of
 from lampest.panel.kirchhoff import current_balance
 from lampest.panel.panel import Array
@@ -51,7 +52,7 @@ class ConductanceSymbols:
 
 
 @dataclass(frozen=True, eq=False)
-class Circuit:
+class Circuit(ReadOnlyArrays):
     """Nodes and branches of a panel.
 
     Attributes

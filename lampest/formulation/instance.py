@@ -116,7 +116,7 @@ class ProgramResult(ReadOnlyArrays):
 
 
 @dataclass(frozen=True, eq=False)
-class Instance:
+class Instance(ReadOnlyArrays):
     """A program with its numbers.
 
     Attributes

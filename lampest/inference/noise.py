@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import SIGNIFICANCE
+from lampest.files.typed import ReadOnlyArrays
 from lampest.inference.variance_components import (
     MIN_EXCESS,
     Scatter,
@@ -73,7 +74,7 @@ class Share(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class NoiseEstimate:
+class NoiseEstimate(ReadOnlyArrays):
     """Noise of a recording, estimated from its unloaded frames and from neighbours in time.
 
     Attributes

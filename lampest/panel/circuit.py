@@ -51,6 +51,7 @@ class Ends(Validated):
             )
         if not (np.all(ohm >= 0) and np.all(np.isfinite(volt))):
             raise ValueError("ohm must be zero or positive, volt finite")
+        super().__post_init__()
 
     @classmethod
     def of(cls, ohm: Array, volt: Array | float | str = 0.0) -> Self:

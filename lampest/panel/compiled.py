@@ -23,6 +23,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from lampest.files.typed import ReadOnlyArrays
 from lampest.panel.panel import Array
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ class CasadiOwner:
         return _fields_of(self)
 
 
-class SymbolsOwner(CasadiOwner):
+class SymbolsOwner(ReadOnlyArrays, CasadiOwner):
     """Base of objects that CasADi pickles as a whole, so that their symbols stay the same."""
 
     @guarded

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lampest.files.document import MAX_NUMBER, MIN_NUMBER
 from lampest.files.process import check_memory
-from lampest.files.typed import Configuration, cached_array, check_positive_fields, check_ranges
+from lampest.files.typed import Configuration, check_positive_fields, check_ranges
 
 Array = NDArray[np.floating[Any]]
 MAX_PITCH_MM = 1e6  # mm: a kilometre, beyond any panel
@@ -194,7 +194,7 @@ class Panel(Configuration):
         """Number of crossings, rows · columns."""
         return self.rows * self.columns
 
-    @cached_array
+    @cached_property
     def present(self) -> NDArray[np.bool_]:
         """Whether a crossing has a cell, boolean (rows, columns)."""
         present = np.full(self.shape, self.cells is None)
@@ -240,7 +240,8 @@ class Panel(Configuration):
     @cached_property
     def bare(self) -> "Panel":
         """The panel without pitch and modules, on which no cost depends."""
-        return Panel(*self.shape) if self.cells is None else self
+        bare = Panel(*self.shape) if self.cells is None else self
+        return self if bare == self else bare
 
     @cached_property
     def layout(self) -> Modules:
@@ -264,7 +265,7 @@ class Panel(Configuration):
         module = self.modules.each
         return Panel(module.rows, module.columns, module.pitch_mm)
 
-    @cached_array
+    @cached_property
     def places_mm(self) -> Array:
         """Positions x and y of every cell in mm, (2, rows, columns).
 
@@ -290,7 +291,7 @@ class Panel(Configuration):
             heights[row, column] = z[0]
         return heights
 
-    @cached_array
+    @cached_property
     def neighbours(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
         """Pairs of neighbouring cells.
 

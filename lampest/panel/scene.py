@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lampest.files.applications import applications, loaded
 from lampest.files.document import INLINE, Document, to_yaml, validated
-from lampest.files.typed import Configuration, cached_array
+from lampest.files.typed import Configuration
 from lampest.panel.conditions import Experiment, MeasuredSubject, Temperature, Water
 from lampest.panel.faults import Faults
 from lampest.panel.lines import (
@@ -29,6 +29,7 @@ from lampest.panel.readouts.wiring import Contacts, Lines, NeighbourLeaks, Wirin
 from lampest.panel.response import AnyResponse, Film
 from lampest.panel.sizes import SIZED, Size, Systematic, check_sizes, plain_size
 
+CHOSEN_RANGE = "readout.converter.full_volt"  # of a chip with several ranges
 OF_APPLICATIONS = {"film": "film", "purpose": "recognition"}  # keys that only applications read
 
 
@@ -259,12 +260,12 @@ class Scene(Configuration):
         places = () if self.faults is None else self.faults.dead_modules
         return tuple(sorted({row * self.panel.layout.columns + column for row, column in places}))
 
-    @cached_array
+    @cached_property
     def blind(self) -> NDArray[np.bool_]:
         """Whether faults leave no reading, boolean (rows, columns)."""
         return self._of_faults(Faults.blind)
 
-    @cached_array
+    @cached_property
     def requested(self) -> NDArray[np.bool_]:
         """Whether a frame should have a reading, boolean (rows, columns).
 
@@ -272,7 +273,7 @@ class Scene(Configuration):
         """
         return self.panel.present & ~self.blind
 
-    @cached_array
+    @cached_property
     def open_cells(self) -> NDArray[np.bool_]:
         """Whether a crossing does not conduct, boolean (rows, columns).
 
@@ -280,12 +281,12 @@ class Scene(Configuration):
         """
         return ~self.panel.present | self._of_faults(Faults.open_cells)
 
-    @cached_array
+    @cached_property
     def shorted_cells(self) -> NDArray[np.bool_]:
         """Whether a cell shorts its lines, boolean (rows, columns)."""
         return self._of_faults(Faults.shorted_cells)
 
-    @cached_array
+    @cached_property
     def broken(self) -> NDArray[np.bool_]:
         """Whether a crossing has no cell to be estimated, boolean (rows, columns)."""
         return self.open_cells | self.shorted_cells
@@ -310,7 +311,10 @@ class Scene(Configuration):
         texts = []
         for path in self.assumed:
             part, _, name = path.partition(".")
-            value = getattr(getattr(self, part, None), name, None)
+            owner = getattr(self, part, None)
+            value = getattr(owner, name, None)
+            if path == CHOSEN_RANGE and self.readout is not None:
+                value = self.readout.characteristic.full_volt
             if value is not None:
                 text = f"{value:g}" if isinstance(value, float) else value
                 texts.append(f"{name}: {text}")

@@ -8,7 +8,7 @@ from typing import Any
 from lampest.files.document import read_document
 from lampest.files.typed import members_of, typed
 from lampest.panel.readouts import AnyReadout
-from lampest.panel.scene import Scene, validated_scene
+from lampest.panel.scene import CHOSEN_RANGE, Scene, validated_scene
 
 # Frames tell them: the check of the circuit names the other one where it fits better.
 CHECKED_DEFAULTS = {"polarity"}
@@ -36,6 +36,8 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
     if scene.readout is not None:
         parts["readout"] = scene.readout
     specified = {name: {"kind", *document.content[name]} for name in parts}
+    if scene.readout is not None:  # a named converter states its bits
+        specified["readout"] |= set(scene.readout.completed(document.content["readout"]))
     if scene.panel.modules is not None:  # rows, columns and pitch follow from the modules
         specified["panel"] |= {"rows", "columns", *document.content["panel"]["modules"]["each"]}
     left_open = list[str]()
@@ -44,6 +46,8 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
             stated = entry.name in specified[name] | CHECKED_DEFAULTS
             if not stated and getattr(part, entry.name):
                 left_open.append(f"{name}.{entry.name}")
+    if scene.readout is not None and scene.readout.range_assumed:
+        left_open.append(CHOSEN_RANGE)
     return replace(scene, assumed=scene.assumed or tuple(left_open))
 
 

@@ -72,7 +72,7 @@ class Bars(ReadOnlyArrays):
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class Track(ReadOnlyArrays):
     """State of the error bars along a sequence: errors on which those of later frames depend.
 
     Attributes

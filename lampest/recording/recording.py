@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lampest.files import hdf5
 from lampest.files.applications import applications
 from lampest.files.errors import InputError, extra
-from lampest.files.typed import ReadOnlyArrays, Validated, typed
+from lampest.files.typed import Validated, typed
 from lampest.panel.panel import Array, Panel, as_panels_have
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
@@ -36,7 +36,7 @@ MAX_NEIGHBOURS = 2  # frames or networks that decide with the strongest one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Recording(ReadOnlyArrays, Validated):
+class Recording(Validated):
     """Frames of one panel in temporal order.
 
     Parameters

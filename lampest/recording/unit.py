@@ -104,9 +104,11 @@ def _check_shorted(
     if 2 * count <= total:
         return
     key = "converter_volt" if hasattr(readout, "converter_volt") else "supply_volt"
+    if readout.range_volt[1] != readout.full_scale_volt:
+        key = "converter"
     wrong = (
         f"{count} of {total} readings "
         "stand at the rail of the converter that a shorted cell reaches"
     )
-    scale = f"readout.{key}, {readout.full_scale_volt:g} V, the end of its range"
+    scale = f"readout.{key}, {readout.range_volt[1]:g} V, the end of its range"
     raise InputError(f"{source}: {wrong}: are they in {unit}, and is {scale}?")

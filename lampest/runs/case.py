@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, brief, extra
-from lampest.files.typed import ReadOnlyArrays, installed
+from lampest.files.typed import installed
 from lampest.panel.panel import Array
 from lampest.panel.scene_file import scene_text
 from lampest.recording.file import coordinates
@@ -68,7 +68,7 @@ OPTIMA = ("local optimum", "optimum", "an optimum,")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CaseResult(ReadOnlyArrays, Content):
+class CaseResult(Content):
     """Result of a case: the estimates of a recording's measured frames by an estimator.
 
     Raises InputError for unfit names, wrong shapes and impossible values. Arrays that are not

@@ -113,7 +113,8 @@ class Column(Validated):
     >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
     >>> recording = lampest.simulate(of_rod, "mine")
     >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> taken = lambda estimates: estimates.time
+    >>> import operator
+    >>> taken = operator.attrgetter("time")
     >>> force = lampest.Column("force", ("time",), "newton", "total force", value=taken)
     >>> estimate.result(columns=[force]).extra["force"].shape
     (2,)

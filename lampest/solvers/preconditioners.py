@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import lapack
 
+from lampest.files.typed import ReadOnlyArrays
 from lampest.panel.kirchhoff import LineBlocks, line_sums
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, restricted
@@ -36,7 +37,7 @@ Free = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class Preconditioner(ABC):
+class Preconditioner(ReadOnlyArrays, ABC):
     """Preconditioner M.
 
     Attributes

@@ -141,7 +141,7 @@ class IpoptOptions(Extensible):
     own: tuple[tuple[str, int | float | str], ...] = field(default=(), metadata={INLINE: True})
 
     @classmethod
-    def gathered(cls, content: Any) -> Any:
+    def completed(cls, content: Any) -> Any:
         """Return arguments, or the content of a file, with IPOPT's options in `own`."""
         if not isinstance(content, dict) or content.keys() == {"own"}:
             return content
@@ -164,7 +164,7 @@ class IpoptOptions(Extensible):
                 "function": {"type": "no-info", "function": function},
                 "schema": handler(source),
             }
-            for function in (cls.gathered, made)
+            for function in (cls.completed, made)
         )
         return {"type": "json-or-python", "json_schema": json, "python_schema": python}
 
@@ -223,7 +223,7 @@ class Settings(Validated):
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class Outcome(ReadOnlyArrays):
     """Result of a solver before any check.
 
     Attributes

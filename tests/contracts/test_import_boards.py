@@ -102,6 +102,42 @@ GAP[1] = np.nan
 codes("a lost field", [FLAT[0], ",".join(LOST), *FLAT[2:], ""], "have not 15 fields", expected=GAP)
 LONG = VOLT_OF_CODES.repeat(5, axis=0)
 LONG_LINES = [line for line in FLAT for _ in range(5)]
+TWENTY = np.arange(20)
+WRAPPED = [f"{(248 + n) % 256},{line}" for n, line in enumerate(LONG_LINES)]
+codes(
+    "one frame a line with a number that wraps", [*WRAPPED, ""], expected=LONG, times=248.0 + TWENTY
+)
+RESET = [f"{40 * n + (1000 if n < 11 else -140)},{line}" for n, line in enumerate(LONG_LINES)]
+codes(
+    "a board that resets",
+    [*RESET, ""],
+    "it begins again at",
+    "m.log:12:1, and goes on by its usual step",
+    expected=LONG,
+    times=1 + TWENTY / 25,
+)
+LATE = [f"{40 * n + (1000 if n < 19 else 40)},{line}" for n, line in enumerate(LONG_LINES)]
+codes(
+    "a last time that falls",
+    [*LATE[:-1], f"300,{LONG_LINES[-1]}", ""],
+    "m.log:20:1 is missing or does not grow",
+    expected=LONG,
+    times=1 + TWENTY / 25,
+)
+HEADED = [
+    "secs,nsecs," + ",".join(CELLS[0]),
+    *(f"{1735725600 + n // 2},{n % 2 * 500_000_000},{FLAT[n]}" for n in FOUR),
+]
+codes(
+    "seconds and nanoseconds by name",
+    [*HEADED, ""],
+    "secs, nsecs are one time",
+    times=SECONDS / 2,
+    start="2025-01-01T10:00:00Z",
+)
+CLEARED = ["\x1b[2J\x1b[H" + rows for rows in ROWS_OF]
+codes("a screen that is cleared before each frame", [*CLEARED, ""])
+codes("marks of begin and end", [*(f"<{line}>" for line in FLAT), ""])
 BEYOND = LONG.copy()
 BEYOND[3] = np.nan
 codes("a field too many", [*LONG_LINES[:3], f"{FLAT[0]},7", *LONG_LINES[4:], ""], expected=BEYOND)
@@ -162,6 +198,13 @@ def test_two_boards_in_one_file_are_named(tmp_path: Path) -> None:
         text = json.dumps(both) if name == "m.json" else "\n".join([*map(json.dumps, both), ""])
         file = foreign_file(text, "takes the values 0, 1 in turn", name=name, scene=LOADED)
         check_refused(file, tmp_path)
+
+
+def test_one_line_of_packets_in_a_text_file_is_one_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "m.log"
+    path.write_text(json.dumps(PACKETS) + "\n")
+    with pytest.raises(InputError, match="no values"):
+        import_file(path, ROWS, COLUMNS, scene=LOADED, unit="code")
 
 
 def test_a_field_that_nobody_uses_is_named(tmp_path: Path) -> None:

@@ -131,3 +131,28 @@ def test_a_number_that_is_cut_at_the_end_of_a_file_is_left_out(tmp_path: Path, e
     recording, notes = import_file(path, rows=3, columns=4, unit="ohm")
     np.testing.assert_array_equal(recording.recorded, codes[:-1])
     assert any("line 30, the last one, which is cut off" in note for note in notes)
+
+
+def test_a_number_at_which_a_row_in_brackets_was_broken_is_missing(tmp_path: Path) -> None:
+    """The part `1],` behind the break was no number, and 41 for 411 was a reading."""
+    codes = 400 + np.arange(12 * 12).reshape(12, 3, 4)
+    lines = [
+        f"{' [' if row else '[['}{', '.join(map(str, values))}{']]' if row == 2 else '],'}"
+        for frame in codes
+        for row, values in enumerate(frame)
+    ]
+    path = tmp_path / "m.log"
+    path.write_text("\n".join([*lines[:9], lines[9][:-3], lines[9][-3:], *lines[10:], ""]))
+    recording, _ = import_file(path, rows=3, columns=4, unit="ohm")
+    expected = codes.astype(float)
+    expected[3, 0, 3] = np.nan
+    np.testing.assert_array_equal(recording.recorded, expected)
+
+
+def test_a_row_with_a_damaged_name_has_a_place_of_its_own(tmp_path: Path) -> None:
+    """R0 of one frame, R1 whose name is damaged, and R1 and R2 of the next one were a frame."""
+    codes = tables.codes(np.random.default_rng(5), 3, 3)
+    lines = [f"R{row}: {' '.join(map(str, frame[row]))}" for frame in codes for row in range(3)]
+    lines = [*lines[:13], "RZ" + lines[13][2:], *lines[16:], ""]
+    drawn = tables.Table("damaged name", "\n".join(lines), codes, marked=True)
+    assert tables.outcome(drawn, tmp_path) == "missing"

@@ -1,7 +1,8 @@
-"""Codes of the converter: steps, ends, curves, and versions of files."""
+"""Codes of the converter: steps, ends, curves, names, and versions of files."""
 
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import h5py
 import numpy as np
@@ -26,6 +27,8 @@ from lampest.files.levels import TWO_SIDED
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.prepared import Prepared
 from lampest.inference.resolve import resolved_scene
+from lampest.panel.readouts.known_converters import KNOWN_CONVERTERS, Known
+from lampest.panel.scene_file import read_scene, scene_text
 
 BITS = 10
 STEP = 5 / 2**BITS
@@ -158,6 +161,107 @@ def test_known_converters_have_names() -> None:
     inverting = readout(converter="inverting amplifier")
     assert inverting.volt_from_code(np.array([0.0, 512.0])) == pytest.approx([5.0, 2.5])
     assert inverting.code_sign < 0
+
+
+def test_all_names_of_converters_have_numbers() -> None:
+    assert set(KNOWN_CONVERTERS) == set(get_args(Known))
+
+
+# Volt a step, by the tables of the data sheets: TI SBAS444E 7-1 and SBAS457F, SBAS473E 7.3.3
+STEPS_OF_CHIPS = [
+    ("ADS1115", None, 62.5e-6),
+    ("ADS1115", 6.144, 187.5e-6),
+    ("ADS1118", 0.256, 7.8125e-6),
+    ("ADS1015", 4.096, 2e-3),
+    ("ADS1015", None, 1e-3),
+    ("MCP3208", None, 3.3 / 4096),
+    ("MCP3008", 2.5, 2.5 / 1024),
+    ("RP2040", None, 3.3 / 4096),
+]
+
+
+@promise("howto/readouts: A name states bits, sign, range and noise by the chip's data sheet")
+@pytest.mark.parametrize(("name", "full_volt", "step"), STEPS_OF_CHIPS)
+def test_a_name_states_the_steps_of_a_chip(
+    name: Known, full_volt: float | None, step: float
+) -> None:
+    named = Characteristic(name=name, full_volt=full_volt) if full_volt else name
+    board = GroundedReadout(supply_volt=3.3, converter=named)
+    assert board.lsb_volt == pytest.approx(step)
+    assert board.volt_from_code(np.array(100.0)) == pytest.approx(100 * step)
+    lowest = -(2 ** (board.adc_bits - 1)) if name.startswith("ADS") else 0
+    assert board.codes == (lowest, lowest + 2**board.adc_bits - 1)
+
+
+def test_the_noise_of_a_chip_is_assumed_until_frames_show_it() -> None:
+    board = GroundedReadout(supply_volt=3.3, converter="ADS1115")
+    assert board.assumed_noise == 1.0 and not board.noise_specified
+    assert GroundedReadout(converter="MCP3008").assumed_noise == GroundedReadout().assumed_noise
+    assert replace(board, noise_lsb=0.3).assumed_noise == 0.3
+
+
+NAMED_SCENE = """\
+panel: {{rows: 4, columns: 4}}
+readout:
+  kind: grounded
+  supply_volt: 3.3
+  load_ohm: 10000
+  converter: {converter}
+"""
+
+
+def test_a_scene_with_a_name_gives_the_cells_of_its_codes(tmp_path: Path) -> None:
+    """Codes of 125 µV each, which are the steps of an ADS1115 at ±4.096 V."""
+    path = tmp_path / "scene.yaml"
+    path.write_text(NAMED_SCENE.format(converter="{name: ADS1115, full_volt: 4.096}"))
+    scene = read_scene(path)
+    written = tmp_path / "written.yaml"
+    written.write_text(scene_text(scene))
+    assert read_scene(written) == scene
+    cells = np.geomspace(2000.0, 20_000.0, 16).reshape(4, 4)
+    codes = np.rint(scene.circuit.exact_reading(cells) / 125e-6)
+    frames = np.repeat([codes], 8, axis=0)
+    recording = Recording.from_array(frames, unit="code", scene=scene, baseline=0)
+    found = lampest.reconstruct(recording, [lampest.Misfit()])
+    np.testing.assert_allclose(found.cell_resistance[-1], cells, rtol=2e-3)
+
+
+@promise("howto/readouts: Without `full_volt` it is the chip's range after power-up")
+def test_a_range_that_is_not_stated_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(NAMED_SCENE.format(converter="ADS1115"))
+    assert "converter.full_volt: 2.048" in read_scene(path).assumed_text
+    assert "adc_bits" not in read_scene(path).assumed_text
+    path.write_text(NAMED_SCENE.format(converter="{name: ADS1115, full_volt: 4.096}"))
+    assert "full_volt" not in read_scene(path).assumed_text
+
+
+@pytest.mark.parametrize(
+    ("converter", "message"),
+    [
+        ("ADS1113", "6:3: readout.converter: must be a mapping or 'esp32', 'avr', 'RP2040'"),
+        ("{name: ADS115}", "not 'ADS115'; did you mean ADS1115"),
+        ("{name: ADS1115, full_volt: 5}", "6:30: readout.converter.full_volt: ADS1115 has the"),
+        ("{name: ADS1115, signed: true}", "ADS1115 states zero_volt, curve and signed"),
+        ("MCP3208\n  adc_bits: 10", "7:3: readout.adc_bits: 10 contradicts the converter MCP3208"),
+    ],
+)
+def test_wrong_names_and_contradictions_are_refused_with_their_line(
+    tmp_path: Path, converter: str, message: str
+) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(NAMED_SCENE.format(converter=converter))
+    with pytest.raises(InputError) as refused:
+        read_scene(path)
+    assert message in str(refused.value).replace(f"{path}:", "")
+
+
+def test_readings_at_the_end_of_a_chips_range_name_it() -> None:
+    """Rows of 3.3 V saturate the ±2.048 V of an ADS1115 after power-up."""
+    scene = Scene(Panel(4, 4), GroundedReadout(supply_volt=3.3, converter="ADS1115"))
+    codes = np.full((2, 4, 4), 2.0**15 - 1)
+    with pytest.raises(InputError, match=r"is readout\.converter, 2\.048 V"):
+        Recording.from_array(codes, unit="code", scene=scene, baseline=0)
 
 
 def test_first_recordings_keep_the_middle_of_their_codes(tmp_path: Path) -> None:

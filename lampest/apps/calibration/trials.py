@@ -144,7 +144,7 @@ def usable_range(readout: Readout) -> tuple[float, float]:
         In volts.
     """
     margin = (2 + 3 * float(np.max(readout.assumed_noise))) * readout.lsb_volt
-    return margin, readout.full_scale_volt - margin
+    return margin, min(readout.full_scale_volt, readout.range_volt[1]) - margin
 
 
 def within_rails(readout: Readout, volt: Array) -> NDArray[np.bool_]:

@@ -40,10 +40,11 @@ def with_one_clock(table: ReadingsTable) -> ReadingsTable:
     and nanoseconds, that the table names.
     """
     words = [parted(name)[0] for name in table.names]
-    parts = [
-        PART_OF_CLOCK.get(word) or PART_OF_EPOCH.get(word.rpartition("_")[2]) or word
-        for word in words
-    ]
+    of_epoch = [PART_OF_EPOCH.get(word.rpartition("_")[2]) for word in words]
+    of_clock = [PART_OF_CLOCK.get(word) for word in words]
+    # Seconds beside nanoseconds are those since 1970.
+    first, second = (of_epoch, of_clock) if "nanosecond" in of_epoch else (of_clock, of_epoch)
+    parts = [one or other or word for one, other, word in zip(first, second, words, strict=True)]
     for needed in (DATE, CLOCK, EPOCH):
         if not all(part in parts for part in needed):
             continue

@@ -18,7 +18,7 @@ from lampest.apps.foreign.words import (
     number_of,
     parted,
 )
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, first_and_more
 from lampest.panel.panel import Array
 from lampest.recording.acquisition import COUNTER
 
@@ -27,6 +27,7 @@ EPOCH = 1e9
 DAY = 24 * 3600.0
 DAYS_UNTIL_1970 = 25_569  # of Excel's, which begin at 1899-12-30
 EXCEL_DAYS = (36_526, 73_050)  # of the years 2000 to 2099
+MIN_STRETCH = 8  # times that grow, of a clock that begins again
 HOUR = 3600.0  # by which clocks are changed in spring and autumn
 STAMP = re.compile(
     r"(?=\d)(?:(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})(?=[T ,]|$))?[T ,]*"
@@ -307,9 +308,11 @@ def _date_of(seconds: float, where: str) -> str:
 def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
     """Return increasing times, and a sentence on those that are interpolated.
 
-    The stamp of a cut line is missing, or does not fit its neighbours. Raises InputError with the
-    place of the first such stamp if their share exceeds MAX_CUT.
+    The stamp of a cut line is missing, or does not fit its neighbours. A clock that begins again
+    goes on. Raises InputError with the place of the first such stamp if their share exceeds
+    MAX_CUT.
     """
+    seconds, again = _continued(seconds, where)
     grow = _longest_growing(seconds)
     cut = np.flatnonzero(~grow)
     if len(cut) > MAX_CUT * len(seconds):
@@ -319,12 +322,44 @@ def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
             "times must be finite and grow; `period` sets them instead"
         )
     if not len(cut):
-        return seconds, ""
+        return seconds, again
     number = np.arange(len(seconds))
     growing = np.flatnonzero(grow)
     inner = np.interp(number, growing, seconds[growing])
+    # before the first and after the last of them by the usual step
+    usual = float(np.median(np.diff(seconds[growing]) / np.diff(growing))) if grow.sum() > 1 else 0
+    inner += usual * (np.minimum(number - growing[0], 0) + np.maximum(number - growing[-1], 0))
     places = ", ".join(where(int(place)) for place in cut[:5]) + (", ..." if len(cut) > 5 else "")
-    return inner, f"; the time at {places} is missing or does not grow, and is interpolated"
+    return inner, f"{again}; the time at {places} is missing or does not grow, and is interpolated"
+
+
+def _continued(seconds: Array, where: Where) -> tuple[Array, str]:
+    """Return times that go on by their usual step where a clock begins again, and a sentence.
+
+    A board that resets counts from its start, and a frame's number wraps. A stretch of times that
+    grow begins again if its first one is below the median of the stretch before; otherwise a stamp
+    was wrong. Stamps between two stretches are missing.
+    """
+    grown = np.flatnonzero(np.isfinite(seconds))
+    falls = np.flatnonzero(np.diff(seconds[grown]) <= 0) + 1
+    stretches = [part for part in np.split(grown, falls) if len(part) >= MIN_STRETCH]
+    if sum(map(len, stretches)) < (1 - MAX_CUT) * len(seconds):
+        return seconds, ""
+    begins = [
+        int(later[0])
+        for part, later in pairwise(stretches)
+        if seconds[later[0]] < np.median(seconds[part])
+    ]
+    if not begins or len(begins) < len(stretches) - 1:
+        return seconds, ""
+    step = float(np.median(np.concatenate([np.diff(seconds[part]) for part in stretches])))
+    continued = np.full(len(seconds), np.nan)
+    end = seconds[stretches[0][0]] - step
+    for part in stretches:
+        continued[part] = seconds[part] - seconds[part[0]] + end + step
+        end = continued[part[-1]]
+    places = first_and_more([where(begin) for begin in begins])
+    return continued, f"; it begins again at {places}, and goes on by its usual step"
 
 
 def unwrapped(values: Array) -> Array:

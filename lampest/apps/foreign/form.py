@@ -123,7 +123,8 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
         first = int(np.argmax(data & complete))  # a terminal opened in the middle of a line
     else:
         # The header may widen the table.
-        width = max(width, min(usual, 1 + int(np.flatnonzero(fields[header] != "")[-1])))
+        named = np.flatnonzero(fields[header] != "")
+        width = max(width, min(usual, 1 + int(named.max(initial=-1))))
         names, has_units_line = _names(fields[:, :width], header)
         form = replace(form, width=width, header=tuple(fields[header]), names=tuple(names))
         note = _header_note(source, header, units=has_units_line)
@@ -254,10 +255,10 @@ def _broken_fields(
     """
     broken = np.zeros(fields.shape, dtype=bool)
     texts = {
-        at: [text.strip("[](){}") for text in fields[at, : counts[at]]]
+        at: [*filter(None, (text.strip("[](){}") for text in fields[at, : counts[at]]))]
         for at in np.flatnonzero(others).tolist()
     }
-    parts = [at for at, line in texts.items() if all(map(WRITTEN.fullmatch, line))]
+    parts = [at for at, line in texts.items() if line and all(map(WRITTEN.fullmatch, line))]
     if len(parts) > max(1, MAX_BROKEN * whole.sum()):  # titles are numbers
         return broken
     for at in parts:

@@ -15,7 +15,8 @@ SAMPLED = 50_000  # characters or fields at the beginning of a file that determi
 SAMPLED_LINES = 1000
 MAX_LINE = 1_000_000  # characters
 DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
-COLOUR = re.compile(r"\x1b\[[\d;]*m")  # of ESP-IDF's and Zephyr's logs
+# Colours of ESP-IDF's and Zephyr's logs; a screen that is cleared before each frame
+CONTROL = re.compile(r"\x1b\[[\d;?]*[A-Za-z]")
 DATE = r"(?:\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} )?"
 TIME = r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
 # Prefixes of lines, with a time of day or milliseconds.
@@ -37,6 +38,7 @@ LABELLED = re.compile(
     r"(?=[-+.\d])"
 )
 BRACKETED = re.compile(r"[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
+ENCLOSED = re.compile(r"\s*<\s*([-+.\d][^<>]*)>\s*")  # '<512,511>', between marks of begin and end
 # '0.1,"[512, 511]"', '0.1;[[512 511] [513 514]]': a list behind other fields
 LISTED = re.compile(r'^(.*[,;\t ])"?(\[[\[\s]*[-+.\d]+[,;\s][^"]*\])"?(.*)$')
 # 'r0c0:512' of the Serial Plotter, '[0][0] = 512'
@@ -54,7 +56,7 @@ TELEPLOT = re.compile(
 
 def stamp_and_content(line: str) -> tuple[str, str]:
     """Return the time that a terminal or a log writes before a line, or '', and the rest."""
-    line = COLOUR.sub("", line) if "\x1b" in line else line
+    line = CONTROL.sub("", line) if "\x1b" in line else line
     match = next(filter(None, (prefix.match(line) for prefix in PREFIXES)), None)
     if match is None:
         return "", line.strip(" ")
@@ -234,7 +236,9 @@ def _text_of_json(value: Any) -> str:
 
 
 def _plain(content: str) -> str:
-    """Return a line without the brackets of lists, and with its label as a field."""
+    """Return a line without the brackets of lists or frames, and with its label as a field."""
+    enclosed = ENCLOSED.fullmatch(content)
+    content = content if enclosed is None else enclosed[1]
     if BRACKETED.match(content):
         content = re.sub(r"[\[\]{}()]", " ", content)
     elif "[" in content:

@@ -195,8 +195,13 @@ def placed(segment: Segment, ends: FrameEnds) -> Iterator[Placed]:
         return
     chosen = [at for at, keys in enumerate(segment.keys) if keys.position in ends.ranks]
     if not ends.shared and ends.gapless:
-        ranks = [ends.ranks[segment.keys[at].position] for at in chosen]
-        cuts = [n for n, (last, rank) in enumerate(pairwise(ranks), 1) if rank != last + 1]
+        # A line with a damaged name between two successive positions is of another frame.
+        places = [(at, ends.ranks[segment.keys[at].position]) for at in chosen]
+        cuts = [
+            number
+            for number, ((at, rank), following) in enumerate(pairwise(places), 1)
+            if following != (at + 1, rank + 1)
+        ]
         sides = [chosen[first:end] for first, end in pairwise([0, *cuts, len(chosen)])]
         sides.sort(key=len, reverse=True)
         # Of two single lines one may have a damaged name.

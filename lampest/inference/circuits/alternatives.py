@@ -27,7 +27,8 @@ from lampest.inference.circuits.kinds import (
 from lampest.panel.lines import SeriesPerLine, opposite
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.converter import Characteristic, Known, known
+from lampest.panel.readouts.converter import Characteristic
+from lampest.panel.readouts.known_converters import Known
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
@@ -248,9 +249,8 @@ def other_converters(specified: Alternative, *, reversed_too: bool) -> Iterator[
     names: list[Known] = ["inverting amplifier"] if reversed_too else []
     names += ["esp32"] if readout.adc_bits == ESP32_BITS else []
     for name in names:
-        ends = known(name, readout.full_scale_volt)
         kind = f"readout.converter: {name}"
-        yield with_converter(specified, kind, {"converter": name}, converter=ends)
+        yield with_converter(specified, kind, {"converter": name}, converter=name)
     codes = readout.steps_from_volt(readout.volt_from_recorded(specified.recorded))
     for bits in USUAL_BITS:
         if bits < readout.adc_bits and np.max(codes, where=np.isfinite(codes), initial=0) < 2**bits:

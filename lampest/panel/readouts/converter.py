@@ -8,18 +8,20 @@ transition of an ideal converter half a step above zero, and the last one 1.5 st
 scale. Code c therefore stands for c steps, and its interval reaches half a step to both sides.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import counted
 from lampest.files.levels import NOISE_REACH
-from lampest.files.typed import Configuration, check_range, check_ranges
+from lampest.files.typed import Completed, Configuration, check_range, check_ranges
 from lampest.panel.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
 from lampest.panel.panel import Array
+from lampest.panel.readouts.known_converters import KNOWN_CONVERTERS, Known, KnownConverter
 
 MAX_VOLT = 1e3  # V: limit of low voltage in IEC 60038
 MIN_REPEATS = 50  # repeated readings, which determine a noise to a tenth
@@ -29,6 +31,7 @@ ENDLESS = 65535
 # b² is 1/12.
 HARMONICS = 2000
 NOISE_ACCURACY = 1e-6  # LSB
+USUAL_NOISE_LSB = 0.7  # that of the shipped boards
 MIN_VOLT = 1e-3  # V: that of a thermocouple
 
 
@@ -42,6 +45,9 @@ class Characteristic(Configuration):
 
     Attributes
     ----------
+    name : Known, or None
+        Converter whose numbers hold (`KNOWN_CONVERTERS`); only `full_volt` may stand beside it, for
+        another range of the chip. None: the numbers below.
     zero_volt : float or {'estimated'}
         Voltage of code 0.
     full_volt : float, or None
@@ -53,12 +59,14 @@ class Characteristic(Configuration):
         Whether codes run from −2^(bits−1) to 2^(bits−1) − 1, as those of differential converters.
 
     Raises ValueError if a voltage is out of range, if both ends are one, if full_volt is to be
-    estimated, or if the points of a curve do not rise or fall throughout.
+    estimated or no range of the named chip, if other numbers stand beside a name, or if the points
+    of a curve do not rise or fall throughout.
 
     >>> lampest.Characteristic(zero_volt=0.14, full_volt=3.12).zero_volt
     0.14
     """
 
+    name: Known | None = None
     zero_volt: float | Literal["estimated"] = 0.0
     full_volt: float | Literal["estimated"] | None = None
     curve: tuple[tuple[float, float], ...] | None = None
@@ -76,6 +84,7 @@ class Characteristic(Configuration):
                 raise ValueError(f"converter voltages must lie within {MAX_VOLT:g} V of ground")
         if self.zero_volt == self.full_volt:
             raise ValueError("zero_volt and full_volt must differ: they are the ends of the range")
+        self._check_name()
         if self.curve is None:
             return
         if self.zero_volt != 0 or self.full_volt is not None:
@@ -86,6 +95,36 @@ class Characteristic(Configuration):
         rises, falls = np.all(np.diff(code) > 0), np.all(np.diff(code) < 0)
         if not (np.all(np.diff(volt) > 0) and (rises or falls)):
             raise ValueError("curve must rise or fall throughout: each voltage has one code")
+
+    def _check_name(self) -> None:
+        if self.name is None:
+            return
+        if self.zero_volt != 0 or self.curve is not None or self.signed:
+            raise ValueError(
+                f"{self.name} states zero_volt, curve and signed: only full_volt may stand beside"
+            )
+        ranges = self.numbers.ranges
+        if ranges and self.full_volt not in (None, *ranges):
+            listed = ", ".join(f"{volt:g}" for volt in ranges)
+            raise ValueError(
+                f"full_volt: {self.name} has the ranges {listed} V, not {self.full_volt:g} V"
+            )
+
+    @property
+    def numbers(self) -> KnownConverter:
+        """Numbers of the named converter; those of none without a name."""
+        return KNOWN_CONVERTERS[self.name or "avr"]
+
+    def within(self, full_scale_volt: float) -> "Characteristic":
+        """Return the characteristic without a name, for the end of its range in volt."""
+        if self.name is None:
+            return self
+        numbers = self.numbers
+        full = numbers.full_volt if self.full_volt is None else self.full_volt
+        if numbers.falls:
+            end = full_scale_volt if full is None else full
+            return Characteristic(zero_volt=end, full_volt=0.0)
+        return Characteristic(zero_volt=numbers.zero_volt, full_volt=full, signed=numbers.signed)
 
     @cached_property
     def points(self) -> tuple[Array, Array]:
@@ -101,6 +140,11 @@ class Characteristic(Configuration):
 
     def description(self) -> str:
         """Return the range in words."""
+        if self.name is not None:
+            full = self.numbers.full_volt if self.full_volt is None else self.full_volt
+            chosen = self.numbers.ranges or self.full_volt is not None
+            end = f" to {full:g} V" if chosen else ""
+            return f"converter {self.name}{end}"
         if self.curve is not None:
             volt, code = self.points
             return f"codes by a curve from {volt[0]:g} V ({code[0]:g}) to {volt[-1]:g} V"
@@ -111,28 +155,8 @@ class Characteristic(Configuration):
         return f"{start} {self.zero_volt:.6g} V{end}"
 
 
-Known = Literal["esp32", "avr", "inverting amplifier"]
-
-
-def known(name: Known, full_scale_volt: float) -> Characteristic:
-    """Return the characteristic of a converter with a name, for the end of its range in volt.
-
-    'esp32' has 12 bits at 11 dB, a straight line through readings that users of the Arduino core
-    report (nothing below 0.14 V, the last code at 3.12 V; Espressif's data sheet specifies 0.15 to
-    2.45 V). Chips differ by some 6 %: a measured `curve` is better. 'avr' follows the data sheets
-    of the ATmega, with the supply as reference; typically its zero is off by 2 steps. 'inverting
-    amplifier' has two equal resistors about half the range, V_out = 2 V_ref − V (Mancini, Op Amps
-    for Everyone, Texas Instruments SLOD006B, 2002, chapter 4).
-    """
-    if name == "esp32":
-        return Characteristic(zero_volt=0.14, full_volt=3.12)
-    if name == "inverting amplifier":
-        return Characteristic(zero_volt=full_scale_volt, full_volt=0.0)
-    return Characteristic()
-
-
 @dataclass(frozen=True, kw_only=True)
-class Converter(Configuration):
+class Converter(Completed):
     """Converter with codes from 0 to 2^bits − 1, or signed ones.
 
     Code c stands for c steps of 2^−bits of the range, which by default reaches from 0 to the
@@ -143,7 +167,7 @@ class Converter(Configuration):
     supply_volt : float
         Supply of the circuit and reference of the converter in volt.
     adc_bits : int
-        Resolution of the converter.
+        Resolution of the converter; without a number that of the named converter, otherwise 10.
     readings : int
         Conversions that are averaged for one cell.
     noise_lsb : PerLine or {'estimated'}, or None
@@ -151,22 +175,23 @@ class Converter(Configuration):
         or one for each driven line (`noisy_side`). 'estimated': from the unloaded frames. None:
         from five or more unloaded frames, otherwise `usual_noise_lsb`.
     usual_noise_lsb : float
-        Noise of the shipped boards, which is sufficient dither for averaging.
+        Noise of a named converter by its data sheet, otherwise that of the shipped boards, which is
+        sufficient dither for averaging.
     floor_code : int, or None
         Codes at or below it were not recorded: such a reading, zero or infinite by its unit, is a
         bound.
     passes_volt : tuple[float, float] or {'estimated'}, or None
         Smallest and largest voltage that a stage before the converter passes; a reading within its
         noise of either is a bound. 'estimated': from the frames. None: all.
-    converter : Characteristic or {'esp32', 'avr', 'inverting amplifier'}, or None
-        Voltages that the codes stand for. None: from 0 to full scale.
+    converter : Characteristic or Known, or None
+        Voltages that the codes stand for, or a converter's name (`KNOWN_CONVERTERS`). None: from 0
+        to full scale.
     scan_order : {'rows', 'columns'} or tuple of (int, int), or None
         Order in which the readings of a frame are taken: row by row, column by column, or a list of
         [row, column]. Memory, motion and times within a frame follow it. None: driven line by
         driven line.
     """
 
-    usual_noise_lsb: ClassVar[float] = 0.7
     supply_volt: float = 5.0
     adc_bits: int = 10
     readings: int = 20
@@ -176,9 +201,24 @@ class Converter(Configuration):
     converter: Characteristic | Known | None = None
     scan_order: Literal["rows", "columns"] | tuple[tuple[int, int], ...] | None = None
 
+    @classmethod
+    def completed(cls, content: Any) -> Any:
+        """Return arguments, or the content of a file, with the bits of a named converter."""
+        named = content.get("converter") if isinstance(content, Mapping) else None
+        name = named.get("name") if isinstance(named, Mapping) else getattr(named, "name", named)
+        known: Mapping[Any, KnownConverter] = KNOWN_CONVERTERS
+        bits = known[name].adc_bits if isinstance(name, str) and name in known else None
+        return content if bits is None else {"adc_bits": bits} | content
+
     def __post_init__(self) -> None:
         check_range("supply_volt", self.supply_volt, MIN_VOLT, MAX_VOLT, " V")
         check_ranges(self, 1, 32, "adc_bits")
+        bits = self._stated.numbers.adc_bits
+        if bits not in (None, self.adc_bits):
+            raise ValueError(
+                f"adc_bits: {self.adc_bits} contradicts the converter {self._stated.name}, "
+                f"which has {bits} bits"
+            )
         check_ranges(self, 1, 65535, "readings")
         check_lines("noise_lsb", self.assumed_noise)
         if max(as_tuple(self.assumed_noise)) > 2**self.adc_bits:
@@ -206,12 +246,22 @@ class Converter(Configuration):
         """Voltage at the end of the converter's range, where `converter` does not name another."""
         return self.supply_volt
 
-    @cached_property
-    def characteristic(self) -> Characteristic:
-        """Voltages that the codes stand for."""
+    @property
+    def _stated(self) -> Characteristic:
+        """Voltages that the codes stand for, as the scene states them."""
         if isinstance(self.converter, Characteristic):
             return self.converter
-        return known("avr" if self.converter is None else self.converter, self.full_scale_volt)
+        return Characteristic(name=self.converter)
+
+    @cached_property
+    def characteristic(self) -> Characteristic:
+        """Voltages that the codes stand for, in numbers."""
+        return self._stated.within(self.full_scale_volt)
+
+    @property
+    def range_assumed(self) -> bool:
+        """Whether the range is one of several of a named chip, that after power-up."""
+        return bool(self._stated.numbers.ranges) and self._stated.full_volt is None
 
     @property
     def codes(self) -> tuple[int, int]:
@@ -260,6 +310,12 @@ class Converter(Configuration):
         return self.noise_lsb not in (None, "estimated")
 
     @property
+    def usual_noise_lsb(self) -> float:
+        """Noise of one reading where the scene does not specify it, LSB."""
+        noise = self._stated.numbers.noise_lsb
+        return USUAL_NOISE_LSB if noise is None else noise
+
+    @property
     def assumed_noise(self) -> PerLine:
         """`noise_lsb` if it is specified, otherwise `usual_noise_lsb`.
 
@@ -282,11 +338,7 @@ class Converter(Configuration):
             else "as the unloaded frames show it"
         )
         floor = f", codes above {self.floor_code}" if self.floor_code else ""
-        ends = ""
-        if isinstance(self.converter, str):
-            ends = f", converter {self.converter}"
-        elif self.converter is not None:
-            ends = f", {self.converter.description()}"
+        ends = "" if self.converter is None else f", {self._stated.description()}"
         return (
             f"{self.adc_bits} bits, {counted(self.readings, 'reading')}, noise {noise}{floor}{ends}"
         )
