@@ -235,8 +235,13 @@ class Estimator(Objective):
         return 12 * size**1.1, 1e8 * size
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError where the formulation does not support the scene."""
+        """Raise InputError where the formulation or a misfit does not support the scene."""
         self.method.check_scene(scene)
+        self.for_outliers(scene)
+
+    def for_outliers(self, scene: Scene) -> "Estimator":
+        """Return the estimator with the losses that the scene requests, see `robust`."""
+        return self.robust() if scene.outliers == "robust" else self
 
     def problem(self, scene: Scene, frames: int, period: float, *, partial: bool = False) -> Solver:
         """Return the solver for one frame, or for two frames jointly; it is built once per process.

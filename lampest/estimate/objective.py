@@ -8,14 +8,18 @@ import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background
+from lampest.cost.losses import Squared, Student
 from lampest.cost.problem import Data
-from lampest.cost.terms import Term
+from lampest.cost.terms import Misfit, Term
+from lampest.files.errors import InputError
 from lampest.files.typed import Configuration
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.solvers.posed import Bounds, cost_of_solve, data_of_solve
 from lampest.solvers.solution import Settings
 
+# Student's t with 15 degrees of freedom, and nearly the variance of the noise: c² = ν + 1.
+ROBUST = Student(corner=4.0)
 Rule = Literal["risk", "evidence"]  # function of a weight that its choice minimises
 
 
@@ -97,6 +101,23 @@ class Objective:
             terms=tuple(replace(term, weight=float(weight)) for term, weight in terms),
             weight_sigma=sigma,
         )
+
+    def robust(self) -> Self:
+        """Return the objective whose squared misfits have Student's loss, of corner 4 σ.
+
+        Raises InputError where such a misfit is not weighted by the noise: its corner has no unit.
+        """
+        terms = list[Term]()
+        for term in self.terms:
+            if isinstance(term, Misfit) and isinstance(term.loss, Squared):
+                if term.weighting != "noise":
+                    raise InputError(
+                        "outliers: robust needs misfit: {weighting: noise}, "
+                        "or a loss that is stated there"
+                    )
+                term = replace(term, loss=ROBUST)
+            terms.append(term)
+        return replace(self, terms=tuple(terms))
 
     @property
     def relative(self) -> bool:

@@ -240,6 +240,7 @@ def program(
     estimator = _checked_estimator(terms, formulation, bounds, solver or Settings())
     prepared = Prepared.of(recording)
     scene = prepared.resolved.scene
+    estimator = estimator.for_outliers(scene)
     if scene.panel.modules is not None:
         raise InputError("an own program has one network; take a module: recording.modules[0]")
     readings = prepared.noise.readings

@@ -13,7 +13,7 @@ from lampest.cost.terms import LogGradient, Misfit, Term
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.state import Step
-from lampest.estimate.stream import Stream, with_needed_priors
+from lampest.estimate.stream import Stream, in_scene
 from lampest.estimate.weights import converter_and_faults, strongest, with_chosen_weights
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.noise import NoiseEstimate
@@ -261,7 +261,7 @@ def first_stream(
 def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     """Return the estimator with open weights from the deciding frames of similar networks.
 
-    Weights have the priors of `with_needed_priors`. Of a single network all frames of
+    Weights are those of the terms of `in_scene`. Of a single network all frames of
     `deciding_frames` count, of several the first. Without measured frames the weights are
     unchanged.
 
@@ -271,7 +271,7 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     networks : sequence of _Network
     """
     first = networks[0]
-    estimator = with_needed_priors(estimator, first.recording.scene, first.resting)
+    estimator = in_scene(estimator, first.recording.scene, first.resting)
     if not estimator.automatic or estimator.auto_weight.per == "frame":
         return estimator
     count = 1 if len(networks) > 1 else None

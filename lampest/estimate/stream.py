@@ -123,7 +123,7 @@ class Stream(SequenceState):
         """
         estimator.check(scene)
         _check_frame(resting, scene)
-        estimator = with_needed_priors(estimator, scene, resting)
+        estimator = in_scene(estimator, scene, resting)
         hidden, frame = (None, None) if noise is None else (noise.possible_errors, noise.frame)
         track = (
             Track(Shared.of(scene, hidden), noise=frame)
@@ -309,8 +309,13 @@ class Stream(SequenceState):
         return self.estimator.method.data_and_start(self, readings)
 
 
-def with_needed_priors(estimator: Estimator, scene: Scene, readings: Readings) -> Estimator:
-    """Return the estimator with priors of the scales that no reading of its circuit shows."""
+def in_scene(estimator: Estimator, scene: Scene, readings: Readings) -> Estimator:
+    """Return the estimator with what its scene adds to the terms.
+
+    These are the losses that the scene requests for outliers, and priors of the scales that no
+    reading of its circuit shows.
+    """
+    estimator = estimator.for_outliers(scene)
     if not scene.circuit.unseen_scales(*scene.panel.shape):
         return estimator
     from lampest.estimate.usual_scale import with_usual_scale

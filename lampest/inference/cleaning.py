@@ -549,7 +549,10 @@ class Cleaned:
         """Sentences on impossible readings, and on outliers that are missing or stay."""
         missing = self.readings.seen == 0
         at_rest = (self.recording.role == UNLOADED)[:, None, None]
-        excludes = self.recording.scene.outliers == "exclude"
+        outliers = self.recording.scene.outliers
+        kept = "kept; outliers: exclude leaves out such readings"
+        if outliers == "robust":
+            kept = "kept, with Student's loss"
         exceed = "larger than any cells allow beside the others"
         deviate = ("reading deviates in one frame", "readings deviate in one frame")
         outlying = self.outliers & ~self.impossible
@@ -563,9 +566,9 @@ class Cleaned:
             (
                 outlying & missing & ~at_rest,
                 deviate,
-                "left out" if excludes else "left out, since no cell gives that",
+                "left out" if outliers == "exclude" else "left out, since no cell gives that",
             ),
-            (outlying & ~missing, deviate, "kept; outliers: exclude leaves out such readings"),
+            (outlying & ~missing, deviate, kept),
         )
         return tuple(
             self._named(chosen, subjects, fate) for chosen, subjects, fate in kinds if chosen.any()

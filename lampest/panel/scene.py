@@ -100,9 +100,10 @@ class Scene(Configuration):
         how much loads jitter within a scan. None: none.
     creep : float or 'estimated', or None
         Change of log r of all cells alike since the unloaded frames, which is no load; None: none.
-    outliers : {'keep', 'exclude'}, or None
+    outliers : {'keep', 'exclude', 'robust'}, or None
         Readings that differ from their neighbours in time while their row and column do not. None:
-        kept. What no cells give is missing in either case.
+        kept. 'robust': kept, and squared misfits have Student's loss
+        (`lampest.estimate.objective.Objective.robust`). What no cells give is missing in any case.
     estimated : dict, or None
         Of resolved scenes: key of each number that the recording determined → (number, standard
         deviation).
@@ -146,7 +147,7 @@ class Scene(Configuration):
     ripple: Size | None = None
     motion: Size | None = None
     creep: Size | None = None
-    outliers: Literal["exclude", "keep"] | None = None
+    outliers: Literal["exclude", "keep", "robust"] | None = None
     film: Film | None = None
     response: AnyResponse | None = None
     baseline: Literal["raw", "subtracted"] | None = None

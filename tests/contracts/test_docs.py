@@ -284,7 +284,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
         (*command, str(DOCS), str(tmp_path / "html")),
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=1800,
         cwd=REPOSITORY,
     )
     assert completed.returncode == 0, completed.stderr

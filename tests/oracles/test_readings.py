@@ -7,6 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from promises import promise
 
+import lampest
+from lampest.files.errors import InputError
 from lampest.inference.cleaning import Cleaned
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
@@ -90,6 +92,36 @@ def test_an_outlier_stays_with_its_name_unless_the_scene_excludes_it(kind: str) 
         excluding = replace(recording, scene=replace(recording.scene, outliers="exclude"))
         missing = np.argwhere(Cleaned.of(excluding).readings.seen == 0).tolist()
         assert missing == [[frame, row, column]]
+
+
+@pytest.mark.slow
+@promise("howto/readings: `outliers: robust` keeps all readings")
+def test_a_robust_scene_gives_squared_misfits_students_loss() -> None:
+    readout = lampest.VirtualGroundReadout(
+        drive_ohm=0, sense_ohm=0, feedback_ohm=1000.0, adc_bits=14, noise_lsb=1.0
+    )
+    scene = lampest.Scene(lampest.Panel(5, 5), readout, outliers="robust")
+    robust = lampest.simulate(lampest.Simulation(schema=1, seed=3, scene=scene, frames=4))
+    frame = len(robust.recorded) - 3
+    codes = robust.recorded.copy()
+    codes[frame, 2, 3] *= 1.3
+    robust = replace(robust, recorded=codes)
+    kept = replace(robust, scene=replace(scene, outliers=None))
+    assert (Cleaned.of(robust).readings.seen == 1).all()
+    assert "kept, with Student's loss" in Prepared(robust).frame_noise.sentence
+    penalty = lampest.LogGradient(weight=3000.0)
+    squared = lampest.Misfit(weighting="noise")
+    student = lampest.Misfit(weighting="noise", loss=lampest.Student(corner=4.0))
+    by_scene = lampest.reconstruct(robust, [squared, penalty])
+    stated = lampest.reconstruct(kept, [student, penalty])
+    np.testing.assert_array_equal(by_scene.cell_resistance, stated.cell_resistance)
+    by_squares = lampest.reconstruct(kept, [squared, penalty]).cell_resistance[:, 2, 3]
+    before, within, after = by_scene.cell_resistance[:3, 2, 3]
+    usual = np.sqrt(before * after)
+    assert abs(np.log(within / usual)) < abs(np.log(by_squares[1] / usual)) / 2
+    assert "kind: student" in by_scene.result("mine").case_yaml
+    with pytest.raises(InputError, match="outliers: robust needs misfit"):
+        lampest.reconstruct(robust, [lampest.Misfit(), penalty])
 
 
 @promise("howto/readings: **In unloaded frames no cell changes.**")

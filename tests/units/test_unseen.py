@@ -23,7 +23,7 @@ from lampest.audit.advice import Audit
 from lampest.audit.finding import with_lines
 from lampest.audit.verdict import verdict
 from lampest.cost.terms import term_kind
-from lampest.estimate.stream import with_needed_priors
+from lampest.estimate.stream import in_scene
 from lampest.inference.circuits.model_check import ModelCheck
 from lampest.inference.prepared import Prepared
 
@@ -112,9 +112,9 @@ def test_estimators_of_circuits_that_show_the_scale_stay_as_they_are() -> None:
     estimator = lampest.Estimator((Misfit(weighting="noise"), lampest.LogGradient(weight=1.0)))
     for readout, kinds in ((LoadedColumnsReadout(), ()), (INPUTS, ("log_ratio", "usual_scale"))):
         made = recording(readout, readout)
-        given = with_needed_priors(estimator, made.scene, made.readings())
+        given = in_scene(estimator, made.scene, made.readings())
         assert tuple(map(term_kind, given.terms)) == ("misfit", "log_gradient", *kinds)
-        assert with_needed_priors(given, made.scene, made.readings()) == given
+        assert in_scene(given, made.scene, made.readings()) == given
 
 
 def test_a_plain_misfit_has_the_same_priors_in_its_own_unit() -> None:
@@ -122,7 +122,7 @@ def test_a_plain_misfit_has_the_same_priors_in_its_own_unit() -> None:
     readings = made.readings()
     assert readings.sigma is not None
     priors = [
-        with_needed_priors(lampest.Estimator((misfit,)), made.scene, readings).terms[1:]
+        in_scene(lampest.Estimator((misfit,)), made.scene, readings).terms[1:]
         for misfit in (Misfit(weighting="noise"), Misfit())
     ]
     square = np.mean(readings.sigma**2)

@@ -72,6 +72,9 @@ POINTS = 201  # of a posterior over the shares
 # Probability of a steady load below which jitter is shown: that of NOISE_REACH in a normal
 # distribution.
 STEADY_ODDS = 0.0027
+# Below, a jitter is the least that is searched: a smaller one has more evidence, and errors other
+# than those of loads resemble it.
+MIN_JITTER = 1.01 * JITTERS[0]
 LOADED_SHARE = 0.15  # of the largest change: a cell that changes by more is under the load
 # Error of a value interpolated between two frames, over √(τ(1 − τ)) times the second difference of
 # the frames: 0.7 for a change at once, 0.2 to 0.4 for one that takes a frame or longer.
@@ -637,6 +640,8 @@ class ScanMotion(SceneEffect):
             resting_cells=evidence.noise.resting_cells,
         )
         share = search()
+        if share is not None and _jitters_alone(share) and share.jitter < MIN_JITTER:
+            return
         # Errors of readings explain some of what seems to be motion: they are tried where some is.
         if share is not None and share.gain > MIN_EVIDENCE_GAIN and not named:
             share = search(unknown_errors=True)
@@ -650,6 +655,11 @@ def _in_words(noise: NoiseEstimate) -> str:
     share = noise.motion
     if share is None or "motion" not in noise.estimated:
         return ""
-    if share.steady < STEADY_ODDS and share.mean < NOISE_REACH * share.deviation:
-        return LoadMotion().jitter_sentence(share.jitter)
+    if _jitters_alone(share):
+        return LoadMotion().jitter_sentence(share.mean, share.deviation, share.jitter)
     return LoadMotion().sentence(share.mean, share.deviation)
+
+
+def _jitters_alone(share: Share) -> bool:
+    """Return whether a recording shows a jitter, and no share of the scan."""
+    return share.steady < STEADY_ODDS and share.mean < NOISE_REACH * share.deviation

@@ -31,11 +31,11 @@ class LoadMotion(SizedEffect):
             f"takes {size:.2g} +- {deviation:.1g} of the time between frames"
         )
 
-    def jitter_sentence(self, jitter: float) -> str:
-        """Return that a load jitters, by a share of the change that it makes, in words."""
+    def jitter_sentence(self, size: float, deviation: float, jitter: float) -> str:
+        """Return the sentence on a load that jitters, by a share of the change that it makes."""
         return (
-            "still cells seem to move with the load, which jitters by "
-            f"{100 * jitter:.2g} % within a scan"
+            f"{self.sentence(size, deviation)}, within which the load jitters "
+            f"by {100 * jitter:.2g} % of its change"
         )
 
     def columns(self, circuit: Readout, values: Array, *sizes: Any) -> Array:
