@@ -176,37 +176,55 @@ def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) 
 def _of_reproduced(hessian: Hessian) -> Certificate | None:
     """Return the certificate of plain least squares whose readings are all reproduced, or None.
 
-    The cost then is nearly zero, its least value, and the Newton step is s = −J⁻¹ e with the
-    relative residuals e of the readings. J alone keeps digits that H = JᵀWJ loses. If the noise is
-    not known, the certificate also holds where cells within MAX_DISTANCE reproduce all readings.
+    If the noise is not known, cells nearby that reproduce all readings suffice.
     """
-    if not all(term.reads_measurement for term in hessian.at.cost.terms) or not hessian.only_data:
+    missed = _relative_residuals(hessian)
+    if missed is None or (hessian.at.data.noise_known and not _close(missed)):
         return None
-    curvature = hessian.curvature
+    return toward_readings(hessian)
+
+
+def toward_readings(hessian: Hessian) -> Certificate | None:
+    """Return the certificate of plain least squares by cells that reproduce all readings, or None.
+
+    The cost there is nearly zero, its least value, and the Newton step is s = −J⁻¹ e with the
+    relative residuals e of the readings. J alone keeps digits that H = JᵀWJ loses. Cells that do
+    not reproduce the readings yet must lie within MAX_DISTANCE of those that do.
+    """
+    missed = _relative_residuals(hessian)
+    most = DENSE_CELLS if hessian.at.data.noise_known else MAX_DENSE
+    if missed is None or len(missed) > most:
+        return None
     reading = hessian.at.reading.ravel()
-    if not np.all(curvature > 0):
-        return None
-    # e = (∂φ/∂y)/(∂²φ/∂y²)/y: relative residual of each reading
-    missed = hessian.by_reading.ravel() / curvature / reading
-    close = float(np.abs(missed).max()) <= MAX_RELATIVE_MISFIT
-    noise_known = hessian.at.data.noise_known
-    if noise_known and not close:
-        return None
-    if len(reading) > (DENSE_CELLS if noise_known else MAX_DENSE):
-        return None
     sensitivity = hessian.at.networks[0].sensitivity() / reading[:, None]
     cells = np.arange(len(reading))
     _, _, step, singular = lapack.dgesv(sensitivity, -missed)
     if singular or not np.all(np.isfinite(step)):
-        if not close:
+        if not _close(missed):
             return None
         return Certificate.of(hessian, Definiteness.UNDETERMINED, cells, 0 * missed, np.inf)
-    inside = within_bounds(hessian.at, cells, step)
-    if not close and (float(np.abs(step).max()) > MAX_DISTANCE or not np.array_equal(inside, step)):
+    beyond = float(np.abs(within_bounds(hessian.at, cells, step) - step).max())
+    far = float(np.abs(step).max()) > MAX_DISTANCE or beyond > MAX_RELATIVE_MISFIT
+    if far and not _close(missed):
         return None
     # δ² = eᵀ (WY²) e with the weights W = ∂²φ/∂y² and the readings Y
-    decrement = float(np.sqrt(np.sum(curvature * (missed * reading) ** 2)))
+    decrement = float(np.sqrt(np.sum(hessian.curvature * (missed * reading) ** 2)))
     return Certificate.of(hessian, Definiteness.POSITIVE, cells, step, decrement)
+
+
+def _relative_residuals(hessian: Hessian) -> Array | None:
+    """Return e = (∂φ/∂y)/(∂²φ/∂y²)/y of each reading; None unless all are of least squares."""
+    if not all(term.reads_measurement for term in hessian.at.cost.terms) or not hessian.only_data:
+        return None
+    curvature = hessian.curvature
+    if not np.all(curvature > 0):
+        return None
+    return np.asarray(hessian.by_reading.ravel() / curvature / hessian.at.reading.ravel())
+
+
+def _close(missed: Array) -> bool:
+    """Return whether relative residuals are those of readings that are reproduced."""
+    return float(np.abs(missed).max()) <= MAX_RELATIVE_MISFIT
 
 
 def _confirmed(

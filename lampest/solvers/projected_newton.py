@@ -15,6 +15,7 @@ import numpy as np
 
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.trust_region import SUFFICIENT_DECREASE, SubproblemStep
+from lampest.solvers.certificate import Definiteness, toward_readings
 from lampest.solvers.direction import (
     ActiveSet,
     QuadraticModel,
@@ -151,9 +152,9 @@ class ProjectedNewton(Solver):
             if lower is not None:
                 return point, lower
         if point.converges:
-            # Near convergence the certificate's factor preconditions the step as well.
+            # Near convergence the certificate has the step, or its factor preconditions one.
             point = point.certified()
-        trial = descent_step(point, self.parts)
+        trial = certified_step(point, self.parts) or descent_step(point, self.parts)
         if trial is not None:
             return point, trial
         point = point.certified()
@@ -186,6 +187,27 @@ def crowds_bounds(start: Evaluation) -> bool:
     )
     crowded = np.sum(at_bound & (data.lower < data.upper)) > sum(cells.shape[1:])
     return bool(crowded and has_central_path(start) and hessian.residual > STEPS.path_tolerance)
+
+
+def certified_step(point: Iterate, parts: NewtonParts = NewtonParts()) -> Iterate | None:
+    """Return the next point by the Newton step of a certificate; None without an accepted one.
+
+    It is the certificate of the point, or that of plain least squares by cells nearby that
+    reproduce all readings. Its step needs no conjugate gradients. Of large panels, and of absolute
+    losses, these keep more digits.
+    """
+    if not point.hessian.dense or len(point.at.nonsmooth):
+        return None
+    verdict = point.certificate or toward_readings(point.hessian)
+    if verdict is None or verdict.definiteness is not Definiteness.POSITIVE:
+        return None
+    trial = point.at_step(verdict.step)
+    if trial is None or not parts.acceptance(point, trial, 0.5 * verdict.decrement**2):
+        return None
+    patience = STEPS.gauss_newton
+    return _next_point(
+        point, trial, point.newest_preconditioner, patience, convex=point.convex, worn=False
+    )
 
 
 def descent_step(point: Iterate, parts: NewtonParts = NewtonParts()) -> Iterate | None:
@@ -227,7 +249,11 @@ def trust_region_step(point: Iterate, parts: NewtonParts) -> Iterate | None:
         if trial is not None and parts.acceptance(point, trial, direction.decrease):
             if model.exact and not direction.negative:
                 patience = STEPS.gauss_newton
-            return _next_point(point, trial, direction, model, patience, convex=convex)
+            # If conjugate gradients took too many products, no factor is reused.
+            worn = direction.products > STEPS.max_reuse_products[point.hessian.dense]
+            return _next_point(
+                point, trial, model.preconditioner, patience, convex=convex, worn=worn
+            )
         # Rejected: try again within a smaller radius.
         radius = STEPS.radius_factor * direction.length
         if not radius > 0:
@@ -238,24 +264,22 @@ def trust_region_step(point: Iterate, parts: NewtonParts) -> Iterate | None:
 def _next_point(
     point: Iterate,
     trial: Iterate,
-    direction: SubproblemStep,
-    model: QuadraticModel,
+    preconditioner: Preconditioner | None,
     patience: int,
     *,
     convex: bool,
+    worn: bool,
 ) -> Iterate:
-    """Return an accepted trial with the preconditioner and the certificate of its predecessor.
+    """Return an accepted trial with a preconditioner and the certificate of its predecessor.
 
-    If conjugate gradients took too many products, neither is reused.
+    Neither is reused if it is `worn`.
     """
-    hessian = point.hessian
-    worn = direction.products > STEPS.max_reuse_products[hessian.dense]
     # Linear convergence: the next step is shorter by the ratio of the residuals.
     moved = float(np.abs(trial.at.position - point.at.position).max())
-    small = hessian.dense and not len(point.at.nonsmooth)
+    small = point.hessian.dense and not len(point.at.nonsmooth)
     return replace(
         trial,
-        preconditioner=None if worn else model.preconditioner,
+        preconditioner=None if worn else preconditioner,
         gauss_newton=patience,
         convex=convex,
         damping=point.damping,

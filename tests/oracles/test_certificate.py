@@ -35,8 +35,9 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
 from lampest.solvers.certificate import certificate, clear_of_rounding
 from lampest.solvers.hessian import Hessian
+from lampest.solvers.iterate import Iterate
 from lampest.solvers.posed import Bounds
-from lampest.solvers.projected_newton import ProjectedNewton
+from lampest.solvers.projected_newton import ProjectedNewton, certified_step
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings, Solution, Status, check
 from tests.least_cost import Circuit
@@ -239,6 +240,27 @@ def test_wrong_small_cells_are_never_verified(number: int, relative_error: float
     places = np.where(cells < 10 * cells.min(), cells * np.exp(scatter), cells)
     point = evaluation((Misfit(),), places, Scene(Panel(*cells.shape)).circuit.exact_reading(cells))
     assert verified(point).status is not Status.OPTIMUM
+
+
+@pytest.mark.parametrize("noise_known", [True, False])
+def test_plain_least_squares_steps_to_cells_that_reproduce_the_readings(
+    noise_known: bool,
+) -> None:
+    """Each step squares the error, and none needs a factor of ∇²φ."""
+    scatter = np.exp(0.05 * np.random.default_rng(8).standard_normal(USUAL_CELLS.shape))
+    measured = in_digits(USUAL_CELLS * scatter)
+    start = evaluation((Misfit(),), USUAL_CELLS, measured, 1e-3 * measured if noise_known else None)
+    point = Iterate.of(start, NO_SMOOTHING)
+    errors = []
+    for _ in range(3):
+        following = certified_step(point)
+        assert following is not None and following.newest_preconditioner is None
+        point = following
+        ratio = point.at.cell_resistance[0] / (USUAL_CELLS * scatter)
+        errors.append(float(np.abs(np.log(ratio)).max()))
+    assert errors[0] < 0.05 and errors[1] < 1e-3 and errors[2] < 1e-7
+    far = evaluation((Misfit(),), 3 * USUAL_CELLS, measured, 1e-3 * measured)
+    assert certified_step(Iterate.of(far, NO_SMOOTHING)) is None  # beyond MAX_DISTANCE
 
 
 def test_a_factor_may_succeed_on_rounding() -> None:
