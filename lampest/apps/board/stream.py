@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from lampest.apps.board.port import SILENCE_SECONDS, Board
+from lampest.apps.board.port import SILENCE_SECONDS, Board, prints_numbers
 from lampest.apps.board.printed import MAX_SHOWN, Printer, line_text, text_at_some_rate
 from lampest.apps.board.protocol import BAUD, Estimate, Frame, Garbage, Hello, Message
 from lampest.apps.board.sample import (
@@ -379,6 +379,19 @@ def board_samples(
         time.sleep(RETRY_SECONDS)
 
 
+def _hello_of(board: Board) -> Hello | None:
+    """Return a board's HELLO; None of one that prints numbers, even if it is gone since.
+
+    Raises OSError if a board that printed none is gone, NoBoardError if nothing comes.
+    """
+    try:
+        return board.hello()
+    except OSError:
+        if not prints_numbers(board.first):
+            raise
+        return None
+
+
 class _Line:
     """Connection to a board.
 
@@ -432,7 +445,7 @@ class _Line:
             return
         board = Board(source, self._url)
         try:
-            hello = board.hello()
+            hello = _hello_of(board)
             if hello is not None:
                 yield from self._started(board, hello)
                 return

@@ -108,6 +108,15 @@ def test_numbers_are_read_where_no_lampest_board_answers(tmp_path: Path) -> None
     np.testing.assert_array_equal(codes_of(recording)[0], mat_codes(60, SHAPE)[0])
 
 
+def test_a_socket_that_closes_before_lampest_has_asked_loses_no_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lampest.apps.board.port.SILENCE_SECONDS", 5.0)
+    with on_socket(printed(frame_with_millis, CODES), period=0.001) as url:
+        _, recording = recorded(url, tmp_path / "r.h5", FRAMES - 1, LineOptions())
+    np.testing.assert_array_equal(codes_of(recording), CODES[: FRAMES - 1])
+
+
 def test_times_are_arrivals_where_the_board_sends_none(tmp_path: Path) -> None:
     with on_terminal(printed(rows_and_a_blank_line, CODES), period=0.1) as url:
         summary, recording = recorded(url, tmp_path / "r.h5")
