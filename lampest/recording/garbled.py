@@ -225,7 +225,7 @@ class Along:
     @property
     def _short(self) -> bool:
         """Whether lines have too few readings for their roughness."""
-        return self.values.shape[2] < MIN_LINE_CELLS
+        return bool(self.values.shape[2] < MIN_LINE_CELLS)
 
     @cached_property
     def roughness(self) -> Array:
@@ -281,7 +281,7 @@ class Along:
                 return np.flatnonzero(inside)
         clear = (shares > MIN_SHARE) & ((roughness > CLEARLY * least) | self._lost[frame])
         chance = np.ones(len(shares))
-        for line in np.flatnonzero(inside):
+        for line in np.flatnonzero(inside).tolist():
             chance[line] = self._chance_elsewhere(frame, line)
         unlikely = chance < MAX_CHANCE_OF_LINE
         displaced = unlikely & (np.prod(chance[unlikely]) < MAX_CHANCE)
@@ -290,7 +290,7 @@ class Along:
     @cached_property
     def _film(self) -> Array:
         """Median of all frames, (lines, cells)."""
-        return median(self.values)[0]
+        return np.asarray(median(self.values)[0])
 
     def _chance_elsewhere(self, frame: int, line: int) -> float:
         """Return the probability that a line of one frame agrees with other cells by chance.
@@ -312,7 +312,7 @@ class Along:
         for image in (own, (before + after) / 2):
             predicted = _elsewhere(image, line)
             second = [np.abs(np.diff(part, 2, axis=1)) for part in (film, predicted)]
-            size = np.min([median(part, 1)[:, 0] for part in second], axis=0)
+            size = np.nan_to_num(np.min([median(part, 1)[:, 0] for part in second], axis=0))
             # The variance of a second difference is 6 times that of a reading.
             contrast = np.maximum(MAD_TO_SIGMA / np.sqrt(6) * size, np.finfo(float).tiny)
             # The density of a normal distribution is at most 1/(√(2π)·deviation).
