@@ -2,11 +2,12 @@
 
 Transmission fails for one frame or for some of its lines: their readings are bytes of something
 else, or those of other cells. Such readings deviate from the neighbouring frames in whole lines
-while the other lines do not, and they are rougher than the lines ever are, or equal those of cells
-further along the scan. A load that is present for one frame is neither: it changes a patch of
-cells, which is as smooth in one frame as in the others.
+while the other lines do not, and they are rougher than the lines ever are. Or they equal those of
+another line, or of cells further along the scan. A load that is present for one frame does neither:
+it changes a patch of cells, which is as smooth in one frame as in the others.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import first_and_more
-from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, UNUSUAL
+from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
 from lampest.panel.panel import Array
 from lampest.recording.neighbours import (
     MIN_RATIO_TO_SCATTER,
@@ -36,6 +37,7 @@ MIN_LINE_SHARE = 0.25  # of deviating readings, beyond which a line counts as af
 MIN_SHARE = 0.6
 MAX_SHARE_BESIDE = 0.05
 MIN_LINE_CELLS = 5  # readings of a line: with fewer, chance makes it as rough as a garbled one
+MIN_DIFFERENCED = 3  # readings of a line that have a second difference
 # Median second difference of ln y along the lines, and its ratio to the largest one of the lines
 # that follow their neighbours in time. That of random bytes is 1.5; film that scatters by 0.3 has
 # 0.5, and loads add
@@ -47,10 +49,10 @@ MAX_SPREAD = 0.1
 # Times as rough: such lines are garbled even if other lines of the frame move as well.
 CLEARLY = 1.5
 MAX_DISPLACEMENT = 4  # readings along the scan
-# Ratio of the median deviation to that after a displacement, and share of the readings that it
-# explains.
-MIN_IMPROVEMENT = 5.0
-MIN_EXPLAINED = 0.95
+# Probability that lines agree with other places by chance: below it those of a frame are displaced,
+# of which each has less than the second one.
+MAX_CHANCE = SIGNIFICANCE
+MAX_CHANCE_OF_LINE = 1e-2
 # Of a scan: along the rows, or along the columns.
 ORDERS: tuple[Literal["C", "F"], ...] = ("C", "F")
 
@@ -120,7 +122,7 @@ def _garbled_among(
         Voltages at the converter.
     role : array, shape (frames,)
     """
-    if len(values) < MIN_FRAMES or min(values.shape[1:]) < MIN_LINE_CELLS:
+    if len(values) < MIN_FRAMES or min(values.shape[1:]) < MIN_DIFFERENCED:
         return []
     expected, spread = _expected(values, role)
     # The noise by changes from frame to frame; the converter's step is the least one.
@@ -220,6 +222,11 @@ class Along:
         values, expected = (part.swapaxes(1, 2) for part in (self.values, self.expected))
         return Along(values, expected, self.deviates.swapaxes(1, 2), self.scale, self.ends)
 
+    @property
+    def _short(self) -> bool:
+        """Whether lines have too few readings for their roughness."""
+        return bool(self.values.shape[2] < MIN_LINE_CELLS)
+
     @cached_property
     def roughness(self) -> Array:
         """Median size of second differences of ln y along each line, (frames, lines).
@@ -238,7 +245,7 @@ class Along:
         others = np.take_along_axis(change, cells + (cells >= pressed), axis=2)
         spread = median(np.abs(others - median(others, 2)), 2)[:, :, 0]
         explained = (spread < MAX_SPREAD) | follows_beside(self.values - self.expected)
-        return np.where(explained, 0.0, rough)
+        return np.where(explained | self._short, 0.0, rough)
 
     @cached_property
     def _following(self) -> NDArray[np.bool_]:
@@ -259,48 +266,68 @@ class Along:
         ends = [np.abs(self.values - end) < self.scale for end in self.ends]
         usual = self._following[:, :, None]
         lost = [at_end.all(axis=2) & ~(at_end & usual).any() for at_end in ends]
-        return np.asarray(np.any(lost, axis=0) & usual.any())
+        return np.asarray(np.any(lost, axis=0) & usual.any() & (not self._short))
 
     def garbled(self, frame: int) -> NDArray[np.intp]:
         """Return the garbled lines of a frame."""
         shares = self.deviates[frame].mean(axis=1)
         least = self._least_rough
         roughness = self.roughness[frame]
-        clear = (shares > MIN_SHARE) & ((roughness > CLEARLY * least) | self._lost[frame])
         # Lines that deviate as a whole while the others do not.
         inside = shares > MIN_LINE_SHARE
         if inside.any() and shares[inside].mean() >= MIN_SHARE:
             apart = inside.all() or shares[~inside].mean() <= MAX_SHARE_BESIDE
-            rough = float(np.median(roughness[inside])) > least
-            if apart and (rough or self._is_displaced(frame, inside)):
+            if apart and float(np.median(roughness[inside])) > least:
                 return np.flatnonzero(inside)
-        return np.flatnonzero(clear)
+        clear = (shares > MIN_SHARE) & ((roughness > CLEARLY * least) | self._lost[frame])
+        chance = np.ones(len(shares))
+        for line in np.flatnonzero(inside).tolist():
+            chance[line] = self._chance_elsewhere(frame, line)
+        unlikely = chance < MAX_CHANCE_OF_LINE
+        displaced = unlikely & (np.prod(chance[unlikely]) < MAX_CHANCE)
+        return np.flatnonzero(clear | displaced)
 
-    def _is_displaced(self, frame: int, lines: NDArray[np.bool_]) -> bool:
-        """Return whether lines of one frame have the readings of cells further along the scan.
+    @cached_property
+    def _film(self) -> Array:
+        """Median of all frames, (lines, cells)."""
+        return np.asarray(median(self.values)[0])
 
-        The lines must have their own readings in the frames before and after. A load that jumps is
-        displaced as well, but the film, whose cells differ in the first frame, is not.
+    def _chance_elsewhere(self, frame: int, line: int) -> float:
+        """Return the probability that a line of one frame agrees with other cells by chance.
+
+        These are the cells of another line, or those further along the scan, as the neighbours in
+        time predict them. Of n readings that deviate from their own prediction, k agree with those
+        of other cells by chance with the probability C(n, k) pᵏ, p = reach of the noise / contrast.
+        The contrast is that of the film, which no load changes, and at most that of the predicted
+        readings, which a rail hides.
         """
-        if not 0 < frame < len(self.values) - 1:
-            return False
-        previous, current, following = self.values[frame - 1 : frame + 2, lines]
-        whole = self.expected[frame]
-        first = self.values[0]
-        deviation = middle(np.abs(current - whole[lines]))
-        if MIN_IMPROVEMENT * middle(np.abs(following - previous)) > deviation:
-            return False
-        displacements = (*range(-MAX_DISPLACEMENT, 0), *range(1, MAX_DISPLACEMENT + 1))
-        for steps, order in product(displacements, ORDERS):
-            missed = np.abs(current - displaced(whole, steps, order)[lines])
-            finite = np.isfinite(missed)
-            explained = np.sum(missed[finite] < UNUSUAL * self.scale) / max(int(finite.sum()), 1)
-            film = displaced(first, steps, order) - first
-            structured = middle(np.abs(film)) > OUTLIER_THRESHOLD * self.scale
-            improved = MIN_IMPROVEMENT * middle(missed) < deviation
-            if structured and explained > MIN_EXPLAINED and improved:
-                return True
-        return False
+        own = self.expected[frame]
+        first = min(max(frame - 1, 0), len(self.values) - 3)
+        before, after = (self.values[at] for at in range(first, first + 3) if at != frame)
+        film = _elsewhere(self._film, line) - self._film[line]
+        reach = NOISE_REACH * self.scale
+        current = self.values[frame, line]
+        moved = np.abs(current - own[line]) > 2 * reach
+        chances = [1.0]
+        for image in (own, (before + after) / 2):
+            predicted = _elsewhere(image, line)
+            second = [np.abs(np.diff(part, 2, axis=1)) for part in (film, predicted)]
+            size = np.nan_to_num(np.min([median(part, 1)[:, 0] for part in second], axis=0))
+            # The variance of a second difference is 6 times that of a reading.
+            contrast = np.maximum(MAD_TO_SIGMA / np.sqrt(6) * size, np.finfo(float).tiny)
+            # The density of a normal distribution is at most 1/(√(2π)·deviation).
+            chance = np.minimum(2 * reach / (np.sqrt(2 * np.pi) * contrast), 1.0)
+            agree = np.sum(moved & (np.abs(current - predicted) < reach), axis=1)
+            ways = [math.comb(int(moved.sum()), count) for count in agree.tolist()]
+            chances.append(float(np.min(2 * len(ways) * np.array(ways) * chance**agree)))
+        return min(chances)
+
+
+def _elsewhere(image: Array, line: int) -> Array:
+    """Return the other lines of an image, and a line displaced along the scan, (places, cells)."""
+    displacements = (*range(-MAX_DISPLACEMENT, 0), *range(1, MAX_DISPLACEMENT + 1))
+    along = [displaced(image, *how)[line] for how in product(displacements, ORDERS)]
+    return np.stack([*np.delete(image, line, axis=0), *along])
 
 
 def _roughness(values: Array, sigma: Array) -> Array:

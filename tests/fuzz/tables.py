@@ -43,14 +43,11 @@ class Table:
         Layout and damage.
     text : str
     codes : array, shape (frames, rows, columns)
-    marked : bool
-        Whether names, numbers or times in the file say where frames begin.
     """
 
     name: str
     text: str
     codes: Array
-    marked: bool
 
 
 def codes(rng: Rng, least: int = 3, most: int = 8) -> Array:
@@ -407,10 +404,24 @@ def cut_end(lines: list[Line], rng: Rng) -> list[Line]:
 
 def reset(lines: list[Line], rng: Rng) -> list[Line]:
     """The board began again within a frame."""
-    at = int(rng.integers(len(lines) // 2, len(lines) - 2))
+    last = max(line.frame for line in lines)
+    at = int(rng.choice([at for at, line in enumerate(lines) if 0 < line.frame < last]))
     head = [line for line in lines[:1] if line.frame < 0]
     start = next(number for number, line in enumerate(lines) if line.frame == lines[at].frame + 1)
     return [*lines[:at], Line("ets Jun  8 2016 rst:0x1"), *head, *lines[start:]]
+
+
+def lost_and_doubled_line(lines: list[Line], rng: Rng) -> list[Line]:
+    return doubled_line(lost_line(lines, rng), rng)
+
+
+def row_of_means(lines: list[Line], rng: Rng) -> list[Line]:
+    """A row below the table, as a spreadsheet has it."""
+    last = max(at for at, line in enumerate(lines) if line.frame >= 0)
+    sign = next((sign for sign in (";", "\t", ",", " ") if sign in lines[last].text), ",")
+    count = lines[last].text.count(sign)
+    word = str(rng.choice(["mean", "average", "Mittelwert"]))
+    return [*lines, Line(sign.join([word, *["512.3"] * count]))]
 
 
 DAMAGES = {
@@ -430,12 +441,17 @@ DAMAGES = {
         line_of_the_firmware,
         doubled_field,
         cut_end,
+        reset,
+        lost_and_doubled_line,
+        row_of_means,
     )
 }
 
 
 # Of swapped rows without names, and of frames without numbers and times, nothing tells the order.
 SILENT = [(layout, "swapped_lines") for layout in (*UNNAMED, "plotter_lines", "bare_frames")]
+# A row that is lost and one that is doubled leave the number of rows in a frame.
+SILENT += [(layout, "lost_and_doubled_line") for layout in UNNAMED]
 
 
 def table(rng: Rng, layouts: Sequence[str] = tuple(LAYOUTS)) -> Table:
@@ -446,7 +462,7 @@ def table(rng: Rng, layouts: Sequence[str] = tuple(LAYOUTS)) -> Table:
     lines = DAMAGES[damage](list(LAYOUTS[layout](values, rng)), rng)
     text = "\n".join(line.text for line in lines)
     text = text[: text.index("\0")] if "\0" in text else f"{text}\n"
-    return Table(f"{layout}, {damage}", text, values, layout != "bare_rows")
+    return Table(f"{layout}, {damage}", text, values)
 
 
 def outcome(drawn: Table, folder: Path) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lampest import InputError, import_file, read_scene
+from lampest import InputError, import_file, read_run, read_scene, read_simulations
 from lampest.apps.foreign.line_reader import LineReader, TextFrame
 from tests.fuzz import tables
 
@@ -64,28 +64,38 @@ def test_a_reader_says_why_lines_are_not_understood() -> None:
     assert reader.refusal.startswith("/dev/ttyUSB0")
 
 
-SCENE = """panel: {rows: 3, columns: 4}
-readout: {kind: loaded_columns, load_ohm: 10000, supply_volt: 5, adc_bits: 10, readings: 1}
-"""
+SHIPPED = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
+SIGNS = ("", "{", "}", "[", "]", ":", "-", ",", "#", "'", "\t", "~", "9", "1e400", "é", "&a", "*a")
+
+
+def damaged_text(text: str, rng: np.random.Generator) -> str:
+    """Return a text with a line lost or doubled, or a sign changed, one to four times."""
+    for _ in range(int(rng.integers(1, 5))):
+        damage = str(rng.choice(["sign", "lost", "doubled"]))
+        parts = list(text) if damage == "sign" else text.splitlines(keepends=True)
+        at = int(rng.integers(len(parts)))
+        changed = {"sign": str(rng.choice(SIGNS)), "lost": "", "doubled": 2 * parts[at]}
+        parts[at] = changed[damage]
+        text = "".join(parts)
+    return text
 
 
 @EACH_COUNT
-def test_a_damaged_scene_gives_one_sentence(tmp_path: Path, count: int) -> None:
-    """Lines lost, doubled or cut, and signs changed: a scene is read, or refused with its place."""
-    path = tmp_path / "scene.yaml"
+def test_a_damaged_yaml_file_gives_one_sentence(tmp_path: Path, count: int) -> None:
+    """Scenes, runs and simulations, as lampest brings them: read, or refused."""
+    path = tmp_path / "damaged.yaml"
+    refused = 0
     for number in range(count // 2):
         rng = np.random.default_rng([SEED, 2000 + number])
-        text = list(SCENE)
-        for _ in range(int(rng.integers(1, 5))):
-            at = int(rng.integers(0, len(text)))
-            text[at] = str(
-                rng.choice(["", text[at] * 2, ":", "{", "-", "9", "\n", "é", "&a", "*a"])
-            )
-        path.write_text("".join(text), encoding="utf-8")
-        try:
-            read_scene(path)
-        except InputError as error:
-            assert "\n" not in str(error), f"TABLES_SEED={SEED}, {number}"
+        shipped = SHIPPED[int(rng.integers(len(SHIPPED)))]
+        path.write_text(damaged_text(shipped.read_text(encoding="utf-8"), rng), encoding="utf-8")
+        for read in (read_scene, read_run, read_simulations):
+            try:
+                read(path)
+            except InputError as error:
+                refused += 1
+                assert "\n" not in str(error), f"TABLES_SEED={SEED}, {number}: {shipped.name}"
+    assert refused
 
 
 @pytest.mark.parametrize("first", [1, 4])
@@ -115,7 +125,7 @@ def test_values_without_a_header_have_their_places_by_the_numbers_of_rows_and_co
         for (frame, row, column), code in np.ndenumerate(codes)
     ]
     lines[40] = "?" + lines[40][1:]
-    drawn = tables.Table(form, "\n".join([*lines[7:], ""]), codes, marked=True)
+    drawn = tables.Table(form, "\n".join([*lines[7:], ""]), codes)
     assert tables.outcome(drawn, tmp_path) == "missing"
 
 
@@ -154,5 +164,31 @@ def test_a_row_with_a_damaged_name_has_a_place_of_its_own(tmp_path: Path) -> Non
     codes = tables.codes(np.random.default_rng(5), 3, 3)
     lines = [f"R{row}: {' '.join(map(str, frame[row]))}" for frame in codes for row in range(3)]
     lines = [*lines[:13], "RZ" + lines[13][2:], *lines[16:], ""]
-    drawn = tables.Table("damaged name", "\n".join(lines), codes, marked=True)
+    drawn = tables.Table("damaged name", "\n".join(lines), codes)
     assert tables.outcome(drawn, tmp_path) == "missing"
+
+
+def test_a_time_at_which_a_line_was_broken_is_no_reading(tmp_path: Path) -> None:
+    """Of `>r1c2:1735725600040:511`, broken within its time, 173 was a reading."""
+    codes = tables.codes(np.random.default_rng(6))
+    lines = [
+        f">r{row}c{column}:{1735725600000 + 40 * frame}:{code}"
+        for (frame, row, column), code in np.ndenumerate(codes)
+    ]
+    lines[40:41] = [lines[40][:9], lines[40][9:]]
+    drawn = tables.Table("Teleplot", "\n".join([*lines, ""]), codes)
+    assert tables.outcome(drawn, tmp_path) == "missing"
+
+
+def test_lines_that_come_later_may_be_narrower_than_the_header() -> None:
+    """Two joined lines widened the header, and the reader of a port ended with a traceback."""
+    codes = tables.codes(np.random.default_rng(7), 3, 4)
+    names = ",".join(f"r{row}c{column}" for row, column in np.ndindex(codes.shape[1:]))
+    lines = [
+        f"frame,{names}",
+        *(f"{n},{','.join(map(str, f.ravel()))}" for n, f in enumerate(codes)),
+    ]
+    lines[3:5] = [lines[3] + lines[4]]
+    reader = LineReader(codes.shape[1:])
+    frames = [frame for line in lines for frame in reader.feed(line)]
+    assert len([*frames, *reader.close()]) >= len(codes) - 2

@@ -3,6 +3,7 @@
 Every one ends in a right answer or in a sentence.
 """
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -273,8 +274,11 @@ def faults_of(made: RandomProgram, seed: int) -> list[str]:
     return faults
 
 
-def test_a_random_own_program_is_what_an_independent_judge_says() -> None:
-    wrong = {seed: faults_of(drawn(seed, 3), seed) for seed in range(20)}
+@pytest.mark.parametrize("count", [20, pytest.param(100, marks=pytest.mark.slow)])
+def test_a_random_own_program_is_what_an_independent_judge_says(count: int) -> None:
+    """`PROGRAMS_SEED=5000 python -m pytest -k random_own_program ...` draws others."""
+    first = int(os.environ.get("PROGRAMS_SEED", "0"))
+    wrong = {seed: faults_of(drawn(seed, 3), seed) for seed in range(first, first + count)}
     assert not {seed: faults for seed, faults in wrong.items() if faults}
 
 

@@ -138,7 +138,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
 
 def later_lines(table: ReadingsTable, source: FieldLines) -> ReadingsTable:
     """Return later lines of the same source with the columns of a table."""
-    width = max(source.fields.shape[1], table.form.usual)
+    width = max(source.fields.shape[1], table.form.usual, len(table.form.header))
     fields = np.full((len(source.lines), width), "", dtype=object)
     fields[:, : source.fields.shape[1]] = source.fields
     source = replace(source, fields=fields)

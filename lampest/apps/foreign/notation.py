@@ -141,7 +141,8 @@ class Notation:
                 return [content]
             if "cell" in values and "cell" not in self.names:  # one pair of a line that was parted
                 values = {values["cell"]: values["value"]}
-            if tuple(values) == self.names[: min(len(values), self.usual - 1)]:
+            is_beginning = tuple(values) == self.names[: min(len(values), self.usual - 1)]
+            if is_beginning or ("cell" in self.names and len(values) < self.usual):
                 values.popitem()  # of a line that was cut, perhaps within its last value
             if _lengths(values) != _lengths(self.names):  # which value of a list is lost is unknown
                 values = {name: value for name, value in values.items() if "\0" not in name}

@@ -116,5 +116,5 @@ def test_readings_name_the_frames_that_are_none(tmp_path: Path, name: str) -> No
         silent += bool(len(wrong)) and not told
         false += told and not len(wrong)
     assert false == 0
-    assert silent <= 15  # the judge knows rough lines, and displaced ones by four readings
+    assert silent <= 3  # of lines of five readings, most of which a load moves
     assert (wrong_tables >= 15) == (name == "swapped")
