@@ -512,15 +512,16 @@ def warm_iterations(
 def test_warm_later_frames_at_10_by_10_take_three_iterations(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Frames with all readings take 2, where cells change much up to 5.
+    """Frames with all readings take 2, where a load arrives up to 3.
 
-    A frame that lacks a reading, or has one again, changes a cell by up to a factor of two.
+    A frame that lacks a reading, or has one again, changes a cell by up to a factor of two, and
+    takes up to 4.
     """
     load = lampest.datasets.load
     steady, lacking = warm_iterations(load("rod"), monkeypatch)
-    assert len(steady) == 18 and max(steady) <= 3 and len(lacking) == 2 and max(lacking) <= 4
+    assert len(steady) == 18 and len(lacking) == 2 and max(*steady, *lacking) <= 3
     arriving, lacking = warm_iterations(load("lamprey_35mm"), monkeypatch)
-    assert np.median(arriving) <= 2 and sum(arriving) <= 44 and max(lacking) <= 6
+    assert np.median(arriving) <= 2 and max(arriving) <= 3 and max(lacking) <= 4
 
 
 def test_options_of_ipopt_take_the_place_of_lampests() -> None:
