@@ -24,7 +24,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.own_solution import OwnSolution
 from lampest.estimate.sequence import first_stream
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, in_words
 from lampest.formulation.circuit import Circuit
 from lampest.formulation.instance import Instance, Multipliers, ProgramResult
 from lampest.formulation.ipopt import Interface
@@ -80,7 +80,10 @@ class OwnProgram(SymbolsOwner):
         return f"{self.formulation} {self.symbols!r}"
 
     def cells(self, frame: int = 0) -> casadi.SX:
-        """Return the cells of one frame in ohm, (rows, columns) symbols."""
+        """Return the cells of one frame in ohm, (rows, columns) symbols.
+
+        Raises InputError for a frame that the program does not have.
+        """
         return self.symbols.cells(frame)
 
     @property
@@ -139,7 +142,7 @@ class OwnProgram(SymbolsOwner):
             unknowns and multipliers begin there. By default cells are equal, and multipliers
             IPOPT's.
 
-        Raises InputError for a start of another panel, or without numbers.
+        Raises InputError for a start that is no solution, of another panel, or without numbers.
         """
         instance = self._instance(start)
         unsolved = [
@@ -166,6 +169,8 @@ class OwnProgram(SymbolsOwner):
         """Return the program's instance that begins at equal cells, or at a solution."""
         evaluations = self.evaluations
         if start is not None:
+            if not isinstance(start, OwnSolution):
+                raise InputError(f"start must be a solution of a program, not {in_words(start)}")
             cells = start.instance.cells_of(start.result)
             shape = (len(evaluations), *self.symbols.shape)
             if cells.size != np.prod(shape) or not np.all(np.isfinite(cells)):

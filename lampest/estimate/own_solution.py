@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError, counted
 from lampest.formulation.instance import Instance, ProgramResult, on_bounds
 from lampest.formulation.ipopt import Interface
-from lampest.formulation.program import Program
+from lampest.formulation.program import CELL_BOUNDS, Program
 from lampest.panel.compiled import SymbolsOwner, guarded
 from lampest.panel.panel import Array
 from lampest.solvers.by_ipopt import STATUS
@@ -306,8 +306,11 @@ class OwnSolution(SymbolsOwner):
 
     @property
     def hessian(self) -> scipy.sparse.csc_array:
-        """∇²L of the Lagrangian L = φ + λᵀg by the unknowns in the units of `places`, (n, n)."""
-        units = scipy.sparse.diags_array(1 / self._units)
+        """∇²L of the Lagrangian L = φ + λᵀg by the unknowns in the units of `places`, (n, n).
+
+        NaN where nothing was solved.
+        """
+        units = scipy.sparse.diags_array(self._if_solved(1 / self._units))
         curvature = units @ self._derivatives[2] @ units
         return scipy.sparse.csc_array(curvature * self.instance.cost_scale)
 
@@ -326,7 +329,7 @@ class OwnSolution(SymbolsOwner):
 
         Raises InputError for another name.
         """
-        outer, _ = self._slopes_of(of)
+        _, outer, _ = self._evaluated(self._function(of, ""))
         if not self.solved:
             return np.full((len(outer), len(outer)), np.nan)
         factor, undetermined = (outer @ part for part in self._spread)
@@ -351,22 +354,16 @@ class OwnSolution(SymbolsOwner):
 
         Raises InputError for another name.
         """
-        outer, explicit = self._slopes_of(of, to)
+        count = self._size_of(to)
+        _, outer, explicit = self._evaluated(self._function(of, to))
         if not self.solved:
-            return np.full(explicit.shape, np.nan)
+            return np.full((len(outer), count), np.nan)
         moved, undetermined = self._moved(to)
         free = _reaches(outer @ undetermined, np.abs(outer) @ np.abs(undetermined))
-        return np.where(free[:, None], np.nan, outer @ moved + explicit)
-
-    def _slopes_of(self, of: str | casadi.SX, to: str = "") -> tuple[Array, Array]:
-        """Return the derivatives of an expression by the unknowns, and by what was given.
-
-        Raises InputError for a name that is no unknown.
-        """
-        _, by_unknown, by_given = self._evaluated(self._function(of, to))
-        if to not in self.instance.program.parameter.symbols:
-            by_given = np.zeros((len(by_unknown), self._size_of(to)))
-        return by_unknown, by_given
+        total = outer @ moved
+        if explicit.shape[1]:
+            total += explicit
+        return np.where(free[:, None], np.nan, total)
 
     @guarded
     def _function(self, of: str | casadi.SX, to: str) -> casadi.Function:
@@ -376,7 +373,7 @@ class OwnSolution(SymbolsOwner):
         """
         program = self.instance.program
         if not isinstance(of, str):
-            return _with_slopes(program, casadi.SX(of), to)
+            return _with_slopes(program, program.expression("the expression", of), to)
         if of not in program.quantities:
             names = ", ".join(program.quantities)
             raise InputError(f"the program has no unknown {of}; it has {names}")
@@ -390,18 +387,18 @@ class OwnSolution(SymbolsOwner):
         return [np.asarray(result, dtype=float) for result in several]
 
     def _size_of(self, to: str) -> int:
-        """Return the number of entries of what a sensitivity is taken to; 0 of nothing.
+        """Return the number of entries of what a sensitivity is taken to.
 
         Raises InputError for another name.
         """
         program = self.instance.program
         sizes = {name: program.parameter.sizes[name] for name, _ in program.given.named()}
         sizes["weights"] = program.parameter.sizes["weights"]
-        sizes |= dict.fromkeys(("lower", "upper"), program.unknown.sizes["conductance"])
+        sizes |= dict.fromkeys(CELL_BOUNDS, program.unknown.sizes["conductance"])
         sizes |= {name: program.equation.sizes[name] for name in program.own_constraints}
-        if to and to not in sizes:
+        if to not in sizes:
             raise InputError(f"there is no sensitivity to {to}; there is one to {', '.join(sizes)}")
-        return sizes.get(to, 0)
+        return sizes[to]
 
     def _moved(self, to: str) -> tuple[Array, Array]:
         """Return dx/dp of the unknowns, and the directions that no data determine.
@@ -624,7 +621,6 @@ class OwnSolution(SymbolsOwner):
 
 def _with_slopes(program: Program, expression: casadi.SX, to: str) -> casadi.Function:
     """Return the function (x, p) → expression, and its derivatives by x and by a parameter."""
-    program.check_symbols("the expression", expression)
     nlp = program.nlp
     given = program.parameter.symbols.get(to, casadi.SX(0, 1))
     outputs = [

@@ -43,7 +43,7 @@ class KnownCells(ProgramPart):
         Row and column of each.
     ohm : float
 
-    Raises ValueError unless the resistance is positive.
+    Raises ValueError unless the resistance is positive, and for no cells.
 
     >>> lampest.KnownCells(cells=[[0, 1]], ohm=1000.0).kind
     'known_cells'
@@ -55,6 +55,8 @@ class KnownCells(ProgramPart):
 
     def __post_init__(self) -> None:
         check_positive_fields(self, "ohm")
+        if not self.cells:
+            raise ValueError("cells must name one or more that are known")
 
     def add_to(self, program: "Program") -> "Program":
         """Return the program with r/kΩ = ohm/1000 for each cell."""

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from lampest.formulation.scene_numbers import SymbolicReadout  # loads every driven readout
 
 EMPTY = casadi.SX(0, 1)
+CELL_BOUNDS = ("lower", "upper")  # names of the bounds of the cells in sensitivities
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,8 +331,16 @@ class Program(CasadiOwner):
         return self.scale / self.conductance
 
     def cells(self, frame: int = 0) -> casadi.SX:
-        """Return the cells of one frame in ohm, (rows, columns)."""
+        """Return the cells of one frame in ohm, (rows, columns).
+
+        Raises InputError for a frame that the program does not have.
+        """
         rows, columns = self.shape
+        frames = self.conductance.shape[1]
+        if not (isinstance(frame, int | np.integer) and 0 <= frame < frames):
+            raise InputError(
+                f"cells(frame) counts the frames of the program, 0 to {frames - 1}, not {frame!r}"
+            )
         return casadi.reshape(self.cell_resistance[:, frame], columns, rows).T
 
     def with_unknown(
@@ -339,48 +348,58 @@ class Program(CasadiOwner):
         name: str,
         *,
         size: int = 1,
-        start: float | None = None,
-        lower: float = -np.inf,
-        upper: float = np.inf,
-        mean: float = 0.0,
-        sd: float = np.inf,
+        start: ArrayLike | None = None,
+        lower: ArrayLike = -np.inf,
+        upper: ArrayLike = np.inf,
+        mean: ArrayLike = 0.0,
+        sd: ArrayLike = np.inf,
     ) -> "tuple[Program, casadi.SX]":
         """Return the program with a further unknown x, and its symbol (size, 1).
 
-        A prior adds Σ ((x − mean)/sd)² to the cost.
+        A prior adds Σ ((x − mean)/sd)² to the cost. Each argument is a number, or one for each
+        entry of x.
 
         Parameters
         ----------
         name : str
         size : int
-        start : float, optional
+        start : float or array, optional
             By default the mean, within the bounds.
-        lower, upper : float
-        mean, sd : float
-            Prior; without sd there is none.
+        lower, upper : float or array
+        mean, sd : float or array
+            Prior; an infinite sd is none.
 
         Raises
         ------
         InputError
             If the name is taken, or a number is out of range.
         """
-        if not isinstance(name, str):
-            raise InputError(f"the name of an unknown is a text, not {in_words(name)}")
+        _check_text(name, "the name of an unknown")
         if name in self.quantities:
             raise InputError(
                 f"the program has an unknown {name} already: {', '.join(self.quantities)}"
             )
         if not (isinstance(size, int | np.integer) and size >= 1):
             raise InputError(f"unknown {name} needs a size of 1 or more, not {size!r}")
-        begin = np.clip(mean, lower, upper) if start is None else start
-        if not (lower < upper and sd > 0 and lower <= begin <= upper and np.isfinite(mean + begin)):
+        given = {"lower": lower, "upper": upper, "mean": mean, "sd": sd}
+        given |= {} if start is None else {"start": start}
+        column = {
+            key: _column(value, size, f"{key} of unknown {name}") for key, value in given.items()
+        }
+        low, high, centre, deviation = (column[key] for key in ("lower", "upper", "mean", "sd"))
+        begin = column.get("start", np.clip(centre, low, high))
+        inside = (low < high) & (low <= begin) & (begin <= high)
+        if not np.all(inside & (deviation > 0) & np.isfinite(centre + begin)):
             raise InputError(
                 f"unknown {name} needs lower < upper and sd > 0, and a finite mean, and a start "
-                f"within the bounds, not {lower:g}, {upper:g}, {sd:g}, {mean:g} and {begin:g}"
+                f"within the bounds, not {_brief(low)}, {_brief(high)}, {_brief(deviation)}, "
+                f"{_brief(centre)} and {_brief(begin)}"
             )
         symbol = casadi.SX.sym(name, int(size))
-        prior = casadi.sumsqr((symbol - mean) / sd) if np.isfinite(sd) else 0
-        own = {**self.own, name: ProgramUnknown(symbol, float(begin), lower, upper)}
+        known = np.flatnonzero(np.isfinite(deviation)).tolist()
+        departures = [(symbol[entry] - centre[entry]) / deviation[entry] for entry in known]
+        prior = casadi.sumsqr(casadi.vertcat(EMPTY, *departures))
+        own = {**self.own, name: ProgramUnknown(symbol, begin, low, high)}
         return replace(self, own=own, own_cost=self.own_cost + prior), symbol
 
     def with_reading(self, changed: Callable[[casadi.SX], Any]) -> "Program":
@@ -391,24 +410,26 @@ class Program(CasadiOwner):
         Raises
         ------
         InputError
-            If the result has another shape, or depends on other symbols than the program's.
+            If `changed` is no function, or the result has another shape, or depends on other
+            symbols than the program's.
         """
-        reading = casadi.SX(changed(self.reading))
-        self._check("the changed reading", reading, self.reading.shape)
+        if not callable(changed):
+            raise InputError(f"with_reading needs a function of y, not {in_words(changed)}")
+        reading = self.expression("the changed reading", changed(self.reading), self.reading.shape)
         return replace(self, reading=reading)
 
-    def with_cost(self, added: casadi.SX) -> "Program":
+    def with_cost(self, added: Any) -> "Program":
         """Return the program with a further cost, one number in the unit of φ.
 
         Raises InputError for another shape, and for symbols that are not the program's.
         """
-        self._check("an own cost", casadi.SX(added), (1, 1))
-        return replace(self, own_cost=self.own_cost + added)
+        cost = self.expression("an own cost", added, (1, 1))
+        return replace(self, own_cost=self.own_cost + cost)
 
     def subject_to(
         self,
         name: str,
-        expression: casadi.SX,
+        expression: Any,
         lower: ArrayLike = 0.0,
         upper: ArrayLike | None = None,
     ) -> "Program":
@@ -420,59 +441,61 @@ class Program(CasadiOwner):
         Raises
         ------
         InputError
-            If the name is taken, or the expression is no column, or no function of the unknowns
-            alone, or no number lies between the limits.
+            If the name is taken, or the expression is no column, or has no derivative by the
+            unknowns, as a comparison has none, or no number lies between the limits.
         """
-        if name in self.statement.constraints:
-            names = ", ".join(self.statement.constraints)
-            raise InputError(f"the program has a constraint {name} already: {names}")
-        expression = casadi.SX(expression)
-        if expression.shape[1] != 1 or not expression.shape[0]:
-            rows, columns = expression.shape
+        _check_text(name, "the name of a constraint")
+        if name in {*self.statement.constraints, *self.parameter.sizes, *CELL_BOUNDS}:
+            raise InputError(f"the program has a constraint or a given number {name} already")
+        expression = self.expression(f"constraint {name}", expression)
+        rows, columns = expression.shape
+        if columns != 1 or not rows:
             raise InputError(
                 f"constraint {name} is {rows} × {columns}, not a column (rows, 1); "
                 "casadi.vec makes one of a matrix"
             )
-        self._check(f"constraint {name}", expression, expression.shape)
-        if not casadi.depends_on(expression, self.unknown.column):
+        slopes = casadi.sparsify(casadi.jacobian(expression, self.unknown.column))
+        if not slopes.nnz():
             raise InputError(
-                f"constraint {name} depends on none of the unknowns "
-                f"{', '.join(self.unknown.symbols)}"
+                f"constraint {name} has no derivative by the unknowns "
+                f"{', '.join(self.unknown.symbols)}; a comparison is written with its limits, "
+                "as lower and upper"
             )
-        limits = [
-            real_array(limit, f"limits of constraint {name}")
-            for limit in (lower, upper)
-            if limit is not None
-        ]
-        low, high = limits[0], limits[-1]
-        rows = expression.shape[0]
-        if any(limit.size not in (1, rows) for limit in limits):
-            raise InputError(f"constraint {name} has {rows} rows; its limits have another number")
+        low = _column(lower, rows, f"lower limit of constraint {name}")
+        high = low if upper is None else _column(upper, rows, f"upper limit of constraint {name}")
         if not np.all((low <= high) & (low < np.inf) & (high > -np.inf)):
             raise InputError(
                 f"constraint {name} needs lower <= upper, and an equation a finite number, "
                 f"not {lower!s} and {upper!s}"
             )
-        constraint = Constraint(expression, low.ravel(), high.ravel())
+        constraint = Constraint(expression, low, high)
         return replace(self, own_constraints={**self.own_constraints, name: constraint})
 
-    def _check(self, name: str, value: casadi.SX, shape: tuple[int, int]) -> None:
-        """Raise InputError unless a value has a shape, and no symbols but the program's."""
-        if value.shape != shape:
-            actual, required = (" × ".join(map(str, size)) for size in (value.shape, shape))
-            raise InputError(f"{name} is {actual}; it must be {required}")
-        self.check_symbols(name, value)
-
     @guarded
-    def check_symbols(self, name: str, value: casadi.SX) -> None:
-        """Raise InputError if a value depends on symbols that are not the program's."""
+    def expression(self, name: str, value: Any, shape: tuple[int, int] | None = None) -> casadi.SX:
+        """Return a value as an expression of the program's symbols.
+
+        Raises InputError for another object, another shape than `shape`, and for symbols that are
+        not the program's.
+        """
+        try:
+            expression = casadi.SX(value)
+        except (NotImplementedError, TypeError) as error:
+            raise InputError(
+                f"{name} must be an expression of the program's symbols, a casadi.SX, "
+                f"not {in_words(value)}"
+            ) from error
+        if shape is not None and expression.shape != shape:
+            actual, required = (" × ".join(map(str, size)) for size in (expression.shape, shape))
+            raise InputError(f"{name} is {actual}; it must be {required}")
         arguments = [self.unknown.column, self.parameter.column]
-        free = casadi.Function("value", arguments, [value], {"allow_free": True}).free_sx()
+        free = casadi.Function("value", arguments, [expression], {"allow_free": True}).free_sx()
         if free:
             raise InputError(
                 f"{name} depends on {first_and_more(free)}, which is no symbol of this program; "
                 "with_unknown adds one"
             )
+        return expression
 
     def own_speaks_of(self, frame: int) -> bool:
         """Return whether an own cost or an own constraint depends on the cells of a frame."""
@@ -643,6 +666,28 @@ class Program(CasadiOwner):
         return casadi.Function(
             "nlp_hess_l", arguments, [casadi.triu(full) + upper], names, ["hess_gamma_x_x"]
         )
+
+
+def _check_text(name: Any, what: str) -> None:
+    """Raise InputError unless a name is a text."""
+    if not isinstance(name, str):
+        raise InputError(f"{what} is a text, not {in_words(name)}")
+
+
+def _column(values: ArrayLike, size: int, label: str) -> Array:
+    """Return a number, or one for each entry, as a column of numbers, (size,).
+
+    Raises InputError for another count, and for what is no number.
+    """
+    column = real_array(values, label).ravel()
+    if column.size not in (1, size):
+        raise InputError(f"{label} has {counted(column.size, 'number')}; it needs 1 or {size}")
+    return np.broadcast_to(column, (size,))
+
+
+def _brief(column: Array) -> str:
+    """Return the numbers of a column in words, those of equal entries once."""
+    return ", ".join(f"{value:g}" for value in np.unique(column))
 
 
 def _in_words(lower: Any, upper: Any) -> str:

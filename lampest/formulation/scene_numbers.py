@@ -64,7 +64,7 @@ class SceneNumber:
         listed = entry if isinstance(entry, tuple) else (entry,)
         if not all(type(number) in (int, float) and np.isfinite(number) for number in listed):
             raise InputError(f"numbers: the scene has no number {key!r}")
-        if type(sd) not in (int, float) or not 0 < sd < np.inf:
+        if not isinstance(sd, int | float | np.integer) or not 0 < sd < np.inf:
             raise InputError(
                 f"numbers: {key} needs the standard deviation of its prior, a positive number, "
                 f"not {in_words(sd)}"
@@ -129,6 +129,11 @@ class SymbolicReadout(CasadiOwner):
         Raises InputError for a number that is no resistance of this circuit.
         """
         _check_circuit(scene)
+        if not isinstance(priors, Mapping):
+            raise InputError(
+                "numbers must map keys of the scene to standard deviations, such as "
+                f"{{'series_resistance_ohm': 30.0}}, not {in_words(priors)}"
+            )
         if len(priors) > MAX_NUMBERS:
             raise InputError(f"numbers: at most {MAX_NUMBERS} keys, not {len(priors)}")
         numbers = [SceneNumber.of(scene, key, sd) for key, sd in priors.items()]

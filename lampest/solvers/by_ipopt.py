@@ -2,9 +2,9 @@
 
 IPOPT begins at the same starts as every other solver, and its solution is checked in the same way.
 A frame that follows another begins where the sensitivity of the previous solution to the readings
-leads: one linear solve with the factor of its certificate, u − H⁻¹ ∇φ in log r, with an error of
-the second order (Zavala & Biegler, Automatica 45, 2009). Initial voltages are those of these cells;
-initial multipliers are the final ones of the previous frame.
+leads: one linear solve, u − H⁻¹ ∇φ in log r, with an error of the second order (Zavala & Biegler,
+Automatica 45, 2009). Initial voltages are those of these cells; initial multipliers are the final
+ones of the previous frame.
 """
 
 from dataclasses import dataclass, replace
@@ -24,8 +24,11 @@ from lampest.formulation.program import Program
 from lampest.panel.compiled import guarded
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
-from lampest.solvers.bounds import moved_by
-from lampest.solvers.certificate import Certificate, certificate
+from lampest.panel.trust_region import backtracked
+from lampest.solvers.bounds import MAX_LENGTHS, moved_by, within_bounds
+from lampest.solvers.certificate import certificate
+from lampest.solvers.hessian import Hessian, weighted_square
+from lampest.solvers.preconditioners import Cholesky
 from lampest.solvers.solution import Outcome, Settings, Solver, Status, sharp_hessian
 
 STATUS = {
@@ -55,29 +58,41 @@ class Ending:
     Attributes
     ----------
     multipliers : Multipliers
-    certificate : Certificate
-        Certificate of the end.
+    hessian : Hessian
+        Second derivatives of the cost at the end.
     """
 
     multipliers: Multipliers
-    certificate: Certificate
+    hessian: Hessian
 
     def predicted(self, start: Evaluation) -> Evaluation:
         """Return the point to which the sensitivity to the readings leads from the end's cells.
 
-        `start` has the cells of the end and the data of the next frame. It is returned itself where
-        the cost does not fall, where its Hessian has no factor, and with absolute losses, whose
-        duals change with the readings.
+        `start` has the cells of the end and the data of the next frame. The Hessian is that of the
+        end, with the weights W that the next frame gives its readings in JᵀWJ: one that is read
+        again counts, and one that is missing does not. The step is halved until the cost falls.
+        `start` is returned itself where it does not fall, where the Hessian has no factor, and with
+        absolute losses, whose duals change with the readings.
         """
-        factor = self.certificate.factor
-        dual = np.zeros_like(start.cost.slope)
-        if factor is None or len(dual) or len(factor.diagonal) != start.cell_resistance.size:
+        ended = self.hessian
+        if len(start.cost.slope) or not ended.dense:
             return start
-        step = self.certificate.after(sharp_hessian(start, dual)).step
-        predicted = moved_by(start, step)
-        if predicted is None or not predicted.objective < start.objective:
+        current = sharp_hessian(start, np.zeros(0))
+        if current.position.shape != ended.position.shape:
             return start
-        return predicted
+        change = current.reading_weight - ended.reading_weight
+        matrix = ended.matrix + weighted_square(ended.jacobian, change.ravel())
+        free = np.flatnonzero(current.free)
+        factor = Cholesky.of(start.cell_resistance, free, matrix[np.ix_(free, free)])
+        if factor is None:
+            return start
+        step = within_bounds(start, free, factor.solve(-current.gradient[free]))
+
+        def lower(length: float) -> Evaluation | None:
+            point = moved_by(start, length * step)
+            return point if point is not None and point.objective < start.objective else None
+
+        return backtracked(lower, MAX_LENGTHS) or start
 
 
 @dataclass(frozen=True)
@@ -177,8 +192,9 @@ class Ipopt(Solver):
         if status is not Status.OPTIMUM or not np.all(np.isfinite(cells)):
             return outcome
         at = start.elsewhere(np.clip(cells, start.data.lower, start.data.upper))
-        verdict = certificate(sharp_hessian(at, dual))
-        carried = Ending(instance.multipliers_of(result), verdict)
+        hessian = sharp_hessian(at, dual)
+        verdict = certificate(hessian)
+        carried = Ending(instance.multipliers_of(result), hessian)
         return replace(outcome, at=at, certificate=verdict, carried=carried)
 
     def _minimised(self, start: Evaluation) -> tuple[Instance, ProgramResult, int]:

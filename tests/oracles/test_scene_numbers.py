@@ -190,6 +190,7 @@ def test_a_series_resistance_is_that_of_the_still_cells(
 @pytest.mark.parametrize(
     ("priors", "message"),
     [
+        (["readout.load_ohm"], "numbers must map keys of the scene to standard deviations"),
         ({"readout.load": 3.0}, "the scene has no number 'readout.load'"),
         ({"readout.kind": 3.0}, "the scene has no number 'readout.kind'"),
         ({"readout.load_ohm": -3.0}, "a positive number, not"),

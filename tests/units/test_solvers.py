@@ -198,6 +198,20 @@ def test_a_later_frame_begins_with_an_error_of_the_second_order() -> None:
     assert 50 < errors[1] / errors[0] < 200
 
 
+@pytest.mark.parametrize("factor", [1 / 8, 8.0])
+def test_a_later_frame_begins_lower_after_any_change_of_a_reading(factor: float) -> None:
+    readout = lampest.TwoPointReadout()
+    cost, data, cells = problem(readout, "LSR-CR")
+    solver = Ipopt(cost, Settings(), readout, None, EXCITATIONS["nodal"])
+    start = evaluated(cost, data, cells)
+    first = check(start, solver.solve(data, start))
+    measured = data.measured.copy()
+    measured[0, 1, 1] *= factor
+    later = replace(data, given=replace(data.given, measured=measured))
+    start = evaluated(cost, later, first.cell_resistance)
+    assert first.carried.predicted(start).objective < start.objective
+
+
 def test_a_step_is_halved_until_a_trial_is_accepted() -> None:
     tried = list[float]()
 
