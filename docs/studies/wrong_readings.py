@@ -5,8 +5,8 @@ Run it with: python -m docs.studies.wrong_readings [--recordings 60] [--seed 0]
 Recordings have the circuits of `tests.panels`, films that scatter by 0 to 30 %, converters of 8, 10
 and 12 bits, noise of 0.3 to 3 LSB, three to eight unloaded frames and six to nineteen measured
 ones. Right recordings have taps, keys, sweeping bars, palms, feet and loads that sway. Wrong ones
-have two random rows in some frames, pairs of columns that repeat each other, or pairs of swapped
-columns under loads in many places.
+have two random rows in some frames, two swapped rows in one frame, pairs of columns that repeat
+each other, or pairs of swapped columns under loads in many places.
 """
 
 import argparse
@@ -19,6 +19,7 @@ from lampest import Panel
 from lampest.audit.health import Health
 from lampest.inference.cleaning import Cleaned
 from lampest.panel.panel import Array
+from lampest.recording.garbled import garbled_lines
 from tests.panels import Plan, recorded
 
 LOADS = ("tap", "keys", "sweep", "palm", "feet", "sway")
@@ -128,6 +129,18 @@ def of_columns(seed: int, count: int, *, swapped: bool) -> bool:
     return ("order" if swapped else "lines") in rooms
 
 
+def swapped_rows(seed: int, load: str) -> bool:
+    """Return whether two neighbouring rows that are swapped in one frame are named."""
+    plan = drawn(seed, of_load(load))
+    rng = np.random.default_rng([seed, 99])
+    plan = replace(plan, cells=3000 * np.exp(0.15 * rng.standard_normal(plan.cells.shape)))
+    codes = plan.codes()
+    frame, row = int(rng.integers(len(codes))), int(rng.integers(codes.shape[1] - 1))
+    codes[frame, [row, row + 1]] = codes[frame, [row + 1, row]]
+    lines = garbled_lines(recorded(plan.scene, codes, plan.unloaded))
+    return [(line.frame, line.numbers) for line in lines] == [(frame, (row, row + 1))]
+
+
 def main() -> None:
     """Print the shares that are found."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -142,6 +155,9 @@ def main() -> None:
         print(
             f"{count} garbled frames: {sum(garbled(seed, count) for seed in seeds)} of {len(seeds)}"
         )
+    for load in LOADS:
+        named = sum(swapped_rows(seed, load) for seed in seeds)
+        print(f"two rows of a frame swapped, {load:6} {named} of {len(seeds)}")
     for count in COUNTS[:-1]:
         for words, swapped in (("repeated", False), ("swapped", True)):
             named = sum(of_columns(seed, count, swapped=swapped) for seed in seeds)
