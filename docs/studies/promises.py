@@ -49,6 +49,12 @@ BREAKS = {
     "a_mean_of_frames_keeps_the_rounding_that_noise_does_not_dither": Break(
         "panel/readouts/converter.py", "Converter.constant_share", "return 0.0 * result"
     ),
+    "a_name_states_the_steps_of_a_chip": Break(
+        "panel/readouts/converter.py", "Converter.lsb_volt", "return 0.5 * result"
+    ),
+    "a_range_that_is_not_stated_is_told": Break(
+        "panel/readouts/converter.py", "Converter.range_assumed", "return False"
+    ),
     "wrong_small_cells_are_never_verified": Break(
         "solvers/certificate.py", "Certificate.settled", "return True"
     ),

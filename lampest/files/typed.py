@@ -93,12 +93,6 @@ class Completed(Configuration):
     """Base of configurations whose content is completed before it is validated."""
 
     @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
-        """Return the schema of the fields of the completed content. Called by pydantic."""
-        completed = {"type": "no-info", "function": cls.completed}
-        return {"type": "function-before", "function": completed, "schema": handler(source)}
-
-    @classmethod
     def completed(cls, content: Any) -> Any:
         """Return arguments, or the content of a file, with what follows from other entries."""
         return content
@@ -111,6 +105,12 @@ class Extensible(Completed):
     """
 
     own: tuple[tuple[str, Any], ...]
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        """Return the schema of the fields, with further keys in `own`. Called by pydantic."""
+        completed = {"type": "no-info", "function": cls.completed}
+        return {"type": "function-before", "function": completed, "schema": handler(source)}
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: Any, handler: Any) -> Any:
@@ -473,7 +473,10 @@ class ByKind:
 
     def _validated(self, value: Any, info: Any) -> Any:
         """Return an input as an object of the member that has its kind."""
-        validator = adapter(loaded(self.members[self._tag(value)])).validator
+        member = loaded(self.members[self._tag(value)])
+        validator = adapter(member).validator
+        if issubclass(member, Completed) and not isinstance(value, member):
+            value = member.completed(value)
         if info.mode == "json":
             return validator.validate_json(json.dumps(value), strict=True)
         return validator.validate_python(value, strict=True)

@@ -226,6 +226,16 @@ def test_a_scene_with_a_name_gives_the_cells_of_its_codes(tmp_path: Path) -> Non
     np.testing.assert_allclose(found.cell_resistance[-1], cells, rtol=2e-3)
 
 
+def test_lists_stand_beside_a_name(tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    groups = "  groups: [[0, 1], [2, null, 3]]\n  noise_lsb: [1, 2, 1, 2]\n"
+    text = NAMED_SCENE.format(converter="ADS1015") + groups
+    path.write_text(text.replace("grounded", "loaded_columns"))
+    scene = read_scene(path)
+    assert scene.circuit.adc_bits == 12
+    assert lampest.Scene(Panel(4, 4), scene.readout).circuit == scene.circuit
+
+
 @promise("howto/readouts: Without `full_volt` it is the chip's range after power-up")
 def test_a_range_that_is_not_stated_is_told(tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
