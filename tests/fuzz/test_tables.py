@@ -192,3 +192,16 @@ def test_lines_that_come_later_may_be_narrower_than_the_header() -> None:
     reader = LineReader(codes.shape[1:])
     frames = [frame for line in lines for frame in reader.feed(line)]
     assert len([*frames, *reader.close()]) >= len(codes) - 2
+
+
+def test_a_damaged_name_of_an_object_is_no_column(tmp_path: Path) -> None:
+    """The key `fraxe` of one line made a column, and took the place of another one."""
+    codes = tables.codes(np.random.default_rng(8), 5, 5)
+    lines = [
+        f'{{"frame": {number}, "row": {row}, "data": {values.tolist()}}}'
+        for number, frame in enumerate(codes)
+        for row, values in enumerate(frame)
+    ]
+    lines[40] = lines[40].replace("frame", "fraxe")
+    drawn = tables.Table("damaged key", "\n".join([*lines, ""]), codes)
+    assert tables.outcome(drawn, tmp_path) == "missing"

@@ -100,11 +100,13 @@ class Notation:
         named = [values for values in map(values_beside_names, sample) if values]
         if 2 * len(named) > len(sample):
             usual = Counter(map(tuple, named)).most_common(1)[0][0]
+            often = Counter(name for line in named for name in line)
+            # A name that one line alone has is a damaged one.
             others = dict.fromkeys(
                 name
                 for line in named
                 for name in line
-                if "\0" not in name and not line.keys().isdisjoint(usual)
+                if "\0" not in name and often[name] > 1 and not line.keys().isdisjoint(usual)
             )
             names = tuple(dict.fromkeys([*usual, *others]))
             return cls(",", names=names, usual=len(usual))
