@@ -149,6 +149,9 @@ BREAKS = {
         "Cleaned.of",
         "recording = replace(recording, scene=replace(recording.scene, outliers='keep'))",
     ),
+    "a_robust_scene_gives_squared_misfits_students_loss": Break(
+        "estimate/estimator.py", "Estimator.for_outliers", "return self"
+    ),
     "the_error_of_a_missing_library_names_its_extra_unlike_own_modules": Break(
         "files/errors.py", "PACKAGES", "{}"
     ),
