@@ -136,7 +136,9 @@ def _garbled_among(
     with np.errstate(invalid="ignore"):
         deviates = np.abs(values - expected) > threshold
     suspicious: list[int] = np.flatnonzero(deviates.any(axis=(1, 2))).tolist()
-    ends = (0.0,) if readout is None else tuple(map(float, readout.range_volt))
+    ends = (0.0,)
+    if readout is not None:
+        ends = tuple(readout.volt_from_recorded(np.array(readout.rails())).tolist())
     rows = Along(values, expected, deviates, scale, ends)
     garbled = dict[int, GarbledLines]()
     for name, along in (("row", rows), ("column", rows.transposed)):
@@ -166,14 +168,16 @@ def _signal(recording: Recording) -> Array:
     """Return the voltages at the converter, or conductances in 1/ohm without a readout.
 
     The shape is (frames, rows, columns). Bounds are included, because garbled codes may lie at a
-    rail; missing readings are NaN.
+    rail, beyond which nothing is known; missing readings are NaN.
     """
     scene = recording.scene
     recorded = recording.recorded
     with np.errstate(divide="ignore", invalid="ignore"):
-        values = (
-            1 / recorded if scene.readout is None else scene.readout.volt_from_recorded(recorded)
-        )
+        if scene.readout is None:
+            values = np.asarray(1 / recorded)
+        else:
+            known = np.clip(recorded, *scene.readout.rails())
+            values = np.asarray(scene.readout.volt_from_recorded(known))
     return np.where(np.isfinite(values) & scene.requested, values, np.nan)
 
 
@@ -207,7 +211,7 @@ class Along:
     scale : float
         Standard deviation of the noise, volt.
     ends : tuple of float
-        Voltages of the converter's first and last code; of readings without a converter zero.
+        Voltages of the rails, beyond which nothing is known; of readings without a converter zero.
     """
 
     values: Array

@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from lampest.inference.prepared import Prepared
+from lampest.recording.datasets import load
 from lampest.recording.garbled import garbled_lines
 from lampest.report.strongest import strongest_readings
 from tests.panels import Plan, recorded
@@ -93,6 +94,12 @@ def test_no_frame_of_clean_recordings_is_garbled() -> None:
     for seed in PLANS:
         plan, codes = drawn(seed)
         assert not garbled_lines(recorded(plan.scene, codes, plan.unloaded)), seed
+
+
+def test_readings_below_the_first_valid_code_make_no_line_rough() -> None:
+    """A foot rolls over; codes up to 500 of the 12-bit converter are bounds, stored as 0."""
+    assert load("insole_walking").scene.readout.floor_code == 500
+    assert garbled_lines(load("insole_walking")) == ()
 
 
 @pytest.mark.slow

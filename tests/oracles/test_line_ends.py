@@ -56,7 +56,9 @@ class RandomEnds(DrivenCircuit):
         rng = np.random.default_rng(self.seed)
         driving, sensing = (random_table(rng, count) for count in (driven, sensed))
         # One line of each side ends somewhere whichever is used, so that no potential is undefined
-        driving.ohm[:, -1] = np.where(np.isinf(driving.ohm[:, -1]), 470.0, driving.ohm[:, -1])
+        ohm = driving.ohm.copy()
+        ohm[:, -1] = np.where(np.isinf(ohm[:, -1]), 470.0, ohm[:, -1])
+        driving = replace(driving, ohm=ohm)
         return Terminations(self.driven, driving, sensing, gain=np.ones(sensed))
 
 
