@@ -6,7 +6,6 @@ the memory of its converter are those of largest evidence.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from operator import attrgetter
 
 import numpy as np
 
@@ -38,6 +37,7 @@ from lampest.panel.readouts.driven import DrivenCircuit
 SAME_SCORE = 1e-3  # scores that differ by less are rounding's
 # Fits end within some hundredths of their smallest χ², alternatives within SMALL_CHI_SQUARE.
 SAME_COST = SMALL_CHI_SQUARE
+COST_DIGITS = 6  # of a cost, behind the point: further ones are rounding
 # Of a circuit under which a load lowers no resistance, in -2 ln evidence, beside one of falling
 # codes: a press lowers some, and so does a cup's rim.
 RISING_COST = 24.0
@@ -163,7 +163,8 @@ def _likely_alternatives(
         for explanation in explanations
         if explanation is not None and explanation.score < limit
     ]
-    best = sorted(better, key=attrgetter("score"))[:MAX_CANDIDATES]
+    # Circuits that differ in words alone keep the order in which they are tried.
+    best = sorted(better, key=lambda each: round(each.score, COST_DIGITS))[:MAX_CANDIDATES]
     return [explanation.final for explanation in best]
 
 
@@ -220,7 +221,11 @@ def _best_candidate(
     # of circuits that differ in the names of lines alone, the one that keeps the file's order
     least = min(map(cost, valid), default=0.0)
     tied = [candidate for candidate in valid if cost(candidate) <= least + SAME_COST]
-    best = min(tied, key=lambda tie: (tie.alternative.order is not None, cost(tie)), default=None)
+    best = min(
+        tied,
+        key=lambda tie: (tie.alternative.order is not None, round(cost(tie), COST_DIGITS)),
+        default=None,
+    )
     if best is None or not at_fault:
         return best
     apart = [cost(candidate) for candidate in valid if _reads_cells_apart(candidate)]
