@@ -485,8 +485,8 @@ def _balanced_residual(hessian: Hessian) -> float | None:
     The subgradients |z| ≤ 1 of residuals x near the corner of an absolute loss minimise
     |g + Aᵀ diag(w) z|², A = ∂x/∂u over the cells that no bound holds; g has the other residuals.
     They need no digit of x, which may be rounding there. The smoothed loss is stiff at a corner, so
-    that a Newton step is short there even where the cost falls steeply beyond. What rounding of the
-    cells changes of the gradient, times the weight of a heavy penalty, is no residual.
+    that a Newton step is short there even where the cost falls steeply beyond. What rounding of
+    cells changes of the gradient, which a heavy penalty multiplies, is no residual.
 
     Returns None where no residual is near its corner, and on panels too large for a matrix.
     Source: Stark & Parker, Comput. Stat. 10, 1995 (bounded least squares).

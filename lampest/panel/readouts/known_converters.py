@@ -54,7 +54,7 @@ class KnownConverter:
     noise_lsb: float | None = None
 
 
-# V: table "Full-Scale Range and Corresponding LSB Size" of each of the three data sheets
+# V: SBAS444E, table "Full-Scale Range and Corresponding LSB Size"; taken for the ADS1015, ADS1118
 ADS_RANGES = (6.144, 4.096, 2.048, 1.024, 0.512, 0.256)
 
 KNOWN_CONVERTERS: Mapping[Known, KnownConverter] = MappingProxyType(
@@ -69,10 +69,10 @@ KNOWN_CONVERTERS: Mapping[Known, KnownConverter] = MappingProxyType(
         # Raspberry Pi, RP2040 data sheet, section 4.9: 12 bits of ADC_AVDD. It states no noise;
         # 0.97 LSB were measured (pico-adc.markomo.me, "Input-Referred Noise").
         "RP2040": KnownConverter(adc_bits=12, noise_lsb=0.97),
-        # Texas Instruments, SBAS473 (ADS101x): no noise is stated.
+        # Ranges are those of the ADS1115, of 12 bits; its own data sheet (SBAS473) was not read.
         "ADS1015": KnownConverter(adc_bits=12, full_volt=2.048, ranges=ADS_RANGES, signed=True),
-        # Texas Instruments, SBAS444E (ADS111x), table 6-1, and SBAS457F (ADS1118), table 1: 1 LSB
-        # rms at every range and every rate.
+        # Texas Instruments, SBAS444E (ADS111x), table 6-1: 1 LSB rms at every range and rate. For
+        # the ADS1118 by the copy of its table in a driver; its data sheet (SBAS457F) was not read.
         "ADS1115": KnownConverter(
             adc_bits=16, full_volt=2.048, ranges=ADS_RANGES, signed=True, noise_lsb=1.0
         ),
