@@ -186,7 +186,7 @@ class Run:
 
 
 @typed
-def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
+def read_run(path: str | Path, settings: tuple[str, ...] = ()) -> Run:
     """Read the cases of a run file with `PATH=VALUE` settings applied.
 
     Raises InputError for any fault before the first solve. An unreadable recording among several is
@@ -201,9 +201,10 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     >>> estimators = "{LSM: {terms: {misfit: {}}}}"
     >>> text = f"{{schema: 1, recordings: [mine.h5], estimators: {estimators}}}"
     >>> _ = Path("run.yaml").write_text(text)
-    >>> len(lampest.read_run(Path("run.yaml")).cases)
+    >>> len(lampest.read_run("run.yaml").cases)
     1
     """
+    path = Path(path)
     document = read_document(path, settings)
     _refuse_unknown(path, document, settings)
     recordings: dict[Path, _Source] = {}

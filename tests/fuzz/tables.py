@@ -89,6 +89,13 @@ def bare_frames(values: Array, rng: Rng) -> Iterator[Line]:
         yield Line(form.format(_joined(frame, ",")), number)
 
 
+def frames_of_parted_rows(values: Array, rng: Rng) -> Iterator[Line]:
+    sign, between = ((",", ";"), (" ", "; "), (" ", " | "))[rng.integers(3)]
+    form = str(rng.choice(["{}", "[{}]"]))
+    for number, frame in enumerate(values):
+        yield Line(form.format(between.join(_joined(row, sign) for row in frame)), number)
+
+
 def json_lines(values: Array, rng: Rng) -> Iterator[Line]:
     key = str(rng.choice(["data", "matrix", "payload"]))
     nested = bool(rng.integers(2))
@@ -279,6 +286,7 @@ LAYOUTS: dict[str, Callable[[Array, Rng], Iterator[Line]]] = {
     for layout in (
         frame_lines,
         bare_frames,
+        frames_of_parted_rows,
         json_lines,
         plotter_lines,
         esp_lines,

@@ -13,6 +13,7 @@ import numpy as np
 
 from lampest.apps.foreign.arrays import Index, Shape
 from lampest.apps.foreign.beside import described, with_one_clock
+from lampest.apps.foreign.clocks import is_stamp
 from lampest.apps.foreign.table import ReadingsTable
 from lampest.apps.foreign.words import COLUMN, MAX_CUT, ROW, cell_of, line_of, role_of
 from lampest.files.errors import InputError, counted
@@ -203,7 +204,8 @@ def _frames_in_lines(
         cells = shape[0] * shape[1]
         values = [at for at, role in enumerate(roles) if role not in ("date", "time", "frame")]
         values = (values if len(values) >= cells else list(range(table.width)))[-cells:]
-        if not times and values[0] == 1 and roles[0] != "frame" and (names[0] or not any(names)):
+        unnamed = not times and values[0] == 1 and roles[0] != "frame"
+        if unnamed and (names[0] or not any(names)) and _has_times(table, 0):
             # One field more than cells; where a header leaves it without a name it is a counter.
             times = [0]
         unknown = (
@@ -221,6 +223,12 @@ def _frames_in_lines(
     note = f"one frame a line, {named[1]}{omitted}"
     frame = {"frame": roles.index("frame")} if "frame" in roles else {}
     return TableLayout(shape, 1, named[0], note, frame, tuple(times))
+
+
+def _has_times(table: ReadingsTable, field: int) -> bool:
+    """Return whether a field has numbers or stamps, and not names of boards alone."""
+    texts = table.fields[table.words[:, field], field]
+    return len(texts) < len(table.lines) or any(map(is_stamp, texts))
 
 
 def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:

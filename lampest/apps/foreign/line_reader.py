@@ -22,6 +22,7 @@ from lampest.panel.panel import Array
 MIN_FRAMES = 3  # whole ones, from which the layout is understood
 MAX_LINES = 5000  # that are kept until the layout is understood
 FIRST_TRY = 8  # lines; each later try has a quarter more
+MAX_WORDS = 0.5  # of the first readings of a cell; later a damaged one is missing
 MAX_BETWEEN = 100  # titles that are kept before a line of readings
 
 
@@ -195,6 +196,7 @@ class LineReader:
             lines = field_lines_in(notation, self._kept, self._source)
             raw = readings_table(lines, self._layout)
             table, arrangement = arranged(raw, self._shape)
+            table.refuse_words(arrangement.cells, MAX_WORDS)
             marks = learned_marks(table, arrangement)
         except InputError as error:
             self.refusal = str(error)
@@ -242,10 +244,12 @@ class LineReader:
         """Yield the frames of lines; the first ones may be cut, and are left out then."""
         assert self._understanding is not None
         for group in placed(segment, self._understanding.marks.ends):
+            frame = self._frame(group)
+            title = self._first and np.all(np.isnan(frame.values))  # a greeting with separators
             cut = self._first and group.remark
-            self._first = False
-            if not cut:
-                yield self._frame(group)
+            self._first = bool(title)
+            if not title and not cut:
+                yield frame
         for line in segment.lines:
             self._tables.pop(line, None)
 

@@ -32,15 +32,18 @@ PREFIXES = (
     # '[2025-01-31 12:34:56.789] ' of others
     re.compile(rf"\s*\[?(?P<clock>{DATE}{TIME})\s*(?:\]|->|>|\|)\s*"),
 )
-# 'ROW0=512,511', 'R0: 512 511', '0: 512 511', 'MAT:512,511'
+# 'ROW0=512,511', '"row0": 512,511', 'R0: 512 511', '0: 512 511', 'MAT:512,511'
 LABELLED = re.compile(
-    r"\s*(?:([^\W\d]+[ _]?\d+)\s*[=:]\s*|(\d+):[ \t]+|([^\W\d]+)\s*:\s*(?=\S+[,;\t ]\s*[-+.\d]))"
-    r"(?=[-+.\d])"
+    r"\s*(?:\"?([^\W\d]+[ _]?\d+)\"?\s*[=:]\s*|(\d+):[ \t]+|"
+    r"([^\W\d]+)\s*:\s*(?=\S+[,;\t ]\s*[-+.\d]))(?=[-+.\d])"
 )
 BRACKETED = re.compile(r"[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
-ENCLOSED = re.compile(r"\s*<\s*([-+.\d][^<>]*)>\s*")  # '<512,511>', between marks of begin and end
+# '<512,511>', '*512,511#', between marks of begin and end; '$MAT,512,511*5A', with a checksum
+ENCLOSED = re.compile(
+    r"\s*(?:<\s*([-+.\d][^<>]*)>|\*\s*([-+.\d][^*#]*)#|\$([^$*]*)\*[0-9A-Fa-f]{2})\s*"
+)
 # '0.1,"[512, 511]"', '0.1;[[512 511] [513 514]]': a list behind other fields
-LISTED = re.compile(r'^(.*[,;\t ])"?(\[[\[\s]*[-+.\d]+[,;\s][^"]*\])"?(.*)$')
+LISTED = re.compile(r'^(.*?[,;\t ])"?(\[[\[\s]*[-+.\d]+[,;\s][^"]*\])"?(.*)$')
 # 'r0c0:512' of the Serial Plotter, '[0][0] = 512'
 PAIR = re.compile(
     r"(?P<name>[^\W\d][\w ./\[\]()-]*?|[\[(]\d+(?:\]\[|, ?)\d+[\])])\s*"
@@ -48,6 +51,10 @@ PAIR = re.compile(
     re.IGNORECASE,
 )
 BETWEEN_PAIRS = re.compile(r"[\s,;]*")
+# '1,2,3;4,5,6;', '[1 2 3; 4 5 6]' of MATLAB, '1 2 3 | 4 5 6': several rows in a line
+BETWEEN_ROWS = re.compile(r"\d\s*([;|])\s*(?=[-+.\d]|$)")
+# 'mat/left {"v": [512, 511]}' of MQTT's tools: a topic and an object of JSON
+TOPIC = re.compile(r"([^\s{}\"=]+)\s+(\{.*\})")
 # '>r0c0:1735725600125:752§V|g' of Teleplot: a name, ms since 1970 or of the board, a value
 TELEPLOT = re.compile(
     r">(?P<cell>[^:]+):(?:(?P<time_ms>\d+(?:\.\d+)?):)?(?P<value>[-+.\d][^§|:;]*)(?:§[^|]*)?(?:\|.*)?"
@@ -82,6 +89,8 @@ class Notation:
         Whether lines have several fields.
     usual : int
         Number of names of a whole line, which are the first ones.
+    rows : str
+        Sign between the rows of a line, or ''.
     """
 
     delimiter: str
@@ -89,6 +98,7 @@ class Notation:
     names: tuple[str, ...] = ()
     separated: bool = True
     usual: int = 0
+    rows: str = ""
 
     @classmethod
     def of(cls, contents: Sequence[str]) -> "Notation":
@@ -117,7 +127,14 @@ class Notation:
         joined = Counter(len(re.findall(r"\t+", line.strip("\t"))) for line in sample)
         by_tabs = max(joined.values(), default=0) > max(single.values(), default=0)
         separated = any(delimiter in line.strip() for line in sample)
-        return cls(delimiter, delimiter == "\t" and by_tabs, (), separated)
+        between = Counter(sign for line in sample for sign in set(BETWEEN_ROWS.findall(line)))
+        rows = [sign for sign, lines in between.items() if 2 * lines > len(sample)]
+        return cls(
+            delimiter,
+            joined=delimiter == "\t" and by_tabs,
+            separated=separated,
+            rows=rows[0] if rows and rows[0] != delimiter else "",
+        )
 
     @property
     def sentence(self) -> str:
@@ -125,7 +142,8 @@ class Notation:
         if self.names:
             return f"names beside the values: {', '.join(filter(None, self.shown[:3]))} ..."
         sign = "one or more tabs" if self.joined else DELIMITERS[self.delimiter]
-        return f"fields separated by {sign}" if self.separated else ""
+        rows = f", rows of a line by {self.rows!r}" if self.rows else ""
+        return f"fields separated by {sign}{rows}" if self.separated else ""
 
     @property
     def shown(self) -> list[str]:
@@ -150,6 +168,8 @@ class Notation:
                 values = {name: value for name, value in values.items() if "\0" not in name}
             return [values.get(name, "") for name in self.names]
         content = _plain(content)
+        if self.rows:
+            content = content.replace(self.rows, self.delimiter)
         if self.joined:
             content = re.sub(r"\t+", "\t", content).strip("\t")
         if self.delimiter == " ":
@@ -170,16 +190,20 @@ class Notation:
 def values_beside_names(content: str) -> dict[str, str] | None:
     """Return the values of a line by the names beside them; None for another line.
 
-    Such lines are an object of JSON, pairs of the Serial Plotter, a value of Teleplot, or a
-    cell's name and its value. Values of a list have names with a zero byte and their number.
+    Such lines are an object of JSON, alone or behind the topic of a message, pairs of the Serial
+    Plotter, a value of Teleplot, or a cell's name and its value. Values of a list have names with
+    a zero byte and their number.
     """
     content = content.strip()
-    if content.startswith("{"):
+    topic = TOPIC.fullmatch(content)
+    if content.startswith("{") or topic:
         try:
-            record = json.loads(content)
+            record = json.loads(topic[2] if topic else content)
         except (ValueError, RecursionError):
             return None
-        return dict(_flat("", record)) if isinstance(record, dict) else None
+        if not isinstance(record, dict):
+            return None
+        return dict(_flat("", ({"topic": topic[1]} if topic else {}) | record))
     if content.startswith(">"):
         match = TELEPLOT.fullmatch(content)
         return match and {name: text for name, text in match.groupdict().items() if text}
@@ -241,7 +265,7 @@ def _text_of_json(value: Any) -> str:
 def _plain(content: str) -> str:
     """Return a line without the brackets of lists or frames, and with its label as a field."""
     enclosed = ENCLOSED.fullmatch(content)
-    content = content if enclosed is None else enclosed[1]
+    content = content if enclosed is None else enclosed[enclosed.lastindex or 0]
     if BRACKETED.match(content):
         content = re.sub(r"[\[\]{}()]", " ", content)
     elif "[" in content:
@@ -249,7 +273,7 @@ def _plain(content: str) -> str:
         if listed is not None:
             sign = listed[1][-1]
             values = re.split(r"[,;\s\[\]]+", listed[2].strip("[] "))
-            content = listed[1] + sign.join(values) + listed[3]
+            content = listed[1] + sign.join(values) + listed[3].rstrip(", ")
     labelled = LABELLED.match(content)
     if labelled is None:
         return content

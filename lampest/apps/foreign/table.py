@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -194,8 +194,7 @@ class ReadingsTable:
         notes : sequence of str
             Notes on the layout.
         """
-        for at in fields:
-            self.refuse(self.words[:, at], at, f"{{0!r}} is no number (field {at + 1} of the line)")
+        self.refuse_words(fields)
         names = tuple(self.names[at] for at in fields)
         titles = [text for text in self.before[0] if text.split() != " ".join(self.names).split()]
         # Where the readings' own names are silent, titles and the quantities beside the cells
@@ -217,6 +216,13 @@ class ReadingsTable:
         outside = np.setdiff1d(np.arange(len(self.source.lines)), self.lines)
         texts = dict.fromkeys(" ".join(self.source.lines[line].texts) for line in outside.tolist())
         return list(filter(None, map(pressures_in, texts)))[:1]
+
+    def refuse_words(self, fields: Iterable[int], most: float = 0.0) -> None:
+        """Raise InputError with the place if more than a fraction of a field's texts are words."""
+        for at in fields:
+            words = self.words[:, at]
+            if np.mean(words) > most:
+                self.refuse(words, at, f"{{0!r}} is no number (field {at + 1} of the line)")
 
     def refuse(self, bad: NDArray[np.bool_], field: int, why: str) -> None:
         """Raise InputError with the place of the first bad line.

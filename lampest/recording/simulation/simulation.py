@@ -477,7 +477,9 @@ def run(
 
 
 @typed
-def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[str, Simulation]]:
+def read_simulations(
+    path: str | Path, settings: tuple[str, ...] = ()
+) -> list[tuple[str, Simulation]]:
     """Return the pairs (output path, simulation) of all combinations of a file's sweep.
 
     The output path is as in the file. `settings` are entries PATH=VALUE that override those of the
@@ -486,9 +488,10 @@ def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[s
     >>> from pathlib import Path
     >>> text = "{schema: 1, seed: 1, scene: {panel: {rows: 2, columns: 3}}}"
     >>> _ = Path("simulation.yaml").write_text(text)
-    >>> len(lampest.read_simulations(Path("simulation.yaml")))
+    >>> len(lampest.read_simulations("simulation.yaml"))
     1
     """
+    path = Path(path)
     document = read_document(path, settings)
     simulations: dict[str, Simulation] = {}
     planned = combinations(document, lambda varied: simulation_of(_drawn(varied)))
