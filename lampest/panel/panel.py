@@ -106,6 +106,11 @@ class Modules(Configuration):
         blocks = parts.reshape(*shape, self.rows, self.columns, module.rows, module.columns)
         return np.moveaxis(blocks, -2, -3).reshape(*shape, *self.shape)
 
+    def of_parts(self, frames: NDArray[Any]) -> NDArray[Any]:
+        """Return images (…, rows, columns) whose numbers stand module by module in that shape."""
+        module = self.each
+        return self.joined(frames.reshape(*frames.shape[:-2], -1, module.rows, module.columns))
+
 
 @dataclass(frozen=True)
 class Panel(Configuration):

@@ -115,7 +115,8 @@ class Printer:
 
     def __post_init__(self) -> None:
         check_unit(self.unit, self.scene, self.url)
-        self._reader = LineReader(self.scene.panel.shape, source=self.url)
+        panel = self.scene.panel
+        self._reader = LineReader(panel.shape, source=self.url, modules=panel.modules)
 
     def samples(
         self,

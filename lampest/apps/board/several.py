@@ -46,9 +46,11 @@ def samples_of(
 ) -> Samples:
     """Return samples as `board_samples`, of one board or of one for each module in order.
 
-    The one board is by default the only one. Of modules the boards' own estimates are left out.
+    The one board is by default the only one. Of modules the boards' own estimates are left out; one
+    board that prints (`options.lines`) may print all of them.
     """
-    if scene is None or scene.panel.modules is None:
+    modules = None if scene is None else scene.panel.modules
+    if scene is None or modules is None or (options.lines and len(ports) == 1 < modules.count):
         if len(ports) > 1:
             raise InputError(
                 "--port: several boards need a scene with panel: "
@@ -57,13 +59,13 @@ def samples_of(
         return board_samples(
             ports[0] if ports else only_port(), scene, period, on_state, ending, baseline, options
         )
-    layout = scene.panel.modules
-    numbers = [number for number in range(layout.count) if number not in scene.dead_modules]
+    numbers = [number for number in range(modules.count) if number not in scene.dead_modules]
     if len(ports) != len(numbers):
-        named = ", ".join(str(list(layout.place(number))) for number in numbers[:4])
+        named = ", ".join(str(list(modules.place(number))) for number in numbers[:4])
         raise InputError(
             f"the scene reads {len(numbers)} modules: name as many ports, --port once for each, "
-            f"in the order {named}{', …' if len(numbers) > 4 else ''}; not {len(ports)}"
+            f"in the order {named}{', …' if len(numbers) > 4 else ''}; not {len(ports)}. "
+            "--lines reads one board that prints all of them"
         )
     readings = {
         module.readout.readings

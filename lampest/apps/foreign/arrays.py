@@ -70,6 +70,8 @@ class Frames:
         Sentences on the interpretation of the file.
     words : tuple of str
         Names of columns or arrays, which may contain the unit.
+    parts : int
+        Number of parts, equal panels perhaps, that a line with a whole frame has.
     """
 
     numbers: Array
@@ -78,6 +80,7 @@ class Frames:
     timing: Timing
     notes: tuple[str, ...]
     words: tuple[str, ...]
+    parts: int = 1
 
     @property
     def values(self) -> Array:

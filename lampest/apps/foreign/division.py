@@ -1,7 +1,7 @@
 """Division of the lines of a table into frames, by the marks that the table itself shows."""
 
 from collections import Counter
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -267,6 +267,14 @@ def _titles_of_blocks(
     return best, True
 
 
+def _segmented(lines: Iterable[int], keys: Sequence[LineKeys], ends: FrameEnds) -> Iterator[Placed]:
+    """Yield the frames of lines with these keys."""
+    segmenter = Segmenter(ends)
+    for segment in (*(segmenter.feed(line, keys[line]) for line in lines), segmenter.close()):
+        if segment is not None:
+            yield from placed(segment, ends)
+
+
 def _divided(
     table: ReadingsTable, arrangement: TableLayout, marks: Marks
 ) -> tuple[list[Placed], list[str]]:
@@ -283,14 +291,7 @@ def _divided(
     for number, part in enumerate(parts):
         if number:
             groups.append(Placed(parts[number - 1].stop, (), (), ""))
-        segmenter = Segmenter(marks.ends)
-        for line in part:
-            segment = segmenter.feed(line, keys[line])
-            if segment is not None:
-                groups.extend(placed(segment, marks.ends))
-        segment = segmenter.close()
-        if segment is not None:
-            groups.extend(placed(segment, marks.ends))
+        groups.extend(_segmented(part, keys, marks.ends))
     if marks.ends.lines > 1:
         groups, remarks = _trimmed(table, groups, marks.ends)
         notes = [*remarks, *notes]
@@ -452,6 +453,13 @@ def _categories(table: ReadingsTable, arrangement: TableLayout) -> Iterator[tupl
         values = few_values(table.fields[:, at].tolist())
         if values:
             yield at, values
+
+
+def refuse_several_boards(table: ReadingsTable, arrangement: TableLayout, marks: Marks) -> None:
+    """Raise InputError if the first lines of a port are those of several boards."""
+    keys = marks.line_keys(table, arrangement)
+    groups = [*_segmented(range(len(keys)), keys, marks.ends)]
+    _refuse_two_sources(table, arrangement, groups)
 
 
 def _refuse_two_sources(

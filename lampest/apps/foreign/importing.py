@@ -301,6 +301,10 @@ def _frames(path: Path, panel: Panel, chosen: Chosen, *, transpose: bool) -> Fra
         if not transpose and _fits_turned(path, panel.shape[::-1], chosen):
             raise InputError(f"{error}; with `transpose` it would fit") from error
         raise
+    modules = panel.modules
+    if modules is not None and frames.parts == modules.count and not transpose:
+        number = modules.of_parts(frames.number)
+        return frames.arranged(number, f"{frames.parts} parts of a line are the modules")
     if transpose:
         return frames.arranged(
             frames.number.swapaxes(1, 2), "transposed: the file's rows are the panel's columns"

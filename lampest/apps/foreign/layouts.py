@@ -116,8 +116,11 @@ def arranged(table: ReadingsTable, shape: Shape) -> tuple[ReadingsTable, TableLa
         shorter = table.only(columns=np.flatnonzero(filled))
         note = f"empty columns left out: {empty}"
         return arranged(replace(shorter, notes=(*table.notes, note)), shape)
+    panels = table.width // cells
+    several = f"they may be {panels} panels, which a scene with `modules` reads as one image; "
     raise InputError(
         f"{table.place(0, None)}: {counted(table.width, 'field')}; "
+        f"{several if panels > 1 and table.width - panels * cells <= extra else ''}"
         f"{shape[0]} × {shape[1]} cells need {cells}, {cells + 1} with the time, "
         f"or 3 or 4 for row, column, value and frame, or {shape[1]} in a line for each row; "
         "`layout` says what each field is"

@@ -9,7 +9,7 @@ import numpy as np
 
 from lampest.apps.foreign.arrays import Shape
 from lampest.apps.foreign.clocks import clock_of
-from lampest.apps.foreign.division import ANY, Marks, learned_marks
+from lampest.apps.foreign.division import ANY, Marks, learned_marks, refuse_several_boards
 from lampest.apps.foreign.form import later_lines, readings_table
 from lampest.apps.foreign.layouts import TableLayout, arranged
 from lampest.apps.foreign.lines import field_lines_in, notation_of
@@ -17,7 +17,7 @@ from lampest.apps.foreign.notation import Notation
 from lampest.apps.foreign.segments import Placed, Segment, Segmenter, placed
 from lampest.apps.foreign.table import ReadingsTable
 from lampest.files.errors import InputError
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Modules
 
 MIN_FRAMES = 3  # whole ones, from which the layout is understood
 MAX_LINES = 5000  # that are kept until the layout is understood
@@ -132,6 +132,8 @@ class LineReader:
         Lines at the beginning that are no readings: a greeting.
     source : str
         Name of the port for messages.
+    modules : Modules or None
+        Panels that may stand one after the other in a line that has as many parts.
 
     Attributes
     ----------
@@ -144,9 +146,16 @@ class LineReader:
     """
 
     def __init__(
-        self, shape: Shape, *, layout: str | None = None, skip_lines: int = 0, source: str = "port"
+        self,
+        shape: Shape,
+        *,
+        layout: str | None = None,
+        skip_lines: int = 0,
+        source: str = "port",
+        modules: Modules | None = None,
     ) -> None:
         self._shape = shape
+        self._modules = modules
         self._layout = layout
         self._skip = skip_lines
         self._source = source
@@ -198,6 +207,7 @@ class LineReader:
             table, arrangement = arranged(raw, self._shape)
             table.refuse_words(arrangement.cells, MAX_WORDS)
             marks = learned_marks(table, arrangement)
+            refuse_several_boards(table, arrangement, marks)
         except InputError as error:
             self.refusal = str(error)
             if len(self._kept) > MAX_LINES:
@@ -269,8 +279,11 @@ class LineReader:
         )
         numbered = "frame" in arrangement.roles and np.isfinite(printed)
         remarks = (f"the frame {group.remark}",) if group.remark else ()
+        frame = values.reshape(arrangement.shape)
+        modules = self._modules
+        parts = self._understanding.notation.parts if arrangement.lines == 1 else 1
         return TextFrame(
-            values.reshape(arrangement.shape),
+            frame if modules is None or parts != modules.count else modules.of_parts(frame),
             self._time(table, row),
             int(printed) if numbered else None,
             remarks,

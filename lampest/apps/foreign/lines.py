@@ -98,6 +98,8 @@ class FieldLines:
         Whether a line is a comment, and whether an empty line or the end of a matrix precedes it.
     padded : bool
         Whether empty fields at the end of a line are left out, as those of a sheet are.
+    parts : int
+        Number of parts that a sign, or names of lists, make of a line.
     """
 
     source: str
@@ -110,6 +112,7 @@ class FieldLines:
     comment: NDArray[np.bool_]
     blank: NDArray[np.bool_]
     padded: bool = False
+    parts: int = 1
 
     @property
     def without_the_last(self) -> "FieldLines":
@@ -221,7 +224,7 @@ def field_lines_of(
     lines = field_lines_in(notation, texts[skip:], source, skip)
     stamped = any(line.stamp for line in lines.lines)
     remarks += ["a terminal's time before the lines"] if stamped else []
-    return replace(lines, notes=tuple(filter(None, remarks)))
+    return replace(lines, notes=tuple(filter(None, remarks)), parts=notation.parts)
 
 
 def notation_of(texts: Iterable[str]) -> Notation:

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import string
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -52,7 +53,10 @@ PAIR = re.compile(
 )
 BETWEEN_PAIRS = re.compile(r"[\s,;]*")
 # '1,2,3;4,5,6;', '[1 2 3; 4 5 6]' of MATLAB, '1 2 3 | 4 5 6': several rows in a line
-BETWEEN_ROWS = re.compile(r"\d\s*([;|])\s*(?=[-+.\d]|$)")
+BETWEEN_ROWS = re.compile(r"\d[\s,]*([;|])\s*(?=[-+.\d]|$)")
+# '512x511xz300x301x' of two panels, 'z0x512x511' of a row: letters between numbers, but of no bytes
+LETTERED = re.compile(r"[a-z]*-?\d+(?:[a-z]+-?\d+){2,}[a-z]*", re.IGNORECASE)
+BYTES = re.compile(r"[\da-f]+", re.IGNORECASE)
 # 'mat/left {"v": [512, 511]}' of MQTT's tools: a topic and an object of JSON
 TOPIC = re.compile(r"([^\s{}\"=]+)\s+(\{.*\})")
 # '>r0c0:1735725600125:752§V|g' of Teleplot: a name, ms since 1970 or of the board, a value
@@ -90,7 +94,9 @@ class Notation:
     usual : int
         Number of names of a whole line, which are the first ones.
     rows : str
-        Sign between the rows of a line, or ''.
+        Sign between the rows or the panels of a line, or ''.
+    parts : int
+        Number of such parts, or of lists with names, in a line.
     """
 
     delimiter: str
@@ -99,6 +105,7 @@ class Notation:
     separated: bool = True
     usual: int = 0
     rows: str = ""
+    parts: int = 1
 
     @classmethod
     def of(cls, contents: Sequence[str]) -> "Notation":
@@ -119,7 +126,7 @@ class Notation:
                 if "\0" not in name and often[name] > 1 and not line.keys().isdisjoint(usual)
             )
             names = tuple(dict.fromkeys([*usual, *others]))
-            return cls(",", names=names, usual=len(usual))
+            return cls(",", names=names, usual=len(usual), parts=_equal_lists(usual))
         sample = [_plain(content) for content in sample]
         delimiter = _delimiter(sample)
         # Lines may agree in their number of fields only if consecutive tabs are one.
@@ -127,14 +134,8 @@ class Notation:
         joined = Counter(len(re.findall(r"\t+", line.strip("\t"))) for line in sample)
         by_tabs = max(joined.values(), default=0) > max(single.values(), default=0)
         separated = any(delimiter in line.strip() for line in sample)
-        between = Counter(sign for line in sample for sign in set(BETWEEN_ROWS.findall(line)))
-        rows = [sign for sign, lines in between.items() if 2 * lines > len(sample)]
-        return cls(
-            delimiter,
-            joined=delimiter == "\t" and by_tabs,
-            separated=separated,
-            rows=rows[0] if rows and rows[0] != delimiter else "",
-        )
+        rows, parts = _parts_of(sample, delimiter)
+        return cls(delimiter, delimiter == "\t" and by_tabs, (), separated, 0, rows, parts)
 
     @property
     def sentence(self) -> str:
@@ -142,7 +143,7 @@ class Notation:
         if self.names:
             return f"names beside the values: {', '.join(filter(None, self.shown[:3]))} ..."
         sign = "one or more tabs" if self.joined else DELIMITERS[self.delimiter]
-        rows = f", rows of a line by {self.rows!r}" if self.rows else ""
+        rows = f", parts of a line by {self.rows!r}" if self.rows else ""
         return f"fields separated by {sign}{rows}" if self.separated else ""
 
     @property
@@ -169,7 +170,7 @@ class Notation:
             return [values.get(name, "") for name in self.names]
         content = _plain(content)
         if self.rows:
-            content = content.replace(self.rows, self.delimiter)
+            content = re.sub(rf"[\s,]*[{self.rows}]\s*", self.delimiter, content)
         if self.joined:
             content = re.sub(r"\t+", "\t", content).strip("\t")
         if self.delimiter == " ":
@@ -258,6 +259,12 @@ def _lengths(names: Iterable[str]) -> Counter[str]:
     return Counter(name.partition("\0")[0] for name in names if "\0" in name)
 
 
+def _equal_lists(names: Iterable[str]) -> int:
+    """Return the number of lists among names if all are equally long; else 1."""
+    lengths = _lengths(names)
+    return len(lengths) if len(set(lengths.values())) == 1 else 1
+
+
 def _text_of_json(value: Any) -> str:
     return "" if value is None else value if isinstance(value, str) else json.dumps(value)
 
@@ -266,6 +273,8 @@ def _plain(content: str) -> str:
     """Return a line without the brackets of lists or frames, and with its label as a field."""
     enclosed = ENCLOSED.fullmatch(content)
     content = content if enclosed is None else enclosed[enclosed.lastindex or 0]
+    if LETTERED.fullmatch(content) and not BYTES.fullmatch(content):
+        return _without_letters(content)
     if BRACKETED.match(content):
         content = re.sub(r"[\[\]{}()]", " ", content)
     elif "[" in content:
@@ -280,6 +289,35 @@ def _plain(content: str) -> str:
     values_text = content[labelled.end() :]
     sign = next((sign for sign in DELIMITERS if sign in values_text), " ")
     return f"{labelled[labelled.lastindex or 0]}{sign}{values_text}"
+
+
+def _parts_of(lines: Sequence[str], delimiter: str) -> tuple[str, int]:
+    """Return the sign that parts most lines beside the delimiter, or '', and the number of parts.
+
+    Parts are about equally long: a time before the values is none.
+    """
+    often = Counter(sign for line in lines for sign in set(BETWEEN_ROWS.findall(line)))
+    signs = (sign for sign, count in often.items() if 2 * count > len(lines) and sign != delimiter)
+    sign = next(signs, "")
+    if not sign:
+        return "", 1
+    lengths = Counter(
+        tuple(part.count(delimiter) for part in line.strip(f" {sign}").split(sign))
+        for line in lines
+    )
+    usual = lengths.most_common(1)[0][0]
+    return sign, len(usual) if max(usual) <= 2 * min(usual) + 1 else 1
+
+
+def _without_letters(content: str) -> str:
+    """Return numbers with letters between them as fields, and rarer letters as `;`."""
+    letters = re.findall(r"[A-Za-z]+", content.strip(string.ascii_letters))
+    usual = Counter(letters).most_common(1)[0][0]
+
+    def sign(match: re.Match[str]) -> str:
+        return "," if match[0] == usual else ";"
+
+    return re.sub(r"[A-Za-z]+", sign, content.strip(string.ascii_letters))
 
 
 def _delimiter(lines: Sequence[str]) -> str:

@@ -208,7 +208,9 @@ class ReadingsTable:
         def named(at: int) -> str:
             return self.source.source if at < 0 else self.place(*divmod(at, self.width))
 
-        return Frames(self.values.ravel(), number, named, timing, (*self.notes, *notes), words)
+        numbers = self.values.ravel()
+        parts = self.source.parts if len(fields) == number[0].size else 1
+        return Frames(numbers, number, named, timing, (*self.notes, *notes), words, parts)
 
     @property
     def stated_pressures(self) -> list[str]:

@@ -1,5 +1,6 @@
 """Boards that print lines of text, recorded over every kind of port."""
 
+import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -23,7 +24,7 @@ from printing_board import (
     rows_and_a_blank_line,
 )
 
-from lampest import Array, InputError, LoadedColumnsReadout, Panel, Recording, Scene
+from lampest import Array, InputError, LoadedColumnsReadout, Panel, Recording, Scene, import_file
 from lampest.apps.board.record import Recorded, record
 from lampest.apps.board.sample import LineOptions
 from lampest.files.document import to_yaml
@@ -196,6 +197,28 @@ def test_bytes_that_come_too_fast_are_counted(
     assert summary.too_fast
     whole = np.concatenate([codes[:30], codes[40:55]])
     np.testing.assert_array_equal(codes_of(recording), whole)
+
+
+@pytest.mark.parametrize("form", ["letters", "lists"])
+def test_panels_in_one_line_are_modules_of_one_image(tmp_path: Path, form: str) -> None:
+    """As etextile's grids print: 'x' between numbers, 'z' between panels; or lists with names."""
+    panel = Panel(modules=Modules(1, 2, EachModule(*SHAPE)))
+    scene = Scene(panel, LoadedColumnsReadout(adc_bits=10, readings=1, noise_lsb=1.0))
+    both = np.stack([CODES, mat_codes(len(CODES), SHAPE, seed=5)], axis=1)
+
+    def line(frame: Array) -> str:
+        if form == "lists":
+            return json.dumps({"left": frame[0].tolist(), "right": frame[1].tolist()})
+        return "z".join("".join(f"{code}x" for code in part.ravel()) for part in frame)
+
+    log = tmp_path / "log.txt"
+    log.write_text("".join(f"{line(frame)}\n" for frame in both))
+    imported, _ = import_file(log, scene=scene, unit="code", baseline_frames=2, period=0.04)
+    with on_socket([f"{line(frame)}\r\n".encode() for frame in both]) as url:
+        record([url], tmp_path / "r.h5", frames=8, scene=scene, baseline=2, options=LINES)
+    images = np.concatenate(np.moveaxis(both, 1, 0), axis=2)
+    np.testing.assert_array_equal(codes_of(imported), images)
+    np.testing.assert_array_equal(codes_of(Recording.load(tmp_path / "r.h5")), images[:8])
 
 
 def test_modules_that_print_are_one_image(tmp_path: Path) -> None:

@@ -70,6 +70,9 @@ def test_messages_of_two_topics_are_two_panels(tmp_path: Path) -> None:
     (tmp_path / "log.txt").write_text("\n".join(lines) + "\n")
     with pytest.raises(InputError, match="topic"):
         import_file(tmp_path / "log.txt", *frames.shape[1:], unit="ohm", period=0.1)
+    reader = LineReader(frames.shape[1:])
+    assert not any(reader.feed(line) for line in lines)
+    assert "several boards" in reader.refusal
 
 
 def test_readings_that_are_words_are_refused_by_a_port_as_in_a_file() -> None:
