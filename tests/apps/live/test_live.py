@@ -5,6 +5,7 @@ Memory and open files of what runs for weeks are tested too.
 
 import dataclasses
 import json
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -27,7 +28,7 @@ from lampest.apps.film.pressure import Pressure, total_force
 from lampest.apps.live import engine as engine_module
 from lampest.apps.live import run as run_module
 from lampest.apps.live.engine import Engine, FrameSource, with_picture
-from lampest.apps.live.handover import Errand
+from lampest.apps.live.handover import NICENESS, Beside, Errand
 from lampest.apps.live.message import Picture, View, view_text
 from lampest.apps.live.run import (
     METHODS,
@@ -116,6 +117,16 @@ def test_findings_of_the_other_process_reach_later_frames(
 
 
 @pytest.mark.slow
+def test_processes_beside_yield_to_the_one_that_estimates() -> None:
+    answers: list[int] = []
+    beside = Beside(
+        os.nice, lambda task, waiting: [*waiting, task], lambda _, it: answers.append(it)
+    )
+    beside.ask(0)
+    beside.finish()
+    assert answers == [min(os.nice(0) + NICENESS, 19)]
+
+
 def test_every_frame_waits_for_its_findings_if_the_other_process_dies(lamprey: Recording) -> None:
     engine = Engine("test", "test", METHODS["smooth"], 3, beside=True)
 
