@@ -114,6 +114,7 @@ def test_an_interrupt_while_a_command_loads_is_no_traceback(folder: Path, after:
     assert "Traceback" not in error and process.returncode in (0, 130, -signal.SIGINT)
 
 
+@pytest.mark.slow
 def test_an_interrupt_at_the_start_meets_no_code_of_the_package(folder: Path) -> None:
     """The first lines of the command make Ctrl-C silent; Python's own start is before them."""
     script = folder.parent / "lampest"

@@ -199,6 +199,7 @@ def test_any_table_is_accepted_or_refused_with_one_sentence(
     assert all(note.isprintable() for note in notes)
 
 
+@pytest.mark.slow
 @given(st.text(max_size=40))
 @QUICK
 def test_any_name_is_usable_in_a_path_or_refused(name: str) -> None:

@@ -148,6 +148,7 @@ def test_of_alternatives_that_differ_in_names_of_lines_one_is_searched_in_series
     assert not [alternative.kind for alternative in searched if alternative.order is not None]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: str(circuit.kind))
 def test_a_fit_to_readings_that_no_cells_give_ends_at_the_minimum_of_the_solver(
     circuit: Readout,

@@ -96,6 +96,7 @@ def test_no_amplifier_is_advised_where_each_reading_would_be_a_cell() -> None:
     assert not check.better
 
 
+@pytest.mark.slow
 def test_amplifiers_are_named_where_a_press_moves_its_own_readings_alone() -> None:
     built = VirtualGroundReadout(feedback_ohm=1000.0, drive_ohm=40.0, **CONVERTER)
     check = audit(built, replace(GROUNDED, load_ohm=1000.0)).prepared.check

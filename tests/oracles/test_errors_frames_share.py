@@ -102,6 +102,7 @@ def moved(seed: int) -> float:
     return float(np.max(np.abs(estimated.cell_resistance - without.cell_resistance) / bars))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "seeds",
     [

@@ -51,6 +51,7 @@ def faulty(recording: Health) -> list[str]:
     return [finding.text for finding in recording.findings if finding.room != "readings"]
 
 
+@pytest.mark.slow
 @promise("theory/model_check: 500 clean simulated recordings of all circuits raise no alarm")
 @pytest.mark.parametrize("seeds", CLEAN_SEEDS, ids="{0.start}".format)
 def test_clean_recordings_of_all_circuits_raise_no_alarm(seeds: range) -> None:

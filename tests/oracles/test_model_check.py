@@ -361,6 +361,7 @@ def test_specified_and_absent_groups_raise_no_doubt(scene: Scene) -> None:
         assert Prepared(misdescribed(actual, actual, 1)).check.mark == "yes"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", [0.04, 0.08])
 @pytest.mark.parametrize("scene", [TWO_POINT_SCENE, HOBBY], ids=["two_point", "loaded_columns"])
 def test_a_converter_with_memory_is_named_with_its_number(scene: Scene, memory: float) -> None:

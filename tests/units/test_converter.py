@@ -305,6 +305,7 @@ def test_contradictions_are_refused(keys: dict[str, object], message: str) -> No
         Characteristic(**keys)
 
 
+@pytest.mark.slow
 def test_the_zero_of_a_converter_follows_from_open_cells() -> None:
     """Codes of open cells stand 3.4 steps above 0, where the loads end."""
     offset = 3.4

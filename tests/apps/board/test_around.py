@@ -97,6 +97,7 @@ def test_keys_are_read_one_by_one_and_the_terminal_is_restored(
     os.close(master)
 
 
+@pytest.mark.slow
 def test_flash_and_memory_match_the_readme() -> None:
     assert len(ROWS_OF_TABLE) >= 8
     built()

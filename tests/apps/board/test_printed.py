@@ -173,6 +173,7 @@ def test_a_board_that_prints_needs_a_scene(tmp_path: Path) -> None:
         record(url, tmp_path / "r.h5", frames=2, options=LINES)
 
 
+@pytest.mark.slow
 def test_a_line_at_another_rate_is_said(tmp_path: Path) -> None:
     """At a wrong rate bytes are no text; a pseudo-terminal has no rate that would help."""
     noise = np.random.default_rng(1).integers(128, 255, (200, 60), np.uint8)

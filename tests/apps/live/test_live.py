@@ -127,6 +127,7 @@ def test_processes_beside_yield_to_the_one_that_estimates() -> None:
     assert answers == [min(os.nice(0) + NICENESS, 19)]
 
 
+@pytest.mark.slow
 def test_every_frame_waits_for_its_findings_if_the_other_process_dies(lamprey: Recording) -> None:
     engine = Engine("test", "test", METHODS["smooth"], 3, beside=True)
 

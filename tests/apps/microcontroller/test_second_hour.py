@@ -127,6 +127,7 @@ def drifting(resting, frames, change=LN_DRIFT):
     return resting * np.exp(np.linspace(0, 1, frames)[:, None, None] * change * shares)
 
 
+@pytest.mark.slow
 def test_the_baseline_follows_a_drift_under_presses_that_come_and_go():
     scene, _, host = panel("grounded_one")
     cells = drifting(pressed_cells(scene)[0], FRAMES_OF_DRIFT)
