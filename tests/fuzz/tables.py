@@ -457,7 +457,8 @@ DAMAGES = {
 
 
 # Of swapped rows without names, and of frames without numbers and times, nothing tells the order.
-SILENT = [(layout, "swapped_lines") for layout in (*UNNAMED, "plotter_lines", "bare_frames")]
+WITHOUT_KEYS = ("plotter_lines", "bare_frames", "frames_of_parted_rows")
+SILENT = [(layout, "swapped_lines") for layout in (*UNNAMED, *WITHOUT_KEYS)]
 # A row that is lost and one that is doubled leave the number of rows in a frame.
 SILENT += [(layout, "lost_and_doubled_line") for layout in UNNAMED]
 

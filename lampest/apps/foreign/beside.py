@@ -77,9 +77,10 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
     """
     same = np.append(False, np.all(table.fields[1:] == table.fields[:-1], axis=1))
     clear = table.only(~same & np.any(table.fields != "", axis=1))  # not doubled, nor damaged
-    # Or it would with rows and columns exchanged.
     numbers = not np.any(clear.words)
-    fits = numbers and table.width in (shape[0] * shape[1], *shape)
+    fits = numbers and table.width in (shape[0] * shape[1], shape[1])
+    # It would fit with rows and columns exchanged, unless a field counts the rows.
+    turned = numbers and table.width == shape[0]
     if any(table.names) or len(table.lines) < MIN_LINES or fits:
         return table
     marks = np.array([np.all(column == column[0]) and column[0] != "" for column in clear.fields.T])
@@ -91,7 +92,7 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
             lead = range(extra - trailing)
             end = range(table.width - trailing, table.width)
             names = _names_beside(clear, [*lead, *end], len(lead), rows, marks)
-            if names is None:
+            if names is None or (turned and "row" not in names):
                 continue
             alone = names == ["row"] or (len(names) == 1 and rows == 1 and names != [SKIPPED])
             alone = alone and not trailing

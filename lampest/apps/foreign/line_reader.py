@@ -1,6 +1,6 @@
 """Frames of a board that prints text, line after line, as the import understands a file of them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from lampest.apps.foreign.clocks import clock_of
 from lampest.apps.foreign.division import ANY, Marks, learned_marks, refuse_several_boards
 from lampest.apps.foreign.form import later_lines, readings_table
 from lampest.apps.foreign.layouts import TableLayout, arranged
-from lampest.apps.foreign.lines import field_lines_in, notation_of
+from lampest.apps.foreign.lines import WRITTEN, field_lines_in, notation_of
 from lampest.apps.foreign.notation import Notation
 from lampest.apps.foreign.segments import Placed, Segment, Segmenter, placed
 from lampest.apps.foreign.table import ReadingsTable
@@ -20,6 +20,7 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Modules
 
 MIN_FRAMES = 3  # whole ones, from which the layout is understood
+MIN_COUNTED = 8  # frames, where nothing but the number of lines says where they end
 MAX_LINES = 5000  # that are kept until the layout is understood
 FIRST_TRY = 8  # lines; each later try has a quarter more
 MAX_WORDS = 0.5  # of the first readings of a cell; later a damaged one is missing
@@ -170,6 +171,7 @@ class LineReader:
         self._first = True
         self._stamp = ""
         self._seconds = 0.0
+        self._shortest = 0  # least length of the number at the end of a line
         self.sentences: tuple[str, ...] = ()
         self.words: tuple[str, ...] = ()
         self.refusal = ""
@@ -190,14 +192,14 @@ class LineReader:
 
     def close(self) -> tuple[TextFrame, ...]:
         """Return the frames that were waiting for a line that shows their end."""
-        early = () if self._understanding else self._frames_at_last(least=1)
+        early = () if self._understanding else self._frames_at_last(ended=True)
         if self._segmenter is None or self._understanding is None:
             return early
         segment = self._segmenter.close()
         whole = segment is not None and len(segment.lines) >= self._understanding.marks.ends.lines
         return (*early, *(self._frames_of(segment) if segment is not None and whole else ()))
 
-    def _frames_at_last(self, least: int = MIN_FRAMES) -> tuple[TextFrame, ...]:
+    def _frames_at_last(self, *, ended: bool = False) -> tuple[TextFrame, ...]:
         """Return the frames of the first lines once they show the layout."""
         self._next_try = len(self._kept) + max(1, len(self._kept) // 4)
         try:
@@ -213,6 +215,9 @@ class LineReader:
             if len(self._kept) > MAX_LINES:
                 raise
             return ()
+        # A lost line among few may hide that a pause, a time or a title ends frames.
+        counted = marks.ends.counted and marks.ends.lines > 1
+        least = 1 if ended else MIN_COUNTED if counted else MIN_FRAMES
         if len(table.lines) < (least + 1) * marks.ends.lines:
             return ()
         self.refusal = ""
@@ -220,6 +225,8 @@ class LineReader:
         self.words = tuple(table.names)
         self._understanding = Understanding(notation, table, arrangement, marks).with_times()
         self._segmenter = Segmenter(marks.ends)
+        ends = (lines.lines[at].texts[-1] for at in table.lines.tolist())
+        self._shortest = min((len(end) for end in ends if WRITTEN.fullmatch(end)), default=0)
         return tuple(self._frames_of_lines())
 
     def _frames_of_lines(self) -> Iterator[TextFrame]:
@@ -241,6 +248,7 @@ class LineReader:
             if keyed and fields == self._last:
                 continue  # a line that came twice, its keys included
             self._last = fields
+            self._leave_cut_number(table, row, lines.lines[table.lines[row]].texts)
             segment = self._segmenter.feed(number, keys)
             if segment is not None:
                 yield from self._frames_of(segment)
@@ -249,6 +257,16 @@ class LineReader:
                 whole = self._segmenter.close()
                 assert whole is not None
                 yield from self._frames_of(whole)
+
+    def _leave_cut_number(self, table: ReadingsTable, row: int, texts: Sequence[str]) -> None:
+        """Leave out the last number of a line if it is shorter than any before it.
+
+        A line may be broken within it, and its rest comes after the frame.
+        """
+        length = len(texts[-1])
+        if WRITTEN.fullmatch(texts[-1]) and length < self._shortest:
+            self._shortest = length
+            table.values[row, table.columns == len(texts) - 1] = np.nan
 
     def _frames_of(self, segment: Segment) -> Iterator[TextFrame]:
         """Yield the frames of lines; the first ones may be cut, and are left out then."""

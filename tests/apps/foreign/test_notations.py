@@ -81,3 +81,44 @@ def test_readings_that_are_words_are_refused_by_a_port_as_in_a_file() -> None:
     live = [frame for frame in frames for frame in reader.feed(f"{joined(frame)}!")]
     assert not live
     assert "is no number" in reader.refusal
+
+
+@pytest.mark.parametrize("shape", [(8, 6), (5, 3), (5, 4), (4, 8)])
+def test_numbers_of_frame_and_row_are_none_of_the_readings(
+    tmp_path: Path, shape: tuple[int, int]
+) -> None:
+    """Also where a line then has as many fields as the panel has rows."""
+    frames = np.random.default_rng(9).integers(300, 800, (20, *shape))
+    lines = [
+        f"{(250 + at) % 256}\t{number}\t{joined(row, chr(9))}"
+        for at, frame in enumerate(frames)
+        for number, row in enumerate(frame)
+    ]
+    (tmp_path / "log.txt").write_text("\n".join(lines) + "\n")
+    recording, _ = import_file(tmp_path / "log.txt", *shape, unit="ohm", period=0.1)
+    np.testing.assert_array_equal(recording.recorded, frames)
+
+
+def test_a_line_lost_before_the_layout_is_known_shifts_no_frame() -> None:
+    """Rows without names that follow each other fast, with a pause between frames."""
+    frames = codes(np.random.default_rng(8))
+    lines = [
+        f"{100 * at + number},{joined(row)}"
+        for at, frame in enumerate(frames)
+        for number, row in enumerate(frame)
+    ]
+    del lines[3 * len(frames[0]) + 1]
+    reader = LineReader(frames.shape[1:])
+    live = [frame for line in lines for frame in reader.feed(line)] + [*reader.close()]
+    whole = [frame.values for frame in live if not np.isnan(frame.values).any()]
+    np.testing.assert_array_equal(whole, np.delete(frames, 3, axis=0))
+
+
+def test_a_number_that_a_port_broke_is_missing() -> None:
+    frames = codes(np.random.default_rng(10))
+    lines = [joined(frame) for frame in frames]
+    lines[-3:-2] = [lines[-3][:-1], lines[-3][-1]]
+    reader = LineReader(frames.shape[1:])
+    live = np.array([frame.values for line in lines for frame in reader.feed(line)])
+    assert np.isnan(live[-3, -1, -1])
+    np.testing.assert_array_equal(np.where(np.isnan(live), frames, live), frames)
