@@ -272,17 +272,17 @@ class LineReader:
         """Yield the frames of lines; the first ones may be cut, and are left out then."""
         assert self._understanding is not None
         for group in placed(segment, self._understanding.marks.ends):
-            frame = self._frame(group)
-            title = self._first and np.all(np.isnan(frame.values))  # a greeting with separators
+            values = self._values(group)
+            title = self._first and np.all(np.isnan(values))  # a greeting with separators
             cut = self._first and group.remark
             self._first = bool(title)
             if not title and not cut:
-                yield frame
+                yield self._frame(group, values)
         for line in segment.lines:
             self._tables.pop(line, None)
 
-    def _frame(self, group: Placed) -> TextFrame:
-        """Return the readings of lines at their places, with the time of the first one."""
+    def _values(self, group: Placed) -> Array:
+        """Return the readings of lines at their places."""
         assert self._understanding is not None
         arrangement = self._understanding.arrangement
         values = np.full(arrangement.shape[0] * arrangement.shape[1], np.nan)
@@ -291,21 +291,20 @@ class LineReader:
         for line, position in zip(group.lines, group.positions, strict=True):
             table, row = self._tables[line]
             values[position * share + places] = table.values[row, fields]
-        table, row = self._tables[group.begin]
-        printed = (
-            table.values[row, arrangement.roles["frame"]] if "frame" in arrangement.roles else 0
-        )
-        numbered = "frame" in arrangement.roles and np.isfinite(printed)
-        remarks = (f"the frame {group.remark}",) if group.remark else ()
         frame = values.reshape(arrangement.shape)
         modules = self._modules
         parts = self._understanding.notation.parts if arrangement.lines == 1 else 1
-        return TextFrame(
-            frame if modules is None or parts != modules.count else modules.of_parts(frame),
-            self._time(table, row),
-            int(printed) if numbered else None,
-            remarks,
-        )
+        return frame if modules is None or parts != modules.count else modules.of_parts(frame)
+
+    def _frame(self, group: Placed, values: Array) -> TextFrame:
+        """Return the readings of lines as a frame, with the time of the first one."""
+        assert self._understanding is not None
+        roles = self._understanding.arrangement.roles
+        table, row = self._tables[group.begin]
+        printed = table.values[row, roles["frame"]] if "frame" in roles else np.nan
+        number = int(printed) if np.isfinite(printed) else None
+        remarks = (f"the frame {group.remark}",) if group.remark else ()
+        return TextFrame(values, self._time(table, row), number, remarks)
 
     def _time(self, table: ReadingsTable, row: int) -> float | None:
         """Return the time of a line of a table since the first frame by its stamp."""
