@@ -156,7 +156,7 @@ class LineReader:
         modules: Modules | None = None,
     ) -> None:
         self._shape = shape
-        self._modules = modules
+        self._modules = modules  # None once a line is known to have other parts
         self._layout = layout
         self._skip = skip_lines
         self._source = source
@@ -221,7 +221,12 @@ class LineReader:
         if len(table.lines) < (least + 1) * marks.ends.lines:
             return ()
         self.refusal = ""
-        self.sentences = (*table.notes, arrangement.note)
+        parts = notation.parts if arrangement.lines == 1 else 1
+        joined = self._modules is not None and parts == self._modules.count
+        if not joined:
+            self._modules = None
+        modules = (f"{parts} parts of a line are the modules",) if joined else ()
+        self.sentences = (*table.notes, arrangement.note, *modules)
         self.words = tuple(table.names)
         self._understanding = Understanding(notation, table, arrangement, marks).with_times()
         self._segmenter = Segmenter(marks.ends)
@@ -292,9 +297,7 @@ class LineReader:
             table, row = self._tables[line]
             values[position * share + places] = table.values[row, fields]
         frame = values.reshape(arrangement.shape)
-        modules = self._modules
-        parts = self._understanding.notation.parts if arrangement.lines == 1 else 1
-        return frame if modules is None or parts != modules.count else modules.of_parts(frame)
+        return frame if self._modules is None else self._modules.of_parts(frame)
 
     def _frame(self, group: Placed, values: Array) -> TextFrame:
         """Return the readings of lines as a frame, with the time of the first one."""

@@ -216,7 +216,8 @@ def test_panels_in_one_line_are_modules_of_one_image(tmp_path: Path, form: str) 
     log.write_text("".join(f"{line(frame)}\n" for frame in both))
     imported, _ = import_file(log, scene=scene, unit="code", baseline_frames=2, period=0.04)
     with on_socket([f"{line(frame)}\r\n".encode() for frame in both]) as url:
-        record([url], tmp_path / "r.h5", frames=8, scene=scene, baseline=2, options=LINES)
+        done = record([url], tmp_path / "r.h5", frames=8, scene=scene, baseline=2, options=LINES)
+    assert "2 parts of a line are the modules" in done.understood
     images = np.concatenate(np.moveaxis(both, 1, 0), axis=2)
     np.testing.assert_array_equal(codes_of(imported), images)
     np.testing.assert_array_equal(codes_of(Recording.load(tmp_path / "r.h5")), images[:8])
