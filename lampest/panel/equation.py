@@ -384,15 +384,15 @@ class Equation:
             ties[address, np.argmax(member[part])] = 1 / np.median(cells())
         return ties
 
-    def excitations(self, ties: Array) -> list[Array | None]:
-        """Return the excitation x of the lines by the potentials of each base; None without any.
+    def excitations(self, ties: Array) -> Array | None:
+        """Return the excitations x of the lines by the potentials of each base; None without any.
 
-        x is the potential of a held line, and the current V/R into any other one.
+        The shape is that of the ties, (addresses, lines). x is the potential of a held line, and the current V/R into any other one.
         """
         terms = self.potentials
         if terms is None or not terms.sourced:
-            return [None] * len(ties)
-        return list(np.where(np.isinf(ties), 1.0, ties) * terms.ends)
+            return None
+        return np.asarray(np.where(np.isinf(ties), 1.0, ties) * terms.ends)
 
 
 @lru_cache(maxsize=256)

@@ -23,16 +23,28 @@ class NetworkPart:
     Attributes
     ----------
     network : Network
-        May have leading axes, for many networks at once.
+        May have a leading axis, for many networks at once: those of modules, each with its own
+        cells, or those of addresses, all with the same ones.
     cells : integer array, shape (…, rows, columns)
         Numbers of its cells on the panel, row by row; readings have the number of their cell.
-    read : boolean array, shape (rows, columns), or None
+    read : boolean array, shape (…, rows, columns), or None
         Readings that the network gives; None: all.
     """
 
     network: Network
     cells: Numbers
     read: NDArray[np.bool_] | None = None
+
+    @property
+    def addresses(self) -> "list[NetworkPart]":
+        """Parts of one address each, whose large matrices are made one after the other."""
+        if self.read is None or self.read.ndim == 2:
+            return [self]
+        assert isinstance(self.network, SolvedNetwork)
+        return [
+            NetworkPart(self.network.some(number), self.cells[number], read)
+            for number, read in enumerate(self.read)
+        ]
 
     @cached_property
     def given(self) -> Numbers:
@@ -44,7 +56,7 @@ class NetworkPart:
         return readings if self.read is None else readings[self.read]
 
     def weights(self, weights: Array) -> Array:
-        """Return weights (rows, columns) of the panel's readings, zero where another gives them."""
+        """Return weights of the readings, zero where another network gives them."""
         own = weights.reshape(-1)[self.cells]
         return own if self.read is None else np.where(self.read, own, 0.0)
 
@@ -64,16 +76,18 @@ class JoinedNetwork(Network):
 
     @classmethod
     def addressed(
-        cls, networks: Iterable[Network], read_at: Iterable[NDArray[np.bool_]]
+        cls, cell_resistance: Array, networks: Sequence[Network], read_at: NDArray[np.bool_]
     ) -> "JoinedNetwork":
-        """Return the network of all addresses of a readout, over the same cells.
+        """Return the network of all addresses of a readout, over the same cells (rows, columns).
 
-        `read_at` are the readings of each address, (rows, columns) each.
+        The networks are those of the addresses, or a single one with all addresses as its leading
+        axis. `read_at` are the readings of each address, (addresses, rows, columns).
         """
-        pairs = list(zip(networks, read_at, strict=True))
-        cells = pairs[0][0].cell_resistance
-        numbers = _numbers(*cells.shape)
-        return cls(cells, tuple(NetworkPart(network, numbers, read) for network, read in pairs))
+        numbers = np.broadcast_to(_numbers(*cell_resistance.shape), read_at.shape)
+        if networks[0].cell_resistance.ndim > 2:
+            return cls(cell_resistance, (NetworkPart(networks[0], numbers, read_at),))
+        parts = zip(networks, numbers, read_at, strict=True)
+        return cls(cell_resistance, tuple(NetworkPart(*part) for part in parts))
 
     @classmethod
     def of_modules(
@@ -101,7 +115,7 @@ class JoinedNetwork(Network):
 
     def sensitivity(self) -> Array:
         sensitivity = np.zeros((self.cell_resistance.size, self.cell_resistance.size))
-        for part in self.parts:
+        for part in self._addresses:
             *leading, rows, columns = part.cells.shape
             cells = part.cells.reshape(*leading, 1, rows * columns)
             if part.read is None:
@@ -133,21 +147,32 @@ class JoinedNetwork(Network):
         return max(part.network.condition() for part in self.parts)
 
     def response_of(self, response: Callable[[SolvedNetwork], Array]) -> Array:
-        return self._readings([part.network.response_of(response) for part in self.parts])
+        parts = self._addresses
+        return self._readings([part.network.response_of(response) for part in parts], parts)
 
-    def _readings(self, of_parts: Sequence[Array]) -> Array:
+    @property
+    def _addresses(self) -> list[NetworkPart]:
+        """Parts of one address each; see `NetworkPart.addresses`."""
+        return [address for part in self.parts for address in part.addresses]
+
+    def _readings(
+        self, of_parts: Sequence[Array], parts: Sequence[NetworkPart] | None = None
+    ) -> Array:
         """Return the readings (rows, columns, …) of the networks that give them."""
-        behind = of_parts[0].shape[self.parts[0].cells.ndim :]
+        parts = self.parts if parts is None else parts
+        behind = of_parts[0].shape[parts[0].cells.ndim :]
         readings = np.empty((self.cell_resistance.size, *behind))
-        for part, of_part in zip(self.parts, of_parts, strict=True):
+        for part, of_part in zip(parts, of_parts, strict=True):
             readings[part.given] = part.give(of_part)
         return readings.reshape(*self.cell_resistance.shape, *behind)
 
     def _summed(self, of_parts: Iterable[Array]) -> Array:
         """Return the sums over the networks of values of their cells, (rows, columns)."""
-        total = np.zeros(self.cell_resistance.size)
+        size = self.cell_resistance.size
+        total = np.zeros(size)
         for part, of_part in zip(self.parts, of_parts, strict=True):
-            total[part.cells] += of_part
+            # Networks of several addresses have the same cells, whose values add up
+            total += np.bincount(part.cells.ravel(), of_part.ravel(), size)
         return total.reshape(self.cell_resistance.shape)
 
 
@@ -176,9 +201,10 @@ class JoinedSecondOrder(SecondOrder):
     def matrix(self) -> Array:
         size = self.weights.size
         matrix = np.zeros((size, size))
-        for order, part in zip(self._orders, self.network.parts, strict=True):
+        for part in self.network._addresses:
             *leading, rows, columns = part.cells.shape
             cells = part.cells.reshape(*leading, 1, rows * columns)
+            order = part.network.second_order(part.weights(self.weights))
             matrix[cells.swapaxes(-1, -2), cells] += order.matrix()
         return matrix
 

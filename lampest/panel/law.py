@@ -39,7 +39,7 @@ class Loading:
     diagonal : array, shape (…, lines)
     between : array, shape (…, rows, columns)
         Block between rows and columns.
-    of_potentials : array, shape (lines,), or None
+    of_potentials : array, shape (…, lines), or None
         w_v, where lines end in potentials.
     """
 
@@ -91,7 +91,7 @@ class Law:
         return tuple(self._derivatives(self.readout, names, entries, shape))
 
     def curvatures(self, entries: Entries, shape: tuple[int, ...]) -> Array | None:
-        """Return the second derivatives, (entries, entries, rows, columns); None: h is linear."""
+        """Return the second derivatives, (entries, entries, …, rows, columns); None: h is linear."""
         if self.readout is None:
             return None
         with_potentials = len(entries) > 3
@@ -119,11 +119,16 @@ class Law:
     def _derivatives(
         readout: ReadCircuit, names: tuple[str, ...], entries: Entries, shape: tuple[int, ...]
     ) -> Array:
-        """Return derivatives of h, (names, rows, columns)."""
-        every = np.empty((len(entries), *shape))
-        for number, part in enumerate(entries):
-            every[number] = part
-        return equation_derivatives(readout, *shape, names)(every).reshape(-1, *shape)
+        """Return derivatives of h, (names, …, rows, columns)."""
+        *leading, rows, columns = shape
+        derivatives = equation_derivatives(readout, rows, columns, names)
+        results = np.empty((len(names), *shape))
+        for number in np.ndindex(*leading):
+            every = np.empty((len(entries), rows, columns))
+            for place, part in enumerate(entries):
+                every[place] = part[number]
+            results[(slice(None), *number)] = derivatives(every).reshape(-1, rows, columns)
+        return results
 
 
 TWO_POINT = Law(None)

@@ -160,11 +160,16 @@ class SecondOrder(ABC):
         """Return H, (…, cells, cells)."""
 
 
+def matrix_vector(matrix: Array, vector: Array) -> Array:
+    """Return A·x, (…, lines), of matrices (…, lines, lines) and vectors (…, lines)."""
+    return np.asarray((matrix @ vector[..., None])[..., 0])
+
+
 @dataclass(frozen=True, eq=False)
 class SolvedNetwork(Network):
     """Solved network of lines that end in ties to ground.
 
-    Networks of floating lines may have leading axes, for many networks at once. The impedance Z,
+    Arrays may have leading axes, for many networks at once. The impedance Z,
     (lines, lines) ohm, is private to the network. Products with the cells are products with the
     bipartite matrix of the lines: (rows + columns)³ operations. `DifferenceNetwork` keeps more
     digits, and its products cost more.
@@ -173,7 +178,7 @@ class SolvedNetwork(Network):
     ----------
     law : Law
         Law h of the readings.
-    sources : array, shape (lines,), or None
+    sources : array, shape (…, lines), or None
         Excitation x of the lines by the potentials in which idle lines end; None without any.
     """
 
@@ -198,7 +203,9 @@ class SolvedNetwork(Network):
         if leaks is None:
             impedance = inverse_of(1 / cell_resistance, ties)
         else:
-            impedance = np.linalg.inv(laplacian(1 / cell_resistance) + np.diag(ties) + leaks)
+            admittance = laplacian(1 / cell_resistance) + leaks
+            np.einsum("...ii->...i", admittance)[...] += ties
+            impedance = np.linalg.inv(admittance)
         return cls(cell_resistance, impedance, law, sources=sources)
 
     @classmethod
@@ -216,6 +223,7 @@ class SolvedNetwork(Network):
             self,
             cell_resistance=self.cell_resistance[numbers],
             _impedance=self._impedance[numbers],
+            sources=None if self.sources is None else self.sources[numbers],
         )
 
     @property
@@ -280,8 +288,11 @@ class SolvedNetwork(Network):
         if loading.of_potentials is not None:
             # ½ (x w_vᵀ + w_v xᵀ)
             assert self.sources is not None
-            product += (0.5 * self.sources)[:, None] * (loading.of_potentials @ values)
-            product += (0.5 * loading.of_potentials)[:, None] * (self.sources @ values)
+            for left, right in (
+                (self.sources, loading.of_potentials),
+                (loading.of_potentials, self.sources),
+            ):
+                product += (0.5 * left)[..., :, None] * (right[..., None, :] @ values)
         return product
 
     # Sums over the cells, D = Z·B, and X = BᵀZB. `DifferenceNetwork` has another D, and another X.
@@ -317,7 +328,8 @@ class SolvedNetwork(Network):
         drawn = across(self.entries_of_product(impedance, loaded, with_sources=False))
         if loading.of_potentials is not None:
             # ½ bᵀZ (x w_vᵀ + w_v xᵀ) Zb
-            drawn += self.source_differences * self._differences(impedance @ loading.of_potentials)
+            by_weights = matrix_vector(impedance, loading.of_potentials)
+            drawn += self.source_differences * self._differences(by_weights)
         return drawn
 
     def weighed(self, loading: Loading) -> Array:
@@ -349,13 +361,14 @@ class SolvedNetwork(Network):
 
     @cached_property
     def source_differences(self) -> Array:
-        """Difference of v = Z·x across every cell, (rows, columns)."""
+        """Difference of v = Z·x across every cell, (…, rows, columns)."""
         assert self.sources is not None
-        return self._differences(self._impedance @ self.sources)
+        return self._differences(matrix_vector(self._impedance, self.sources))
 
     def _differences(self, potentials: Array) -> Array:
-        """Return Bᵀv, (rows, columns), for potentials v (lines,)."""
-        return np.asarray(potentials[: self.rows, None] - potentials[None, self.rows :])
+        """Return Bᵀv, (…, rows, columns), for potentials v (…, lines)."""
+        of_row, of_column = self._parts(potentials)
+        return np.asarray(of_row - of_column)
 
     def own_differences(self) -> tuple[Array, Array]:
         """Return (D_jc, D_kc) of every cell c at its own row j and column k, (rows, columns)."""
@@ -445,7 +458,8 @@ class SolvedNetwork(Network):
         towards = self._impedance @ across
         # (1/G + Bᵀ Z B)⁻¹ = G (1 + G Bᵀ Z B)⁻¹, which allows G = 0
         core = np.linalg.inv(np.eye(across.shape[1]) + siemens * across.T @ towards)
-        return replace(self, _impedance=self._impedance - siemens * towards @ core @ towards.T)
+        change = siemens * towards @ core @ towards.swapaxes(-1, -2)
+        return replace(self, _impedance=self._impedance - change)
 
     def condition(self) -> float:
         """Return Σ_l |L_ll Z_ll| over the lines.
@@ -468,11 +482,11 @@ class SolvedNetwork(Network):
         )
         if self.sources is None:
             return entries
-        return *entries, *self._parts(matrix @ self.sources)
+        return *entries, *self._parts(matrix_vector(matrix, self.sources))
 
     def _parts(self, potentials: Array) -> Entries:
-        """Return potentials (lines,) of rows, (rows, 1), and of columns, (1, columns)."""
-        return potentials[: self.rows, None], potentials[None, self.rows :]
+        """Return potentials (…, lines) of rows, (…, rows, 1), and of columns, (…, 1, columns)."""
+        return potentials[..., : self.rows, None], potentials[..., None, self.rows :]
 
     def entries_of_product(
         self, left: Array, right: Array, *, symmetric: bool = True, with_sources: bool = True
@@ -489,7 +503,7 @@ class SolvedNetwork(Network):
         entries = (diagonal[..., :rows, None], diagonal[..., None, rows:], mutual)
         if self.sources is None or not with_sources:
             return entries
-        return *entries, *self._parts(left @ (right @ self.sources))
+        return *entries, *self._parts(matrix_vector(left, matrix_vector(right, self.sources)))
 
     def between(self, matrix: Array) -> Array:
         """Return BᵀKB (…, cells, cells) for K (…, lines, lines)."""

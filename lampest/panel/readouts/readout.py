@@ -216,16 +216,23 @@ class Readout(Converter, ABC):
         The ties are those of `ties`. Raises numpy.linalg.LinAlgError if a line is not connected.
         """
         equation = equation_of(self, *cell_resistance.shape)
-        each = np.atleast_2d(ties)
-        networks = [
-            self.solved_network(cell_resistance, of_address, wiring, excitation)
-            for of_address, excitation in zip(each, equation.excitations(each), strict=True)
-        ]
+        excited = equation.excitations(np.atleast_2d(ties))
         if ties.ndim == 1:
-            return networks[0]
+            sources = None if excited is None else excited[0]
+            return self.solved_network(cell_resistance, ties, wiring, sources)
         from lampest.panel.joined_network import JoinedNetwork  # for several bases
 
-        return JoinedNetwork.addressed(networks, equation.read_at > 0)
+        if (wiring is None or wiring.at_terminals) and not np.isinf(ties).any():
+            cells = np.broadcast_to(cell_resistance, equation.read_at.shape)
+            networks: list[Network] = [self.solved_network(cells, ties, wiring, excited)]
+        else:
+            networks = [
+                self.solved_network(
+                    cell_resistance, tie, wiring, None if excited is None else excited[number]
+                )
+                for number, tie in enumerate(ties)
+            ]
+        return JoinedNetwork.addressed(cell_resistance, networks, equation.read_at > 0)
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
         """Return the readings y of cells of any contrast.
@@ -246,7 +253,7 @@ class Readout(Converter, ABC):
 
     def reading(self, row: Any, column: Any, mutual: Any, *potentials: Any) -> Any:
         """Return the readings; see `lampest.panel.equation.Equation.reading`."""
-        return equation_of(self, *mutual.shape).reading(row, column, mutual, *potentials)
+        return equation_of(self, *mutual.shape[-2:]).reading(row, column, mutual, *potentials)
 
     def solved_network(
         self,
@@ -255,12 +262,13 @@ class Readout(Converter, ABC):
         wiring: Wiring | None = None,
         sources: Array | None = None,
     ) -> SolvedNetwork:
-        """Return the network of one state of the lines.
+        """Return the network of one state of the lines, or of many as its leading axis.
 
         Infinite ties hold lines at ground, and `sources` are the excitations of the lines by the
-        potentials in which they end, (lines,); see `network`.
+        potentials in which they end, (…, lines); see `network`. Many states have neither wire nor
+        held lines.
         """
-        leaks = None if wiring is None else wiring.leak_admittance(cell_resistance.shape)
+        leaks = None if wiring is None else wiring.leak_admittance(cell_resistance.shape[-2:])
         at_terminals = wiring is None or wiring.at_terminals
         if at_terminals and not np.isinf(ties).any():
             return SolvedNetwork.tied(cell_resistance, ties, self.law, sources, leaks)
