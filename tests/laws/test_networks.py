@@ -20,6 +20,7 @@ from lampest import (
     VirtualGroundReadout,
     two_point_resistance,
 )
+from lampest.panel.equation import equation_of
 from lampest.panel.joined_network import JoinedNetwork
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import EachModule, Modules
@@ -169,3 +170,56 @@ def test_an_image_of_modules_has_the_readings_of_each(modules: tuple[int, int]) 
     assert_allclose(together[0], image(lambda number: networks[number].reading()), rtol=ROUNDING)
     moved = image(lambda number: networks[number].forward(layout.split(step)[number]))
     assert_allclose(together[2], moved, rtol=ROUNDING, atol=ROUNDING * np.abs(moved).max())
+
+
+@pytest.mark.parametrize(
+    "ends",
+    [{}, {"load_volt": 1.2, "idle_load_ohm": 4e3, "idle_load_volt": 0.3}],
+    ids=["loads", "potentials"],
+)
+@pytest.mark.parametrize(
+    "groups",
+    [
+        {"driven_groups": ((1, None, 0, 2), (None, 3, 4), (None, 5, None, 6))},
+        {"groups": ((0, None, 2), (3, 1))},
+        {"driven_groups": ((0, 1, 2, 3), (4, 5, 6)), "groups": ((0, 1), (None, 2, 3))},
+    ],
+    ids=["driven", "sensed", "both"],
+)
+def test_addresses_of_multiplexers_are_one_network(ends: Any, groups: Any) -> None:
+    """Readings and derivatives of all addresses at once are those of each address alone."""
+    readout = DrivenReadout(
+        **{"drive_ohm": 95.0, "load_ohm": 1e4, "idle_load_ohm": np.inf, **ends, **groups}
+    )
+    cells = random_cells((7, 4))
+    step, weights = np.random.default_rng(7).standard_normal((2, *cells.shape))
+    ties = readout.ties(cells)
+    equation = equation_of(readout, *cells.shape)
+    excited = equation.excitations(ties)
+    alone = [
+        readout.solved_network(cells, tie, None, None if excited is None else excited[number])
+        for number, tie in enumerate(ties)
+    ]
+    leak = np.zeros((11, 1))
+    leak[:2, 0] = 1.0, -1.0
+
+    def all_of(network: Network) -> list[Any]:
+        second = network.second_order(weights)
+        leaking = network.leaking(leak, 1e-4)
+        return [
+            network.reading(),
+            network.adjoint(weights),
+            network.own_response(),
+            network.sensitivity(),
+            second.adjoint(),
+            *second.products(step),
+            second.matrix(),
+            leaking.forward(step),
+        ]
+
+    network = readout.network(cells, ties)
+    assert isinstance(network, JoinedNetwork)
+    assert len(network.parts) == 1
+    one_by_one = JoinedNetwork.addressed(cells, alone, equation.read_at > 0)
+    for first, second in zip(all_of(network), all_of(one_by_one), strict=True):
+        assert_allclose(first, second, rtol=0, atol=1e-13 * np.abs(second).max())
