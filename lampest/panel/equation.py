@@ -387,7 +387,8 @@ class Equation:
     def excitations(self, ties: Array) -> Array | None:
         """Return the excitations x of the lines by the potentials of each base; None without any.
 
-        The shape is that of the ties, (addresses, lines). x is the potential of a held line, and the current V/R into any other one.
+        The shape is that of the ties, (addresses, lines). x is the potential of a held line, and
+        the current V/R into any other one.
         """
         terms = self.potentials
         if terms is None or not terms.sourced:

@@ -91,7 +91,10 @@ class Law:
         return tuple(self._derivatives(self.readout, names, entries, shape))
 
     def curvatures(self, entries: Entries, shape: tuple[int, ...]) -> Array | None:
-        """Return the second derivatives, (entries, entries, …, rows, columns); None: h is linear."""
+        """Return the second derivatives, (entries, entries, …, rows, columns).
+
+        The result is None if h is linear.
+        """
         if self.readout is None:
             return None
         with_potentials = len(entries) > 3

@@ -234,9 +234,9 @@ def test_the_symbolic_equation_gives_the_reading_of_the_network(scene: Scene) ->
     own_column = np.tile(diagonal[None, rows:], (rows, 1))
     entries = [own_row, own_column, impedance[:rows, rows:]]
     symbols = [casadi.SX.sym(name, rows, columns) for name in ("row", "column", "mutual")]
-    (excitation, *_) = equation_of(readout, rows, columns).excitations(readout.ties(cells)[None])
-    if excitation is not None:
-        volt = impedance @ excitation
+    excitations = equation_of(readout, rows, columns).excitations(readout.ties(cells)[None])
+    if excitations is not None:
+        volt = impedance @ excitations[0]
         entries += [np.tile(volt[:rows, None], columns), np.tile(volt[None, rows:], (rows, 1))]
         symbols += [casadi.SX.sym(name, rows, columns) for name in ("at_row", "at_column")]
     equation = casadi.Function("equation", symbols, [readout.reading(*symbols)])
