@@ -20,6 +20,7 @@ from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, S
 from lampest.inference.cleaning import frozen_readings
 from lampest.panel.faults import Faults
 from lampest.panel.panel import Array
+from lampest.panel.readouts.starts import several_panels
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_median, chi_square_tail
 from lampest.recording.garbled import GarbledLines, garbled_lines, middle, readings_of
@@ -364,7 +365,7 @@ def _shorted_cells(view: _View) -> Iterator[Finding]:
     A finding requires readings that are far from all others. Where readings rise and fall with the
     conductance, those of a small resistance may be those of a short, and there is none.
     """
-    if view.scene.circuit.several_panels(*view.scene.panel.shape):
+    if several_panels(view.scene.circuit, *view.scene.panel.shape):
         return
     cells = np.full(view.scene.panel.shape, view.usual_ohm)
     usual = middle(view.resting)

@@ -13,7 +13,8 @@ from lampest.inference.circuits.better_alternative import MIN_RISEN, rises_only
 from lampest.inference.circuits.model_check import ModelCheck
 from lampest.inference.prepared import Prepared
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.unseen import unseen_sentence
+from lampest.panel.readouts.starts import uniform_branches
+from lampest.panel.readouts.unseen import unseen_scales, unseen_sentence
 from lampest.panel.scene import specified
 from lampest.panel.sizes import ESTIMATED
 from lampest.recording.recording import UNLOADED, Recording
@@ -40,7 +41,7 @@ def verdict(check: ModelCheck, prepared: Prepared, health: Health | None = None)
     """
     scene = prepared.recording.scene
     if scene.panel.modules is None:
-        scales = scene.circuit.unseen_scales(*scene.panel.shape)
+        scales = unseen_scales(scene.circuit, *scene.panel.shape)
         check = check.with_doubts(unseen_sentence(scales))
     return check.with_doubts(*_doubts(prepared, health)) if check.explains else check
 
@@ -128,7 +129,7 @@ def _another_panel(prepared: Prepared) -> Iterator[str]:
     resting = prepared.noise.readings[chosen].mean().value
     if not np.isfinite(resting).all():
         return
-    panels = recording.scene.circuit.panels_alike(resting)
+    panels = uniform_branches(recording.scene.circuit, resting)
     if len(panels) > 1 and panels[0][0] - panels[1][0] < CLEAR_LOG_ODDS:
         likely, second = (float(np.median(cells)) for _, cells in panels[:2])
         yield (

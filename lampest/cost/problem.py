@@ -204,7 +204,7 @@ class Data(ReadOnlyArrays):
         if self.panels and self.parts is None:
             return self.readout.ties(self.measured)
         frames = self.measured.reshape(-1, *self.measured.shape[-2:])
-        ties = np.stack([self.readout.ties_of_parts(measured, self.parts) for measured in frames])
+        ties = np.stack([self.readout.ties(measured, self.parts) for measured in frames])
         return ties.reshape(*self.measured.shape[:-2], *ties.shape[1:])
 
     def network(self, frame: int, cell_resistance: Array) -> Network:

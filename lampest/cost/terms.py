@@ -363,8 +363,9 @@ class Arrival(Term):
 
     The standard deviation sd0 is that of log r0. The standard deviation q, `walk_percent` in
     percent, is that of a cell's own change from one frame to the next, without steps that all
-    readings share (`Readout.common_step`). The term makes the estimate an extended Kalman filter
-    with bounds that uses the diagonal of the covariance; Huber's loss allows single cells to jump.
+    readings share (`lampest.panel.readouts.floating.common_step`). The term makes the estimate an
+    extended Kalman filter with bounds that uses the diagonal of the covariance; Huber's loss allows
+    single cells to jump.
     The right weight is 1 with misfit.weighting: noise, and σ² ohm² with plain readings of equal
     noise σ.
     Raises ValueError unless q is positive and finite.

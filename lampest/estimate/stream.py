@@ -14,6 +14,7 @@ from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.noise import NoiseEstimate
 from lampest.panel.effects import Shared
 from lampest.panel.panel import Array
+from lampest.panel.readouts.unseen import unseen_scales
 from lampest.panel.scene import Scene
 from lampest.posterior.covariance import DenseMemory, Memory
 from lampest.posterior.track import Track
@@ -316,7 +317,7 @@ def in_scene(estimator: Estimator, scene: Scene, readings: Readings) -> Estimato
     reading of its circuit shows.
     """
     estimator = estimator.for_outliers(scene)
-    if not scene.circuit.unseen_scales(*scene.panel.shape):
+    if not unseen_scales(scene.circuit, *scene.panel.shape):
         return estimator
     from lampest.estimate.usual_scale import with_usual_scale
 

@@ -9,6 +9,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.formulation.circuit import Circuit
 from lampest.formulation.patterns import END_VOLTAGE, Excitation
 from lampest.panel.panel import Array
+from lampest.panel.readouts.starts import nearly_shorted
 
 MIN_VOLTAGE = 1e-3  # smallest unit of a voltage, relative to the largest voltage of its kind
 MIN_SPLIT_UNIT = 1e-12  # unit of split residuals that are all zero, in their own unit
@@ -140,11 +141,11 @@ class Values:
     def lower(self) -> Array:
         """Lower bounds of the cells, (frames, rows, columns) ohm.
 
-        Smaller cells than `Readout.nearly_shorted` do not change any reading.
+        Smaller cells than `nearly_shorted` do not change any reading.
         """
         limits = []
         for data in self.data:
-            lower = np.maximum(data.lower, data.readout.nearly_shorted(data.measured))
+            lower = np.maximum(data.lower, nearly_shorted(data.readout, data.measured))
             limits.append(np.minimum(lower, data.upper))
         return np.concatenate(limits)
 

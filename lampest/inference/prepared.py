@@ -26,6 +26,7 @@ from lampest.inference.resolve import (
 )
 from lampest.panel.effects import own_errors, unobservable_numbers
 from lampest.panel.panel import Array, Modules
+from lampest.panel.readouts.starts import several_panels
 from lampest.recording.garbled import garbled_sentence
 from lampest.recording.recording import Recording
 
@@ -287,7 +288,7 @@ class Prepared:
             return self.whole_recording.panels
         with suppress(*BROKEN), np.errstate(all="ignore"):
             scene = self.recording.scene
-            if scene.circuit.several_panels(*scene.panel.shape):
+            if several_panels(scene.circuit, *scene.panel.shape):
                 return self.question.panels
         return None
 

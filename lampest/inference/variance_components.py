@@ -27,7 +27,7 @@ from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
 from lampest.inference.cleaning import QUIET_SHARE
 from lampest.panel.conditions import motion_patterns
 from lampest.panel.panel import Array
-from lampest.panel.readouts.readout import in_scan_lines
+from lampest.panel.readouts.scan_order import in_scan_lines
 from lampest.posterior.interval import chi_square_tail, variance_ratio_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording

@@ -143,6 +143,11 @@ class Terminations(Validated):
         """Potentials in which driven lines end while they are driven, (driven,) volt."""
         return self.driving.volt.diagonal()
 
+    @property
+    def source_volt(self) -> float:
+        """Voltage of the source against the reference; the mean of unlike ones."""
+        return float(np.mean(self.relative(self.source)))
+
     @cached_property
     def potentials(self) -> Array:
         """Potentials of all ends but the sources, in volt."""

@@ -241,6 +241,11 @@ class Equation:
         return self.potentials is None and not self.several_driven
 
     @property
+    def two_point(self) -> bool:
+        """Whether a reading is the resistance between two lines while all others float."""
+        return self.floating and self.terminations.as_resistance
+
+    @property
     def diode(self) -> Diode | None:
         """Diode in series with the end of the driven line."""
         return self.terminations.diode

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError, brief, in_words
 from lampest.files.levels import NOISE_REACH, UNUSUAL
 from lampest.files.typed import ReadOnlyArrays, real_array
+from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array, Modules, beyond_any_panel, check_line_memory
 from lampest.panel.scene import Scene
 
@@ -175,7 +176,7 @@ class Readings(ReadOnlyArrays):
         # weight.
         noise = _noise(scene, within, sigma)
         network = scene.circuit.from_recorded(within, scene)
-        side = side * scene.circuit.direction
+        side = side * nominal_terminations(scene.circuit).sign
         seen = np.where(np.isnan(recorded), 0.0, 1.0)
         if noise is not None:
             seen = np.where(np.isfinite(noise), seen, 0.0)

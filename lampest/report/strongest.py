@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.garbled import garbled_lines, readings_of
@@ -21,7 +22,8 @@ def as_recorded(value: Array, scene: Scene) -> Array:
 
     Readings with pull-ups are the supply less the load voltage.
     """
-    return scene.circuit.to_recorded(value, scene) if scene.circuit.mirrored else value
+    mirrored = nominal_terminations(scene.circuit).sign < 0
+    return scene.circuit.to_recorded(value, scene) if mirrored else value
 
 
 def apparent_change(value: Array, baseline: Array, scene: Scene) -> Array:

@@ -15,6 +15,7 @@ from lampest.cost.terms import term_kind
 from lampest.estimate.estimates import Estimates
 from lampest.files.document import plain_content, to_yaml
 from lampest.panel.panel import Array
+from lampest.panel.readouts.scan_order import by_columns
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.runs.case import FIGURES, CaseResult, all_columns
@@ -164,7 +165,7 @@ def frame_noise_of(arrays: Mapping[str, Array], scene: Scene) -> FrameNoise | No
     """
     if scene.readout is None or not arrays:
         return None
-    channels = scene.panel.shape[0 if scene.circuit.by_columns else 1]
+    channels = scene.panel.shape[0 if by_columns(scene.circuit) else 1]
     none = np.zeros((channels, 0))
     still = {"together": none, "apart": none, "motion": np.zeros(0)}
     complete = {"gain": np.nan, "unloaded": np.nan, **still, **arrays}

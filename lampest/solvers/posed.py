@@ -15,6 +15,8 @@ from lampest.files.errors import InputError
 from lampest.files.typed import Configuration
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
+from lampest.panel.readouts.inequalities import least_cells
+from lampest.panel.readouts.starts import nearly_shorted
 from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings, Sidedness, stand_in_spread
@@ -85,10 +87,11 @@ class Bounds(Configuration):
         Raises InputError where the upper bound is below the lower one for more than half of the
         readings.
         """
-        lower = readout.nearly_shorted(measured)
+        shorts = nearly_shorted(readout, measured)
+        lower = shorts
         upper = readout.apparent_resistance(measured) * OPEN_FACTOR
         if self.lower == "measured":
-            least = readout.least_cells(measured, sigma)
+            least = least_cells(readout, measured, sigma)
             lower = (
                 least
                 if wiring is None
@@ -107,7 +110,7 @@ class Bounds(Configuration):
                 f"bounds leave no room for cell {index[-2:]}: "
                 f"lower {lower[index]:.6g} ohm, upper {upper[index]:.6g} ohm"
             )
-        shorted = np.minimum(readout.nearly_shorted(measured), upper * CONTRADICTED_FACTOR)
+        shorted = np.minimum(shorts, upper * CONTRADICTED_FACTOR)
         return np.where(contradicted, shorted, lower), upper
 
 
@@ -147,10 +150,8 @@ def data_of_solve(
     # on that side.
     lower, upper = bounds.limits(scene.circuit, measured, sigma, scene.wiring)
     apparent = scene.circuit.apparent_resistance(measured)
-    nearly_shorted = scene.circuit.nearly_shorted(measured)
-    lower = np.where(
-        (readings.side == Sidedness.AT_MOST) | (readings.seen < 1), nearly_shorted, lower
-    )
+    shorts = nearly_shorted(scene.circuit, measured)
+    lower = np.where((readings.side == Sidedness.AT_MOST) | (readings.seen < 1), shorts, lower)
     upper = np.where(readings.side != 0, apparent * OPEN_FACTOR, upper)
     if not scene.whole:
         # cells that the scene states to be open or shorted are fixed near 10⁹ or 10⁻⁶ of the

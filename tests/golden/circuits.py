@@ -20,12 +20,16 @@ from lampest.apps.film.tare import TareWatch
 from lampest.apps.recognition import candidates
 from lampest.files.typed import members_of
 from lampest.panel import effects
+from lampest.panel.circuit import nominal_terminations
 from lampest.panel.conditions import water_pressure
 from lampest.panel.effects import error_columns, own_errors, shared_effects
 from lampest.panel.effects.line_effect import effect_on_readings, line_effects
 from lampest.panel.kirchhoff import NormalByLines, Stencil
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts import AnyReadout, channel_memory, wired_network
+from lampest.panel.readouts.floating import common_step
+from lampest.panel.readouts.inequalities import largest_series_ohm, least_cells
+from lampest.panel.readouts.starts import nearly_shorted
 from lampest.panel.response import BentSuction, ratio_from_pressure
 from lampest.panel.scene import OwnOfModule
 from lampest.panel.scene_file import scene_text
@@ -119,7 +123,7 @@ def network_of(scene: lp.Scene) -> Any:
     cells = np.where(
         scene.open_cells, np.inf, np.where(scene.shorted_cells, 0.01, cells_of(scene.panel.shape))
     )
-    ties = scene.circuit.ties_of_parts(0.3 * cells_of(scene.panel.shape), scene.parts)
+    ties = scene.circuit.ties(0.3 * cells_of(scene.panel.shape), scene.parts)
     return scene.circuit.network(cells, ties, scene.wiring)
 
 
@@ -185,13 +189,13 @@ def readout_row(scene: lp.Scene) -> dict[str, Any]:
         "apparent": circuit.apparent_resistance(value),
         "uniform": circuit.uniform_start(value),
         "start": circuit.start(value, np.full(value.shape, 1e6)),
-        "least": circuit.least_cells(value, sigma),
-        "least without noise": circuit.least_cells(value, None),
-        "shorted": circuit.nearly_shorted(value),
+        "least": least_cells(circuit, value, sigma),
+        "least without noise": least_cells(circuit, value, None),
+        "shorted": nearly_shorted(circuit, value),
         "resolution": circuit.resolution(value, sigma),
-        "step": circuit.common_step(value * 1.02, value, chosen),
+        "step": common_step(value[chosen] * 1.02, value[chosen]) if circuit.homogeneous else 1.0,
         "rails": circuit.rails(),
-        "series": circuit.most_in_series(value[None], sigma[None]),
+        "series": largest_series_ohm(circuit, value[None], sigma[None]),
         "codes": circuit.code_from_volt(volt),
         "volt": circuit.volt_from_code(np.array([0.0, 12.25, 900.0])),
         "sums": circuit.recorded_from_sums(np.array([[4000, 9000]]), 20),
@@ -202,7 +206,7 @@ def readout_row(scene: lp.Scene) -> dict[str, Any]:
         "shared": circuit.shared_errors(cells, value, scene, 0.01, 2.0),
         "off": circuit.off_by(0.01),
         "numbers": circuit.line_numbers(),
-        "direction": circuit.direction,
+        "direction": nominal_terminations(circuit).sign,
         "texts": [
             circuit.description(),
             circuit.rails_reached(recorded),
@@ -217,7 +221,10 @@ def readout_row(scene: lp.Scene) -> dict[str, Any]:
     if scene.panel.modules is None:
         row |= {
             "simulated": circuit.simulated(cells[None], scene, *channels),
-            "beyond": circuit.beyond(network, scene, *channels),
+            "beyond": circuit.from_recorded(
+                circuit.simulated(network.cell_resistance, scene, *channels), scene
+            )
+            - network.reading(),
             "memory": channel_memory.with_memory(circuit, 0.1, volt[None]),
             "forgotten": channel_memory.without_memory(circuit, 0.1, recorded, sigma),
         }

@@ -15,7 +15,7 @@ from lampest.inference.circuits.compared_frames import broken_law
 from lampest.inference.prepared import Prepared
 from lampest.panel.effects.loose_contact import LooseContact
 from lampest.panel.readouts.readout import Readout
-from lampest.panel.readouts.starts import UNIFORM_KNOTS, uniform_readings
+from lampest.panel.readouts.starts import UNIFORM_KNOTS, several_panels, uniform_readings
 from lampest.recording.readings import Readings
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.posed import cost_of_solve
@@ -120,7 +120,7 @@ def test_fits_of_alternatives_begin_at_the_cells_of_a_neighbour(
     better_alternative.better_alternative(question, question.explanation)
     assert len(fits) > 10
     assert not [
-        scene.readout for scene in cold if not scene.circuit.several_panels(*scene.panel.shape)
+        scene.readout for scene in cold if not several_panels(scene.circuit, *scene.panel.shape)
     ]
 
 

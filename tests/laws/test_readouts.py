@@ -15,6 +15,7 @@ from numpy.testing import assert_allclose
 from lampest import Array, Bounds, Contacts, Faults, LoadedColumnsReadout, Panel, Readings, Scene
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.typed import members_of
+from lampest.panel.circuit import nominal_terminations
 from lampest.panel.equation import equation_of
 from lampest.panel.network import Network
 from lampest.panel.readouts import AnyReadout
@@ -282,7 +283,7 @@ def test_recorded_readings_and_volts_lead_back_to_the_reading(scene: Scene) -> N
         atol=near,
     )
     increase = readout.from_recorded(recorded + 1e-6 * size(recorded), scene) - reading
-    assert np.all(np.sign(increase) == readout.direction)
+    assert np.all(np.sign(increase) == nominal_terminations(readout).sign)
     assert np.all(reading > 0) and np.all(readout.sigma(recorded) >= 0)
     step = 1e-6 * np.abs(recorded)
     ends = [readout.from_recorded(recorded + sign * step, scene) for sign in (1, -1)]

@@ -38,6 +38,7 @@ from lampest.inference.prepared import Prepared
 from lampest.panel.lines import SeriesPerLine
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.driven_readout import DrivenReadout
+from lampest.panel.readouts.starts import uniform_branches
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.recording.simulation.simulation import Simulation
@@ -701,7 +702,7 @@ def test_the_true_one_of_two_panels_that_read_alike_is_found() -> None:
             idle_ohm=idle, idle_load_ohm=idle_load, drive_ohm=120.0, load_ohm=3300.0
         )
         cells = level * np.exp(rng.choice([0.3, 1.0]) * rng.standard_normal((8, 8)))
-        panels = readout.panels_alike(readout.exact_reading(cells))
+        panels = uniform_branches(readout, readout.exact_reading(cells))
         if panels:
             is_solution.append(
                 min(np.abs(np.log(panel / cells)).max() for _, panel in panels) < 0.01
@@ -759,7 +760,7 @@ def test_a_panel_that_is_taken_by_its_prior_alone_is_a_doubt() -> None:
     )
     cells = 3000 * np.exp(0.3 * np.random.default_rng(3).standard_normal((8, 8)))
     frames = np.stack([readout.exact_reading(cells)] * 3)
-    (taken, _), (true, panel) = readout.panels_alike(frames[0])
+    (taken, _), (true, panel) = uniform_branches(readout, frames[0])
     assert true > taken
     assert_allclose(panel, cells, rtol=1e-3)
     prepared = Prepared(recording_of(Scene(Panel(8, 8), readout), frames, 2))

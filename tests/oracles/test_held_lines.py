@@ -13,6 +13,7 @@ from lampest.audit.advice import Audit
 from lampest.audit.health import Health
 from lampest.audit.verdict import verdict
 from lampest.inference.prepared import Prepared
+from lampest.panel.readouts.starts import several_panels
 from tests.netlist import volts
 
 SHAPE = (5, 6)
@@ -106,13 +107,13 @@ def test_estimates_take_the_panel_where_idle_sensed_lines_alone_are_held() -> No
 
 
 def test_several_panels_have_readings_that_rise_and_fall() -> None:
-    assert DrivenReadout(**SENSED).several_panels(*SHAPE)
-    assert DrivenReadout(**BOTH).several_panels(*SHAPE)
+    assert several_panels(DrivenReadout(**SENSED), *SHAPE)
+    assert several_panels(DrivenReadout(**BOTH), *SHAPE)
     # Idle lines yield more than the driven one
     yielding = DrivenReadout(idle_ohm=3300.0, drive_ohm=50.0, load_ohm=1000.0)
-    assert not yielding.several_panels(*SHAPE)
-    assert not DrivenReadout(idle_ohm=0.0, drive_ohm=0.0).several_panels(*SHAPE)
-    assert not lampest.LoadedColumnsReadout(drive_ohm=470.0).several_panels(*SHAPE)
+    assert not several_panels(yielding, *SHAPE)
+    assert not several_panels(DrivenReadout(idle_ohm=0.0, drive_ohm=0.0), *SHAPE)
+    assert not several_panels(lampest.LoadedColumnsReadout(drive_ohm=470.0), *SHAPE)
 
 
 def test_a_cell_of_a_tenth_is_no_short_where_readings_rise_and_fall() -> None:

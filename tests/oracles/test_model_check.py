@@ -31,6 +31,7 @@ from lampest.inference.cells_fit import fitted
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
+from lampest.panel.readouts.inequalities import largest_series_ohm
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.simulation.measure import measured
 from tests.estimates import recording_of
@@ -75,7 +76,9 @@ def test_a_circuit_bounds_its_series_resistance(circuit: Readout) -> None:
     series_ohm = scene.specified_in_series
     assert series_ohm in (200.0, 300.0, 3000.0)
     assert (
-        bare.circuit.most_in_series(bare.circuit.from_recorded(recorded, bare), 1e-4 * recorded)
+        largest_series_ohm(
+            bare.circuit, bare.circuit.from_recorded(recorded, bare), 1e-4 * recorded
+        )
         >= series_ohm
     )
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from lampest import GroundedReadout, InputError, Panel, Readings, Recording, Scene
 from lampest.panel.readouts.channel_memory import with_memory
-from lampest.panel.readouts.readout import in_panel_order, in_scan_order
+from lampest.panel.readouts.scan_order import by_columns, in_panel_order, in_scan_order
 
 SHAPE = (3, 4)
 MEMORY = 0.1
@@ -54,9 +54,9 @@ def test_memory_is_taken_off_in_the_stated_order(order: Any) -> None:
 
 
 def test_without_a_key_a_scan_goes_along_the_driven_lines() -> None:
-    assert not GroundedReadout(driven="rows").by_columns
-    assert GroundedReadout(driven="columns").by_columns
-    assert not GroundedReadout(driven="columns", scan_order="rows").by_columns
+    assert not by_columns(GroundedReadout(driven="rows"))
+    assert by_columns(GroundedReadout(driven="columns"))
+    assert not by_columns(GroundedReadout(driven="columns", scan_order="rows"))
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ from lampest.cost.terms import term_kind
 from lampest.estimate.stream import in_scene
 from lampest.inference.circuits.model_check import ModelCheck
 from lampest.inference.prepared import Prepared
+from lampest.panel.readouts.unseen import unseen_scales
 
 INPUTS = DrivenReadout(
     drive_ohm=45.0, idle_ohm=45.0, load_ohm=inf, supply_volt=3.3, adc_bits=16, readings=1
@@ -65,7 +66,7 @@ def recording(readout: Any, measured: lampest.Readout, noise: float = 0.5) -> Re
 def test_scales_that_no_reading_shows_follow_from_the_circuit(
     readout: lampest.Readout, scales: tuple[str, ...]
 ) -> None:
-    assert readout.unseen_scales(*SHAPE) == scales
+    assert unseen_scales(readout, *SHAPE) == scales
 
 
 @pytest.mark.slow

@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from lampest.apps.microcontroller.drift import frames_to_follow
 from lampest.files.document import parse_document
 from lampest.files.errors import InputError
+from lampest.panel.circuit import nominal_terminations
 from lampest.panel.equation import equation_of
 from lampest.panel.lines import Side
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.readouts.unseen import unseen_scales
 from lampest.panel.scene import Scene
 from lampest.runs.case import CaseResult
 
@@ -118,7 +120,7 @@ class CircuitLines:
                 "the C library has no diodes: "
                 "drive the lines without one, or estimate on a computer"
             )
-        if readout.unseen_scales(*shape):
+        if unseen_scales(readout, *shape):
             raise InputError(
                 "the C library has no prior of scales that no reading shows: "
                 "give each sensed line a resistor (load_ohm), or estimate on a computer"
@@ -149,8 +151,8 @@ class CircuitLines:
                 "the C library has no lines that are held at ground while idle, "
                 "and driven or loaded through a resistor: single precision loses what differs"
             )
-        tie = readout.ties(np.full(shape, readout.driving_volt / 2))
-        lines = cls(tie, drive, release, load, readout.driving_volt * gain)
+        tie = readout.ties(np.full(shape, equation.source / 2))
+        lines = cls(tie, drive, release, load, equation.source * gain)
         # Anything else that a readout states would be lost silently.
         cells = np.geomspace(1e3, 1e4, shape[0] * shape[1]).reshape(shape)
         exact = readout.exact_reading(cells)
@@ -407,7 +409,7 @@ class Constants:
         if isinstance(readout, TwoPointReadout):
             rises = readout.measured_across == "sensor"
         else:
-            rises = readout.direction > 0
+            rises = nominal_terminations(readout).sign > 0
         return rises == (readout.code_sign > 0)
 
     def sums_of(self, case: CaseResult) -> NDArray[np.uint32]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from lampest.apps.microcontroller.constants import Constants
 from lampest.apps.microcontroller.library import library_version
+from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.driven import DrivenCircuit
@@ -187,7 +188,7 @@ def _circuit(constants: Constants) -> Entries:
         }
         sides = {
             "rows_driven": _literal(readout.driven == "rows"),
-            "mirrored": _literal(readout.mirrored),
+            "mirrored": _literal(nominal_terminations(readout).sign < 0),
         }
         return {"driven": "true"} | sides | lines
     assert isinstance(readout, TwoPointReadout)
@@ -222,8 +223,9 @@ def _converter(constants: Constants) -> Entries:
     low, high = constants.valid_sums
     # A mirrored voltage is taken from where loads end: the converter's input lowers this potential
     mirrored_at = readout.supply_volt
-    if isinstance(readout, DrivenCircuit) and readout.mirrored:
-        mirrored_at = readout.recorded_reference_volt
+    ends = nominal_terminations(readout)
+    if isinstance(readout, DrivenCircuit) and ends.sign < 0:
+        mirrored_at = ends.recorded_reference
     alike = bool(np.all(constants.sigma_volt == constants.sigma_volt.flat[0]))
     return {
         "top_sum": f"{constants.top_sum}u",

@@ -23,6 +23,9 @@ from lampest.files.process import delayed_interrupt, ended_where_hung
 from lampest.files.typed import Configuration
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
+from lampest.panel.readouts.floating import common_step
+from lampest.panel.readouts.starts import panels_beyond_folds, several_panels, uniform_branches
+from lampest.panel.readouts.unseen import unseen_scales
 from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
 from lampest.posterior.linear import UNKNOWN_SD, LinearModel
@@ -122,8 +125,8 @@ class Method(Configuration):
         if objective.relative:
             background = self._background_with_previous(state, readings)
         data = replace(objective.data(readings.alone(), background), first=state.first)
-        several = state.scene.wiring is None and state.scene.circuit.several_panels(
-            *state.scene.panel.shape
+        several = state.scene.wiring is None and several_panels(
+            state.scene.circuit, *state.scene.panel.shape
         )
         if state.previous is not None:
             start = state.previous
@@ -132,7 +135,7 @@ class Method(Configuration):
             return data, start[None]
         if several and state.panels is not None:
             return data, np.clip(state.panels.resting, data.lower[0], data.upper[0])[None]
-        panels = state.scene.circuit.panels_alike(state.resting.value)
+        panels = uniform_branches(state.scene.circuit, state.resting.value)
         if not panels:
             return data, None
         # Of several panels that give the same readings the one nearest to the unloaded panel is
@@ -152,8 +155,12 @@ class Method(Configuration):
         if state.panels is not None:
             known.append(state.panels.loaded)
         firsts = [cells for cells in known if np.isfinite(cells).all()]
-        panels = state.scene.circuit.every_panel(
-            readings.value, (data.lower[0], data.upper[0]), noise_share(readings), firsts
+        panels = panels_beyond_folds(
+            state.scene.circuit,
+            readings.value,
+            (data.lower[0], data.upper[0]),
+            noise_share(readings),
+            firsts,
         )
         if not panels or not np.isfinite(state.baseline_resistance).all():
             return state.previous
@@ -177,11 +184,14 @@ class Method(Configuration):
         if state.track is not None and state.track.deviation is not None:
             deviation = np.fmin(state.track.deviation, deviation)
         background = replace(background, previous_deviation=deviation)
+        if not state.scene.circuit.homogeneous:
+            return background
         # Remove the step that all cells have in common, so that the previous cells predict the
         # frame's level.
         data = state.estimator.data(readings.alone(), background)
-        model = data.network(0, previous).reading()
-        step = data.readout.common_step(data.measured[0], model, data.plain[0])
+        chosen = data.plain[0]
+        expected = data.network(0, previous).reading()[chosen]
+        step = common_step(data.measured[0][chosen], expected)
         return replace(background, previous=previous * step)
 
     def solve(self, state: SequenceState, data: Data, previous: Array | None) -> Step:
@@ -421,8 +431,8 @@ class OptimalMethod(Method):
             few = cost.panel.crossings <= NODAL_CELLS
             # From its start IPOPT may end at another panel that reads alike. Along scales that no
             # reading shows, its iterates wander until their limit (docs/studies/speed.md).
-            unseen = scene.circuit.unseen_scales(*cost.panel.shape)
-            several = scene.circuit.several_panels(*cost.panel.shape)
+            unseen = unseen_scales(scene.circuit, *cost.panel.shape)
+            several = several_panels(scene.circuit, *cost.panel.shape)
             fast = few and squared and not several and not unseen
             kind = "nodal" if fast and period >= NODAL_PERIOD else "reduced"
         return solver_of(cost, scene.circuit, scene.wiring, kind, settings)
@@ -465,7 +475,7 @@ def _elsewhere(solution: Solution, data: Data, start: Array) -> bool:
 
     IPOPT moves away from its start, and Newton's method does not.
     """
-    if not (solution.solved and data.readout.several_panels(*start.shape[-2:])):
+    if not (solution.solved and several_panels(data.readout, *start.shape[-2:])):
         return False
     from lampest.inference.circuits.alike import STILL
 

@@ -23,6 +23,7 @@ from lampest.inference.cells_fit import CellsFit, data_of_cells, fitted
 from lampest.inference.evidence import mostly_still
 from lampest.inference.pair import FittedPair
 from lampest.panel.panel import Array
+from lampest.panel.readouts.starts import panels_beyond_folds
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 
@@ -125,7 +126,7 @@ def _every_panel(scene: Scene, readings: Readings, tolerance: float) -> list[Arr
     """
     data = data_of_cells(scene, readings)
     limits = (data.lower[0], data.upper[0])
-    return scene.circuit.every_panel(readings.plain_values, limits, tolerance)
+    return panels_beyond_folds(scene.circuit, readings.plain_values, limits, tolerance)
 
 
 def _distinct_fits(scene: Scene, readings: Readings, panels: Sequence[Array]) -> list[CellsFit]:

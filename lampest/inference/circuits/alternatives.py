@@ -29,6 +29,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import Characteristic
 from lampest.panel.readouts.known_converters import Known
+from lampest.panel.readouts.scan_order import by_columns
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
@@ -227,7 +228,7 @@ def in_other_scan_order(specified: Alternative) -> Iterator[Alternative]:
     readout: Any = specified.scene.readout
     if readout is None or readout.scan_order is not None or specified.scene.panel.modules:
         return
-    order = "rows" if readout.by_columns else "columns"
+    order = "rows" if by_columns(readout) else "columns"
     yield replace(
         specified,
         scene=replace(specified.scene, readout=replace(readout, scan_order=order)),

@@ -17,6 +17,7 @@ from lampest.inference.circuits.alike import PanelChoice
 from lampest.inference.circuits.alternatives import Alternative, standing_frames
 from lampest.inference.variance_components import noted_excess
 from lampest.panel.panel import Array
+from lampest.panel.readouts.starts import several_panels
 from lampest.posterior.interval import largest_of
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -119,7 +120,7 @@ class ComparedFrames:
         The value is None where only one panel does, and without a loaded frame.
         """
         scene = self.specified.scene
-        several = scene.circuit.several_panels(*scene.panel.shape)
+        several = several_panels(scene.circuit, *scene.panel.shape)
         if not several or scene.wiring is not None or not len(self.standing):
             return None
         resting, loaded = self.readings(self.specified)

@@ -16,6 +16,7 @@ from lampest.inference.cells_fit import CellsFit, fitted
 from lampest.inference.circuits.alternatives import Alternative
 from lampest.inference.circuits.compared_frames import ComparedFrames
 from lampest.inference.pair import FittedPair
+from lampest.panel.readouts.starts import several_panels
 
 FAR = 100.0  # in scores, beyond what channels and the selection of moved cells change
 
@@ -188,6 +189,6 @@ def alternative_fits(
     """
     if near or specified is None or alternative.order is not None:
         return fits_of(alternative, frames, near)
-    if alternative.scene.circuit.several_panels(*alternative.scene.panel.shape):
+    if several_panels(alternative.scene.circuit, *alternative.scene.panel.shape):
         return fits_of(alternative, frames)
     return fits_of(alternative, frames, specified.fits[:1]) or fits_of(alternative, frames)

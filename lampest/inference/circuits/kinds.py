@@ -16,6 +16,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 
 from lampest.files.typed import members_of
+from lampest.panel.circuit import nominal_terminations
 from lampest.panel.lines import Side, opposite
 from lampest.panel.readouts import AnyReadout, Readout
 from lampest.panel.readouts.driven_readout import DrivenReadout
@@ -57,7 +58,7 @@ def with_potentials(specified: Any, scene: Scene) -> Iterator[Any]:
     """
     if getattr(specified, "load_volt", 0.0) is None and specified.polarity == "up":
         with suppress(ValueError):
-            yield replace(specified, load_volt=specified.driving_volt / 2)
+            yield replace(specified, load_volt=nominal_terminations(specified).source_volt / 2)
     if getattr(specified, "idle_load_ohm", 0.0) is None:
         with suppress(ValueError):
             yield replace(specified, idle_load_ohm=0.0)

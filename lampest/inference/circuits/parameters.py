@@ -19,6 +19,7 @@ from lampest.inference.circuits.explanation import FAR, Explanation, alternative
 from lampest.inference.evidence import PARAMETER_COST
 from lampest.panel.effects.converter_memory import KeptShare
 from lampest.panel.panel import Array
+from lampest.panel.readouts.inequalities import largest_series_ohm
 
 # −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
 # with the right circuit nearly all gain less (docs/theory/model_check.md).
@@ -277,7 +278,7 @@ def most_in_series(alternative: Alternative, frames: ComparedFrames) -> float:
     for frame in read:
         sigma = frame.sigma_of_values
         if sigma is not None:
-            limits.append(without.scene.circuit.most_in_series(frame.value[None], sigma[None]))
+            limits.append(largest_series_ohm(without.scene.circuit, frame.value[None], sigma[None]))
     most = min(limits)
     return MAX_SERIES_SHARE * most if np.isfinite(most) and most > 0 else 0.0
 

@@ -26,6 +26,7 @@ from lampest.inference.effects.effect import (
     estimated_entry,
 )
 from lampest.inference.noise import NoiseEstimate
+from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array
 from lampest.panel.readouts.converter import MAX_VOLT, Characteristic
 from lampest.panel.readouts.divider import Divider
@@ -261,8 +262,9 @@ def _zero_of_open_cells(recording: Recording) -> tuple[float, float] | None:
     unloaded = recording.role == UNLOADED
     if readout is None or not unloaded.any() or readout.code_sign < 0:
         return None
-    if isinstance(readout, DrivenCircuit) and not readout.mirrored:
-        at_open = readout.recorded_reference_volt
+    ends = nominal_terminations(readout)
+    if isinstance(readout, DrivenCircuit) and ends.sign > 0:
+        at_open = ends.recorded_reference
     elif isinstance(readout, Divider) and readout.measured_across == "reference":
         at_open = 0.0
     else:

@@ -15,6 +15,7 @@ from lampest.inference.noise import MIN_REQUESTED_FRAMES, NoiseEstimate
 from lampest.inference.variance_components import Scatter, unloaded_scatter
 from lampest.panel.effects.gain import Gain
 from lampest.panel.effects.ripple import Ripple
+from lampest.panel.readouts.scan_order import by_columns
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, plain_size
 from lampest.posterior.frame_noise import FrameNoise
@@ -68,7 +69,7 @@ def _with_specified(noise: NoiseEstimate, scene: Scene, unloaded: int) -> NoiseE
     if scene.readout is None or not (gain or ripple):
         return noise
     # a ripple that all lines share, independent from channel to channel
-    channels = scene.panel.shape[0 if scene.circuit.by_columns else 1]
+    channels = scene.panel.shape[0 if by_columns(scene.circuit) else 1]
     common = (
         ripple * scene.circuit.lsb_volt * np.eye(channels) if ripple else np.zeros((channels, 0))
     )

@@ -51,7 +51,7 @@ from lampest.panel.effects.motion import JITTERS, LoadMotion
 from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array
-from lampest.panel.readouts.readout import in_panel_order
+from lampest.panel.readouts.scan_order import in_panel_order
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED
 from lampest.posterior.frame_noise import FrameNoise

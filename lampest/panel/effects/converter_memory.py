@@ -6,7 +6,8 @@ import numpy as np
 
 from lampest.panel.effects.sized_effect import SizedEffect
 from lampest.panel.panel import Array
-from lampest.panel.readouts.readout import Readout, in_panel_order, in_scan_order
+from lampest.panel.readouts.readout import Readout
+from lampest.panel.readouts.scan_order import in_panel_order, in_scan_order
 from lampest.panel.sizes import BELOW_ONE
 
 

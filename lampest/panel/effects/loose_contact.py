@@ -31,4 +31,6 @@ class LooseContact(LineEffect):
     def added(self, scene: Scene, network: Network) -> Array:
         rows, columns = network.conductance.shape
         more = self.size * np.isin(np.arange(rows + columns), self.lines)
-        return scene.circuit.beyond(network, scene, more[:rows], more[rows:])
+        circuit = scene.circuit
+        recorded = circuit.simulated(network.cell_resistance, scene, more[:rows], more[rows:])
+        return np.asarray(circuit.from_recorded(recorded, scene) - network.reading())

@@ -6,7 +6,8 @@ import numpy as np
 
 from lampest.panel.effects.sized_effect import SizedEffect
 from lampest.panel.panel import Array
-from lampest.panel.readouts.readout import Readout, in_panel_order
+from lampest.panel.readouts.readout import Readout
+from lampest.panel.readouts.scan_order import by_columns, in_panel_order
 
 
 class Ripple(SizedEffect):
@@ -28,7 +29,7 @@ class Ripple(SizedEffect):
         The sizes are roots of covariances in volt, (channels of a scanned line, n).
         """
         common_ripple, line_ripple = sizes
-        lines, channels = values.shape[::-1] if circuit.by_columns else values.shape
+        lines, channels = values.shape[::-1] if by_columns(circuit) else values.shape
         common = np.repeat(common_ripple.T[:, None, :], lines, axis=1)
         by_line = np.zeros((lines, line_ripple.shape[1], lines, channels))
         for line in range(lines):
@@ -52,7 +53,7 @@ class Ripple(SizedEffect):
         """
         amplitude, hertz = sizes
         channels = volt[0].size
-        periods = volt.shape[2 if readout.by_columns else 1] if hertz is None else hertz * period_s
+        periods = volt.shape[2 if by_columns(readout) else 1] if hertz is None else hertz * period_s
         time = (np.arange(channels) + 0.5) / channels * periods
         phase = random.uniform(0, 2 * np.pi, len(volt))
         wave = in_panel_order(readout, np.sin(2 * np.pi * time + phase[:, None]), volt.shape)

@@ -3,7 +3,8 @@
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.panel.readouts.readout import Readout, in_panel_order, in_scan_order
+from lampest.panel.readouts.readout import Readout
+from lampest.panel.readouts.scan_order import in_panel_order, in_scan_order
 
 STEP_LSB = 1e-3  # of a voltage, for central differences
 

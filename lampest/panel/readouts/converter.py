@@ -173,10 +173,8 @@ class Converter(Completed):
     noise_lsb : PerLine or {'estimated'}, or None
         Standard deviation of one reading before quantisation, in least significant bits; a number
         or one for each driven line (`noisy_side`). 'estimated': from the unloaded frames. None:
-        from five or more unloaded frames, otherwise `usual_noise_lsb`.
-    usual_noise_lsb : float
-        Noise of a named converter by its data sheet, otherwise that of the shipped boards, which is
-        sufficient dither for averaging.
+        from five or more unloaded frames, otherwise that of a named converter by its data sheet, or
+        of the shipped boards, which is sufficient dither for averaging.
     floor_code : int, or None
         Codes at or below it were not recorded: such a reading, zero or infinite by its unit, is a
         bound.
@@ -310,19 +308,14 @@ class Converter(Completed):
         return self.noise_lsb not in (None, "estimated")
 
     @property
-    def usual_noise_lsb(self) -> float:
-        """Noise of one reading where the scene does not specify it, LSB."""
-        noise = self._stated.numbers.noise_lsb
-        return USUAL_NOISE_LSB if noise is None else noise
-
-    @property
     def assumed_noise(self) -> PerLine:
-        """`noise_lsb` if it is specified, otherwise `usual_noise_lsb`.
+        """`noise_lsb` if it is specified, otherwise that of the named converter or the usual one.
 
         The latter is the assumption until frames determine it.
         """
         if self.noise_lsb is None or self.noise_lsb == "estimated":
-            return self.usual_noise_lsb
+            noise = self._stated.numbers.noise_lsb
+            return USUAL_NOISE_LSB if noise is None else noise
         return self.noise_lsb
 
     @property
@@ -408,33 +401,12 @@ class Converter(Completed):
     def sigma_code(self, noise_lsb: PerLine | None = None, readings: int | None = None) -> Array:
         """Return σ of the mean of `readings` codes, in LSB.
 
-        σ² = (noise² + 1/12 − b²)/readings + b², with the variance b² of `rounding_variance`. None:
+        σ² = (noise² + 1/12 − b²)/readings + b², with the variance b² of `_rounding_variance`. None:
         the converter's own noise, or number of readings.
         """
         noise = np.array(self.assumed_noise if noise_lsb is None else noise_lsb)
-        bias = self.rounding_variance(noise)
+        bias = _rounding_variance(noise)
         return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / (readings or self.readings) + bias))
-
-    @staticmethod
-    def rounding_variance(noise: Array) -> Array:
-        """Return the part b² of the quantisation error that averaging cannot remove, LSB².
-
-        b² = Σ_h exp(−4π²h²·noise²)/(2π²h²), because without noise all readings agree. Without noise
-        b² is 1/12; above half an LSB of noise it is negligible. Source: Widrow & Kollár,
-        Quantization Noise, 2008 (dither).
-
-        Parameters
-        ----------
-        noise : array
-            Standard deviation of one reading before quantisation, LSB.
-        """
-        # Terms of b², one for each harmonic h of the quantisation error: noise (…, 1), harmonic
-        # (HARMONICS,)
-        harmonic = np.arange(1, HARMONICS + 1, dtype=float)
-        damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2))
-        damped = damped / (2 * np.pi**2 * harmonic**2)
-        bias = np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12))
-        return np.asarray(bias)
 
     def constant_share(self, noise_lsb: PerLine | None = None) -> Array:
         """Return the share of σ that averaging cannot remove, to be broadcast to (rows, columns).
@@ -443,7 +415,7 @@ class Converter(Completed):
         """
         if noise_lsb is None:
             return self._own_constant_share
-        rounding = self.rounding_variance(np.array(noise_lsb))
+        rounding = _rounding_variance(np.array(noise_lsb))
         share = np.sqrt(rounding) / self.sigma_code(noise_lsb)
         return np.asarray(along(self.noisy_side, share) if share.ndim else share)
 
@@ -505,3 +477,24 @@ class Converter(Completed):
             edges = np.array([max(edges[0], within[0]), min(edges[1], within[1])])
         ends = self.recorded_from_volt(edges)
         return float(ends.min()), float(ends.max())
+
+
+def _rounding_variance(noise: Array) -> Array:
+    """Return the part b² of the quantisation error that averaging cannot remove, LSB².
+
+    b² = Σ_h exp(−4π²h²·noise²)/(2π²h²), because without noise all readings agree. Without noise
+    b² is 1/12; above half an LSB of noise it is negligible. Source: Widrow & Kollár,
+    Quantization Noise, 2008 (dither).
+
+    Parameters
+    ----------
+    noise : array
+        Standard deviation of one reading before quantisation, LSB.
+    """
+    # Terms of b², one for each harmonic h of the quantisation error: noise (…, 1), harmonic
+    # (HARMONICS,)
+    harmonic = np.arange(1, HARMONICS + 1, dtype=float)
+    damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2))
+    damped = damped / (2 * np.pi**2 * harmonic**2)
+    bias = np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12))
+    return np.asarray(bias)

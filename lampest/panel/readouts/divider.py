@@ -11,7 +11,8 @@ import numpy as np
 from lampest.panel.circuit import Ends, Terminations, scanned
 from lampest.panel.lines import Groups, LineNumber, check_resistors, parallel
 from lampest.panel.panel import Array
-from lampest.panel.readouts.readout import SHORT_SHARE, Readout, Surroundings
+from lampest.panel.readouts.readout import Readout, Surroundings
+from lampest.panel.readouts.starts import SHORT_SHARE
 
 
 class Divider(Readout):
@@ -55,9 +56,6 @@ class Divider(Readout):
             gain=np.ones(sensed),
             as_resistance=True,
         )
-
-    def most_in_series(self, measured: Array, sigma: Array) -> float:
-        return float(measured[np.isfinite(sigma)].min(initial=np.inf))
 
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
         return np.asarray(self._between_lines(recorded) - scene.series_ohm)

@@ -30,7 +30,6 @@ from lampest.panel.lines import (
     with_channels,
 )
 from lampest.panel.panel import Array
-from lampest.panel.readouts.channels import errors_of_channels
 from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
 from lampest.panel.readouts.readout import Readout, Surroundings
 
@@ -123,12 +122,6 @@ class DrivenCircuit(Readout):
     def _ground(self) -> float:
         """Potential of the ends without one of their own: ground, or the supply, in volt."""
         return self.supply_volt if self.polarity == "down" else 0.0
-
-    @property
-    def driving_volt(self) -> float:
-        """Voltage of the source against the reference of the line ends, in volt."""
-        ends = nominal_terminations(self)
-        return float(np.mean(ends.relative(ends.source)))
 
     @property
     def full_scale_volt(self) -> float:
@@ -262,11 +255,6 @@ class DrivenCircuit(Readout):
     def noisy_side(self) -> Side:
         return self.driven
 
-    @property
-    def recorded_reference_volt(self) -> float:
-        """Recorded value of a network's reading of 0."""
-        return nominal_terminations(self).recorded_reference
-
     def offset(self, shape: tuple[int, ...]) -> Array | float:
         if self.offset_volt is None:
             return 0.0
@@ -288,7 +276,33 @@ class DrivenCircuit(Readout):
         return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
 
     def channel_errors(self, cells: Array, scene: Surroundings, channel: float) -> Array:
-        return errors_of_channels(self, cells, scene.wiring, channel)
+        """Return the effect of each line's channel on the readings, rows first.
+
+        Where idle driven lines are not connected through their channels, the channel of a driven
+        line changes the readings of this line alone, so that one network shows all of them.
+        """
+        rows = len(cells)
+        lines = np.eye(sum(cells.shape))
+        driven, sensed = of_side(self.driven, *np.split(np.arange(len(lines)), [rows]))
+        errors = np.zeros((len(lines), *cells.shape))
+        unchanged = self.exact_reading(cells, scene.wiring)
+
+        def with_additions(chosen: Array) -> "DrivenCircuit":
+            return self.with_channels(*np.split(channel * chosen, [rows]))
+
+        def error(chosen: Array) -> Array:
+            return with_additions(chosen).exact_reading(cells, scene.wiring) - unchanged
+
+        every = lines[driven].sum(axis=0)
+        if np.array_equal(self.ties(cells), with_additions(every).ties(cells)):
+            together = error(every)
+            for line, own in zip(driven, np.eye(len(driven)), strict=True):
+                errors[line] = together * along(self.driven, own)
+        else:
+            errors[driven] = [error(one) for one in lines[driven]]
+        if self.sense_ohm:
+            errors[sensed] = [error(one) for one in lines[sensed]]
+        return errors
 
     def with_channels(self, row_ohm: Array, column_ohm: Array) -> Self:
         """Return the circuit with additional channel resistances, (rows,) and (columns,) ohm."""

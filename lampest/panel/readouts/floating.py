@@ -194,6 +194,21 @@ def _step(
     return step
 
 
+def common_step(measured: Array, expected: Array) -> float:
+    """Return exp of the mean of the shortest half of log R_m/R, (readings,) each.
+
+    A load on some lines does not affect it. Two-point resistances are homogeneous: a common factor
+    of all cells is the factor of all readings. The result is 1 without readings. Source: Andrews
+    et al., Robust Estimates of Location, 1972 (the shorth).
+    """
+    steps = np.sort(np.log(measured / expected))
+    half = len(steps) // 2 + 1
+    if half > len(steps):
+        return 1.0
+    first = int(np.argmin(steps[half - 1 :] - steps[: len(steps) - half + 1]))
+    return float(np.exp(steps[first : first + half].mean()))
+
+
 Index = NDArray[np.intp]
 # Amplification of rounding that leaves 11 digits; usual panels have about 3·(rows + columns).
 SAFE_CONDITION = 1e4

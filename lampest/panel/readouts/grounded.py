@@ -88,7 +88,7 @@ class GroundedReadout(DrivenCircuit):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.idle_load_ohm is not None and self.all_loaded:
+        if self.idle_load_ohm is not None and self._all_loaded:
             raise ValueError(
                 "idle_load_ohm has no place with sense: all, where every sensed line keeps its load"
             )
@@ -96,7 +96,7 @@ class GroundedReadout(DrivenCircuit):
     def description(self) -> str:
         sensed = opposite(self.driven)
         loads = f"one of the {sensed} loaded, the others floating"
-        if self.all_loaded:
+        if self._all_loaded:
             loads = f"all {sensed} loaded"
         elif self.idle_load_ohm is not None:
             idle = lines_text(self.idle_load_ohm)
@@ -109,7 +109,7 @@ class GroundedReadout(DrivenCircuit):
         )
 
     @property
-    def all_loaded(self) -> bool:
+    def _all_loaded(self) -> bool:
         """Whether every sensed line has its load all the time."""
         return self.sense == "all" and self.groups is None
 
@@ -122,7 +122,7 @@ class GroundedReadout(DrivenCircuit):
         drive = Ends.of(np.maximum(drive.ohm, MIN_OHM), drive.volt)
         load = self.load_ends(sensed)
         total = load.behind(per_line("sense_ohm", self.sense_ohm, sensed))
-        idle_load = total if self.all_loaded else self.idle_load_ends(sensed)
+        idle_load = total if self._all_loaded else self.idle_load_ends(sensed)
         return Terminations(
             self.driven,
             scanned(drive, self.idle_ends(drive.ohm)),

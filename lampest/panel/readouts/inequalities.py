@@ -8,9 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from lampest.files.levels import NOISE_REACH
-from lampest.panel.equation import Equation
+from lampest.panel.circuit import CircuitOfLines
+from lampest.panel.equation import Equation, equation_of
 from lampest.panel.lines import lines_text
 from lampest.panel.panel import Array
+from lampest.panel.readouts.starts import nearly_shorted
+from lampest.panel.readouts.unseen import SolvableCircuit
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +38,21 @@ class FreeTest:
     single: Array | None = None
 
 
-def least_cells(equation: Equation, measured: Array, sigma: Array | None) -> Array | None:
+def least_cells(circuit: SolvableCircuit, measured: Array, sigma: Array | None) -> Array:
+    """Return lower bounds of the cells, (…, rows, columns) ohm, for readings and their σ.
+
+    Parallel paths lower a two-point resistance, r ≥ R; paper, equation (12). σ is None if it is
+    unknown.
+    """
+    equation = equation_of(circuit, *measured.shape[-2:])
+    if equation.two_point:
+        return measured.copy()
+    least = nearly_shorted(circuit, measured)
+    bound = _least_by_currents(equation, measured, sigma)
+    return least if bound is None else np.asarray(np.maximum(bound, least))
+
+
+def _least_by_currents(equation: Equation, measured: Array, sigma: Array | None) -> Array | None:
     """Return the lower bounds r_ij ≥ u_i/I_i − Rs_j of the cells, where idle lines float.
 
     Shape (…, rows, columns), ohm. I_i = Σ_j V_ij/Rs_j is the current of the driven line, increased
@@ -108,7 +125,19 @@ def _tests_of_potentials(equation: Equation, measured: Array, sigma: Array) -> t
     return (FreeTest(law, excess.reshape(len(excess), -1).max(axis=1), excess[0].size),)
 
 
-def largest_drive_ohm(equation: Equation, measured: Array, sigma: Array) -> float:
+def largest_series_ohm(circuit: CircuitOfLines, measured: Array, sigma: Array) -> float:
+    """Return the largest possible resistance in series with the panel, ohm.
+
+    `measured` and `sigma` are those of `free_tests`, computed for a circuit without resistance in
+    series.
+    """
+    equation = equation_of(circuit, *measured.shape[-2:])
+    if equation.terminations.as_resistance:
+        return float(measured[np.isfinite(sigma)].min(initial=np.inf))
+    return _largest_drive_ohm(equation, measured, sigma)
+
+
+def _largest_drive_ohm(equation: Equation, measured: Array, sigma: Array) -> float:
     """Return the upper bound of Rd, min_i (U − V_d − max_j v_ij)/Σ_j v_ij/Rs_j, ohm.
 
     The sum is over simultaneous loads; with one load at a time each reading is taken alone.

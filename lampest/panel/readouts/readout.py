@@ -7,7 +7,6 @@ else follows from the ends: `lampest.panel.equation` has the equation of the rea
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol, Self
 
@@ -30,13 +29,12 @@ from lampest.panel.panel import Array, Panel, connected_parts
 from lampest.panel.readouts import inequalities, starts
 from lampest.panel.readouts.converter import Converter
 from lampest.panel.readouts.inequalities import FreeTest
+from lampest.panel.readouts.scan_order import check_scan_order
 from lampest.panel.readouts.starts import USUAL_OHM
-from lampest.panel.readouts.unseen import Scale, unseen_scales
+from lampest.panel.readouts.unseen import unseen_scales
 from lampest.panel.readouts.wiring import Wiring
 
 LARGEST_OHM = 1e8  # of cells whose scale no reading shows: insulation beside usual ones
-# Of the apparent resistance: readings of such a cell differ by a millionth from those of a short.
-SHORT_SHARE = 1e-6
 
 
 class Surroundings(Protocol):
@@ -126,53 +124,13 @@ class Readout(Converter, ABC):
         )
         return driven, sensed
 
-    @property
-    def mirrored(self) -> bool:
-        """Whether the voltage at the converter falls where the network's reading rises."""
-        return nominal_terminations(self).sign < 0
-
-    @property
-    def by_columns(self) -> bool:
-        """Whether a scan goes column by column; a list of readings counts as rows."""
-        return (self.noisy_side if self.scan_order is None else self.scan_order) == "columns"
-
-    def scan_places(self, rows: int, columns: int) -> NDArray[np.intp]:
-        """Return the numbers of the readings, rows first, in scan order, (rows · columns,).
-
-        Readings that a list leaves out are the last ones.
-        """
-        places = np.arange(rows * columns).reshape(rows, columns)
-        if not isinstance(self.scan_order, tuple):
-            return places.T.ravel() if self.by_columns else places.ravel()
-        row, column = np.array(self.scan_order).T
-        listed = places[row, column]
-        return np.concatenate([listed, np.setdiff1d(places, listed)])
-
-    def _check_scan_order(self, panel: Panel) -> None:
-        """Raise ValueError unless a list of readings names every cell of a panel once."""
-        if not isinstance(self.scan_order, tuple):
-            return
-        rows, columns = panel.shape
-        for row, column in self.scan_order:
-            if not (0 <= row < rows and 0 <= column < columns):
-                raise ValueError(f"readout.scan_order: there is no reading [{row}, {column}]")
-        if len(set(self.scan_order)) < len(self.scan_order):
-            twice = next(at for at in self.scan_order if self.scan_order.count(at) > 1)
-            raise ValueError(f"readout.scan_order: {list(twice)} is listed twice")
-        listed = np.zeros(panel.shape, dtype=bool)
-        for at in self.scan_order:
-            listed[at] = True
-        left_out = np.argwhere(panel.present & ~listed)
-        if len(left_out):
-            raise ValueError(f"readout.scan_order: {left_out[0].tolist()} is left out")
-
     def check(self, scene: Surroundings) -> None:
         """Raise ValueError if the scene does not fit the readout or the panel.
 
         A scene does not fit the readout if it has keys that the readout cannot model.
         """
         per_line("noise_lsb", self.assumed_noise, of_side(self.noisy_side, *scene.panel.shape)[0])
-        self._check_scan_order(scene.panel)
+        check_scan_order(self, scene.panel)
         if np.any(scene.series_ohm) and not self.in_series:
             raise ValueError(
                 "series_resistance_ohm belongs to readout.kind: two_point; "
@@ -194,17 +152,11 @@ class Readout(Converter, ABC):
 
     # Readings of cells.
 
-    def ties(self, measured: Array) -> Array:
+    def ties(self, measured: Array, parts: NDArray[np.intp] | None = None) -> Array:
         """Return the ties to ground of the bases, (lines,) siemens, or (addresses, lines).
 
-        Lines that 0 ohm hold have infinite ties.
-        """
-        return self.ties_of_parts(measured, None)
-
-    def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
-        """Return the ties of a panel that open cells may divide.
-
-        `parts`, (lines,), is the number of each line's part, None for a connected panel.
+        Lines that 0 ohm hold have infinite ties. `parts`, (lines,), is the number of each line's
+        part of a panel that open cells divide; None for a connected panel.
         """
         equation = equation_of(self, *measured.shape[-2:])
         ties = equation.ties_of_parts(parts, lambda: self.apparent_resistance(measured))
@@ -305,50 +257,6 @@ class Readout(Converter, ABC):
         """
         return starts.start(self, measured, upper, near)
 
-    def several_panels(self, rows: int, columns: int) -> bool:
-        """Return whether the readings of usual cells may be those of quite different cells, too."""
-        return starts.several_panels(self, rows, columns)
-
-    def every_panel(
-        self,
-        measured: Array,
-        limits: tuple[Array, Array],
-        tolerance: float,
-        firsts: Sequence[Array] = (),
-    ) -> list[Array]:
-        """Return panels that give readings, (rows, columns) ohm each.
-
-        The result is empty for circuits that do not have `several_panels`.
-
-        Parameters
-        ----------
-        measured : array, shape (rows, columns)
-            Readings; those that are NaN do not count.
-        limits : tuple of two arrays, shape (rows, columns)
-            Smallest and largest resistances, ohm; equal where a cell is known.
-        tolerance : float
-            Largest root mean square of the differences to them, over the median reading.
-        firsts : sequence of array, shape (rows, columns)
-            Cells at which searches begin, in addition to uniform ones, ohm.
-        """
-        return starts.panels_beyond_folds(self, measured, limits, tolerance, firsts)
-
-    def panels_alike(self, measured: Array) -> list[tuple[float, Array]]:
-        """Return the panels that give readings, the most probable one first.
-
-        A panel is ln p and cells (rows, columns) ohm. The list is empty where uniform panels give
-        the median reading with one resistance alone; see `lampest.panel.readouts.branches`.
-        """
-        return starts.uniform_branches(self, measured)
-
-    def unseen_scales(self, rows: int, columns: int) -> tuple[Scale, ...]:
-        """Return the scales of cells that no reading shows: 'all', 'rows', 'columns'."""
-        equation = equation_of(self, rows, columns)
-        # A load, or nothing that conducts elsewhere, shows the scale
-        if np.isfinite(equation.load).all() or equation.floating:
-            return ()
-        return unseen_scales(self, rows, columns)
-
     def resolution(self, measured: Array, sigma: Array) -> Array:
         """Return the resolution limit r_max = |∂y_c/∂g_c|/σ at the uniform start.
 
@@ -359,7 +267,7 @@ class Readout(Converter, ABC):
         any uniform panel.
         """
         rows, columns = measured.shape[-2:]
-        if self.unseen_scales(rows, columns):
+        if unseen_scales(self, rows, columns):
             return np.full(measured.shape, LARGEST_OHM)
         if starts.by_uniform_panels(self, measured):
             return np.asarray(starts.uniform_responses(self, rows, columns) / sigma)
@@ -371,28 +279,6 @@ class Readout(Converter, ABC):
         # |∂y_c/∂g_c|/σ = |J_cc|/(g σ) = |J_cc|·r/σ
         return np.asarray(np.maximum(np.abs(response) * start / sigma, 2 * start))
 
-    def nearly_shorted(self, measured: Array) -> Array:
-        """Return cells that count as shorts, (…, rows, columns) ohm.
-
-        A share of the uniform start bounds them, too, because with idle lines at ground the
-        apparent resistance is many times too large. So is the nearest uniform panel where a reading
-        lies beyond those of all.
-        """
-        start = self.uniform_start(measured)
-        if starts.by_uniform_panels(self, measured):
-            return SHORT_SHARE * np.minimum(start, USUAL_OHM)
-        return SHORT_SHARE * np.minimum(self.apparent_resistance(measured), start)
-
-    def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        """Return lower bounds of the cells, (…, rows, columns) ohm, for readings and their σ.
-
-        σ is None if it is unknown.
-        """
-        equation = equation_of(self, *measured.shape[-2:])
-        least = self.nearly_shorted(measured)
-        bound = inequalities.least_cells(equation, measured, sigma)
-        return least if bound is None else np.asarray(np.maximum(bound, least))
-
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
         """Return tests of inequalities that the circuit's readings satisfy for any cells.
 
@@ -401,29 +287,6 @@ class Readout(Converter, ABC):
         """
         equation = equation_of(self, *measured.shape[-2:])
         return inequalities.free_tests(equation, measured, sigma)
-
-    def most_in_series(self, measured: Array, sigma: Array) -> float:
-        """Return the largest possible resistance in series with the panel, ohm.
-
-        `measured` and `sigma` are those of `free_tests`, computed for a circuit without resistance
-        in series.
-        """
-        equation = equation_of(self, *measured.shape[-2:])
-        return inequalities.largest_drive_ohm(equation, measured, sigma)
-
-    def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
-        """Return the common factor of all cells relative to a prediction.
-
-        The result is 1 if the kind cannot determine it.
-
-        Parameters
-        ----------
-        measured, expected : array, shape (rows, columns)
-            Readings and their prediction.
-        chosen : boolean array
-            Readings that are used.
-        """
-        return 1.0
 
     # Information of readings on the circuit.
 
@@ -457,11 +320,6 @@ class Readout(Converter, ABC):
             return reading
         return np.asarray(level + ends.sign * reading)
 
-    @property
-    def direction(self) -> float:
-        """1 if the network's reading grows with the recorded value, -1 if it falls."""
-        return -1.0 if self.mirrored else 1.0
-
     def rails_reached(self, recorded: Array) -> str:
         """Return the rails that recorded readings exceed, in words; '' if no reading does."""
         least, largest = self.rails()
@@ -488,16 +346,6 @@ class Readout(Converter, ABC):
         of a side,) ohm.
         """
         return self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
-
-    def beyond(
-        self, network: Network, scene: Surroundings, row_ohm: Array, column_ohm: Array
-    ) -> Array:
-        """Return the change of a network's readings by additional channel resistance.
-
-        Shape (rows, columns).
-        """
-        recorded = self.simulated(network.cell_resistance, scene, row_ohm, column_ohm)
-        return np.asarray(self.from_recorded(recorded, scene) - network.reading())
 
     def off_by(self, fraction: float) -> Self:
         """Return the circuit with every reference resistor larger by a fraction.
@@ -563,23 +411,3 @@ class Readout(Converter, ABC):
                 for extra in channel * np.eye(rows + columns)
             ]
         )
-
-
-def in_scan_order(readout: Readout, values: Array) -> Array:
-    """Return values (…, rows, columns) in scan order, (…, channels)."""
-    flat = values.reshape(*values.shape[:-2], -1)
-    return np.asarray(flat[..., readout.scan_places(*values.shape[-2:])])
-
-
-def in_scan_lines(readout: Readout, values: Array) -> Array:
-    """Return values (…, rows, columns) in scan order by scanned lines, (…, lines, channels)."""
-    rows, columns = values.shape[-2:]
-    lines, channels = (columns, rows) if readout.by_columns else (rows, columns)
-    return in_scan_order(readout, values).reshape(*values.shape[:-2], lines, channels)
-
-
-def in_panel_order(readout: Readout, channels: Array, shape: tuple[int, ...]) -> Array:
-    """Return values (…, channels) in scan order as an array of `shape` (…, rows, columns)."""
-    flat = np.empty_like(channels)
-    flat[..., readout.scan_places(*shape[-2:])] = channels
-    return flat.reshape(shape)

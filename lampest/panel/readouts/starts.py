@@ -5,41 +5,25 @@ All are functions of a circuit whose lines end as `lampest.panel.circuit` says.
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 
 from lampest.panel.circuit import CircuitOfLines, nominal_terminations
 from lampest.panel.equation import Equation, equation_of
-from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import branches
 from lampest.panel.readouts.alternation import Alternation
 from lampest.panel.readouts.branches import LEVELS, MAX_CELLS, MAX_MISFIT, MIN_FOLD, misfit
 from lampest.panel.readouts.floating import convex_start, uniform_factor
-from lampest.panel.readouts.wiring import Wiring
+from lampest.panel.readouts.unseen import SolvableCircuit, unseen_scales
 
 UNIFORM_LEVELS = 140  # of uniform panels, from 10 ohm to 100 Mohm: 12 % from one to the next
 UNIFORM_KNOTS = 48  # of these levels that networks are solved for; the others are interpolated
 USUAL_OHM = 10_000.0  # of cells whose scale no resistor sets
 MIN_LOAD_SHARE = 1e-3  # of a load: least apparent resistance, for readings at the end of the range
+# Of the apparent resistance: readings of such a cell differ by a millionth from those of a short.
+SHORT_SHARE = 1e-6
 OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
-
-
-class SolvableCircuit(CircuitOfLines, Protocol):
-    """Interface of a readout whose cells are searched for."""
-
-    def ties(self, measured: Array) -> Array:
-        """Return the ties of the lines, see `Readout.ties`."""
-
-    def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
-        """Return the solved network, see `Readout.network`."""
-
-    def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
-        """Return the readings of cells (…, rows, columns) ohm."""
-
-    def unseen_scales(self, rows: int, columns: int) -> tuple[str, ...]:
-        """Return the scales of cells that no reading shows."""
 
 
 def _equation(circuit: CircuitOfLines, measured: Array) -> Equation:
@@ -105,7 +89,7 @@ def by_uniform_panels(circuit: SolvableCircuit, measured: Array) -> bool:
     equation = _equation(circuit, measured)
     if equation.plain and np.isfinite(equation.load).all():
         return False
-    return not circuit.unseen_scales(*measured.shape[-2:])
+    return not unseen_scales(circuit, *measured.shape[-2:])
 
 
 def _of_uniform_panels(circuit: SolvableCircuit, measured: Array) -> Array:
@@ -133,7 +117,7 @@ def start(
     positive = np.maximum(measured, OPEN_SHARE * measured.max())
     if near is not None:
         firsts = [near]
-    elif circuit.unseen_scales(*measured.shape):
+    elif unseen_scales(circuit, *measured.shape):
         firsts = [uniform_start(circuit, measured)]
     else:
         firsts = branches.uniform_panels(log_medians(circuit, *measured.shape), positive)
@@ -149,11 +133,24 @@ def start(
     return panels[0][1] if panels else np.minimum(uniform_start(circuit, measured), upper)
 
 
+def nearly_shorted(circuit: SolvableCircuit, measured: Array) -> Array:
+    """Return cells that count as shorts, (…, rows, columns) ohm.
+
+    A share of the uniform start bounds them, too, because with idle lines at ground the apparent
+    resistance is many times too large. So is the nearest uniform panel where a reading lies beyond
+    those of all.
+    """
+    cells = circuit.uniform_start(measured)
+    if by_uniform_panels(circuit, measured):
+        return SHORT_SHARE * np.minimum(cells, USUAL_OHM)
+    return SHORT_SHARE * np.minimum(apparent_resistance(circuit, measured), cells)
+
+
 def several_panels(circuit: SolvableCircuit, rows: int, columns: int) -> bool:
     """Return whether readings rise and fall with the conductance of the cells.
 
-    They do where idle lines hold the driven one harder than its driver does. The readings of
-    uniform panels show it.
+    The readings of usual cells may then be those of quite different cells, too: idle lines hold
+    the driven one harder than its driver does. The readings of uniform panels show it.
     """
     # Where the driven line has no resistance, or no idle line is held, readings only rise
     if not nominal_terminations(circuit).driving.ohm.diagonal().any():
@@ -163,7 +160,7 @@ def several_panels(circuit: SolvableCircuit, rows: int, columns: int) -> bool:
         np.any(np.isfinite(side.base.ohm) & (side.base.ohm != side.own.ohm))
         for side in (equation.driving, equation.sensing)
     )
-    if not held or circuit.unseen_scales(rows, columns):
+    if not held or unseen_scales(circuit, rows, columns):
         return False
     medians = log_medians(circuit, rows, columns)
     return bool(medians.max() - medians[0] > MIN_FOLD)
@@ -176,7 +173,22 @@ def panels_beyond_folds(
     tolerance: float,
     firsts: Sequence[Array] = (),
 ) -> list[Array]:
-    """Return panels that give readings; see `Readout.every_panel`."""
+    """Return panels that give readings, (rows, columns) ohm each.
+
+    The result is empty for circuits that do not have `several_panels`.
+
+    Parameters
+    ----------
+    circuit : SolvableCircuit
+    measured : array, shape (rows, columns)
+        Readings; those that are NaN do not count.
+    limits : tuple of two arrays, shape (rows, columns)
+        Smallest and largest resistances, ohm; equal where a cell is known.
+    tolerance : float
+        Largest root mean square of the differences to them, over the median reading.
+    firsts : sequence of array, shape (rows, columns)
+        Cells at which searches begin, in addition to uniform ones, ohm.
+    """
     if measured.size > MAX_CELLS or not several_panels(circuit, *measured.shape):
         return []
     positive = np.maximum(measured, OPEN_SHARE * np.nanmax(measured))
@@ -192,8 +204,12 @@ def panels_beyond_folds(
 
 
 def uniform_branches(circuit: SolvableCircuit, measured: Array) -> list[tuple[float, Array]]:
-    """Return the panels that give readings; see `Readout.panels_alike`."""
-    if _equation(circuit, measured).floating or circuit.unseen_scales(*measured.shape):
+    """Return the panels that give readings, the most probable one first.
+
+    A panel is ln p and cells (rows, columns) ohm. The list is empty where uniform panels give the
+    median reading with one resistance alone; see `lampest.panel.readouts.branches`.
+    """
+    if _equation(circuit, measured).floating or unseen_scales(circuit, *measured.shape):
         return []
     positive = np.maximum(measured, OPEN_SHARE * measured.max())
     firsts = branches.uniform_panels(log_medians(circuit, *measured.shape), positive)
@@ -205,7 +221,7 @@ def uniform_branches(circuit: SolvableCircuit, measured: Array) -> list[tuple[fl
 def _panels_from(
     circuit: SolvableCircuit, measured: Array, firsts: Sequence[Array], upper: Array
 ) -> list[tuple[float, Array]]:
-    """Return the panels that give the readings, as `panels_alike`, from the first ones."""
+    """Return the panels that give the readings, as `uniform_branches`, from the first ones."""
     return branches.panels_alike(
         lambda cells: circuit.network(cells, circuit.ties(measured)), measured, firsts, upper
     )

@@ -105,10 +105,7 @@ class TwoPointReadout(Divider):
             f"measured across the {self.measured_across}{converter}, {self.converter_description()}"
         )
 
-    def ties(self, measured: Array) -> Array:
-        return grounding(measured)
-
-    def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
+    def ties(self, measured: Array, parts: NDArray[np.intp] | None = None) -> Array:
         return grounding(measured, parts)
 
     @property
@@ -126,30 +123,12 @@ class TwoPointReadout(Divider):
             return super().exact_reading(cell_resistance, wiring)
         return two_point_resistance(cell_resistance)
 
-    def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        """Return the lower bounds r ≥ R: parallel paths lower a reading; paper, equation (12)."""
-        return measured.copy()
-
     def resolution(self, measured: Array, sigma: Array) -> Array:
         """Return r_max = R²/σ, at least twice the uniform start.
 
         An open cell in its place changes R by the noise σ.
         """
         return np.asarray(np.maximum(measured**2 / sigma, 2 * self.uniform_start(measured)))
-
-    def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
-        """Return exp of the mean of the shortest half of log R_m/R.
-
-        A load on some lines does not affect it. Two-point resistances are homogeneous: a common
-        factor of all cells is the factor of all readings. The result is 1 without readings. Source:
-        Andrews et al., Robust Estimates of Location, 1972 (the shorth).
-        """
-        steps = np.sort(np.log(measured[chosen] / expected[chosen]), axis=None)
-        half = len(steps) // 2 + 1
-        if half > len(steps):
-            return 1.0
-        first = int(np.argmin(steps[half - 1 :] - steps[: len(steps) - half + 1]))
-        return float(np.exp(steps[first : first + half].mean()))
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
         """Return the test of R_jk ≤ R_jq + R_pq + R_pk; see `four_point_excess`."""
@@ -236,11 +215,8 @@ class ModulesReadout(TwoPointReadout):
 
     layout: Modules = Modules(1, 1, EachModule(1, 1))
 
-    def ties(self, measured: Array) -> Array:
+    def ties(self, measured: Array, parts: NDArray[np.intp] | None = None) -> Array:
         return grounding(self.layout.split(measured))
-
-    def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
-        return self.ties(measured)
 
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
         from lampest.panel.joined_network import JoinedNetwork  # for modules alone

@@ -7,12 +7,15 @@ them. One search at scattered cells finds it for a circuit.
 """
 
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
+from lampest.panel.circuit import CircuitOfLines
+from lampest.panel.equation import equation_of
+from lampest.panel.network import Network
 from lampest.panel.panel import Array
-from lampest.panel.readouts.starts import SolvableCircuit
+from lampest.panel.readouts.wiring import Wiring
 
 Scale = Literal["all", "rows", "columns"]
 TYPICAL_OHM = 3000.0
@@ -23,8 +26,30 @@ NULL = 1e-6  # singular value over the largest; of readings that are shown 0.01 
 WITHIN = 0.9  # share of a scale's square that lies in the null space
 
 
+class SolvableCircuit(CircuitOfLines, Protocol):
+    """Interface of a readout whose cells are searched for."""
+
+    def ties(self, measured: Array) -> Array:
+        """Return the ties of the lines, see `Readout.ties`."""
+
+    def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
+        """Return the solved network, see `Readout.network`."""
+
+    def uniform_start(self, measured: Array) -> Array:
+        """Return cells (…, rows, columns) ohm as if all were equal."""
+
+    def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
+        """Return the readings of cells (…, rows, columns) ohm."""
+
+
 def unseen_scales(circuit: SolvableCircuit, rows: int, columns: int) -> tuple[Scale, ...]:
-    """Return the scales that no reading shows: of all cells, of each row, of each column."""
+    """Return the scales that no reading shows: of all cells, of each row, of each column.
+
+    A load, or nothing that conducts elsewhere, shows the scale.
+    """
+    equation = equation_of(circuit, rows, columns)
+    if np.isfinite(equation.load).all() or equation.floating:
+        return ()
     listed = any(isinstance(value, tuple) for value in vars(circuit).values())
     if not listed:
         return _unseen(circuit, min(rows, MAX_LINES), min(columns, MAX_LINES))

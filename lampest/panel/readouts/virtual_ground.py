@@ -81,7 +81,7 @@ class VirtualGroundReadout(DrivenCircuit):
 
     def description(self) -> str:
         return (
-            f"virtual ground, {self.driven} driven to {self.driving_volt:g} V "
+            f"virtual ground, {self.driven} driven to {nominal_terminations(self).source_volt:g} V "
             f"while all other lines are grounded, converter to {self.full_scale_volt:g} V, "
             f"drive {lines_text(self.drive_ohm)}, sense {lines_text(self.sense_ohm)}, "
             f"feedback {lines_text(self.feedback_ohm)}{self._end_text}"

@@ -27,7 +27,7 @@ from lampest.panel.lines import of_side
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.channel_memory import with_memory
-from lampest.panel.readouts.readout import in_panel_order
+from lampest.panel.readouts.scan_order import in_panel_order
 from lampest.panel.readouts.wiring import Contacts
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import EFFECTS, added_effects

@@ -31,6 +31,7 @@ from lampest.files.typed import (
 from lampest.files.whole import check_room
 from lampest.panel.conditions import Water, water_pressure
 from lampest.panel.panel import Array
+from lampest.panel.readouts.scan_order import by_columns
 from lampest.panel.response import PUBLISHED, AnyResponse, Film, ratio_from_pressure
 from lampest.panel.scene import Scene, without_own_keys
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -289,7 +290,7 @@ def simulate(
     cells = cells_under(simulation, time)
     lines = 0
     if moves:
-        lines = ladder.columns if scene.circuit.by_columns else ladder.rows
+        lines = ladder.columns if by_columns(scene.circuit) else ladder.rows
     later = ((np.arange(lines) + 0.5) / max(lines, 1) - 0.5) * simulation.frame_period_s
     scanned = [cells_under(simulation, time, float(part)) for part in later]
     recorded, sums = measured(

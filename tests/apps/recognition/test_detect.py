@@ -43,6 +43,7 @@ from lampest.apps.recognition.detect.detection import (
 from lampest.apps.recognition.detect.of_results import detect_results, known_of_case
 from lampest.inference.prepared import Prepared
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.scan_order import by_columns
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.shapes import AnyShape
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, Unmodelled, simulate
@@ -114,7 +115,7 @@ def test_pumps_identify_a_mouth_without_visible_breath() -> None:
 def test_frame_noise_survives_its_arrays(readout: Any) -> None:
     """A pattern has a number for each channel of a line; of another shape it is refused."""
     scene = Scene(Panel(2, 3), readout)
-    channels = 2 if scene.circuit.by_columns else 3
+    channels = 2 if by_columns(scene.circuit) else 3
     noise = FrameNoise(
         scene,
         4,

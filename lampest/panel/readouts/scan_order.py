@@ -1,0 +1,66 @@
+"""Order in which the readings of a frame are taken."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts.converter import Converter
+
+
+def by_columns(readout: Converter) -> bool:
+    """Return whether a scan goes column by column; a list of readings counts as rows."""
+    order = readout.noisy_side if readout.scan_order is None else readout.scan_order
+    return order == "columns"
+
+
+def scan_places(readout: Converter, rows: int, columns: int) -> NDArray[np.intp]:
+    """Return the numbers of the readings, rows first, in scan order, (rows · columns,).
+
+    Readings that a list leaves out are the last ones.
+    """
+    places = np.arange(rows * columns).reshape(rows, columns)
+    if not isinstance(readout.scan_order, tuple):
+        return places.T.ravel() if by_columns(readout) else places.ravel()
+    row, column = np.array(readout.scan_order).T
+    listed = places[row, column]
+    return np.concatenate([listed, np.setdiff1d(places, listed)])
+
+
+def check_scan_order(readout: Converter, panel: Panel) -> None:
+    """Raise ValueError unless a list of readings names every cell of a panel once."""
+    order = readout.scan_order
+    if not isinstance(order, tuple):
+        return
+    rows, columns = panel.shape
+    for row, column in order:
+        if not (0 <= row < rows and 0 <= column < columns):
+            raise ValueError(f"readout.scan_order: there is no reading [{row}, {column}]")
+    if len(set(order)) < len(order):
+        twice = next(at for at in order if order.count(at) > 1)
+        raise ValueError(f"readout.scan_order: {list(twice)} is listed twice")
+    listed = np.zeros(panel.shape, dtype=bool)
+    for at in order:
+        listed[at] = True
+    left_out = np.argwhere(panel.present & ~listed)
+    if len(left_out):
+        raise ValueError(f"readout.scan_order: {left_out[0].tolist()} is left out")
+
+
+def in_scan_order(readout: Converter, values: Array) -> Array:
+    """Return values (…, rows, columns) in scan order, (…, channels)."""
+    flat = values.reshape(*values.shape[:-2], -1)
+    return np.asarray(flat[..., scan_places(readout, *values.shape[-2:])])
+
+
+def in_scan_lines(readout: Converter, values: Array) -> Array:
+    """Return values (…, rows, columns) in scan order by scanned lines, (…, lines, channels)."""
+    rows, columns = values.shape[-2:]
+    lines, channels = (columns, rows) if by_columns(readout) else (rows, columns)
+    return in_scan_order(readout, values).reshape(*values.shape[:-2], lines, channels)
+
+
+def in_panel_order(readout: Converter, channels: Array, shape: tuple[int, ...]) -> Array:
+    """Return values (…, channels) in scan order as an array of `shape` (…, rows, columns)."""
+    flat = np.empty_like(channels)
+    flat[..., scan_places(readout, *shape[-2:])] = channels
+    return flat.reshape(shape)
