@@ -25,6 +25,7 @@ from lampest.inference.variance_components import (
 from lampest.panel.effects import Possible, recorded_times, sized_effects
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
+from lampest.panel.readouts.converter import averaged_variance, noise_of_variance
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.posterior.interval import chi_square_tail, normal_quantile
@@ -350,7 +351,7 @@ def scattering_share(readout: Readout) -> float:
 
     The quantisation that averaging does not remove is the same in all frames.
     """
-    scattering = np.mean(readout.averaged_variance(readout.assumed_noise))
+    scattering = np.mean(averaged_variance(readout, readout.assumed_noise))
     return float(np.sqrt(scattering / np.mean(readout.sigma_code() ** 2)))
 
 
@@ -406,7 +407,7 @@ def shown_noise(readout: Readout, factor: float) -> tuple[float, float]:
         averaging does not reduce, is constant and does not scatter.
     """
     assumed = float(np.mean(readout.sigma_code()))
-    noise = readout.noise_of_variance((factor * assumed) ** 2)
+    noise = noise_of_variance(readout, (factor * assumed) ** 2)
     return noise, float(np.mean(readout.sigma_code(noise))) / assumed
 
 

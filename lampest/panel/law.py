@@ -123,15 +123,16 @@ class Law:
         readout: ReadCircuit, names: tuple[str, ...], entries: Entries, shape: tuple[int, ...]
     ) -> Array:
         """Return derivatives of h, (names, …, rows, columns)."""
-        *leading, rows, columns = shape
-        derivatives = equation_derivatives(readout, rows, columns, names)
-        results = np.empty((len(names), *shape))
-        for number in np.ndindex(*leading):
-            every = np.empty((len(entries), rows, columns))
-            for place, part in enumerate(entries):
-                every[place] = part[number]
-            results[(slice(None), *number)] = derivatives(every).reshape(-1, rows, columns)
-        return results
+        if len(shape) > 2:
+            each = (
+                Law._derivatives(readout, names, tuple(part[number] for part in entries), shape[1:])
+                for number in range(shape[0])
+            )
+            return np.stack(list(each), axis=1)
+        every = np.empty((len(entries), *shape))
+        for number, part in enumerate(entries):
+            every[number] = part
+        return equation_derivatives(readout, *shape, names)(every).reshape(-1, *shape)
 
 
 TWO_POINT = Law(None)

@@ -15,7 +15,7 @@ from lampest.files.errors import InputError
 from lampest.files.typed import Configuration
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.inequalities import least_cells
+from lampest.panel.readouts.inequalities import least_cells, resolution
 from lampest.panel.readouts.starts import nearly_shorted
 from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
@@ -100,7 +100,7 @@ class Bounds(Configuration):
         elif not isinstance(self.lower, str):
             lower = np.full_like(measured, self.lower)
         if self.upper == "resolution" and sigma is not None:
-            upper = readout.resolution(measured, sigma)
+            upper = resolution(readout, measured, sigma)
         elif not isinstance(self.upper, str):
             upper = np.full_like(measured, self.upper)
         contradicted = upper <= lower

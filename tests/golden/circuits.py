@@ -27,8 +27,9 @@ from lampest.panel.effects.line_effect import effect_on_readings, line_effects
 from lampest.panel.kirchhoff import NormalByLines, Stencil
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts import AnyReadout, channel_memory, wired_network
+from lampest.panel.readouts.converter import averaged_variance, noise_of_variance
 from lampest.panel.readouts.floating import common_step
-from lampest.panel.readouts.inequalities import largest_series_ohm, least_cells
+from lampest.panel.readouts.inequalities import largest_series_ohm, least_cells, resolution
 from lampest.panel.readouts.starts import nearly_shorted
 from lampest.panel.response import BentSuction, ratio_from_pressure
 from lampest.panel.scene import OwnOfModule
@@ -192,7 +193,7 @@ def readout_row(scene: lp.Scene) -> dict[str, Any]:
         "least": least_cells(circuit, value, sigma),
         "least without noise": least_cells(circuit, value, None),
         "shorted": nearly_shorted(circuit, value),
-        "resolution": circuit.resolution(value, sigma),
+        "resolution": resolution(circuit, value, sigma),
         "step": common_step(value[chosen] * 1.02, value[chosen]) if circuit.homogeneous else 1.0,
         "rails": circuit.rails(),
         "series": largest_series_ohm(circuit, value[None], sigma[None]),
@@ -201,8 +202,8 @@ def readout_row(scene: lp.Scene) -> dict[str, Any]:
         "sums": circuit.recorded_from_sums(np.array([[4000, 9000]]), 20),
         "noise": circuit.noise_volt(),
         "sigma of codes": circuit.sigma_code(),
-        "averaged": circuit.averaged_variance(0.4),
-        "noise of variance": circuit.noise_of_variance(0.02),
+        "averaged": averaged_variance(circuit, 0.4),
+        "noise of variance": noise_of_variance(circuit, 0.02),
         "shared": circuit.shared_errors(cells, value, scene, 0.01, 2.0),
         "off": circuit.off_by(0.01),
         "numbers": circuit.line_numbers(),

@@ -26,7 +26,7 @@ from lampest.files.errors import InputError, counted
 from lampest.files.patient import PatientFile
 from lampest.files.process import deaf, delayed_interrupt
 from lampest.files.whole import check_output, folder_beside, is_locked, locked, own, sync_folder
-from lampest.panel.readouts.converter import MIN_REPEATS
+from lampest.panel.readouts.converter import MIN_REPEATS, noise_of_variance
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import EVENTS, FILE_ATTRIBUTES, SALT, Rows, blocks, group_of
 from lampest.recording.file import read_raw_readings, recording_file
@@ -414,4 +414,4 @@ def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
     if readout is None or count < MIN_REPEATS:
         return None
     # The variance of a difference of two readings is twice that of one.
-    return readout.noise_of_variance(total / count / 2)
+    return noise_of_variance(readout, total / count / 2)

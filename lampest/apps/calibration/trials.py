@@ -15,7 +15,7 @@ from lampest.files.whole import note_read
 from lampest.panel.lines import Side
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.converter import ENDLESS
+from lampest.panel.readouts.converter import ENDLESS, averaged_variance, noise_of_variance
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM
 
@@ -96,10 +96,10 @@ class Trial:
         squares = (residual**2).sum(axis=(0, 1 + across))
         freedom = np.where(inside, counts - 1, 0).sum(axis=across)
         # pooled variance: (BELIEF σ_scene² + Σ residual²)/(BELIEF + freedom), LSB²
-        variance = (BELIEF * readout.averaged_variance(readout.assumed_noise) + squares) / (
+        variance = (BELIEF * averaged_variance(readout, readout.assumed_noise) + squares) / (
             BELIEF + freedom
         )
-        noise = np.array([readout.noise_of_variance(value) for value in variance])
+        noise = np.array([noise_of_variance(readout, value) for value in variance])
         lasting = np.array([float(readout.sigma_code(value, ENDLESS)) for value in noise])
         of_mean = (
             np.expand_dims(variance, across) / np.maximum(counts, 1)

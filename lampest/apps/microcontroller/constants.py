@@ -16,6 +16,7 @@ from lampest.panel.lines import Side
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.readouts.inequalities import resolution
 from lampest.panel.readouts.unseen import unseen_scales
 from lampest.panel.scene import Scene
 from lampest.runs.case import CaseResult
@@ -512,7 +513,7 @@ def _largest(case: CaseResult) -> float:
     if not isinstance(readout, DrivenCircuit) or case.sigma is None:
         return MAX_OHM
     whole = case.valued.all(axis=(1, 2))
-    limits = readout.resolution(case.measured[whole], case.sigma[whole])
+    limits = resolution(readout, case.measured[whole], case.sigma[whole])
     return float(min(MAX_OHM, np.max(limits, initial=0.0) or MAX_OHM))
 
 

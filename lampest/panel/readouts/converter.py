@@ -423,27 +423,6 @@ class Converter(Completed):
     def _own_constant_share(self) -> Array:
         return self.constant_share(self.assumed_noise)
 
-    def averaged_variance(self, noise_lsb: PerLine) -> Array:
-        """Return the variance that averaging removes, σ²(readings) − σ²(ENDLESS readings), LSB²."""
-        return np.asarray(
-            self.sigma_code(noise_lsb) ** 2 - self.sigma_code(noise_lsb, ENDLESS) ** 2
-        )
-
-    def noise_of_variance(self, variance: float) -> float:
-        """Return the noise in LSB that has a given `averaged_variance` in LSB².
-
-        Bisection finds the noise.
-        """
-        low = 0.0
-        high = 2.0**self.adc_bits
-        while high - low > NOISE_ACCURACY:
-            middle = (low + high) / 2
-            if float(self.averaged_variance(middle)) < variance:
-                low = middle
-            else:
-                high = middle
-        return low
-
     def sigma(self, recorded: Array) -> Array:
         """Return σ of recorded readings, the same shape and unit."""
         volt = self.volt_from_recorded(recorded)
@@ -498,3 +477,25 @@ def _rounding_variance(noise: Array) -> Array:
     damped = damped / (2 * np.pi**2 * harmonic**2)
     bias = np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12))
     return np.asarray(bias)
+
+
+def averaged_variance(converter: Converter, noise_lsb: PerLine) -> Array:
+    """Return the variance that averaging removes, σ²(readings) − σ²(ENDLESS readings), LSB²."""
+    lasting = converter.sigma_code(noise_lsb, ENDLESS)
+    return np.asarray(converter.sigma_code(noise_lsb) ** 2 - lasting**2)
+
+
+def noise_of_variance(converter: Converter, variance: float) -> float:
+    """Return the noise in LSB that has a given `averaged_variance` in LSB².
+
+    Bisection finds the noise.
+    """
+    low = 0.0
+    high = 2.0**converter.adc_bits
+    while high - low > NOISE_ACCURACY:
+        middle = (low + high) / 2
+        if float(averaged_variance(converter, middle)) < variance:
+            low = middle
+        else:
+            high = middle
+    return low

@@ -12,8 +12,10 @@ from lampest.panel.circuit import CircuitOfLines
 from lampest.panel.equation import Equation, equation_of
 from lampest.panel.lines import lines_text
 from lampest.panel.panel import Array
-from lampest.panel.readouts.starts import nearly_shorted
-from lampest.panel.readouts.unseen import SolvableCircuit
+from lampest.panel.readouts.starts import by_uniform_panels, nearly_shorted, uniform_responses
+from lampest.panel.readouts.unseen import SolvableCircuit, unseen_scales
+
+LARGEST_OHM = 1e8  # of cells whose scale no reading shows: insulation beside usual ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +78,31 @@ def _least_by_currents(equation: Equation, measured: Array, sigma: Array | None)
     current = current + NOISE_REACH * np.sqrt(equation.sum_together((noise * by_volt) ** 2))
     driven = np.maximum(equation.driven_volt(current, equation.drive), 0)
     return np.asarray(driven / current - equation.load)
+
+
+def resolution(circuit: SolvableCircuit, measured: Array, sigma: Array) -> Array:
+    """Return the resolution limit r_max = |∂y_c/∂g_c|/σ at the uniform start.
+
+    Shape (…, rows, columns), in ohm. An open cell in place of a cell of r_max changes its reading
+    by the noise σ: r_max = R²/σ of two-point readings. r_max is at least twice the start. Without a
+    scale it is that of any cell: no reading says more. Where no closed form gives a cell by its
+    reading, it is the largest limit of uniform panels: a press moves the readings of other cells
+    beyond those of any uniform panel.
+    """
+    rows, columns = measured.shape[-2:]
+    if unseen_scales(circuit, rows, columns):
+        return np.full(measured.shape, LARGEST_OHM)
+    if by_uniform_panels(circuit, measured):
+        return np.asarray(uniform_responses(circuit, rows, columns) / sigma)
+    start = circuit.uniform_start(measured)
+    if equation_of(circuit, rows, columns).two_point:
+        return np.asarray(np.maximum(measured**2 / sigma, 2 * start))
+    if measured.ndim > 2:
+        frames = zip(measured, sigma, strict=True)
+        return np.stack([resolution(circuit, *frame) for frame in frames])
+    response = circuit.network(start, circuit.ties(measured)).own_response()
+    # |∂y_c/∂g_c|/σ = |J_cc|/(g σ) = |J_cc|·r/σ
+    return np.asarray(np.maximum(np.abs(response) * start / sigma, 2 * start))
 
 
 def free_tests(equation: Equation, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:

@@ -31,10 +31,7 @@ from lampest.panel.readouts.converter import Converter
 from lampest.panel.readouts.inequalities import FreeTest
 from lampest.panel.readouts.scan_order import check_scan_order
 from lampest.panel.readouts.starts import USUAL_OHM
-from lampest.panel.readouts.unseen import unseen_scales
 from lampest.panel.readouts.wiring import Wiring
-
-LARGEST_OHM = 1e8  # of cells whose scale no reading shows: insulation beside usual ones
 
 
 class Surroundings(Protocol):
@@ -256,28 +253,6 @@ class Readout(Converter, ABC):
             Earlier estimate, ohm.
         """
         return starts.start(self, measured, upper, near)
-
-    def resolution(self, measured: Array, sigma: Array) -> Array:
-        """Return the resolution limit r_max = |∂y_c/∂g_c|/σ at the uniform start.
-
-        Shape (…, rows, columns), in ohm. An open cell in place of a cell of r_max changes its
-        reading by the noise σ. r_max is at least twice the start. Without a scale it is that of any
-        cell: no reading says more. Where no closed form gives a cell by its reading, it is the
-        largest limit of uniform panels: a press moves the readings of other cells beyond those of
-        any uniform panel.
-        """
-        rows, columns = measured.shape[-2:]
-        if unseen_scales(self, rows, columns):
-            return np.full(measured.shape, LARGEST_OHM)
-        if starts.by_uniform_panels(self, measured):
-            return np.asarray(starts.uniform_responses(self, rows, columns) / sigma)
-        if measured.ndim > 2:
-            frames = zip(measured, sigma, strict=True)
-            return np.stack([self.resolution(*frame) for frame in frames])
-        start = self.uniform_start(measured)
-        response = self.network(start, self.ties(measured)).own_response()
-        # |∂y_c/∂g_c|/σ = |J_cc|/(g σ) = |J_cc|·r/σ
-        return np.asarray(np.maximum(np.abs(response) * start / sigma, 2 * start))
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
         """Return tests of inequalities that the circuit's readings satisfy for any cells.

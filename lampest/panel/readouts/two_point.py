@@ -123,13 +123,6 @@ class TwoPointReadout(Divider):
             return super().exact_reading(cell_resistance, wiring)
         return two_point_resistance(cell_resistance)
 
-    def resolution(self, measured: Array, sigma: Array) -> Array:
-        """Return r_max = R²/σ, at least twice the uniform start.
-
-        An open cell in its place changes R by the noise σ.
-        """
-        return np.asarray(np.maximum(measured**2 / sigma, 2 * self.uniform_start(measured)))
-
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
         """Return the test of R_jk ≤ R_jq + R_pq + R_pk; see `four_point_excess`."""
         law = "R_jk <= R_jq + R_pq + R_pk of any two rows and columns"

@@ -29,6 +29,7 @@ from lampest.apps.board.several import LATE_SECONDS, Alignment, samples_of
 from lampest.apps.board.stream import Scanning, scene_of
 from lampest.files import process
 from lampest.panel.panel import EachModule, Modules
+from lampest.panel.readouts.converter import noise_of_variance
 from lampest.recording.acquisition import Acquisition
 from lampest.recording.recording import MEASURED, UNLOADED
 from tests.bodies import hello_body
@@ -943,8 +944,8 @@ def test_noise_is_estimated_from_pairs_of_consecutive_unloaded_codes() -> None:
             acquisition=Acquisition(*(counter[:count] for counter in counters), np.zeros(0)),
         )
 
-    assert noise_from_repeats([first(frames)]) == readout.noise_of_variance(
-        np.mean(differences**2) / 2
+    assert noise_from_repeats([first(frames)]) == noise_of_variance(
+        readout, np.mean(differences**2) / 2
     )
     assert noise_from_repeats([first(13)]) is None, "48 pairs"
     assert noise_from_repeats([first(14)]) is not None, "52 pairs"
