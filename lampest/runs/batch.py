@@ -198,7 +198,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Segment:
+class CaseSegment:
     """A segment of a case, which is solved as a task of its own."""
 
     task: Task
@@ -407,14 +407,14 @@ def _outcomes(
             parts += [(task, number) for number in parts_to_solve(task)]
         if parts:  # failures of parts show when their cases are joined
             deque(stack.enter_context(closing(executor.results(solve_part, parts))), maxlen=0)
-        tasks: list[Task | Segment | CheckTask] = []
+        tasks: list[Task | CaseSegment | CheckTask] = []
         for task in waiting:
             divided = executor.concurrent and task.case.segments > 1
             numbers = range(task.case.segments)
-            tasks += [Segment(task, number) for number in numbers] if divided else [task]
+            tasks += [CaseSegment(task, number) for number in numbers] if divided else [task]
         tasks += checks
         for task, outcome in stack.enter_context(closing(executor.results(solve_task, tasks))):
-            if not isinstance(task, Segment):
+            if not isinstance(task, CaseSegment):
                 yield task, outcome
                 continue
             steps = solved[task.task.file]
@@ -457,12 +457,12 @@ def _write_segments(
 
 
 def solve_task(
-    task: Task | Segment | CheckTask,
+    task: Task | CaseSegment | CheckTask,
 ) -> StoredCase | RecordingCheck | Sequence[Step]:
     """Solve a case or a segment of one, or check a recording and keep the outcome."""
     if isinstance(task, Task):
         return solve_case(task)
-    if isinstance(task, Segment):
+    if isinstance(task, CaseSegment):
         return solve_segment(task)
     # A run without a new check does not load the audit.
     from lampest.audit.advice import Audit
@@ -527,7 +527,7 @@ def solve_case(task: Task) -> StoredCase:
 
 
 @ONE_BLAS_THREAD
-def solve_segment(segment: Segment) -> list[Step]:
+def solve_segment(segment: CaseSegment) -> list[Step]:
     """Solve a segment of a case; return the steps of its frames.
 
     If frames turn out to depend on earlier ones, the first segment has all of them.
