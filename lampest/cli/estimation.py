@@ -108,7 +108,7 @@ def run(
         screen.warn(f"{name}: {text} assumed; the scene does not say")
     executor = cases.executor
     if jobs or executor is None:
-        executor = local(jobs, len(cases.cases), separate=limited)
+        executor = local(jobs, sum(case.segments for case in cases.cases), separate=limited)
     with screen.progress("frames", counted=True) as on_frames:
         report = run_batch(
             cases,

@@ -81,7 +81,7 @@ class Parts:
     @property
     def independent(self) -> bool:
         """Whether parts can be solved in any order."""
-        return self.stream.rested and not self.stream.estimator.uses_previous
+        return self.stream.forgets
 
     def estimates(self, done: Callable[[int], CarriedOver | None]) -> Iterator[SolvedPart]:
         """Solve every part that is not done, and generate its estimates.

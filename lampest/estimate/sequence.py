@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import ceil
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -24,6 +26,9 @@ from lampest.recording.recording import UNLOADED, Recording, baseline_readings, 
 from lampest.solvers.solution import Status
 
 Kind = TypeVar("Kind", bound=Estimates)
+# Frames of a segment. Begun at the unloaded panel, its first frame takes up to twice as long as
+# later ones (10 × 10 to 64 × 64), so that segments cost 2 % at most.
+SEGMENT_FRAMES = 50
 # Called after every frame with the number of solved frames, the number of all, and a function that
 # returns the estimates so far, with the other frames unsolved; None for a method that solves all
 # frames together.
@@ -73,13 +78,23 @@ def reconstruct_as(
     on_frame: OnFrame = lambda done, frames, so_far: None,
 ) -> Kind:
     """Solve every measured frame of a recording, as `reconstruct`, as estimates of a class."""
-    prepared = Prepared.of(recording)
+    stream, part = begun_as(kind, Prepared.of(recording), estimator)
+    return part.solve(stream, on_frame)[1]
+
+
+@ONE_BLAS_THREAD
+def begun_as(
+    kind: type[Kind], prepared: Prepared, estimator: Estimator
+) -> tuple[Stream, "MeasuredPart[Kind]"]:
+    """Return the stream before a recording's first measured frame, and its measured frames.
+
+    Raises InputError as `reconstruct`.
+    """
     prepared.recording.scene.panel.check_memory()
     recording = prepared.resolved
     readings = prepared.noise.readings
     stream = first_stream(recording, readings, estimator, prepared.noise)
-    part = MeasuredPart(recording, recording.measured_frames(), readings, prepared, kind)
-    return part.solve(stream, on_frame)[1]
+    return stream, MeasuredPart(recording, recording.measured_frames(), readings, prepared, kind)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,34 +132,61 @@ class MeasuredPart(Generic[Kind]):
             The stream after these frames.
         estimates : Estimates
         """
-        readings = self.readings[self.frames]
         count = len(self.frames)
-        method = stream.estimator.method
-        if method.needs_all_frames:
+        if stream.estimator.method.needs_all_frames:
             numbers = iter(range(1, count + 1))
             resting = self.readings[self.recording.role == UNLOADED]
             stream, steps = stream.sequence(
-                resting, readings, lambda: on_frame(next(numbers, count), count, None)
+                resting,
+                self.readings[self.frames],
+                lambda: on_frame(next(numbers, count), count, None),
             )
-            return stream, self._estimates(stream, steps)
+            return stream, self.estimates(stream, steps)
         steps = list[Step]()
 
         def so_far() -> Kind:
-            return self._estimates(stream, steps)
+            return self.estimates(stream, steps)
 
-        verifies = stream.estimator.verify.chosen(readings, stream.resting) & method.optimum
-        while len(steps) < count:
-            for after, step in next_steps(stream, readings[len(steps) :]):
-                number = len(steps)
-                if verifies[number] and step.solution.solved:
-                    after, step = stream.verified(readings[number], after, step)
+        begun = stream
+        for segment in segments(begun, count):
+            for after, step in self.segment_steps(begun, segment):
                 stream = after
                 steps.append(step)
                 on_frame(len(steps), count, so_far)
         return stream, so_far()
 
-    def _estimates(self, stream: Stream, steps: Sequence[Step]) -> Kind:
-        """Return the estimates of these frames, of which the first ones are solved."""
+    def segment_steps(self, stream: Stream, segment: range) -> Iterator[tuple[Stream, Step]]:
+        """Generate the stream after each frame of a segment, with the frame's step.
+
+        Parameters
+        ----------
+        stream : Stream
+            The stream before the segment.
+        segment : range
+            Places in `frames`.
+        """
+        readings = self.readings[self.frames]
+        estimator = stream.estimator
+        verifies = estimator.verify.chosen(readings, stream.resting) & estimator.method.optimum
+        number = segment.start
+        while number < segment.stop:
+            for after, step in next_steps(stream, readings[number : segment.stop]):
+                if verifies[number] and step.solution.solved:
+                    after, step = stream.verified(readings[number], after, step)
+                stream = after
+                number += 1
+                yield stream, step
+
+    def estimates(self, stream: Stream, steps: Sequence[Step]) -> Kind:
+        """Return the estimates of these frames, of which the first ones are solved.
+
+        Parameters
+        ----------
+        stream : Stream
+            A stream with the baseline of these frames.
+        steps : sequence of Step
+            Steps of the first frames.
+        """
         remaining = len(self.frames) - len(steps)
         solved = (*steps, *[stream.unsolved(Status.BROKEN_OFF)] * remaining)
         estimator = stream.estimator
@@ -164,6 +206,29 @@ class MeasuredPart(Generic[Kind]):
             contacts=stream.scene.contact_prior,
             automatic=estimator.automatic or bool(estimator.weight_sigma),
         )
+
+
+def segments(stream: Stream, count: int) -> list[range]:
+    """Divide frames into segments that are solved from the same stream.
+
+    Segments have at most SEGMENT_FRAMES frames, and can be solved in any order. Frames that depend
+    on earlier ones are one segment.
+
+    Parameters
+    ----------
+    stream : Stream
+        The stream before the first frame.
+    count : int
+        Number of frames.
+    """
+    several = segment_count(count) if stream.forgets else 1
+    ends = np.linspace(0, count, several + 1).astype(int).tolist()
+    return [range(start, end) for start, end in pairwise(ends)]
+
+
+def segment_count(count: int) -> int:
+    """Return the number of segments of frames that depend on no earlier one."""
+    return ceil(count / SEGMENT_FRAMES)
 
 
 def next_steps(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Step]]:

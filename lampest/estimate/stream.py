@@ -269,10 +269,15 @@ class Stream(SequenceState):
         return self.weights is None or (self.weights_due(readings) and not self.keeps_weights)
 
     @property
+    def forgets(self) -> bool:
+        """Whether estimates depend on no earlier frame, beyond the start of their search."""
+        return self.rested and not self.estimator.uses_previous and not self.chooses_weights
+
+    @property
     def is_independent(self) -> bool:
         """Whether estimates depend on no other measured frame, and cells are the only unknowns."""
         estimator = self.estimator
-        if not self.rested or estimator.uses_previous or estimator.automatic:
+        if not self.forgets or estimator.automatic:
             return False
         return estimator.problem(self.scene, 1, self.period).cells_alone
 

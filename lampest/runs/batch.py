@@ -1,8 +1,9 @@
 """Batches of cases.
 
 Finished ones are skipped, failures are isolated, each result is a file of its own. A recording that
-fits into memory is solved as a whole, a longer one part by part. Each part has a results file of
-its own, and until the last part is done a second file with the memory for later frames.
+fits into memory is solved as a whole, or, where its frames depend on no earlier ones, in segments
+that several workers solve. A longer one is solved part by part. Each part has a results file of its
+own, and until the last part is done a second file with the memory for later frames.
 """
 
 import fcntl
@@ -20,11 +21,12 @@ from pathlib import Path
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.parts import Parts, asked_frames
-from lampest.estimate.sequence import reconstruct
-from lampest.estimate.stream import CarriedOver
+from lampest.estimate.sequence import MeasuredPart, begun_as, reconstruct, segments
+from lampest.estimate.state import Step
+from lampest.estimate.stream import CarriedOver, Stream
 from lampest.files import hdf5
 from lampest.files.errors import InputError
-from lampest.files.process import logged_reason
+from lampest.files.process import ONE_BLAS_THREAD, logged_reason
 from lampest.files.whole import (
     inner_folder,
     opened_for_locking,
@@ -121,12 +123,16 @@ class Task:
         return self.folder / CASES / f".{self.case.case_id}_unfinished.h5"
 
     @property
-    def count(self) -> Path:
-        """File whose size in bytes is the number of finished frames.
+    def counts(self) -> list[Path]:
+        """Files whose sizes in bytes are the numbers of finished frames of the segments.
 
         The size is valid even while it is written.
         """
-        return self.folder / CASES / f".{self.case.case_id}.frames"
+        return [self.count(number) for number in range(self.case.segments)]
+
+    def count(self, number: int) -> Path:
+        """Return the file that counts the finished frames of a segment."""
+        return self.folder / CASES / f".{self.case.case_id}_{number}.frames"
 
     @property
     def frames_done(self) -> int:
@@ -135,7 +141,7 @@ class Task:
             return self.case.frames
         with suppress(OSError, InputError):
             if self.case.stored is None:
-                return self.count.stat().st_size
+                return sum(count.stat().st_size for count in self.counts if count.is_file())
             # A part in which no frame is measured has no file.
             return min(self.case.frames, len(self.whole_parts) * self.case.stored.length)
         return 0
@@ -191,6 +197,14 @@ class Task:
             self.parts.rmdir()
 
 
+@dataclass(frozen=True)
+class CaseSegment:
+    """A segment of a case, which is solved as a task of its own."""
+
+    task: Task
+    number: int
+
+
 def run_batch(
     run: Run,
     folder: Path,
@@ -202,9 +216,10 @@ def run_batch(
 ) -> Report:
     """Solve the cases without a result in `folder`, then write results.h5 with all results.
 
-    Failed cases do not affect other cases. An interruption keeps finished cases, and finished
-    frames of running ones. Circuits are checked last, once a recording, unless an earlier run in
-    this folder did; a recording that is too long for memory is checked with its cases.
+    Failed cases do not affect other cases. An interruption keeps finished cases, and the first
+    finished frames, or segments, of running ones. Circuits are checked last, once a recording,
+    unless an earlier run in this folder did; a recording that is too long for memory is checked
+    with its cases.
 
     Parameters
     ----------
@@ -239,11 +254,12 @@ def run_batch(
         finished = _results(tasks)
         waiting = [task for task in tasks if task.file not in finished]
         failed: list[tuple[str, str]] = []
+        solved = {task.file: dict[int, Sequence[Step]]() for task in waiting}
         lost = ""
         if to_check:
             on_checks(0, len(to_check))
         try:
-            outcomes = _outcomes(executor, waiting, to_check)
+            outcomes = _outcomes(executor, waiting, to_check, solved)
             with _counted(waiting, on_frames), closing(outcomes):
                 for task, outcome in outcomes:
                     if isinstance(outcome, BaseException):
@@ -260,6 +276,10 @@ def run_batch(
         except LostError as error:
             lost = str(error)
         finally:
+            for task in waiting:
+                if solved[task.file]:
+                    with suppress(InputError):
+                        _write_segments(task, solved[task.file], task.unfinished)
             finished |= _results([task for task in tasks if task.file not in finished])
             cases = _with_checks(_with_unfinished(tasks, finished), checked, run.check)
             aside = None
@@ -370,10 +390,16 @@ def _counted(tasks: Sequence[Task], on_frames: Callable[[int, int], None]) -> It
         report()
 
 
-def _outcomes(executor: Executor, waiting: Sequence[Task], checks: Sequence[CheckTask]) -> Pairs:
+def _outcomes(
+    executor: Executor,
+    waiting: Sequence[Task],
+    checks: Sequence[CheckTask],
+    solved: Mapping[Path, dict[int, Sequence[Step]]],
+) -> Pairs:
     """Return the outcomes of all cases, then those of the checks.
 
-    The parts of cases that exceed the memory are solved first.
+    The parts of cases that exceed the memory are solved first. `solved` takes the steps of segments
+    of each case, until the case is complete.
     """
     with ExitStack() as stack:
         parts = list[tuple[Task, int]]()
@@ -381,14 +407,63 @@ def _outcomes(executor: Executor, waiting: Sequence[Task], checks: Sequence[Chec
             parts += [(task, number) for number in parts_to_solve(task)]
         if parts:  # failures of parts show when their cases are joined
             deque(stack.enter_context(closing(executor.results(solve_part, parts))), maxlen=0)
-        tasks = [*waiting, *checks]
-        yield from stack.enter_context(closing(executor.results(solve_task, tasks)))
+        tasks: list[Task | CaseSegment | CheckTask] = []
+        for task in waiting:
+            divided = executor.concurrent and task.case.segments > 1
+            numbers = range(task.case.segments)
+            tasks += [CaseSegment(task, number) for number in numbers] if divided else [task]
+        tasks += checks
+        for task, outcome in stack.enter_context(closing(executor.results(solve_task, tasks))):
+            if not isinstance(task, CaseSegment):
+                yield task, outcome
+                continue
+            steps = solved[task.task.file]
+            steps[task.number] = outcome
+            if len(steps) == task.task.case.segments:
+                yield task.task, _joined(task.task, steps)
+                steps.clear()
 
 
-def solve_task(task: Task | CheckTask) -> StoredCase | RecordingCheck:
-    """Solve a case, or check a recording and keep the outcome."""
+def _joined(
+    task: Task, solved: Mapping[int, Sequence[Step] | BaseException]
+) -> StoredCase | BaseException:
+    """Write the result of a case whose segments are solved; return it, or the first exception."""
+    for outcome in solved.values():
+        if isinstance(outcome, BaseException):
+            return outcome
+    try:
+        return _write_segments(task, solved, task.file)
+    except Exception as error:
+        return error
+
+
+def _write_segments(
+    task: Task, solved: Mapping[int, Sequence[Step] | BaseException], file: Path
+) -> StoredCase:
+    """Write the estimates of the first segments of a case, up to one that is not solved."""
+    prepared = _recording(task.case.path, task.case.sha256)
+    assert isinstance(prepared, Prepared)
+    steps = list[Step]()
+    for number in range(task.case.segments):
+        own = solved.get(number, RuntimeError())
+        if isinstance(own, BaseException):
+            break
+        steps += own
+    stream, frames = _begun(prepared, task.case.estimator)
+    check_folder(task.folder / CASES)
+    result = case_result(task.case, frames.estimates(stream, steps))
+    write_results(file, [result])
+    return StoredCase.of(result, file)
+
+
+def solve_task(
+    task: Task | CaseSegment | CheckTask,
+) -> StoredCase | RecordingCheck | Sequence[Step]:
+    """Solve a case or a segment of one, or check a recording and keep the outcome."""
     if isinstance(task, Task):
         return solve_case(task)
+    if isinstance(task, CaseSegment):
+        return solve_segment(task)
     # A run without a new check does not load the audit.
     from lampest.audit.advice import Audit
 
@@ -451,6 +526,34 @@ def solve_case(task: Task) -> StoredCase:
     return StoredCase.of(result, task.file)
 
 
+@ONE_BLAS_THREAD
+def solve_segment(segment: CaseSegment) -> list[Step]:
+    """Solve a segment of a case; return the steps of its frames.
+
+    If frames turn out to depend on earlier ones, the first segment has all of them.
+    """
+    task = segment.task
+    prepared = _recording(task.case.path, task.case.sha256)
+    assert isinstance(prepared, Prepared)
+    check_folder(task.folder / CASES)
+    stream, frames = _begun(prepared, task.case.estimator)
+    several = segments(stream, len(frames.frames))
+    if segment.number >= len(several):
+        return []
+    own = several[segment.number]
+    on_frame = _kept_frames(task, segment.number)
+    steps = list[Step]()
+    for _, step in frames.segment_steps(stream, own):
+        steps.append(step)
+        on_frame(len(steps), len(own), None)
+    return steps
+
+
+@lru_cache(maxsize=1)  # a process solves several segments of a case
+def _begun(prepared: Prepared, estimator: Estimator) -> tuple[Stream, MeasuredPart[Estimates]]:
+    return begun_as(Estimates, prepared, estimator)
+
+
 def solve_long(task: Task, stored: StoredRecording) -> StoredCase:
     """Solve a case part by part from its first unfinished part, and write its result atomically."""
     solved = list[int]()
@@ -504,17 +607,22 @@ def read_carried(path: Path) -> CarriedOver:
         )
 
 
-def _kept_frames(task: Task) -> Callable[[int, int, Callable[[], Estimates] | None], None]:
-    """Return a function that counts the finished frames of a case and writes them at intervals."""
+def _kept_frames(
+    task: Task, segment: int = 0
+) -> Callable[[int, int, Callable[[], Estimates] | None], None]:
+    """Return a function that counts the finished frames of a case and writes them at intervals.
+
+    Those of a segment are counted alone.
+    """
     counted = written = time.monotonic()
     pause = EVERY_SECONDS
 
     def on_frame(done: int, frames: int, so_far: Callable[[], Estimates] | None) -> None:
         nonlocal counted, written, pause
         now = time.monotonic()
-        if now - counted >= EVERY_SECONDS:
+        if now - counted >= EVERY_SECONDS or done == frames:
             counted = now
-            with os.fdopen(opened_for_locking(task.count, make=True), "rb+") as file:
+            with os.fdopen(opened_for_locking(task.count(segment), make=True), "rb+") as file:
                 file.truncate(done)
         if so_far is not None and done < frames and now - written >= pause:
             check_folder(task.folder / CASES)
@@ -570,8 +678,8 @@ def _clear(folder: Path, tasks: Sequence[Task], *, fresh: bool) -> None:
         if unfinished.name[1:].rsplit(".", 2)[0] in wholes:
             remove_own(unfinished)
     for task in tasks:
-        remove_own(task.count)
-        remove_own(task.unfinished)
+        for file in (*task.counts, task.unfinished):
+            remove_own(file)
     for task in tasks if fresh else ():
         remove_own(task.file)
         task.clear_parts()

@@ -15,6 +15,7 @@ from lampest.estimate.estimator import Estimator, Tare, Verify
 from lampest.estimate.methods import AnyMethod, MethodName
 from lampest.estimate.objective import AutoWeight
 from lampest.estimate.parts import check_by_parts
+from lampest.estimate.sequence import segment_count
 from lampest.files import sweep
 from lampest.files.document import (
     Document,
@@ -39,6 +40,9 @@ from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import Settings
 
 FORBID: dict[str, Any] = {"extra": "forbid"}
+# Of a processor, for a later frame: 20 to 300 µs a cell (docs/studies/bench.md).
+SECONDS_A_CELL = 1e-4
+MIN_DIVIDED_SECONDS = 2.0  # processes start within half of it, so that two of them end earlier
 
 
 def by_kind_class(name: str, kinds: Mapping[str, type[Any]], *bases: type[Any]) -> type[Any]:
@@ -146,6 +150,8 @@ class Case:
         Key → value that the sweep set for this case.
     frames : int
         Number of frames that are solved; 0 for a recording that cannot be read.
+    cells : int
+        Number of cells of a frame.
     """
 
     path: Path
@@ -158,6 +164,17 @@ class Case:
     stored: StoredRecording | None = None
     swept: Mapping[str, Any] = field(default_factory=dict)
     frames: int = 0
+    cells: int = 0
+
+    @property
+    def segments(self) -> int:
+        """Number of segments that may be solved in any order, each worth a task of its own."""
+        estimator = self.estimator
+        whole = self.stored is not None or estimator.method.needs_all_frames
+        brief = self.frames * self.cells * SECONDS_A_CELL < MIN_DIVIDED_SECONDS
+        if whole or brief or estimator.uses_previous:
+            return 1
+        return segment_count(self.frames)
 
 
 @dataclass(frozen=True)
@@ -338,7 +355,9 @@ class _Source:
         }
         resolved = to_yaml(content | plain_content(estimator))
         names = (self.path, self.sha256, recording, name)
-        return Case(*names, estimator, resolved, hash_of(resolved), self.stored, swept, self.frames)
+        cells = 0 if self.scene is None else self.scene.panel.crossings
+        size = self.stored, swept, self.frames, cells
+        return Case(*names, estimator, resolved, hash_of(resolved), *size)
 
 
 def hash_of(resolved: str) -> str:

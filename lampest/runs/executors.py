@@ -238,6 +238,11 @@ class Executor(Configuration):
     def ready(self) -> None:
         """Raise InputError if this executor cannot run here."""
 
+    @property
+    def concurrent(self) -> bool:
+        """Whether several calls may go on at the same time."""
+        return True
+
     @abstractmethod
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
         """Yield pairs of argument and result as they finish.
@@ -254,6 +259,11 @@ class Serial(Executor):
     """Sequential calls in this process, in the order of the arguments."""
 
     kind: Literal["serial"] = "serial"
+
+    @property
+    def concurrent(self) -> bool:
+        """Whether several calls may go on at the same time: never."""
+        return False
 
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
         """Yield results, as `Executor.results`."""
@@ -281,6 +291,11 @@ class Processes(Executor):
 
     def __post_init__(self) -> None:
         check_ranges(self, 1, 10_000, "workers")
+
+    @property
+    def concurrent(self) -> bool:
+        """Whether there are several workers."""
+        return (self.workers or cores()) > 1
 
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
         """Yield results, as `Executor.results`."""
