@@ -1,0 +1,80 @@
+"""A readout of a notebook: keys and one function to ends, and all else follows."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import lampest
+from lampest.apps.microcontroller.constants import CircuitLines
+from lampest.inference.prepared import Prepared
+from lampest.panel.circuit import Ends, Terminations, scanned
+from lampest.panel.lines import PerLine, Side, per_line
+from lampest.panel.readouts.driven import DrivenCircuit
+
+SHAPE = (6, 5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BleederReadout(DrivenCircuit):
+    """Columns keep a pull-down, and the one that is read has a bleeder beside it."""
+
+    of_driven: ClassVar[tuple[str, ...]] = ("drive_ohm", "rest_ohm")
+    of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm", "bleeder_ohm")
+    kind: Literal["bleeder"] = "bleeder"
+    driven: Side = "rows"
+    polarity: Literal["up", "down"] = "up"
+    drive_ohm: PerLine = 40.0
+    rest_ohm: PerLine = 2000.0
+    load_ohm: PerLine = 10_000.0
+    bleeder_ohm: PerLine = 3000.0
+
+    def description(self) -> str:
+        return f"columns with pull-downs and a bleeder, {self.converter_description()}"
+
+    def terminations(self, driven: int, sensed: int) -> Terminations:
+        load = self.load_ends(sensed)
+        bleeder = Ends.of(per_line("bleeder_ohm", self.bleeder_ohm, sensed))
+        rest = self.idle_ends(per_line("rest_ohm", self.rest_ohm, driven))
+        return Terminations(
+            self.driven,
+            scanned(own=self.driven_ends(driven), idle=rest),
+            scanned(own=load.beside(bleeder), idle=load),
+            gain=np.ones(sensed),
+        )
+
+
+READOUT = BleederReadout(adc_bits=12, readings=1)
+
+
+@pytest.fixture(scope="module")
+def recording() -> lampest.Recording:
+    """A rod on a mat with the readout of this file."""
+    scene = lampest.Scene(lampest.Panel(*SHAPE), READOUT, systematic="none")
+    rod = lampest.Rod(centre_mm=(25.0, 25.0), diameter_mm=30.0, mass_g=500.0)
+    return lampest.simulate(lampest.Simulation(1, 1, scene, frames=4, loads=(rod,)))
+
+
+@pytest.mark.parametrize("formulation", ["nodal", "reduced"])
+def test_a_readout_of_a_notebook_estimates_and_is_drawn(
+    recording: lampest.Recording, formulation: Literal["nodal", "reduced"]
+) -> None:
+    terms = [lampest.Misfit(weighting="noise")]
+    estimated = lampest.reconstruct(recording, terms, formulation=formulation)
+    assert recording.truth_cell_resistance is not None
+    truth = recording.truth_cell_resistance[estimated.frame]
+    assert np.median(np.abs(estimated.cell_resistance / truth - 1)) < 0.01
+    assert "verified" in estimated.status[-1]
+    assert estimated.plot().axes
+
+
+def test_a_readout_of_a_notebook_is_checked(recording: lampest.Recording) -> None:
+    assert Prepared(recording).check.mark == "yes"
+
+
+def test_the_c_library_has_the_readings_of_a_readout_of_a_notebook() -> None:
+    cells = np.geomspace(500.0, 50_000.0, 30).reshape(SHAPE)
+    lines = CircuitLines.of(READOUT, SHAPE)
+    assert_allclose(lines.readings(cells, "rows"), READOUT.exact_reading(cells), rtol=1e-9)
