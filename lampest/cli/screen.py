@@ -239,6 +239,9 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
     counted : bool
         Whether the numbers of finished and of all parts are shown.
     """
+    if not sys.stderr.isatty():  # the library of the bar takes a tenth of a second to load
+        yield lambda done, total, text=None, step=label: None
+        return
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import (
@@ -256,7 +259,7 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
         TextColumn("{task.fields[left]} left"),
         *[MofNCompleteColumn()] * counted,
     )
-    with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
+    with Progress(*columns, console=Console(stderr=True)) as bar:
         tasks = {label: bar.add_task(label, total=None, left=UNKNOWN_TIME)}
         began: dict[str, tuple[float, int]] = {}
         unfinished: dict[str, int] = {}

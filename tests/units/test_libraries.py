@@ -171,6 +171,8 @@ def test_a_process_imports_only_needed_libraries() -> None:
             ("matplotlib", "xarray", "pandas", "typer"),
         ),
         (HELP, HEAVY),
+        # of a command whose standard error is no terminal
+        ("from lampest.cli.screen import progress; progress('frames').__enter__()", ("rich",)),
         ("import lampest.runs.batch, lampest.runs.executors", ("dask", "distributed")),
     ):
         assert not loaded_modules(code) & set(absent), code

@@ -449,12 +449,13 @@ SCREEN: Columns = {
 }
 
 
-COMMANDS_CSV = ("command", "rows", "columns", "seconds", "solves_s", "ratio")
+COMMANDS_CSV = ("command", "rows", "columns", "seconds", "solves_s", "libraries_s", "ratio")
 COMMANDS_SCREEN: Columns = {
     "command": "{command}",
     "panel": "{rows} × {columns}",
     "processor s": "{seconds:.2f}",
     "solves s": "{solves_s:.2f}",
+    "libraries s": "{libraries_s:.2f}",
     "ratio": "{ratio:.3g}",
 }
 

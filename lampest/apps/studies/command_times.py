@@ -1,4 +1,4 @@
-"""Processor time of whole commands in fresh processes, and the time of their solves.
+"""Processor time of whole commands in fresh processes, and that of importing their libraries.
 
 The other tables of the benchmark time solvers. A user waits for commands, which load libraries,
 prepare recordings, check circuits, write files and draw pictures, too.
@@ -40,7 +40,14 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
     "detect": ("detect", "first.h5", "--out", "detected"),
     "import": ("import", "table.csv", "--scene", "scene.yaml", "--out", "imported.h5"),
     "plot": ("plot", "out/results.h5", "--out", "pictures"),
+    "compare --report": ("compare", "out/results.h5", "--report", "page.html"),
 }
+COMMAND = "from lampest.cli import main; main()"
+# What a program of these libraries spends before it begins: the unit of `ratio`.
+LIBRARIES = (
+    "import casadi, h5py, matplotlib.backends.backend_agg, matplotlib.figure, numpy, pydantic, "
+    "ruamel.yaml, scipy.linalg, scipy.optimize, scipy.sparse.linalg, typer"
+)
 # (arguments, folder in which they run) → processor time in s
 Runner = Callable[[tuple[str, ...], Path], float]
 
@@ -58,6 +65,8 @@ class CommandTime:
         User and system time of the process and of those it started, in s.
     solves_s : float
         Sum of `solve_time`, with those of the baselines, over all cases of `run`, in s.
+    libraries_s : float
+        Processor time of a process that imports the libraries alone, in s.
     """
 
     command: str = column("1", "name of the command")
@@ -65,20 +74,26 @@ class CommandTime:
     columns: int = column("1", "columns of the panel")
     seconds: float = column("s", "processor time of the process and of those it started")
     solves_s: float = column("s", "sum of the solve times of the run")
+    libraries_s: float = column("s", "processor time of importing the libraries alone")
 
     @property
     def ratio(self) -> float:
-        """Processor time over that of the solves of `run`."""
-        return self.seconds / self.solves_s
+        """Processor time over that of importing the libraries."""
+        return self.seconds / self.libraries_s
 
 
-def processor_seconds(arguments: tuple[str, ...], folder: Path) -> float:
-    """Return the processor time of a command in a fresh process, in s.
+def libraries_seconds(folder: Path) -> float:
+    """Return the processor time of importing the libraries in a fresh process, in s."""
+    return processor_seconds((), folder, LIBRARIES)
+
+
+def processor_seconds(arguments: tuple[str, ...], folder: Path, program: str = COMMAND) -> float:
+    """Return the processor time of a command, or another program, in a fresh process, in s.
 
     The process keeps the bytecode of the modules that it compiles, so that a second one loads it,
     as every command of an installed package does. Raises InputError with its last line if it fails.
     """
-    called = [sys.executable, "-c", "from lampest.cli import main; main()", *arguments]
+    called = [sys.executable, "-c", program, *arguments]
     environment = {name: os.environ[name] for name in os.environ if name != WITHOUT_BYTECODE}
     with TemporaryFile() as output:
         process = subprocess.Popen(
@@ -95,9 +110,14 @@ def processor_seconds(arguments: tuple[str, ...], folder: Path) -> float:
 
 
 def command_times(
-    recordings: tuple[Recording, Recording], repeats: int, run: Runner = processor_seconds
+    recordings: tuple[Recording, Recording],
+    repeats: int,
+    run: Runner = processor_seconds,
+    libraries: Callable[[Path], float] = libraries_seconds,
 ) -> Iterator[CommandTime]:
     """Yield the processor time of every command on two recordings, the least of some repeats.
+
+    `libraries` returns the processor time of importing the libraries, in s.
 
     Raises InputError if a command fails.
     """
@@ -110,6 +130,7 @@ def command_times(
         (folder / "scene.yaml").write_text(scene_text(scene), encoding="utf-8")
         (folder / "table.csv").write_text(_table_of(recordings[0]), encoding="utf-8")
         unloaded = str(int(np.sum(recordings[0].role == UNLOADED)))
+        libraries_s = min(libraries(folder) for _ in range(repeats))
         seconds = dict[str, float]()
         for command, arguments in COMMANDS.items():
             further = ("--baseline", unloaded) if command == "import" else ()
@@ -120,7 +141,7 @@ def command_times(
         )
     rows, columns = scene.panel.shape
     for command, spent in seconds.items():
-        yield CommandTime(command, rows, columns, spent, solves_s)
+        yield CommandTime(command, rows, columns, spent, solves_s, libraries_s)
 
 
 def _table_of(recording: Recording) -> str:

@@ -129,7 +129,7 @@ def test_pages_show_tables_that_the_bench_writes() -> None:
     two_sizes = Bench(
         read_bench(ROOT / "configs" / "bench.yaml"),
         (*timed(32, [1.0, 1.0]), *timed(64, [1.0, 1.0])),
-        commands=(CommandTime("run", 10, 10, 3.0, 1.5),),
+        commands=(CommandTime("run", 10, 10, 3.0, 1.5, 0.5),),
     )
     tables = [(title, screen_table(rows, columns)) for title, rows, columns in sheets(two_sizes)]
     written = sections(page(STUDY.name, tables, bench_remarks(two_sizes)))
@@ -138,7 +138,7 @@ def test_pages_show_tables_that_the_bench_writes() -> None:
     )
     marks = [mark for path in PAGES for mark in MARKED.findall(path.read_text(encoding="utf-8"))]
     assert marks and set(marks) <= set(written)
-    assert "| run | 10 × 10 | 3.00 | 1.50 | 2 |" in written["commands"]
+    assert "| run | 10 × 10 | 3.00 | 1.50 | 0.50 | 6 |" in written["commands"]
     text = (
         "before\n<!-- bench: growth -->\nold\n<!-- /bench -->\nafter <!-- bench: unknown "
         "-->\n<!-- /bench -->\n"

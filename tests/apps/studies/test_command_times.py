@@ -37,6 +37,11 @@ def test_a_failed_command_is_no_measurement(tmp_path: Path) -> None:
         processor_seconds(("info", "absent.h5"), tmp_path)
 
 
+def test_the_libraries_alone_are_measured_without_the_package(tmp_path: Path) -> None:
+    assert "lampest" not in command_times.LIBRARIES
+    assert command_times.libraries_seconds(tmp_path) > 0.1
+
+
 @pytest.mark.slow
 def test_every_command_is_measured_next_to_the_solves_of_the_run(
     monkeypatch: pytest.MonkeyPatch, lampest: Callable[..., SimpleNamespace]
@@ -59,13 +64,13 @@ def test_every_command_is_measured_next_to_the_solves_of_the_run(
 
     bench = BenchFile(1, (2,), frames=1)
     pair = bench.recording((2, 3), 0), bench.recording((2, 3), 1)
-    times = list(command_times.command_times(pair, 1, called))
+    times = list(command_times.command_times(pair, 1, called, lambda folder: 4.0))
     assert [time.command for time in times] == list(COMMANDS)
     assert {(time.rows, time.columns) for time in times} == {(2, 3)}
     assert times[0].seconds == 10.0 + len(COMMANDS["run"])
     for time in times:
         assert time.solves_s >= solves[0] > 0
-        assert time.ratio == time.seconds / time.solves_s
+        assert time.ratio == time.seconds / 4.0
 
 
 def test_a_panel_of_commands_has_a_side() -> None:
