@@ -52,13 +52,18 @@ def decreases_enough(
     return np.asarray(np.where(predicted > rounding, falls, halves))
 
 
+def exceeds_rounding(point: Iterate, predicted: float) -> bool:
+    """Return whether a predicted decrease of the cost exceeds the rounding of the cost."""
+    return predicted > MIN_DECREASE_SHARE * abs(point.objective)
+
+
 def sufficient_decrease(point: Iterate, trial: Iterate, predicted: float) -> bool:
     """Return whether the step from a point to a trial is accepted, see `decreases_enough`.
 
     `predicted` is the decrease of the cost that the quadratic model predicts. The trial's gradient
     is computed only where that decrease is within rounding.
     """
-    certain = predicted > MIN_DECREASE_SHARE * abs(point.objective)
+    certain = exceeds_rounding(point, predicted)
     trial_residual = point.residual if certain else trial.residual
     return bool(
         decreases_enough(

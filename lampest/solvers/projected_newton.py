@@ -25,7 +25,12 @@ from lampest.solvers.direction import (
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.iterate import Iterate
 from lampest.solvers.preconditioners import Preconditioner, gauss_newton_factor
-from lampest.solvers.progress import History, late_or_stalled, sufficient_decrease
+from lampest.solvers.progress import (
+    History,
+    exceeds_rounding,
+    late_or_stalled,
+    sufficient_decrease,
+)
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Solver, Status
 from lampest.solvers.steps import STEPS
@@ -254,7 +259,10 @@ def trust_region_step(point: Iterate, parts: NewtonParts) -> Iterate | None:
             return _next_point(
                 point, trial, model.preconditioner, patience, convex=convex, worn=worn
             )
-        # Rejected: try again within a smaller radius.
+        # Rejected: try again within a smaller radius. Where the decrease is within rounding, the
+        # gradient would have to halve, which a step of a quarter of the length cannot do.
+        if trial is not None and not exceeds_rounding(point, abs(direction.decrease)):
+            break
         radius = STEPS.radius_factor * direction.length
         if not radius > 0:
             break

@@ -1,6 +1,7 @@
 """Absolute losses: their smoothing, the number of steps, the accuracy of optima; sparse rows."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,13 +12,15 @@ import lampest
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
 from lampest.panel.sparse_rows import quadratic_forms, squares
+from lampest.panel.trust_region import SubproblemStep
 from lampest.solvers.direction import QuadraticModel, hold_beyond_bounds, newton_direction
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.iterate import Iterate
 from lampest.solvers.multistart import best_solution, evaluated
-from lampest.solvers.projected_newton import ProjectedNewton
+from lampest.solvers.projected_newton import NewtonParts, ProjectedNewton, trust_region_step
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings
+from lampest.solvers.steps import STEPS
 
 SIDE = 10
 # Steps of a first frame under each of TERMS; with μ a tenth of the gap alone 10, 6 and 24.
@@ -106,6 +109,27 @@ def test_absolute_losses_take_few_steps_and_end_within_a_billionth_of_the_cost(
     )
     assert usual.strict and usual.iterations <= most_steps
     assert abs(usual.objective / finer.objective - 1) < SAME_COST
+
+
+def test_a_rejected_step_within_the_rounding_of_the_cost_is_not_shortened() -> None:
+    """A quarter of the step leaves three quarters of the gradient, which has to halve."""
+    far = start((lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=1.0)))
+    optimum = far.elsewhere(
+        ProjectedNewton(far.cost, Settings()).solve(far.data, far).cell_resistance
+    )
+    tried = list[int]()
+    for at in (far, optimum):
+        radii = list[float]()
+
+        def counted(*arguments: Any, radii: list[float] = radii) -> SubproblemStep:
+            radii.append(arguments[2])
+            return newton_direction(*arguments)
+
+        parts = NewtonParts(direction=counted, acceptance=lambda *step: False)
+        point = replace(Iterate.of(at, Smoothing.start(at), None), gauss_newton=0)
+        assert trust_region_step(point, parts) is None
+        tried.append(len(radii))
+    assert tried == [STEPS.max_tries, 1]
 
 
 @pytest.mark.parametrize("dense", [False, True])
