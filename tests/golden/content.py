@@ -1,7 +1,8 @@
 """Results as JSON, and their comparison.
 
 A number's tolerance follows from its quantity: from the kind of its row, which the row states where
-it is made, and from its name where the quantity may be zero. docs/reference/tests.md lists both.
+it is made, and from its name where the quantity may be zero. `QUANTITIES`
+lists the exceptions.
 """
 
 import dataclasses
