@@ -1,8 +1,8 @@
 """Results as JSON, and their comparison.
 
 A number's tolerance follows from its quantity: from the kind of its row, which the row states where
-it is made, and from its name where the quantity may be zero. `QUANTITIES`
-lists the exceptions.
+it is made, and from its name where the quantity may be zero. `QUANTITIES` lists the
+exceptions.
 """
 
 import dataclasses
