@@ -135,17 +135,19 @@ BREAKS = {
     "estimates_without_noise_have_no_error_bars": Break(
         "estimate/estimator.py", "Estimator.has_error_bars", "return True"
     ),
-    "a_tap_of_one_frame_stays": Break("inference/cleaning.py", "no_cell_moves", "return outlying"),
+    "a_tap_of_one_frame_stays": Break(
+        "inference/readings/outliers.py", "no_cell_moves", "return outlying"
+    ),
     "a_reading_that_no_cell_gives_is_missing_and_named": Break(
-        "inference/cleaning.py", "no_cell_moves", "return result & False"
+        "inference/readings/outliers.py", "no_cell_moves", "return result & False"
     ),
     "an_outlier_of_an_unloaded_frame_is_left_out_of_the_mean": Break(
-        "inference/cleaning.py",
+        "inference/readings/outliers.py",
         "outliers_of_one_frame",
         "return result[0] & ~unloaded[:, None, None], result[1], result[2]",
     ),
     "an_outlier_stays_with_its_name_unless_the_scene_excludes_it": Break(
-        "inference/cleaning.py",
+        "inference/readings/judge.py",
         "Cleaned.of",
         "recording = replace(recording, scene=replace(recording.scene, outliers='keep'))",
     ),
@@ -174,28 +176,28 @@ BREAKS = {
         "audit/health.py", "_noisy_lines", "return np.arange(1)"
     ),
     "lines_in_another_order_are_found_and_the_right_one_is_not_doubted": Break(
-        "audit/order.py", "ODDS", "1e30"
+        "inference/readings/order.py", "ODDS", "1e30"
     ),
     "a_number_that_a_recording_cannot_determine_has_a_reason": Break(
         "inference/resolve.py", "never_changes", "return False"
     ),
     "two_swapped_lines_and_two_exchanged_bits_are_named_by_loads_in_several_places": Break(
-        "audit/order.py", "along_side", "return 0 * result"
+        "inference/readings/order.py", "along_side", "return 0 * result"
     ),
     "advice_has_the_number_of_the_estimate": Break(
         "panel/effects/__init__.py", "SharedEffect.sentence", "size = 7.0 * size"
     ),
     "two_feet_half_a_panel_apart_are_no_interleaved_lines": Break(
-        "audit/order.py", "COINCIDENCE", "1e-300"
+        "inference/readings/order.py", "COINCIDENCE", "1e-300"
     ),
     "a_bar_that_sweeps_tells_no_order_of_the_lines_that_it_crosses": Break(
-        "audit/order.py", "MIN_CONTRAST", "0.0"
+        "inference/readings/order.py", "MIN_CONTRAST", "0.0"
     ),
     "lines_that_repeat_each_other_are_named": Break(
-        "audit/health.py", "_is_structured", "return False"
+        "inference/readings/repeated.py", "repeat_each_other", "return False"
     ),
     "loads_on_every_second_line_leave_the_order_open": Break(
-        "audit/order.py", "COMBS", "{'row': (1, 1), 'column': (1, 1)}"
+        "inference/readings/order.py", "COMBS", "{'row': (1, 1), 'column': (1, 1)}"
     ),
     "scatter_is_a_doubt_only_where_the_scene_does_not_name_it": Break(
         "inference/prepared.py",

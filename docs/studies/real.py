@@ -23,7 +23,7 @@ import lampest
 from docs.studies.withheld import interpolated, visible
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.inference.cleaning import impossible_readings
+from lampest.inference.readings.outliers import impossible_readings
 
 DATA = Path(__file__).parents[2] / "data"
 SHIPPED = (DATA / "insole_walking.h5", DATA / "insole_standing.h5")

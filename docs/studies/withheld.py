@@ -18,8 +18,8 @@ from lampest.cost.given import Background
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
-from lampest.inference.cleaning import impossible_readings
 from lampest.inference.prepared import Prepared
+from lampest.inference.readings.outliers import impossible_readings
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings

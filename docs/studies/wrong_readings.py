@@ -17,9 +17,9 @@ import numpy as np
 
 from lampest import Panel
 from lampest.audit.health import Health
-from lampest.inference.cleaning import Cleaned
+from lampest.inference.readings.garbled import garbled_lines
+from lampest.inference.readings.judge import Cleaned
 from lampest.panel.panel import Array
-from lampest.recording.garbled import garbled_lines
 from tests.panels import Plan, recorded
 
 LOADS = ("tap", "keys", "sweep", "palm", "feet", "sway")

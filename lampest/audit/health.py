@@ -14,20 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.audit.finding import Finding
-from lampest.audit.order import order_findings
 from lampest.files.errors import BROKEN, InputError, first_and_more
 from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
-from lampest.inference.cleaning import frozen_readings
+from lampest.inference.readings.garbled import GarbledLines, garbled_lines, middle, readings_of
+from lampest.inference.readings.order import order_of_lines
+from lampest.inference.readings.repeated import frozen_readings, repeat_each_other, repeated_frames
 from lampest.panel.faults import Faults
 from lampest.panel.panel import Array
 from lampest.panel.readouts.starts import several_panels
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_median, chi_square_tail
-from lampest.recording.garbled import GarbledLines, garbled_lines, middle, readings_of
 from lampest.recording.readings import (
     Readings,
     equal_rows,
-    line_differences,
     median,
 )
 from lampest.recording.recording import UNLOADED, Recording
@@ -237,7 +236,8 @@ def _equal_lines(view: _View) -> Iterator[Finding]:
     The readings of both are equal in every frame. Those of lines that touch are lower than those of
     others, too: two lines of cells are in parallel.
     """
-    if not view.modelled or not (view.recording.role == UNLOADED).any():
+    unloaded = view.recording.role == UNLOADED
+    if not view.modelled or not unloaded.any():
         return
     with suppress(*BROKEN, InputError), np.errstate(all="ignore"):
         faults = view.scene.faults or Faults()
@@ -246,7 +246,7 @@ def _equal_lines(view: _View) -> Iterator[Finding]:
             unknown = [
                 group for group in groups if not any(set(group) <= set(lines) for lines in joined)
             ]
-            structured = _is_structured(view, name, groups)
+            structured = repeat_each_other(_along(view.usable, name), unloaded, groups)
             repeated = []
             for group in unknown:
                 lower = _is_lower(view, name, group, groups)
@@ -273,38 +273,6 @@ def _along(readings: Readings, name: str) -> Readings:
     if name == "row":
         return readings
     return readings.each(lambda part: part.swapaxes(-1, -2))
-
-
-def _is_structured(view: _View, name: str, groups: Sequence[Sequence[int]]) -> bool:
-    """Return whether lines that differ are not equal in the unloaded frames by chance.
-
-    Loads in the middle of a uniform film make lines equal, and films do not. The difference of two
-    lines of n cells has a mean, in which floating lines differ most, and a remainder with n − 1
-    degrees of freedom. Where neighbours that differ have variances f and g of these in the units of
-    noise, and the film's mean square difference is at most e, two lines are equal by chance with
-    p = P(χ²₁ < n e/f) P(χ²ₙ₋₁ < n e/g). Of k groups among m lines all are with (m² p/2)^k. Of each
-    group one line counts.
-    """
-    copies = [line for group in groups for line in group[1:]]
-    usable = _along(view.usable, name)
-    at_rest = usable[view.recording.role == UNLOADED]
-    lines, cells = at_rest.value.shape[1:]
-    others = np.setdiff1d(np.arange(lines), copies)
-    if not copies or len(others) < 2:
-        return False
-    unlike, count = line_differences(usable)
-    observed = max(unlike[group[0], line] for group in groups for line in group[1:]) - 1
-    equal = max(float(observed), 0.0) + NOISE_REACH * np.sqrt(2 / max(int(count.max()), 1))
-    resting = at_rest.mean()
-    noise = np.hypot(resting.known_sigma[others[1:]], resting.known_sigma[others[:-1]])
-    film = np.diff(resting.value[others], axis=0) / (noise * np.sqrt(len(at_rest.value)))
-    common = film.mean(axis=1, keepdims=True)
-    parts = ((cells * common**2, 1), (np.sum((film - common) ** 2, axis=1), cells - 1))
-    chance = 1.0
-    for squares, degrees in parts:
-        usual = float(np.median(squares)) / chi_square_median(degrees)
-        chance *= 1 - float(chi_square_tail(cells * equal / usual, degrees))
-    return bool((lines**2 / 2 * chance) ** len(groups) < SIGNIFICANCE)
 
 
 def _is_lower(
@@ -499,29 +467,6 @@ def _frames(view: _View) -> Iterator[Finding]:
         yield Finding("frames", f"{count} are repeated", evidence, remedy="record each frame once")
 
 
-def repeated_frames(recording: Recording) -> NDArray[np.intp]:
-    """Return the frames that equal the one before in every reading.
-
-    Frames count as repeated only where noise changes some readings in nearly all others. Frames
-    without a value are no copies.
-    """
-    value = recording.recorded[:, recording.scene.requested]
-    compared = np.isfinite(value[1:]) & np.isfinite(value[:-1])
-    same = (value[1:] == value[:-1]) & compared
-    counts = compared.sum(axis=1)
-    if len(value) < 3 or not counts.any():
-        return np.zeros(0, dtype=np.intp)
-    shares = same.sum(axis=1) / np.maximum(counts, 1)
-    copies = (shares == 1) & (counts > 0)
-    shares_of_others = shares[~copies & (counts > 0)]
-    if not copies.any() or not len(shares_of_others):
-        return np.zeros(0, dtype=np.intp)
-    # probability that noise repeats all readings of a frame by chance, if the largest share of the
-    # others is usual
-    chance = len(copies) * float(shares_of_others.max()) ** int(np.median(counts))
-    return np.flatnonzero(copies) + 1 if chance < SIGNIFICANCE else np.zeros(0, dtype=np.intp)
-
-
 def _times(view: _View) -> Iterator[Finding]:
     """Find equal times and gaps."""
     steps = np.diff(view.recording.time)
@@ -545,4 +490,24 @@ def _times(view: _View) -> Iterator[Finding]:
 
 def _order(view: _View) -> Iterator[Finding]:
     """Find rows and columns in another order than the scene says."""
-    yield from order_findings(view.recording, view.volts)
+    unloaded = view.recording.role == UNLOADED
+    delivered = order_of_lines(view.scene, view.usable, unloaded)
+    if not delivered.steps:
+        return
+    orders = [step.order for step in delivered.steps]
+    words = " and ".join(order.words for order in orders)
+    line = delivered.every_second
+    if line:
+        yield Finding(
+            "order",
+            "the order of lines cannot be told from this recording",
+            f"loads lie on every second {line}, or they are smooth with {words}",
+            remedy=f"press a spot that covers neighbouring {line}s at a known place",
+        )
+        return
+    yield Finding(
+        "order",
+        f"readings seem to come in another order: {words}",
+        f"loads are smooth then, with odds of 10^{delivered.decades:.0f} to one",
+        remedy="; then ".join(order.remedy for order in orders),
+    )

@@ -12,8 +12,8 @@ from lampest.estimate.sequence import MeasuredPart, first_stream, frame_period
 from lampest.estimate.stream import CarriedOver, Stream
 from lampest.files.errors import InputError
 from lampest.inference.prepared import Prepared
+from lampest.inference.readings.neighbours import WINDOW
 from lampest.panel.panel import Array
-from lampest.recording.neighbours import WINDOW
 from lampest.recording.readings import mean_change
 from lampest.recording.recording import MEASURED, Recording, baseline_readings
 from lampest.recording.stored import StoredRecording, first_unloaded, joined, measured_part

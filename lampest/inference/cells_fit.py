@@ -336,6 +336,18 @@ def fitted(
     return None
 
 
+def local_fit(scene: Scene, readings: Readings) -> CellsFit:
+    """Return the fit to a frame that the readout's start leads to, whatever its misfit.
+
+    Panels of more than MAX_CELLS have the start itself, without a Jacobian.
+
+    Raises one of BROKEN where arithmetic fails.
+    """
+    data = data_of_cells(scene, readings)
+    data = replace(data, lower=MIN_CELL_FACTOR * data.lower)
+    return _levenberg_marquardt_fit(scene, data, readings, data.start()[0])
+
+
 def _levenberg_marquardt_fit(
     scene: Scene,
     data: Data,

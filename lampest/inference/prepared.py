@@ -13,8 +13,9 @@ import numpy as np
 
 from lampest.files.errors import BROKEN, InputError, in_words
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.inference.cleaning import Cleaned
 from lampest.inference.noise import NoiseEstimate, estimate_noise
+from lampest.inference.readings.garbled import garbled_sentence
+from lampest.inference.readings.judge import Cleaned
 from lampest.inference.resolve import (
     OF_NOISE,
     Freed,
@@ -27,7 +28,6 @@ from lampest.inference.resolve import (
 from lampest.panel.effects import own_errors, unobservable_numbers
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts.starts import several_panels
-from lampest.recording.garbled import garbled_sentence
 from lampest.recording.recording import Recording
 
 if TYPE_CHECKING:

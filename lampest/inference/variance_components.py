@@ -24,7 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
-from lampest.inference.cleaning import QUIET_SHARE
+from lampest.inference.readings.repeated import QUIET_SHARE
 from lampest.panel.conditions import motion_patterns
 from lampest.panel.panel import Array
 from lampest.panel.readouts.scan_order import in_scan_lines

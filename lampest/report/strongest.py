@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lampest.inference.readings.garbled import garbled_lines, readings_of
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.recording.garbled import garbled_lines, readings_of
 from lampest.recording.recording import UNLOADED, UNREFERENCED, Recording
 from lampest.runs.case import CaseResult
 

@@ -5,7 +5,7 @@ import pytest
 
 import lampest
 from lampest import Misfit, Panel, Readings, Recording, Scene, TwoPointReadout
-from lampest.inference.cleaning import impossible_readings
+from lampest.inference.readings.outliers import impossible_readings
 from lampest.recording.readings import Sidedness
 
 SCENES = {

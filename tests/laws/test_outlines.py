@@ -11,8 +11,8 @@ import lampest
 from lampest import Cells, Panel, Scene, Simulation
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.recognition.detect.pressed import pressed_of
-from lampest.inference.cleaning import impossible_readings
 from lampest.inference.prepared import Prepared
+from lampest.inference.readings.outliers import impossible_readings
 from lampest.panel.readouts.floating import exact_two_point_resistance
 from lampest.panel.response import PUBLISHED
 from tests.apps.board.estimated import unchecked_case

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from lampest.inference.prepared import Prepared
+from lampest.inference.readings.garbled import garbled_lines
 from lampest.recording.datasets import load
-from lampest.recording.garbled import garbled_lines
 from lampest.report.strongest import strongest_readings
 from tests.panels import Plan, recorded
 

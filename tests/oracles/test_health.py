@@ -16,8 +16,17 @@ from ruamel.yaml import YAML
 from docs.studies.wrong_readings import drawn, of_load
 from lampest import Faults, Panel, Recording, Scene
 from lampest.audit.health import ROOMS, WELL, Health
-from lampest.audit.order import Order, exchanged_lines, load_images, orders, smoother_order
 from lampest.inference.prepared import Prepared
+from lampest.inference.readings.order import (
+    Order,
+    cell_changes,
+    exchanged_lines,
+    load_images,
+    orders,
+    scores,
+    smoother_order,
+)
+from lampest.recording.recording import UNLOADED
 from lampest.runs.starter import RECORDING, TEMPLATES, write_starter
 from tests.panels import READOUTS, Plan, recorded
 
@@ -142,7 +151,7 @@ def test_lines_that_repeat_each_other_are_named(pairs: int) -> None:
 
 
 @promise("theory/model_check: A bar that lies on all lines alike tells nothing of their order.")
-@pytest.mark.parametrize("seed", [42, 100, 138])
+@pytest.mark.parametrize("seed", [1, 42, 138])
 def test_a_bar_that_sweeps_tells_no_order_of_the_lines_that_it_crosses(seed: int) -> None:
     """Rows had odds of 10⁵ and 10⁶ by the film, which the bar shows in every place."""
     recording = drawn(seed, of_load("sweep")).recording()
@@ -185,10 +194,9 @@ def test_a_repeated_frame_and_a_gap_in_time_are_named() -> None:
 
 def images(plan: Plan) -> np.ndarray:
     """Return the images of a plan's loads in their places, in the order of its scene."""
-    readout = plan.scene.readout
-    assert readout is not None
-    volts = plan.codes() * readout.lsb_volt
-    return load_images(volts[plan.unloaded :], volts[: plan.unloaded], readout.lsb_volt)
+    recording = recorded(plan.scene, plan.codes(), plan.unloaded)
+    unloaded = recording.role == UNLOADED
+    return load_images(cell_changes(plan.scene, recording.readings(), unloaded))
 
 
 def in_wrong_order(shown: np.ndarray, order: Order) -> np.ndarray:
@@ -309,7 +317,7 @@ class Comb(Plan):
 
 
 def test_a_comb_is_questioned_with_what_to_record() -> None:
-    plan = Plan.drawn(10)
+    plan = Plan.drawn(4)
     comb = Comb(**vars(replace(plan, load="jumps", measured=20)))
     assert len(images(comb)) >= MIN_PLACES
     (sentence,) = [text for text in faulty(health(comb)) if "order" in text]
@@ -326,7 +334,7 @@ def test_the_order_of_isolated_cells_is_not_doubted() -> None:
         image = 0.01 * rng.standard_normal(shape)
         for _ in range(rng.integers(1, 6)):
             image[rng.integers(shape[0]), rng.integers(shape[1])] += rng.uniform(0.3, 3)
-        doubted += smoother_order(image[None]) is not None
+        doubted += smoother_order(scores(image, np.full(shape, 0.01))[None]) is not None
     assert doubted <= 1
 
 

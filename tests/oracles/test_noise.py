@@ -24,9 +24,10 @@ from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, TWO_SIDED, UNUSUAL
 from lampest.inference.cells_fit import CellsFit, fitted
 from lampest.inference.circuits.compared_frames import noise_factor
 from lampest.inference.circuits.parameters import DOUBTFUL_GAIN
-from lampest.inference.cleaning import detect_outliers, frozen_readings
 from lampest.inference.effects import static_errors
 from lampest.inference.prepared import Prepared
+from lampest.inference.readings.outliers import detect_outliers
+from lampest.inference.readings.repeated import frozen_readings
 from lampest.inference.unloaded_cells import READING_ERRORS, unloaded_costs
 from lampest.inference.variance_components import Scatter, posterior_size, scatter
 from lampest.panel.panel import Array, Panel

@@ -9,8 +9,8 @@ from promises import promise
 
 import lampest
 from lampest.files.errors import InputError
-from lampest.inference.cleaning import Cleaned
 from lampest.inference.prepared import Prepared
+from lampest.inference.readings.judge import Cleaned
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
 from tests.panels import READOUTS, Plan, recorded

@@ -26,7 +26,7 @@ from lampest.cost.terms import CellResistance, Gradient, Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.objective import AutoWeight
 from lampest.files.levels import TWO_SIDED
-from lampest.inference.cleaning import impossible_readings
+from lampest.inference.readings.outliers import impossible_readings
 from lampest.posterior import reference_fit
 from lampest.posterior.reference import references
 from lampest.solvers.posed import Bounds

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lampest import InputError, Recording
-from lampest.inference.cleaning import Cleaned
+from lampest.inference.readings.judge import Cleaned
 from lampest.report.plots.readings import STATES, plot_readings, readings_picture, states_of
 from tests.panels import Plan
 

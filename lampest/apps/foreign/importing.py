@@ -32,9 +32,9 @@ from lampest.apps.foreign.unit import understood_unit
 from lampest.files.errors import InputError, counted, first_and_more, meant, printable
 from lampest.files.typed import installed, typed
 from lampest.files.whole import note_read
+from lampest.inference.readings.garbled import garbled_lines
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
-from lampest.recording.garbled import garbled_lines
 from lampest.recording.processed import AS_CONVERTED, normalised, processing_of, restored
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.unit import RESISTANCES, check_unit, recorded_values

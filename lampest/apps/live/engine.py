@@ -24,8 +24,8 @@ from lampest.apps.live.watcher import News, Scan, Unloaded, watcher
 from lampest.apps.recognition.detect.answer import Detected
 from lampest.estimate.estimator import Estimator
 from lampest.files.errors import InputError
-from lampest.inference.cleaning import Cleaned
 from lampest.inference.prepared import Prepared
+from lampest.inference.readings.judge import Cleaned
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 

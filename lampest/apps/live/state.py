@@ -14,7 +14,7 @@ from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.files.levels import OUTLIER_THRESHOLD
-from lampest.inference.cleaning import FramesBefore
+from lampest.inference.readings.outliers import FramesBefore
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.track import Bars, Track

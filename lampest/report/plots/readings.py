@@ -12,10 +12,10 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, counted
-from lampest.inference.cleaning import Cleaned
 from lampest.inference.prepared import Prepared
+from lampest.inference.readings.garbled import readings_of
+from lampest.inference.readings.judge import Cleaned
 from lampest.panel.panel import Array
-from lampest.recording.garbled import readings_of
 from lampest.recording.readings import Sidedness
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, opened

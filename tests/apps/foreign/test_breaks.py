@@ -11,7 +11,7 @@ import pytest
 
 import lampest
 from lampest import InputError
-from lampest.recording.garbled import garbled_lines
+from lampest.inference.readings.garbled import garbled_lines
 from tests.fuzz import tables
 
 ROWS = 8

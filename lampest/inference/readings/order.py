@@ -1,17 +1,24 @@
 """Order of the lines: whether loads are smooth in the scene's order, or in another one.
 
 A load covers neighbouring cells, and its crosstalk rows and columns. Lines that a program numbered
-otherwise, or a frame that was cut into rows of another length, tear its image apart. Frames whose
-changes are alike show one place of a load, and their mean is its image. An image is the sum of its
-mean, a part of the rows, one of the columns, and an interaction. Each part is a smooth Gaussian
-process over the lines beside a roughness that knows no order,
+otherwise, or a frame that was cut into rows of another length, tear its image apart. The image is
+that of the cells, whose logarithms change by x = K (y − y₀) by the circuit's derivative at the
+unloaded panel, so that neither film nor crosstalk are in it. Frames whose changes are alike show
+one place of a load, and their mean is its image. Of an image the scores
+
+    t = tanh(z/c),   z = sign(x) max(|x| − ν, 0)
+
+count. The reach ν is 3 σ of noise, and a tenth of the largest change, since the change of a load is
+not linear. The unit c is the third largest of the rows' second largest |z|, or that of the columns,
+the smaller one: single cells, or a bar of two lines, are no image, however large they are.
+An image is the sum of its mean, a part of the rows, one of the columns, and an interaction. Each
+part is a smooth Gaussian process over the lines beside a roughness that knows no order,
 
     cov = s² (K/mean(diag K) + ρ),   K = C exp(−(i − j)²/(2 ℓ²)) C,   C = 1 − 1 1ᵀ/n,
 
 with K_rows ⊗ K_columns for the interaction. The scale s is integrated out by its maximum, ℓ and ρ
 over a few values, equally probable. An order is found where its odds against all others that are
-tried, and against the scene's, are a thousand to one. Single cells far larger than all others may
-stand side by side by chance: the normal scores of the ranks have to show the order, too.
+tried, and against the scene's, are a thousand to one.
 
 A load in one place may be like one in another order: two feet half a panel apart are one smooth
 load where odd and even lines are apart, an edge between two lines is one where they are swapped.
@@ -24,7 +31,7 @@ such a load has not these odds against it, the recording cannot tell the order.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import chain, combinations
 from typing import NamedTuple
@@ -32,11 +39,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.audit.finding import Finding
+from lampest.files.errors import BROKEN
+from lampest.files.levels import NOISE_REACH
+from lampest.inference.cells_fit import local_fit
 from lampest.panel.panel import Array
-from lampest.posterior.interval import normal_quantile
-from lampest.recording.readings import median
-from lampest.recording.recording import UNLOADED, Recording
+from lampest.panel.scene import Scene
+from lampest.recording.readings import Readings, median
 
 ODDS = 1000.0  # of an order against the scene's
 # Probability that a load in one place is as smooth in another order of lines: two like loads half a
@@ -54,12 +62,15 @@ MAX_FRAMES = 200  # whose changes are compared, the strongest ones
 MAX_PLACES = 12
 # Root mean square of a change over the noise of a reading, so that its image shows a place.
 MIN_CHANGE = 2.0
+LOAD_SD = 1.0  # of a load's change of ln r; it decides where noise leaves a cell open
+MIN_SHARE = 0.1  # of the largest change, which is not linear: smaller ones show no order
+MIN_COVERED = 3  # rows, and columns, that a load covers: one on fewer shows no order
 TINY = 1e-30  # norm of no image
 # Standard deviation of a load's mean on each line over its mean on all lines, or over the standard
 # deviation of its image, the larger one. Films that scatter by 0.3 have 0.33 under a bar, and loads
 # in one place 0.6 and more (docs/studies/wrong_readings.md).
 MIN_CONTRAST = 0.5
-MAX_ALIKE = 0.5  # cosine between the changes of two places
+MAX_ALIKE = 0.7  # cosine between the changes of two places
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,75 +183,163 @@ def exchanged_lines(count: int) -> Iterator[tuple[str, NDArray[np.intp]]]:
         yield f"{first} and {first + 1} swapped", swapped
 
 
-def order_findings(recording: Recording, volts: Array) -> Iterator[Finding]:
-    """Yield a finding where another order makes loads smooth.
+@dataclass(frozen=True, eq=False)
+class DeliveredOrder:
+    """Orders, one after the other, in which loads are smooth.
+
+    Attributes
+    ----------
+    steps : tuple of SmootherOrder
+        Empty where the scene's order is not doubted.
+    """
+
+    steps: tuple[SmootherOrder, ...] = ()
+
+    @classmethod
+    def of(cls, images: Array) -> "DeliveredOrder":
+        """Return the order that images of loads, (places, rows, columns), show."""
+        steps = list[SmootherOrder]()
+        while len(steps) < MAX_STEPS and (found := smoother_order(images)) is not None:
+            steps.append(found)
+            if found.every_second:
+                break
+            images = images.reshape(len(images), -1)[:, found.order.image]
+        if len(steps) > 1 and steps[-1].every_second:
+            del steps[-1]
+        return cls(tuple(steps))
+
+    @property
+    def every_second(self) -> str:
+        """Lines of which loads on every second one explain the readings; '' without such."""
+        return self.steps[0].every_second if self.steps else ""
+
+    @property
+    def decades(self) -> float:
+        """Logarithm to base 10 of the odds against the scene's order."""
+        return float(sum(step.gain for step in self.steps) / (2 * np.log(10)))
+
+
+def order_of_lines(scene: Scene, readings: Readings, unloaded: NDArray[np.bool_]) -> DeliveredOrder:
+    """Return the order in which the loads of a recording are smooth.
 
     Parameters
     ----------
-    recording : Recording
-    volts : array, shape (frames, rows, columns)
-        Voltages; NaN where missing.
+    scene : Scene
+    readings : Readings
+        (frames, rows, columns).
+    unloaded : boolean array, shape (frames,)
     """
-    scene = recording.scene
-    unloaded = recording.role == UNLOADED
-    if min(scene.panel.shape) < MIN_LINES or not unloaded.any() or unloaded.all():
-        return
-    if not scene.whole:
-        return
-    lsb = 0.0 if scene.readout is None else scene.readout.lsb_volt
-    images = load_images(volts[~unloaded], volts[unloaded], lsb)
-    steps = list[SmootherOrder]()
-    while len(steps) < MAX_STEPS and (found := smoother_order(images)) is not None:
-        order, _, every_second = found
-        if every_second and not steps:
-            yield Finding(
-                "order",
-                "the order of lines cannot be told from this recording",
-                f"loads lie on every second {every_second}, or they are smooth with {order.words}",
-                remedy=f"press a spot that covers neighbouring {every_second}s at a known place",
-            )
-            return
-        steps.append(found)
-        images = images.reshape(len(images), -1)[:, order.image]
-    if steps:
-        gain = sum(step.gain for step in steps) / (2 * np.log(10))
-        yield Finding(
-            "order",
-            "readings seem to come in another order: "
-            + " and ".join(step.order.words for step in steps),
-            f"loads are smooth then, with odds of 10^{gain:.0f} to one",
-            remedy="; then ".join(step.order.remedy for step in steps),
-        )
+    told = min(scene.panel.shape) >= MIN_LINES and unloaded.any() and not unloaded.all()
+    if not told or not scene.whole:
+        return DeliveredOrder()
+    return DeliveredOrder.of(load_images(cell_changes(scene, readings, unloaded)))
 
 
-def load_images(loaded: Array, resting: Array, least_noise: float) -> Array:
-    """Return the image of the load in each of its places, (places, rows, columns).
+class CellChanges(NamedTuple):
+    """Changes of the log cells under loads.
+
+    Attributes
+    ----------
+    loaded : array, shape (loaded frames, rows, columns)
+    noise : array, shape (rows, columns)
+        Standard deviations of a frame's changes.
+    significance : array, shape (loaded frames,)
+        Root mean square of a frame's changes of readings over their standard deviations.
+    unloaded : int
+        Number of the unloaded frames, with whose mean the others are compared.
+    """
+
+    loaded: Array
+    noise: Array
+    significance: Array
+    unloaded: int
+
+
+def cell_changes(scene: Scene, readings: Readings, unloaded: NDArray[np.bool_]) -> CellChanges:
+    """Return the changes of the log cells under loads.
+
+    With the Jacobian J of the readings y at the cells of the unloaded panel, their mean y₀ and
+    standard deviations σ, and a prior standard deviation of LOAD_SD,
+
+        x = (Jᵀ J/σ² + 1/LOAD_SD²)⁻¹ Jᵀ (y − y₀)/σ².
+
+    On panels of more than MAX_CELLS, J is its diagonal at the start of a fit.
+
+    Parameters
+    ----------
+    scene : Scene
+    readings : Readings
+        (frames, rows, columns).
+    unloaded : boolean array, shape (frames,)
+    """
+    resting = readings[unloaded].mean()
+    sigma = _sigma_of_frame(readings, unloaded)
+    loaded = readings[~unloaded]
+    scaled = np.where(loaded.seen > 0, loaded.value - resting.value, 0.0) / sigma
+    significance = np.sqrt(np.mean(scaled**2, axis=(1, 2)))
+    frames = int(unloaded.sum())
+    try:
+        fit = local_fit(scene, replace(resting, sigma=sigma))
+    except BROKEN:
+        return CellChanges(scaled, np.ones(sigma.shape), significance, frames)
+    if fit.jacobian.size:
+        gain = replace(fit, ridge=LOAD_SD**-2).covariance @ fit.jacobian.T
+        change = (scaled.reshape(len(scaled), -1) @ gain.T).reshape(scaled.shape)
+        noise = np.sqrt(np.sum(gain**2, axis=1)).reshape(sigma.shape)
+    else:
+        own = fit.network.own_response() / sigma
+        noise = np.abs(own) / (own**2 + LOAD_SD**-2)
+        change = np.sign(own) * noise * scaled
+    return CellChanges(change, noise, significance, frames)
+
+
+def _sigma_of_frame(readings: Readings, unloaded: NDArray[np.bool_]) -> Array:
+    """Return the standard deviations of a frame's readings, (rows, columns).
+
+    Those of the readout are raised by the scatter of unloaded frames where that is larger.
+    """
+    value = readings.value[unloaded]
+    specified = np.ones(value.shape) if readings.sigma is None else readings.sigma[unloaded]
+    steps = np.diff(value, axis=0) / np.hypot(specified[1:], specified[:-1])
+    measured = float(np.sqrt(np.mean(steps**2))) if steps.size else 0.0
+    least = TINY if readings.sigma is None else 1.0
+    return np.asarray(median(specified)[0] * max(measured, least))
+
+
+def load_images(changes: CellChanges) -> Array:
+    """Return the scores t of the load in each of its places, (places, rows, columns).
 
     Frames whose changes have a cosine of MAX_ALIKE or more show one place.
+    """
+    flat = changes.loaded.reshape(len(changes.loaded), -1)
+    strongest = np.argsort(-changes.significance)[:MAX_FRAMES]
+    flat = flat[strongest[changes.significance[strongest] > MIN_CHANGE]]
+    size = np.linalg.norm(flat, axis=1)
+    images = list[Array]()
+    while len(flat) and len(images) < MAX_PLACES:
+        alike = flat @ flat[0] >= MAX_ALIKE * size * size[0]
+        image = flat[alike].mean(axis=0)
+        frames = np.sqrt(1 / alike.sum() + 1 / changes.unloaded)
+        images.append(scores(image.reshape(changes.noise.shape), frames * changes.noise))
+        flat, size = flat[~alike], size[~alike]
+    return np.reshape([image for image in images if image.any()], (-1, *changes.noise.shape))
+
+
+def scores(image: Array, noise: Array) -> Array:
+    """Return the scores t of the changes of cells, (rows, columns); 0 where c is 0.
 
     Parameters
     ----------
-    loaded, resting : arrays, shape (frames, rows, columns)
-        Voltages under load, and those of the unloaded panel; NaN where missing.
-    least_noise : float
-        Least standard deviation of a reading.
+    image, noise : array, shape (rows, columns)
+        Changes, and their standard deviations.
     """
-    change = loaded - median(resting)[0]
-    change = np.where(np.isfinite(change), change, 0.0)
-    steps = np.diff(resting, axis=0)
-    steps = steps[np.isfinite(steps)]
-    noise = max(float(np.sqrt(np.sum(steps**2) / (2 * max(steps.size, 1)))), least_noise)
-    flat = change.reshape(len(change), -1)
-    size = np.linalg.norm(flat, axis=1)
-    strongest = np.argsort(-size)[:MAX_FRAMES]
-    strongest = strongest[size[strongest] > MIN_CHANGE * noise * np.sqrt(flat.shape[1])]
-    flat = flat[strongest] / size[strongest, None]
-    images = list[Array]()
-    while len(flat) and len(images) < MAX_PLACES:
-        alike = flat @ flat[0] >= MAX_ALIKE
-        images.append(flat[alike].mean(axis=0))
-        flat = flat[~alike]
-    return np.reshape(images, (-1, *change.shape[1:]))
+    reach = np.maximum(NOISE_REACH * noise, MIN_SHARE * np.abs(image).max())
+    beyond = np.maximum(np.abs(image) - reach, 0.0)
+    second = [np.sort(beyond, axis=axis).take(-2, axis) for axis in (0, 1)]
+    usual = min(np.sort(of_lines)[-MIN_COVERED] for of_lines in second)
+    if not usual > 0:
+        return np.zeros(image.shape)
+    return np.asarray(np.tanh(np.sign(image) * beyond / usual))
 
 
 def along_side(images: Array, side: int | None) -> NDArray[np.intp]:
@@ -294,35 +393,23 @@ def smoother_order(images: Array) -> SmootherOrder | None:
     if not len(images):
         return None
     flat = images.reshape(len(images), -1)
-    ranks = np.argsort(np.argsort(flat, axis=1), axis=1)
-    both = (flat, normal_quantile((ranks + 0.5) / flat.shape[1]))
-    as_specified = [smooth_costs(values.reshape(images.shape)) for values in both]
-
-    def gains_of(tried: Sequence[Order]) -> Array:
-        """Return gains by values and by ranks, (2, orders, places)."""
-        costs = [costs_of_orders(values, tried) for values in both]
-        return np.array(as_specified)[:, None] - costs
-
+    as_specified = smooth_costs(images)
     tried = list(orders(*images.shape[1:]))
-    gains = gains_of(tried)
-    several = several_exchanges(tried, np.min(gains, axis=0).sum(axis=1))
+    gains = as_specified - costs_of_orders(flat, tried)
+    several = several_exchanges(tried, gains.sum(axis=1))
     tried += several
-    gains = np.concatenate([gains, gains_of(several)], axis=1)
-    # By the less certain of both, values or ranks.
-    of_places = np.min(gains, axis=0)
-    best = int(np.argmax(of_places.sum(axis=1).round(6)))
+    gains = np.concatenate([gains, as_specified - costs_of_orders(flat, several)])
+    best = int(np.argmax(gains.sum(axis=1).round(6)))
     # A coincidence bounds each place's share of the evidence.
-    groups = along_side(images, tried[best].side)
-    of_groups = np.bincount(groups[groups >= 0], weights=of_places[best][groups >= 0])
+    in_order = flat[:, tried[best].image]
+    groups = along_side(in_order, tried[best].side)
+    of_groups = np.bincount(groups[groups >= 0], weights=gains[best][groups >= 0])
     gain = float(np.minimum(of_groups, -2 * np.log(tried[best].coincidence)).sum())
     if not gain > 2 * np.log(ODDS * len(tried)):
         return None
-    # By the same of both, values or ranks, a load on every second line may explain as much.
-    combs = [
-        [specified - smooth_costs(values.reshape(images.shape), step) for step in COMBS.values()]
-        for specified, values in zip(as_specified, both, strict=True)
-    ]
-    beyond = np.min(gains[:, [best]] - combs, axis=0).sum(axis=1)
+    # A load on every second line may explain as much.
+    of_combs = [as_specified - smooth_costs(images, step) for step in COMBS.values()]
+    beyond = (gains[best] - of_combs).sum(axis=1)
     comb = int(np.argmin(beyond))
     every_second = list(COMBS)[comb] if beyond[comb] < 2 * np.log(ODDS) else ""
     return SmootherOrder(tried[best], gain, every_second)

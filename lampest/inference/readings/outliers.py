@@ -1,4 +1,4 @@
-"""Cleaning of a recording: outliers of a single frame, frozen and garbled readings are left out.
+"""Outliers: readings that no cells give, and those that deviate in a single frame.
 
 A reading is an outlier if it deviates from the prediction of its neighbouring frames while its row
 and column do not. A loose contact and a lost bit make such a reading. So does a tap of one frame,
@@ -8,12 +8,11 @@ well: a reading that stands alone is impossible there, and missing. In unloaded 
 changes, and all outliers are missing. No reading is replaced.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import first_and_more
 from lampest.files.levels import (
     FALSE_ALARM_RATE,
     MAD_TO_SIGMA,
@@ -21,12 +20,7 @@ from lampest.files.levels import (
     OUTLIER_THRESHOLD,
     UNUSUAL,
 )
-from lampest.panel.panel import Array
-from lampest.panel.readouts import Readout
-from lampest.panel.scene import Scene
-from lampest.posterior.interval import largest_normal, largest_of
-from lampest.recording.garbled import GarbledLines, garbled_lines, readings_of
-from lampest.recording.neighbours import (
+from lampest.inference.readings.neighbours import (
     MIN_RATIO_TO_SCATTER,
     WINDOW,
     Expected,
@@ -35,8 +29,11 @@ from lampest.recording.neighbours import (
     first_of_windows,
     from_window,
 )
+from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
+from lampest.panel.scene import Scene
+from lampest.posterior.interval import largest_normal, largest_of
 from lampest.recording.readings import Readings, Sidedness, median, stand_in
-from lampest.recording.recording import UNLOADED, Recording
 
 # Ratio of the deviation to the median deviation of the row or the column. A load on one cell
 # changes these by 0.22 of the change of its own reading where all lines float: the change has rank
@@ -44,12 +41,6 @@ from lampest.recording.recording import UNLOADED, Recording
 MIN_RATIO_TO_LINES = 6.0
 # Of a frame's readings, and of twice the unloaded rate: a frame with more was touched.
 MAX_SHARE = 0.05
-# Of pairs or triples of frames, the quietest: loads that come and go disturb the remaining ones.
-QUIET_SHARE = 0.25
-# Share of readings that repeat in the next frame: 0.56 where noise is half a step. With
-# FALSE_ALARM_RATE 3 of 19,000 simulated recordings without a frozen reading show one, and from a
-# step of noise and 12 frames on all frozen ones are noticed.
-MAX_REPEATED = 0.5
 ABSENT_OHM = 1e12  # a place without a cell
 MIN_FRAMES = 3  # with fewer, the deviating frame cannot be identified
 
@@ -104,45 +95,6 @@ def detect_outliers(
         np.where(nearer, line, middle),
         np.hypot(np.where(nearer, line_spread, spread), deviation),
     )
-
-
-def frozen_readings(recording: Recording) -> NDArray[np.bool_]:
-    """Flag readings that have one value in all frames although noise changes the other readings.
-
-    Such a reading does not answer to loads, and moves the cells of its row and column. Let p be the
-    share of the other readings that repeat in the next frame, in the quarter of the frames in which
-    most do. A measured reading repeats in all pairs of frames with the probability p^pairs, if p is
-    at most MAX_REPEATED. With less noise the probability depends on the place within a step of the
-    converter, and none is flagged. Readings at a rail are bounds.
-
-    Returns
-    -------
-    boolean array, shape (rows, columns)
-    """
-    value = recording.readings().plain_values
-    finite = np.isfinite(value)
-    smallest = np.where(finite, value, np.inf).min(axis=0)
-    largest = np.where(finite, value, -np.inf).max(axis=0)
-    constant = smallest == largest
-    pairs = finite[1:] & finite[:-1]
-    compared = pairs & ~constant
-    count = compared.sum(axis=(1, 2))
-    repeated = ((value[1:] == value[:-1]) & compared).sum(axis=(1, 2))
-    many_constant = constant.sum() > max(1.0, MAX_SHARE * constant.size)
-    if not constant.any() or not count.any() or many_constant:
-        return np.zeros(constant.shape, dtype=bool)
-    shares = np.sort(np.maximum(repeated, 1)[count > 0] / count[count > 0])
-    quiet_frames = max(1, round(QUIET_SHARE * len(shares)))
-    share = float(shares[-quiet_frames:].mean())
-    chance = constant.size * share ** pairs.sum(axis=0)
-    return np.asarray(constant & (share <= MAX_REPEATED) & (chance < FALSE_ALARM_RATE))
-
-
-def without_readings(recording: Recording, unread: NDArray[np.bool_]) -> Recording:
-    """Return a recording in which some readings, (rows, columns), are missing."""
-    if not unread.any():
-        return recording
-    return replace(recording, recorded=np.where(unread, np.nan, recording.recorded))
 
 
 def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
@@ -489,104 +441,3 @@ def _pair_scale(value: Array, sigma: Array) -> float:
     """
     difference = np.abs(np.diff(value, axis=0)) / np.hypot(sigma[1:], sigma[:-1])
     return MAD_TO_SIGMA * float(median(difference.ravel())[0]) if difference.size else np.nan
-
-
-@dataclass(frozen=True, eq=False)
-class Cleaned:
-    """Readings of a recording without those that are impossible, and the outliers that stay.
-
-    Attributes
-    ----------
-    recording : Recording
-        Its scene includes a saturated stage where the readings show one; frozen and garbled
-        readings are missing.
-    frozen : boolean array, shape (rows, columns)
-    garbled : tuple of GarbledLines
-    impossible : boolean array, shape (frames, rows, columns)
-        Readings that are larger than any cells allow.
-    outliers : boolean array, same shape
-        These, and outliers of one frame.
-    deviation : array, same shape
-        Readings over the predictions of their neighbours in time, less one.
-    readings : Readings
-        Impossible readings are missing, those of unloaded frames that deviate, and all outliers
-        where the scene excludes them.
-    """
-
-    recording: Recording
-    frozen: NDArray[np.bool_]
-    garbled: tuple[GarbledLines, ...]
-    impossible: NDArray[np.bool_]
-    outliers: NDArray[np.bool_]
-    deviation: Array
-    readings: Readings
-
-    @classmethod
-    def of(cls, recording: Recording) -> "Cleaned":
-        """Return the readings of a recording without those that do not belong to it."""
-        scene = recording.scene
-        unloaded = recording.role == UNLOADED
-        frozen = frozen_readings(recording)
-        garbled = garbled_lines(recording)
-        recording = without_readings(recording, frozen | readings_of(garbled, recording))
-        every = recording.readings()
-        impossible = impossible_readings(scene.circuit, every)
-        readings = every.without(impossible)
-        outlying, expected, scale = outliers_of_one_frame(readings, unloaded)
-        value = readings.plain_values
-        left_out = outlying & (unloaded[:, None, None] | (scene.outliers == "exclude"))
-        for frame in np.flatnonzero((outlying & ~left_out).any(axis=(1, 2))):
-            of_frame = (part[frame] for part in (outlying, value, expected, scale))
-            left_out[frame] |= no_cell_moves(scene, *of_frame)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            deviation = every.value / expected - 1
-        outliers = outlying | impossible
-        readings = readings.without(left_out)
-        return cls(recording, frozen, garbled, impossible, outliers, deviation, readings)
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """Sentences on impossible readings, and on outliers that are missing or stay."""
-        missing = self.readings.seen == 0
-        at_rest = (self.recording.role == UNLOADED)[:, None, None]
-        outliers = self.recording.scene.outliers
-        kept = "kept; outliers: exclude leaves out such readings"
-        if outliers == "robust":
-            kept = "kept, with Student's loss"
-        exceed = "larger than any cells allow beside the others"
-        deviate = ("reading deviates in one frame", "readings deviate in one frame")
-        outlying = self.outliers & ~self.impossible
-        kinds = (
-            (self.impossible, (f"reading is {exceed}", f"readings are {exceed}"), "left out"),
-            (
-                outlying & missing & at_rest,
-                deviate,
-                "left out, since no cell changes in unloaded frames",
-            ),
-            (
-                outlying & missing & ~at_rest,
-                deviate,
-                "left out" if outliers == "exclude" else "left out, since no cell gives that",
-            ),
-            (outlying & ~missing, deviate, kept),
-        )
-        return tuple(
-            self._named(chosen, subjects, fate) for chosen, subjects, fate in kinds if chosen.any()
-        )
-
-    def _named(self, chosen: NDArray[np.bool_], subjects: tuple[str, str], fate: str) -> str:
-        """Return the places and sizes of outliers in words, the largest first.
-
-        The subjects are of one reading and of several.
-        """
-        number = self.recording.number
-        size = np.where(chosen, np.abs(np.nan_to_num(self.deviation)), -1.0)
-        count = int(chosen.sum())
-        places = []
-        for place in np.argsort(-size, axis=None, kind="stable")[:count].tolist():
-            frame, row, column = np.unravel_index(place, chosen.shape)
-            named = frame if number is None else number[frame]
-            percent = 100 * self.deviation[frame, row, column]
-            size_text = f" by {percent:+.2g} %" if np.isfinite(percent) else ""
-            places.append(f"row {row}, column {column} of frame {named}{size_text}")
-        return f"{count} {subjects[count > 1]}: {first_and_more(places)}; {fate}"

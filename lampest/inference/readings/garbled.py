@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import first_and_more
 from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
-from lampest.panel.panel import Array
-from lampest.recording.neighbours import (
+from lampest.inference.readings.neighbours import (
     MIN_RATIO_TO_SCATTER,
     by_median,
     first_of_windows,
     from_window,
 )
+from lampest.panel.panel import Array
 from lampest.recording.readings import median
 from lampest.recording.recording import UNLOADED, Recording
 

@@ -1,0 +1,1 @@
+"""Which readings are wrong: outliers, garbled and repeated lines, frozen cells, order of lines."""
