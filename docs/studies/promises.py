@@ -193,6 +193,9 @@ BREAKS = {
     "a_bar_that_sweeps_tells_no_order_of_the_lines_that_it_crosses": Break(
         "inference/readings/order.py", "MIN_CONTRAST", "0.0"
     ),
+    "unloaded_frames_that_have_a_load_are_named": Break(
+        "inference/readings/unloaded.py", "MAX_SHARE", "0.0"
+    ),
     "lines_that_repeat_each_other_are_named": Break(
         "inference/readings/repeated.py", "repeat_each_other", "return False"
     ),

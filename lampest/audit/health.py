@@ -19,6 +19,7 @@ from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, S
 from lampest.inference.readings.garbled import GarbledLines, garbled_lines, middle, readings_of
 from lampest.inference.readings.order import order_of_lines
 from lampest.inference.readings.repeated import frozen_readings, repeat_each_other, repeated_frames
+from lampest.inference.readings.unloaded import loaded_frames
 from lampest.panel.faults import Faults
 from lampest.panel.panel import Array
 from lampest.panel.readouts.starts import several_panels
@@ -458,6 +459,17 @@ def _frames(view: _View) -> Iterator[Finding]:
         places = first_and_more(names, MAX_NAMED)
         yield Finding(
             "frames", f"garbled: {places}", "left out; they are no readings of this panel"
+        )
+    unloaded = view.recording.role == UNLOADED
+    loaded = loaded_frames(view.scene, view.usable, unloaded)
+    if len(loaded):
+        numbers = first_and_more(loaded.tolist(), MAX_NAMED)
+        plural = "s have a load" if len(loaded) > 1 else " has a load"
+        yield Finding(
+            "frames",
+            f"unloaded frame{plural}: {numbers}",
+            "some cells change there, and most do not",
+            remedy="choose the unloaded frames with lampest tare",
         )
     repeated = repeated_frames(view.recording)
     if len(repeated):

@@ -31,6 +31,7 @@ such a load has not these odds against it, the recording cannot tell the order.
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import chain, combinations
@@ -263,7 +264,8 @@ def cell_changes(scene: Scene, readings: Readings, unloaded: NDArray[np.bool_]) 
 
         x = (Jᵀ J/σ² + 1/LOAD_SD²)⁻¹ Jᵀ (y − y₀)/σ².
 
-    On panels of more than MAX_CELLS, J is its diagonal at the start of a fit.
+    On panels of more than MAX_CELLS, J is its diagonal at the start of a fit; x is (y − y₀)/σ where
+    arithmetic fails.
 
     Parameters
     ----------
@@ -277,20 +279,21 @@ def cell_changes(scene: Scene, readings: Readings, unloaded: NDArray[np.bool_]) 
     loaded = readings[~unloaded]
     scaled = np.where(loaded.seen > 0, loaded.value - resting.value, 0.0) / sigma
     significance = np.sqrt(np.mean(scaled**2, axis=(1, 2)))
-    frames = int(unloaded.sum())
-    try:
+    gain: Array = np.ones(sigma.shape)
+    with suppress(*BROKEN):
         fit = local_fit(scene, replace(resting, sigma=sigma))
-    except BROKEN:
-        return CellChanges(scaled, np.ones(sigma.shape), significance, frames)
-    if fit.jacobian.size:
-        gain = replace(fit, ridge=LOAD_SD**-2).covariance @ fit.jacobian.T
+        if fit.jacobian.size:
+            gain = np.linalg.solve(replace(fit, ridge=LOAD_SD**-2).normal, fit.jacobian.T)
+        else:
+            own = fit.network.own_response() / sigma
+            gain = own / (own**2 + LOAD_SD**-2)
+    if gain.shape == sigma.shape:
+        change = gain * scaled
+        noise = np.abs(gain)
+    else:
         change = (scaled.reshape(len(scaled), -1) @ gain.T).reshape(scaled.shape)
         noise = np.sqrt(np.sum(gain**2, axis=1)).reshape(sigma.shape)
-    else:
-        own = fit.network.own_response() / sigma
-        noise = np.abs(own) / (own**2 + LOAD_SD**-2)
-        change = np.sign(own) * noise * scaled
-    return CellChanges(change, noise, significance, frames)
+    return CellChanges(change, noise, significance, int(unloaded.sum()))
 
 
 def _sigma_of_frame(readings: Readings, unloaded: NDArray[np.bool_]) -> Array:
