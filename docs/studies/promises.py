@@ -193,6 +193,12 @@ BREAKS = {
     "a_bar_that_sweeps_tells_no_order_of_the_lines_that_it_crosses": Break(
         "inference/readings/order.py", "MIN_CONTRAST", "0.0"
     ),
+    "200_frames_of_10_by_10_are_divided": Break("runs/config.py", "SECONDS_A_CELL", "1e-5"),
+    "workers_that_share_a_recording_change_no_number": Break(
+        "runs/batch.py",
+        "_joined",
+        "solved = dict(zip(solved, reversed(list(solved.values())), strict=True))",
+    ),
     "unloaded_frames_that_have_a_load_are_named": Break(
         "inference/readings/unloaded.py", "MAX_SHARE", "0.0"
     ),

@@ -34,7 +34,7 @@ from lampest.apps.recognition.verdict import Verdict, prior_cost
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import Look, WatchSetup
 from lampest.apps.recognition.window import Window
-from lampest.inference import cleaning, evidence, noise
+from lampest.inference import evidence, noise
 from lampest.inference.circuits.compared_frames import noise_factor
 from lampest.inference.circuits.explanation import Explanation
 from lampest.inference.circuits.model_check import module_factors
@@ -43,12 +43,14 @@ from lampest.inference.effects.motion import displacement
 from lampest.inference.nuisances import CircuitEffects
 from lampest.inference.nuisances import candidates as possible_effects
 from lampest.inference.prepared import Prepared
+from lampest.inference.readings import outliers
 from lampest.inference.variance_components import noted_excess, repeated_scatter, scatter
 from lampest.panel.effects.line_effect import line_effects
 from lampest.panel.effects.line_leak import LineLeak
 from lampest.panel.effects.loose_contact import LooseContact
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.scene import OwnOfModule
+from lampest.recording.readings import median
 from lampest.recording.recording import baseline_readings, deciding_frames
 
 # Preparation
@@ -247,7 +249,7 @@ def outliers_row() -> dict[str, Any]:
     value[3, 1, 2], value[12, 0, 4], value[15, 3, 0] = 1300.0, 600.0, 2000.0
     scale = np.full(value.shape, 9.0)
     scene = lp.Scene(PANEL, TWO)
-    frames = cleaning.FramesBefore()
+    frames = outliers.FramesBefore()
     cells = cells_of(PANEL.shape, spread=0.1)
     live = []
     noisy = 1 + 4e-3 * rng.standard_normal((7, 4, 5))
@@ -271,7 +273,7 @@ def outliers_row() -> dict[str, Any]:
     sizes = (pair.sigma, None, 5 * pair.sigma, 0.2 * pair.sigma)
     panels = [
         [
-            cleaning.outliers_of_one_frame(replace(pair, sigma=size)[:, panel], unloaded)
+            outliers.outliers_of_one_frame(replace(pair, sigma=size)[:, panel], unloaded)
             for panel in (0, 1)
         ]
         for size in sizes
@@ -296,16 +298,16 @@ def outliers_row() -> dict[str, Any]:
         scene, lp.two_point_resistance(cells)[None] * np.where(cells == cells.max(), 9.0, 1.0)
     )
     return {
-        "whole": cleaning.detect_outliers(value, scale),
-        "few": cleaning.detect_outliers(value[:4], scale[:4], 0.1),
+        "whole": outliers.detect_outliers(value, scale),
+        "few": outliers.detect_outliers(value[:4], scale[:4], 0.1),
         "scales": flagged[1:],
         "panels": (flagged[0], panels[0]),
-        "loaded": cleaning.outliers_of_one_frame(loaded.without(course > 16000), unloaded),
-        "two frames": cleaning.outliers_of_one_frame(loaded[7:9], unloaded[7:9])[0].sum(),
+        "loaded": outliers.outliers_of_one_frame(loaded.without(course > 16000), unloaded),
+        "two frames": outliers.outliers_of_one_frame(loaded[7:9], unloaded[7:9])[0].sum(),
         "live": live,
-        "impossible": cleaning.impossible_readings(scene.circuit, impossible),
-        "median": cleaning.median(value)[0],
-        "touch": cleaning.detect_outliers(touched, 1e-3 * touched)[0].sum(),
+        "impossible": outliers.impossible_readings(scene.circuit, impossible),
+        "median": median(value)[0],
+        "touch": outliers.detect_outliers(touched, 1e-3 * touched)[0].sum(),
     }
 
 
@@ -405,8 +407,8 @@ def contacts_row() -> dict[str, Any]:
         "odd modules": [odd_modules(count) for count in (2, 3)],
         "scores": [explanation.score, explanation.beyond_noise],
         "corrections": CircuitEffects(pair=effects).corrections,
-        "usual": cleaning.detect_outliers(calm, np.full(calm.shape, 2.0))[0].nonzero(),
-        "wild": cleaning.detect_outliers(wild, np.full(wild.shape, 0.3))[0].sum(axis=(1, 2)),
+        "usual": outliers.detect_outliers(calm, np.full(calm.shape, 2.0))[0].nonzero(),
+        "wild": outliers.detect_outliers(wild, np.full(wild.shape, 0.3))[0].sum(axis=(1, 2)),
     }
 
 
