@@ -200,7 +200,7 @@ BREAKS = {
         "solved = dict(zip(solved, reversed(list(solved.values())), strict=True))",
     ),
     "unloaded_frames_that_have_a_load_are_named": Break(
-        "inference/readings/unloaded.py", "MAX_SHARE", "0.0"
+        "inference/readings/unloaded.py", "MIN_CONTRAST", "1e9"
     ),
     "lines_that_repeat_each_other_are_named": Break(
         "inference/readings/repeated.py", "repeat_each_other", "return False"

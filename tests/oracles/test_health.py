@@ -26,6 +26,7 @@ from lampest.inference.readings.order import (
     scores,
     smoother_order,
 )
+from lampest.inference.readings.unloaded import loaded_frames
 from lampest.recording.recording import UNLOADED
 from lampest.runs.starter import RECORDING, TEMPLATES, write_starter
 from tests.panels import READOUTS, Plan, recorded
@@ -153,6 +154,25 @@ def test_unloaded_frames_that_have_a_load_are_named() -> None:
             named.append(texts == expected)
         assert "unloaded" not in " ".join(faulty(Health.of(recording)))
     assert np.mean(named) > 0.9
+
+
+@pytest.mark.parametrize("kind", ["noise", "gain", "drift", "creep", "rows"])
+def test_what_moves_all_readings_of_unloaded_frames_is_no_load(kind: str) -> None:
+    for seed in range(12):
+        recording = drawn(seed, of_load("palm")).recording()
+        readings = recording.readings()
+        frames, rows, columns = readings.value.shape
+        rng = np.random.default_rng(seed)
+        each = np.arange(frames)[:, None, None]
+        factor = {
+            "noise": 1 + 0.02 * rng.standard_normal((frames, rows, columns)),
+            "gain": 1 + 0.05 * rng.standard_normal((frames, 1, 1)),
+            "drift": 1 + 0.02 * each,
+            "creep": np.exp(-0.01 * each * (1 + 0.3 * rng.standard_normal((rows, columns)))),
+            "rows": 1 + 0.03 * np.sin(rng.uniform(0, 6) * each + np.arange(rows)[:, None]),
+        }
+        moved = replace(readings, value=readings.value * factor[kind])
+        assert not len(loaded_frames(recording.scene, moved, recording.role == UNLOADED))
 
 
 @promise("theory/model_check: Lines that repeat each other are named.")

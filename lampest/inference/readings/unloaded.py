@@ -8,11 +8,13 @@ the film move all of them.
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.inference.readings.order import cell_changes, scores
+from lampest.inference.readings.order import MIN_COVERED, cell_changes, scores
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 
-MAX_SHARE = 0.5  # of the cells that a load changes
+CELLS = MIN_COVERED**2  # that a load covers at least
+# Change of these cells over the median one, beyond that of noise, water, the supply and creep.
+MIN_CONTRAST = 6.0
 MIN_FRAMES = 3  # unloaded ones: of two that differ, none is the quiet one
 
 
@@ -39,6 +41,9 @@ def loaded_frames(
     quiet[first : first + 2] = True
     changes = cell_changes(scene, at_rest, quiet)
     noise = changes.noise * np.sqrt(1 + 1 / changes.unloaded)
-    scored = np.array([scores(image, noise) != 0 for image in changes.loaded])
-    share = scored.mean(axis=(1, 2))
-    return np.asarray(numbers[~quiet][(share > 0) & (share < MAX_SHARE)])
+    found = [
+        scores(image, noise).any()
+        and np.sort(np.abs(image), axis=None)[-CELLS] > MIN_CONTRAST * np.median(np.abs(image))
+        for image in changes.loaded
+    ]
+    return np.asarray(numbers[~quiet][np.array(found, dtype=bool)])
