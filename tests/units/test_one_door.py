@@ -28,9 +28,10 @@ from lampest.apps.live.run import from_recording, take_sample
 from lampest.apps.recognition.detect.detection import known_of
 from lampest.cost.terms import Arrival, LogGradient, Misfit, RelativeChange
 from lampest.estimate.sequence import reconstruct
-from lampest.inference import cleaning, warnings
+from lampest.inference import warnings
 from lampest.inference import prepared as preparation
 from lampest.inference.prepared import Prepared
+from lampest.inference.readings import judge
 from lampest.panel.conditions import Water
 from lampest.panel.faults import Faults
 from lampest.panel.scene import Scene
@@ -53,7 +54,7 @@ LSM = Estimator((Misfit(),), "reduced")
 RELATIVE = Estimator((Misfit(), RelativeChange(weight=10.0)), "reduced")
 ARRIVAL = Estimator((Misfit(weighting="noise"), Arrival()), "reduced")
 STEPS = {
-    "outliers_of_one_frame": cleaning,
+    "outliers_of_one_frame": judge,
     "estimate_noise": preparation,
     "resolved": preparation,
     "warnings_of": warnings,

@@ -505,10 +505,7 @@ def maps_figure(
         axes.set_visible(False)
     for number, axes in enumerate(grid.flat[: len(tiles)]):  # ticks where numbers stand beside them
         lowest = number + arrangement.across >= len(tiles)
-        axes.tick_params(bottom=lowest, labelbottom=lowest)
-        # A hidden axis is neither laid out nor drawn.
-        axes.xaxis.set_visible(lowest)
-        axes.yaxis.set_visible(number % arrangement.across == 0)
+        axes.tick_params(bottom=lowest, labelbottom=lowest, left=number % arrangement.across == 0)
     signs = max(10, int(17 * arrangement.map_width))  # that fit over a map
     painters = [MapPainter(panel, level, contoured) for level in scales]
     maps_of_scale = len(tiles) // len(scales)
