@@ -28,8 +28,8 @@ from lampest.apps.live.run import from_recording, take_sample
 from lampest.apps.recognition.detect.detection import known_of
 from lampest.cost.terms import Arrival, LogGradient, Misfit, RelativeChange
 from lampest.estimate.sequence import reconstruct
-from lampest.inference import warnings
 from lampest.inference import prepared as preparation
+from lampest.inference import warnings
 from lampest.inference.prepared import Prepared
 from lampest.inference.readings import judge
 from lampest.panel.conditions import Water
