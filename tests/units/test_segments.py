@@ -64,7 +64,8 @@ def _equal(one: CaseResult, other: CaseResult, name: str) -> bool:
 
 @promise("howto/batches: Segments are solved by several workers")
 @pytest.mark.parametrize(
-    "executor", [Processes(2), pytest.param(Dask(workers=2), marks=pytest.mark.slow)]
+    "executor",
+    [Processes(2), pytest.param(Dask(workers=2), marks=(pytest.mark.slow, pytest.mark.exact))],
 )
 def test_workers_that_share_a_recording_change_no_number(
     executor: Executor, long: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
