@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -154,6 +155,21 @@ def test_unloaded_frames_that_have_a_load_are_named() -> None:
             named.append(texts == expected)
         assert "unloaded" not in " ".join(faulty(Health.of(recording)))
     assert np.mean(named) > 0.9
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("missing", [[0], [1], [0, 1, 2], slice(None)])
+def test_unloaded_frames_without_readings_hide_no_load(missing: Any) -> None:
+    recording = drawn(2, of_load("sway")).recording()
+    first = int(np.sum(recording.role == UNLOADED))
+    role, recorded = recording.role.copy(), recording.recorded.copy()
+    role[first : first + 2] = UNLOADED
+    recorded[:first][missing] = np.nan
+    called = replace(recording, role=role, recorded=recorded)
+    unloaded = called.role == UNLOADED
+    found = loaded_frames(called.scene, called.readings(), unloaded)
+    whole = missing == slice(None)
+    assert found.tolist() == ([] if whole else [first, first + 1])
 
 
 @pytest.mark.parametrize("kind", ["noise", "gain", "drift", "creep", "rows"])

@@ -24,7 +24,7 @@ A load in one place may be like one in another order: two feet half a panel apar
 load where odd and even lines are apart, an edge between two lines is one where they are swapped.
 Such a coincidence has a probability of its own, `Order.coincidence`, which bounds the evidence of
 each place: loads in several places tell an order, and one that stands tells none of lines. Nor does
-a load that lies on all lines alike, such as a bar along the columns: by them it shows the film.
+a load that lies on all lines alike, such as a bar along the columns: it has no edge across them.
 
 A load on every second line, such as a comb, has the image of a load on interleaved lines. Where
 such a load has not these odds against it, the recording cannot tell the order.

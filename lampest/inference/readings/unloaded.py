@@ -30,12 +30,17 @@ def loaded_frames(
         (frames, rows, columns).
     unloaded : boolean array, shape (frames,)
     """
-    numbers = np.flatnonzero(unloaded)
+    seen = (readings.seen > 0) & unloaded[:, None, None]
+    numbers = np.flatnonzero(seen.any(axis=(1, 2)))
     if len(numbers) < MIN_FRAMES or min(scene.panel.shape) < MIN_FRAMES or not scene.whole:
         return numbers[:0]
     at_rest = readings[numbers]
-    value = np.where(at_rest.seen > 0, at_rest.value, np.nan)
-    steps = np.nanmean(np.diff(np.log(value), axis=0) ** 2, axis=(1, 2))
+    both = seen[numbers[1:]] & seen[numbers[:-1]]
+    squares = np.where(both, np.diff(np.log(at_rest.value), axis=0) ** 2, 0.0)
+    count = both.sum(axis=(1, 2))
+    if not count.any():
+        return numbers[:0]
+    steps = np.where(count > 0, squares.sum(axis=(1, 2)) / np.maximum(count, 1), np.inf)
     quiet = np.zeros(len(numbers), dtype=bool)
     first = int(np.argmin(steps))
     quiet[first : first + 2] = True
