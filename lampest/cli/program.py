@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from copy import copy
-from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -85,22 +84,6 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
     return called
 
 
-def _renamed(old: str, new: str, flag: str, command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command under its name of the previous release, with a flag of the new one or ''.
-
-    The command prints its new name and sets the flag.
-    """
-
-    @wraps(command)
-    def called(**options: Any) -> None:
-        full = f"{new} --{flag}" if flag else new
-        warn(f"{old} is now: lampest {full}; the old name works for one more release")
-        names = {name.strip("_"): name for name in options}
-        command(**options | ({names[flag]: True} if flag else {}))
-
-    return called
-
-
 class StarterCommand(typer.core.TyperCommand):
     """The command `init`, whose help ends with the words of circuits, one line each."""
 
@@ -116,55 +99,24 @@ class StarterCommand(typer.core.TyperCommand):
 
 # The core's commands. Those of applications follow.
 CORE: dict[str, Command] = {
-    name: Command(part=part, target=target, example=example, renamed=renamed)
-    for name, part, target, example, renamed in (
-        ("init", "Begin", "lampest.cli.estimation:init", "mine", ()),
-        (
-            "simulate",
-            "Begin",
-            "lampest.cli.estimation:simulate",
-            "simulation.yaml --set seed=2 --out second.h5",
-            (),
-        ),
-        (
-            "tare",
-            "Begin",
-            "lampest.cli.estimation:tare",
-            "mine.h5 --frames 40:50 --out tared.h5",
-            (),
-        ),
-        (
-            "run",
-            "Reconstruct",
-            "lampest.cli.estimation:run",
-            "run.yaml --set formulation=reduced --jobs 2",
-            (),
-        ),
-        ("info", "Look", "lampest.cli.results:info", "mine.h5 --picture mine.png", ()),
-        (
-            "compare",
-            "Look",
-            "lampest.cli.results:compare",
-            "results/run/results.h5 --report page.html",
-            (),
-        ),
+    name: Command(part=part, target=f"lampest.cli.{target}", example=example)
+    for name, part, target, example in (
+        ("init", "Begin", "estimation:init", "mine"),
+        ("simulate", "Begin", "estimation:simulate", "simulation.yaml --set seed=2 --out second.h5"),
+        ("tare", "Begin", "estimation:tare", "mine.h5 --frames 40:50 --out tared.h5"),
+        ("run", "Reconstruct", "estimation:run", "run.yaml --set formulation=reduced --jobs 2"),
+        ("info", "Look", "results:info", "mine.h5 --picture mine.png"),
+        ("compare", "Look", "results:compare", "results/run/results.h5 --report page.html"),
         (
             "plot",
             "Look",
-            "lampest.cli.results:plot",
+            "results:plot",
             "results/run/results.h5 --frame 12 --estimator LSM --out one.svg",
-            (),
         ),
-        ("export", "Look", "lampest.cli.results:export", "results/run/results.h5 --to csv", ()),
-        (
-            "check",
-            "Look",
-            "lampest.cli.results:check",
-            "mine.h5 results/run/results.h5",
-            ("repair --repair",),
-        ),
-        ("show terms", "Look", "lampest.cli.results:terms", "", ("terms",)),
-        ("show schema", "Look", "lampest.cli.results:schema", "> lampest.schema.json", ("schema",)),
+        ("export", "Look", "results:export", "results/run/results.h5 --to csv"),
+        ("check", "Look", "results:check", "mine.h5 results/run/results.h5"),
+        ("show terms", "Look", "results:terms", ""),
+        ("show schema", "Look", "results:schema", "> lampest.schema.json"),
     )
 }
 GROUPS = {"show": "List what a run file may contain: cost terms, or its JSON schema."}
@@ -172,10 +124,7 @@ PARTS = ("Begin", "Reconstruct", "Look", "Board", "Study")  # in this order, the
 
 
 def _build() -> None:
-    """Add the commands of the core and of applications, in the parts of the help.
-
-    Hidden words of the previous release follow.
-    """
+    """Add the commands of the core and of applications, in the parts of the help."""
     others = applications().usable.values()
     commands = dict(CORE)
     for other in others:
@@ -185,7 +134,6 @@ def _build() -> None:
     abouts = GROUPS | {name: about for other in others for name, about in other.groups.items()}
     parts = list(dict.fromkeys((*PARTS, *(command.part for command in commands.values()))))
     groups: dict[str, typer.Typer] = {"": app}
-    renamed = []
     for name, command in sorted(commands.items(), key=lambda item: parts.index(item[1].part)):
         group, _, word = name.rpartition(" ")
         epilog = f"Example: lampest {name} {command.example}".rstrip()
@@ -202,13 +150,6 @@ def _build() -> None:
         panel = None if group else command.part
         kind = StarterCommand if name == "init" else None
         groups[group].command(word, cls=kind, epilog=epilog, rich_help_panel=panel)(called)
-        for former in command.renamed:
-            old, _, flag = former.partition(" --")
-            hidden = _renamed(old, name, flag, called)
-            now = f"{name} --{flag}" if flag else name
-            renamed.append((old, f"Example: lampest {now}", hidden))
-    for old, epilog, hidden in renamed:
-        app.command(old, epilog=epilog, hidden=True)(hidden)
 
 
 def program() -> Any:

@@ -36,14 +36,11 @@ class Command:
         'module:function'. Parameters of the function are options; its docstring is the help.
     example : str
         Arguments of an example.
-    renamed : tuple of str
-        Names of the previous release, hidden in the help.
     """
 
     part: str
     target: str
     example: str = ""
-    renamed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,7 +29,7 @@ def rows(recording):
 APPLICATION = Application(
     name="music", about="notes", advice="music:rows",
     commands={
-        "play": Command(part="Play", target="music:play", renamed=("sound --loud",)),
+        "play": Command(part="Play", target="music:play"),
         "music bare": Command(part="Play", target="music:bare"),
     },
 )
@@ -63,11 +63,9 @@ def install(folder: Path, points: str) -> None:
 
 
 @pytest.mark.slow
-def test_an_installed_application_adds_a_command_its_former_name_and_lines(tmp_path: Path) -> None:
+def test_an_installed_application_adds_commands_and_lines(tmp_path: Path) -> None:
     install(tmp_path, "music = music:APPLICATION")
     assert lampest(tmp_path, "play", "--loud") == (0, "LOUD\n", "")
-    code, out, message = lampest(tmp_path, "sound")
-    assert (code, out) == (0, "LOUD\n") and "sound is now: lampest play --loud" in message
     assert lampest(tmp_path, "music", "bare", "--times", "2") == (0, "soft soft \n", "")
     data = Path(__file__).parents[2] / "data" / "ring.h5"
     code, out, message = lampest(tmp_path, "info", str(data))

@@ -61,15 +61,6 @@ COMMANDS |= {
     for group in GROUPS
     for name, command in TOP_COMMANDS[group].commands.items()
 }
-FORMER_COMMANDS = (
-    "bench",
-    "tradeoff",
-    "extremes",
-    "ports",
-    "repair",
-    "terms",
-    "schema",
-)
 FIGURES = re.compile(r"such as|with|\d|else", re.IGNORECASE)
 KILLED = """
 import os, signal, sys
@@ -211,28 +202,8 @@ def test_detect_names_no_visits_and_animals_where_all_panels_are_mats(
     assert not re.search("visit|attach|lamprey|suck|breath|pump", printed, re.IGNORECASE)
 
 
-def test_commands_of_the_previous_release_work_and_name_the_new_ones(lampest: Command) -> None:
-    assert {name for name, command in TOP_COMMANDS.items() if command.hidden} == set(
-        FORMER_COMMANDS
-    ) | set(GROUPS)
-    for old, new in (("terms", "show terms"), ("schema", "show schema")):
-        completed = lampest(old)
-        current = lampest(*new.split())
-        assert (completed.code, completed.out) == (0, current.out) and current.err == ""
-        assert (
-            completed.err
-            == f"lampest: {old} is now: lampest {new}; the old name works for one more release\n"
-        )
-    for old, new in (
-        ("bench", "study bench"),
-        ("repair", "check --repair"),
-    ):
-        completed = lampest(old, "nowhere.x")
-        assert (
-            completed.code == 2
-            and f"lampest {new}" in completed.err
-            and "nowhere.x: no such file" in completed.err.lower()
-        )
+def test_groups_of_commands_alone_are_hidden() -> None:
+    assert {name for name, command in TOP_COMMANDS.items() if command.hidden} == set(GROUPS)
 
 
 def test_version_is_printed_and_mistyped_commands_are_refused(lampest: Command) -> None:

@@ -11,7 +11,6 @@ APPLICATION = Application(
             part="Board",
             target="lampest.apps.board.commands:record",
             example="--out today.h5 --scene scene.yaml --baseline 3 --seconds 60",
-            renamed=("ports --list",),
         ),
     },
     advice="lampest.apps.board.own_estimate:board_rows",

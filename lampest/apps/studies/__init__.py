@@ -12,7 +12,6 @@ APPLICATION = Application(
             part="Study",
             target=f"{STUDIES}:{word}",
             example=f"{word}.yaml --out results/mine",
-            renamed=(word,),
         )
         for word in ("bench", "tradeoff", "extremes")
     },
