@@ -25,8 +25,9 @@ from lampest.estimate.objective import Objective
 from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from lampest.solvers.check import check
 from lampest.solvers.multistart import evaluable, starts
-from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, check
+from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status
 
 # scipy's own tests of a step and of a gain shall not end a solve before the gradient does
 STALLED = 1e-14

@@ -21,7 +21,7 @@ import psutil
 import lampest
 from lampest.recording.recording import Recording
 from lampest.recording.stored import PART_READINGS, save_parts
-from lampest.runs import batch
+from lampest.runs import task
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
@@ -61,7 +61,7 @@ def parts(frames: int) -> Iterator[Recording]:
 
 def run(config: Path, out: Path) -> None:
     """Run the file in this process, and say after every part how much memory there is."""
-    write = batch.write_carried
+    write = task.write_carried
     begin = time.process_time()
 
     def report_part(path: Path, carried: object) -> None:
@@ -75,7 +75,7 @@ def run(config: Path, out: Path) -> None:
         )
         write(path, carried)
 
-    batch.write_carried = report_part
+    task.write_carried = report_part
     run_batch(read_run(config), out, Serial())
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     print(

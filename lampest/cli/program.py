@@ -9,17 +9,10 @@ import typer
 import typer.core
 
 from lampest.cli import estimation
-from lampest.cli.screen import (
-    documented,
-    is_written,
-    say,
-    warn,
-)
+from lampest.cli.screen import documented, is_written, say, warn
 from lampest.files.applications import Command, applications, loaded
 from lampest.files.errors import InputError
-from lampest.files.process import (
-    check_address_space,
-)
+from lampest.files.process import check_address_space
 from lampest.files.whole import refuse_inputs, sparing
 
 app = typer.Typer(
@@ -99,24 +92,39 @@ class StarterCommand(typer.core.TyperCommand):
 
 # The core's commands. Those of applications follow.
 CORE: dict[str, Command] = {
-    name: Command(part=part, target=f"lampest.cli.{target}", example=example)
+    name: Command(part=part, target=target, example=example)
     for name, part, target, example in (
-        ("init", "Begin", "estimation:init", "mine"),
-        ("simulate", "Begin", "estimation:simulate", "simulation.yaml --set seed=2 --out second.h5"),
-        ("tare", "Begin", "estimation:tare", "mine.h5 --frames 40:50 --out tared.h5"),
-        ("run", "Reconstruct", "estimation:run", "run.yaml --set formulation=reduced --jobs 2"),
-        ("info", "Look", "results:info", "mine.h5 --picture mine.png"),
-        ("compare", "Look", "results:compare", "results/run/results.h5 --report page.html"),
+        ("init", "Begin", "lampest.cli.estimation:init", "mine"),
+        (
+            "simulate",
+            "Begin",
+            "lampest.cli.estimation:simulate",
+            "simulation.yaml --set seed=2 --out second.h5",
+        ),
+        ("tare", "Begin", "lampest.cli.estimation:tare", "mine.h5 --frames 40:50 --out tared.h5"),
+        (
+            "run",
+            "Reconstruct",
+            "lampest.cli.estimation:run",
+            "run.yaml --set formulation=reduced --jobs 2",
+        ),
+        ("info", "Look", "lampest.cli.results:info", "mine.h5 --picture mine.png"),
+        (
+            "compare",
+            "Look",
+            "lampest.cli.results:compare",
+            "results/run/results.h5 --report page.html",
+        ),
         (
             "plot",
             "Look",
-            "results:plot",
+            "lampest.cli.results:plot",
             "results/run/results.h5 --frame 12 --estimator LSM --out one.svg",
         ),
-        ("export", "Look", "results:export", "results/run/results.h5 --to csv"),
-        ("check", "Look", "results:check", "mine.h5 results/run/results.h5"),
-        ("show terms", "Look", "results:terms", ""),
-        ("show schema", "Look", "results:schema", "> lampest.schema.json"),
+        ("export", "Look", "lampest.cli.results:export", "results/run/results.h5 --to csv"),
+        ("check", "Look", "lampest.cli.results:check", "mine.h5 results/run/results.h5"),
+        ("show terms", "Look", "lampest.cli.results:terms", ""),
+        ("show schema", "Look", "lampest.cli.results:schema", "> lampest.schema.json"),
     )
 }
 GROUPS = {"show": "List what a run file may contain: cost terms, or its JSON schema."}

@@ -21,8 +21,9 @@ import scipy.sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
 
+from lampest.estimate.own_directions import SLOPE_ROUNDING, Directions
 from lampest.files.errors import InputError, counted
-from lampest.formulation.instance import Instance, ProgramResult, on_bounds
+from lampest.formulation.instance import Instance, ProgramResult
 from lampest.formulation.ipopt import Interface
 from lampest.formulation.program import CELL_BOUNDS, Program
 from lampest.panel.compiled import SymbolsOwner, guarded
@@ -31,44 +32,12 @@ from lampest.solvers.by_ipopt import STATUS
 from lampest.solvers.certificate import ROUNDING, Definiteness, Modes
 from lampest.solvers.solution import OPTIMA, VERIFIED, Status
 
-SLOPE_ROUNDING = 1e-10  # of the unit of costs: a slope that may be the rounding of its parts
 # Lengths, in units of the program, at which the cost beside a flat point is looked at.
 PROBES = (1.0, 0.1, 0.01)
-# Factor on the multiplier that the curvature alone would make; a larger one holds its unknown at
-# a bound.
-CLEAR = 10.0
 SAME_PLACE = 1e-9  # violation of the equations that a probe may cause
 # Optimality error of a settled solution. Between a bound that holds a cell by as much and the next
 # point IPOPT has not decided, so that own numbers and cells put on bounds disagree.
 SETTLED = 1e-8
-
-
-@dataclass(frozen=True, eq=False)
-class Directions:
-    """Directions in which the active constraints leave the unknowns.
-
-    Attributes
-    ----------
-    held : boolean array, shape (unknowns,)
-        Unknowns that a bound holds.
-    follows : boolean array, shape (unknowns,)
-        Voltages, which follow the other unknowns by the balance of currents.
-    active : boolean array, shape (constraints,)
-        Equations, and inequalities at a limit.
-    leading : array, shape (unknowns, m)
-        A column for each unknown that neither is held nor follows, with the voltages that follow.
-    rows : array, shape (active constraints beside the balance, m)
-        Jacobian of the other active constraints by the leading unknowns.
-    basis : array, shape (unknowns, n)
-        Z.
-    """
-
-    held: NDArray[np.bool_]
-    follows: NDArray[np.bool_]
-    active: NDArray[np.bool_]
-    leading: Array
-    rows: Array
-    basis: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -515,47 +484,9 @@ class OwnSolution(SymbolsOwner):
 
     @cached_property
     def _directions(self) -> Directions:
-        """Directions along the active constraints.
-
-        Unknowns at a bound stay, voltages follow the cells by the balance of currents, and the
-        other active constraints leave the null space of their rows.
-        """
+        """Directions along the active constraints."""
         _, jacobian, hessian = self._derivatives
-        instance = self.instance
-        program = instance.program
-        x = self.result.unknown
-        names = np.repeat([*program.unknown.sizes], [*program.unknown.sizes.values()])
-        follows = np.isin(names, [*program.networks[0].voltages])
-        balance = program.equation.sizes["balance"]
-        by_voltage = scipy.sparse.linalg.splu(jacobian[:balance, follows])
-        leads = np.flatnonzero(~follows)
-        leading = np.zeros((len(x), len(leads)))
-        leading[leads, np.arange(len(leads))] = 1.0
-        leading[follows] = -by_voltage.solve(jacobian[:balance, leads].toarray())
-        # A multiplier that a move off the bound by its distance would make holds nothing.
-        curvature = np.zeros(len(x))
-        curvature[leads] = np.sum(leading * (hessian @ leading), axis=0)
-        held = _held(
-            x,
-            self.result.of_bounds / np.maximum(CLEAR * np.abs(curvature), SLOPE_ROUNDING),
-            (instance.lower, instance.upper),
-        )
-        # The smaller one of p and q is at its bound, because their sum costs.
-        place = int(np.argmax(names == "split"))
-        for part in program.lowered:
-            for side in part.split[:1]:
-                first = place + np.arange(side.shape[0])
-                second = first + side.shape[0]
-                held[np.where(x[first] < x[second], first, second)] = True
-                place += 2 * side.shape[0]
-        leading = leading[:, ~held[leads]]
-        active = _held(self._equations, self.result.of_equations, instance.equations)
-        rows = jacobian[balance + np.flatnonzero(active[balance:])] @ leading
-        size = np.linalg.norm(rows, axis=1, keepdims=True)
-        basis = leading
-        if len(rows):
-            basis = leading @ scipy.linalg.null_space(rows / np.where(size > 0, size, 1.0))
-        return Directions(held, follows, active, leading, rows, basis)
+        return Directions.of(self.instance, self.result, self._equations, jacobian, hessian)
 
     @cached_property
     def _slope(self) -> Array:
@@ -653,10 +584,3 @@ def _reaches(chosen: Array, size: Array) -> NDArray[np.bool_]:
     """Return which rows of moves, (rows, m), are no rounding of moves of a size, (…, m)."""
     largest = size.max(axis=0, initial=0.0)
     return np.asarray(np.any(np.abs(chosen) > VERIFIED * largest, axis=1))
-
-
-def _held(value: Array, multiplier: Array, limits: tuple[Array, Array]) -> NDArray[np.bool_]:
-    """Return which values a limit holds, see `on_bounds`; equal limits hold always."""
-    low, high = limits
-    at_limit = on_bounds(value, multiplier, low, high)
-    return np.asarray((low == high) | (at_limit == low) | (at_limit == high))

@@ -27,9 +27,10 @@ from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.trust_region import backtracked
 from lampest.solvers.bounds import MAX_LENGTHS, moved_by, within_bounds
 from lampest.solvers.certificate import certificate
+from lampest.solvers.check import sharp_hessian
 from lampest.solvers.hessian import Hessian, weighted_square
 from lampest.solvers.preconditioners import Cholesky
-from lampest.solvers.solution import Outcome, Settings, Solver, Status, sharp_hessian
+from lampest.solvers.solution import Outcome, Settings, Solver, Status
 
 STATUS = {
     "Solve_Succeeded": Status.OPTIMUM,

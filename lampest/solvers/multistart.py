@@ -20,13 +20,13 @@ from lampest.files.errors import BROKEN
 from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.certificate import MIN_COST_SHARE
+from lampest.solvers.check import check
 from lampest.solvers.solution import (
     MAX_STARTS,
     Outcome,
     Solution,
     Solver,
     Status,
-    check,
     failure,
     lower_of,
 )

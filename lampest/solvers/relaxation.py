@@ -24,8 +24,9 @@ from lampest.cost.losses import Huber, Loss
 from lampest.cost.problem import NO_DUAL, Evaluation, residuals
 from lampest.files.errors import BROKEN
 from lampest.panel.panel import Array
+from lampest.solvers.check import sharp_hessian
 from lampest.solvers.preconditioners import preconditioner
-from lampest.solvers.solution import Solution, Solver, lower_of, sharp_hessian
+from lampest.solvers.solution import Solution, Solver, lower_of
 
 CORNER = 0.1  # of the residual at which the loss ceases to be convex
 FAR_OUT = 2.0  # times the range in which a loss is convex: residuals of outliers are beyond

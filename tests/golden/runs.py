@@ -35,7 +35,7 @@ from lampest.files.process import (
 )
 from lampest.files.typed import check_range
 from lampest.files.whole import check_output, sparing
-from lampest.recording.simulation import simulation
+from lampest.recording import simulation
 from lampest.runs.executors import Dask, Serial, Tls, each_of, local
 
 SERIES = "  series_resistance_ohm: 140\n"

@@ -40,10 +40,10 @@ from lampest.files.checksums import lookup3
 from lampest.files.errors import InputError
 from lampest.inference import model_error
 from lampest.inference.prepared import Prepared
-from lampest.recording.simulation import simulation
+from lampest.recording import simulation
 from lampest.recording.stored import save_parts
 from lampest.report.info import checked_sentence, describe
-from lampest.runs import batch
+from lampest.runs import batch, task
 from lampest.runs.case import ATTRIBUTES, REQUIRED, all_columns
 from lampest.runs.columns import FRAMES, Column
 from lampest.runs.executors import Serial
@@ -212,20 +212,20 @@ def parts_row() -> dict[str, Any]:
             report__info__PART_READINGS=300,
         ):
             tasks = [
-                batch.Task(case, Path("out").absolute())
+                task.Task(case, Path("out").absolute())
                 for case in lp.read_run(Path("run.yaml")).cases
             ]
             with (
                 suppress(KeyboardInterrupt),
-                patch.object(batch, "join_case", side_effect=KeyboardInterrupt),
+                patch.object(task, "join_case", side_effect=KeyboardInterrupt),
             ):
                 batch.run_batch(lp.read_run(Path("run.yaml")), Path("out"), Serial())
             broken_off = [
-                (task.frames_done, task.whole_parts, batch.parts_to_solve(task)) for task in tasks
+                (case.frames_done, case.whole_parts, task.parts_to_solve(case)) for case in tasks
             ]
             tasks[0].carried(1).unlink()
             broken_off += [
-                (task.frames_done, task.whole_parts, batch.parts_to_solve(task)) for task in tasks
+                (case.frames_done, case.whole_parts, task.parts_to_solve(case)) for case in tasks
             ]
             printed = command("run", "run.yaml", "--jobs", "1", "--out", "out")
             rerun = command("run", "run.yaml", "--jobs", "1", "--out", "out")

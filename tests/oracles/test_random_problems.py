@@ -37,9 +37,10 @@ from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
 from lampest.panel.readouts import TwoPointReadout
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
+from lampest.solvers.check import check
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.solution import Settings, Status, check
+from lampest.solvers.solution import Settings, Status
 from tests.least_cost import LeastCost, Penalty
 from tests.random_problem import RandomProblem, shape_of
 

@@ -25,11 +25,12 @@ from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.cost.terms import LogGradient
 from lampest.estimate.methods import named_method
 from lampest.solvers import relaxation
+from lampest.solvers.check import sharp_hessian
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_lbfgs import serves
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.relaxation import CORNER, FAR_OUT, LARGEST_STEP, exchanges, huber_of
-from lampest.solvers.solution import Settings, Status, sharp_hessian
+from lampest.solvers.solution import Settings, Status
 
 SHAPE = (4, 5)
 SCENE = Scene(Panel(*SHAPE))

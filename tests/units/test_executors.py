@@ -28,10 +28,11 @@ from promises import promise
 from lampest import CaseResult, InputError, read_results
 from lampest.files import process
 from lampest.runs import batch, executors
-from lampest.runs.batch import Task, run_batch, solve_task
+from lampest.runs.batch import run_batch
 from lampest.runs.checks import CheckTask
 from lampest.runs.config import json_schema, read_run
 from lampest.runs.executors import Dask, LostError, Processes, Serial, Tls
+from lampest.runs.task import Task, solve_task
 
 ONE_WORKER: Any = {
     "n_workers": 1,
@@ -96,7 +97,7 @@ def test_results_equal_those_of_serial_even_if_a_worker_dies(
     )
     run = read_run(disk.run(disk.text.replace("[small.h5]", '["*.h5"]') + "formulation: reduced\n"))
     reference = run_batch(run, disk.folder / "one", Serial())
-    monkeypatch.setattr("lampest.runs.batch.solve_task", dying_once)
+    monkeypatch.setattr("lampest.runs.task.solve_task", dying_once)
     report = run_batch(run, disk.folder / "two", executor)
     assert (disk.folder / "two" / "died").exists()
     assert (report.done, report.skipped, report.failed) == (6, 0, ())

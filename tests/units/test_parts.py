@@ -27,6 +27,7 @@ from lampest.files import hdf5
 from lampest.recording import stored
 from lampest.report.info import checked_sentence
 from lampest.runs import batch
+from lampest.runs import task as tasks
 from lampest.runs.batch import run_batch
 from lampest.runs.executors import Serial
 
@@ -184,7 +185,7 @@ def test_an_ended_run_resumes_after_its_last_part(
         == 1
     )
     assert progress[-1] == (48, 48) and progress == sorted(progress)
-    write = batch.write_carried
+    write = tasks.write_carried
     written = list[str]()
 
     def counted(path: Path, carried: Any) -> None:
@@ -193,19 +194,19 @@ def test_an_ended_run_resumes_after_its_last_part(
         written.append(path.name)
         write(path, carried)
 
-    monkeypatch.setattr(batch, "write_carried", counted)
+    monkeypatch.setattr(tasks, "write_carried", counted)
     with pytest.raises(KeyboardInterrupt):
         run_batch(run, tmp_path / "ended", Serial())
-    task = batch.Task(run.cases[0], tmp_path / "ended")
+    task = tasks.Task(run.cases[0], tmp_path / "ended")
     assert written == ["000000_carried.h5", "000001_carried.h5"]
     assert (task.whole_parts, task.frames_done) == ([0, 1], 32)
-    assert batch.parts_to_solve(task) == ([2] if apart else [])
+    assert tasks.parts_to_solve(task) == ([2] if apart else [])
     task.carried(1).write_bytes(b"damaged")
     assert task.carried_over(0) is not None and task.carried_over(1) is None
     del written[:]
     monkeypatch.setattr(batch, "parts_to_solve", lambda task: [])
     monkeypatch.setattr(
-        batch,
+        tasks,
         "write_carried",
         lambda path, carried: (written.append(path.name), write(path, carried)),
     )

@@ -16,9 +16,10 @@ from lampest.estimate.sequence import SEGMENT_FRAMES, begun_as, reconstruct, seg
 from lampest.files.errors import InputError
 from lampest.inference.prepared import Prepared
 from lampest.runs import batch, config
-from lampest.runs.batch import CaseSegment, Report, run_batch
+from lampest.runs.batch import Report, run_batch
 from lampest.runs.config import Run, read_run
 from lampest.runs.executors import Dask, Executor, Processes, Serial
+from lampest.runs.task import CaseSegment
 
 FRAMES = 2 * SEGMENT_FRAMES + 11  # measured ones, of three segments
 SMOOTH = "estimators: {smooth: {terms: {misfit: {weighting: noise}, log_gradient: {}}}}\n"

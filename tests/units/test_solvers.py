@@ -21,11 +21,12 @@ from lampest.formulation.patterns import EXCITATIONS
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.trust_region import backtracked
 from lampest.solvers.by_ipopt import Ipopt
+from lampest.solvers.check import check
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.preconditioners import Cholesky
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.solution import Outcome, Settings, Status, check
+from lampest.solvers.solution import Outcome, Settings, Status
 
 TIMES = np.linspace(0.0, 2.0, 9)
 LOOP = LevenbergMarquardt(evaluations=200, settled=1e-20)

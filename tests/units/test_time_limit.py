@@ -18,7 +18,7 @@ import lampest
 from lampest import Estimator, Panel, Scene, Stream, TwoPointReadout
 from lampest.files import process
 from lampest.recording.readings import Readings
-from lampest.runs import batch
+from lampest.runs import task
 from lampest.runs.results import read_results
 from lampest.solvers import projected_newton as newton_module
 from lampest.solvers.solution import Settings
@@ -48,7 +48,7 @@ FORMULATIONS: dict[Any, tuple[Any, ...]] = {
 def test_failed_cases_stop_no_other_and_are_solved_by_the_next_run(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    solve = batch.reconstruct
+    solve = task.reconstruct
     out = disk.folder / "out"
 
     def run(failing: Callable[[Estimator], bool]) -> SimpleNamespace:
@@ -57,7 +57,7 @@ def test_failed_cases_stop_no_other_and_are_solved_by_the_next_run(
                 raise RuntimeError("out of\nluck")
             return solve(recording, estimator, on_frame)
 
-        monkeypatch.setattr(batch, "reconstruct", sometimes)
+        monkeypatch.setattr(task, "reconstruct", sometimes)
         return lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
 
     all_failed = run(lambda estimator: True)

@@ -8,7 +8,7 @@ from threading import Condition, Thread
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from lampest.files.errors import InputError
-from lampest.runs.executors import Worker, WorkerDiedError
+from lampest.runs.worker import Worker, WorkerDiedError
 
 NICENESS = 10  # of processes beside: a tenth of the time of one that estimates, where both need it
 FAREWELL_SECONDS = 1.0  # time for the last item to reach a listener

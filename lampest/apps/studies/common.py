@@ -32,7 +32,8 @@ from lampest.recording.datasets import folder as shipped_folder
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.shapes import AnyShape, OralDisc
-from lampest.recording.simulation.simulation import Simulation, read_simulations
+from lampest.recording.simulation.file import read_simulations
+from lampest.recording.simulation.simulation import Simulation
 from lampest.recording.stored import joined
 from lampest.runs.config import Terms, named_members
 from lampest.runs.executors import Processes

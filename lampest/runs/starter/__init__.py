@@ -15,7 +15,7 @@ from lampest.files.errors import InputError, meant
 from lampest.files.whole import write_whole
 from lampest.panel.readouts import KINDS
 from lampest.recording.simulation import simulate
-from lampest.recording.simulation.simulation import simulation_of
+from lampest.recording.simulation.file import simulation_of
 from lampest.runs.config import json_schema
 
 TEMPLATES = Path(__file__).parent
