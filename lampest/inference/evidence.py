@@ -41,9 +41,9 @@ OWN_SHARE = 0.01
 # −2 ln prior odds of a bound, an effect or a resistance in series that an explanation needs
 PARAMETER_COST = 12.0
 # Smooth fields that are tried: deviations of ln r, distances in cells, shares of the variance.
-FIELD_DEVIATIONS = (0.3, 1.0)
-FIELD_CELLS = (1.0, 1.5, 2.0, 3.0, 5.0)
-OWN_SHARES = (1e-4, 1e-3, 1e-2, 1e-1)
+FIELD_DEVIATIONS = (0.3, 1.0, 3.0)
+FIELD_CELLS = (1.0, 2.0, 4.0, np.inf)
+OWN_SHARES = (1e-6, 1e-4, 1e-2, 1e-1)
 MAX_EXCHANGES = 4  # for each cell, of one search
 MIN_PIVOT = 1e-300  # rounding may take a pivot to zero, whose logarithm does not exist
 FIRST_ROOM = 16  # added cells for which memory is taken first; it doubles as needed

@@ -53,8 +53,6 @@ class BetterExplanation:
         noise.
     nearly : str
         A circuit in words that explains the readings better, but not significantly; ''.
-    covered : str
-        A circuit in words that would explain them better if most cells had moved; ''.
     addition : mapping
         Entries of a scene that state the circuit or the effects; empty where none do.
     """
@@ -65,7 +63,6 @@ class BetterExplanation:
     factors: Array = field(default_factory=lambda: np.ones(1))
     fits_noise: bool = True
     nearly: str = ""
-    covered: str = ""
     addition: Mapping[str, Any] = field(default_factory=dict)
 
     @property

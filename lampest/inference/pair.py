@@ -269,14 +269,21 @@ class FittedPair:
         # quadratic form of d
         return self.evidence.score - self.frames[1].log_volume + self._volume
 
-    def density_of_loads(self, *, field: bool) -> float:
-        """Return `density` where the moved cells may be loads, and with `field` a smooth field."""
-        score = self._score
-        if field:
-            changes = self.with_columns(self.columns(()))
-            as_field = changes.cost_of_field(self._place) + self._prior
-            score = -2 * float(np.logaddexp(-score / 2, -as_field / 2) - np.log(2))
+    @cached_property
+    def density_of_loads(self) -> float:
+        """`density` where the moved cells may be single ones, loads, or a smooth field."""
+        score = -2 * float(np.logaddexp(-self._score / 2, -self._score_of_field / 2) - np.log(2))
         return score - self.frames[1].log_volume + self._volume
+
+    @property
+    def is_field(self) -> bool:
+        """Whether the changes are rather a smooth field than single cells or loads."""
+        return self._score_of_field < self._score
+
+    @cached_property
+    def _score_of_field(self) -> float:
+        """−2 ln evidence where all changes are a smooth field."""
+        return self.with_columns(self.columns(())).cost_of_field(self._place) + self._prior
 
     @property
     def misfits(self) -> float:
@@ -319,7 +326,12 @@ class FittedPair:
 
     @property
     def excess(self) -> float:
-        """Misfit of the still cells over that of noise alone, at least 1."""
+        """Misfit of the still cells over that of noise alone, at least 1.
+
+        The value is 1 where changes are rather a field, which has its own scatter.
+        """
+        if self.is_field:
+            return 1.0
         misfit, still = self._misfit
         return max(misfit / max(still, 1), 1.0)
 

@@ -28,7 +28,7 @@ from lampest.inference.circuits.parameters import (
     with_series,
     without_series,
 )
-from lampest.inference.evidence import PARAMETER_COST, mostly_still
+from lampest.inference.evidence import PARAMETER_COST
 from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation, cell_factors
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array
@@ -53,9 +53,7 @@ def better_alternative(frames: ComparedFrames, specified: Explanation | None) ->
     """Return the alternative that explains the readings better than the scene's circuit.
 
     A better alternative explains them where the scene's circuit does not, or gains more than
-    MIN_EVIDENCE_GAIN. Alternatives under which most cells have moved do not count, because the
-    still cells cannot be identified then. One that would gain as much is `covered`: neither is
-    likelier.
+    MIN_EVIDENCE_GAIN.
 
     Parameters
     ----------
@@ -76,27 +74,7 @@ def better_alternative(frames: ComparedFrames, specified: Explanation | None) ->
             )
             candidates += [remembering] if remembering.alternative is not alternative else []
     best = _best_candidate(candidates, frames, at_fault=specified is None)
-    better = BetterExplanation() if best is None else _compared(specified, best, frames)
-    covered = "" if specified is None else _under_cover(candidates, specified)
-    return replace(better, covered=covered)
-
-
-def _under_cover(candidates: Sequence[Explanation], specified: Explanation) -> str:
-    """Return the circuit of largest evidence under which most cells moved, in words.
-
-    The text is '' where none gains more than MIN_EVIDENCE_GAIN over the scene's circuit. Another
-    memory alone is the edge of a load.
-    """
-    memory = specified.alternative.scene.converter_memory
-    gains = {
-        candidate.alternative.name: (specified.beyond_noise - candidate.beyond_noise)
-        / candidate.pair.excess
-        for candidate in candidates
-        if candidate.pair and candidate.alternative.kind and not mostly_still(candidate.pair.moved)
-        if candidate.alternative.scene.converter_memory == memory
-    }
-    name = max(gains, key=lambda alternative: gains[alternative], default="")
-    return name if name and gains[name] > MIN_EVIDENCE_GAIN else ""
+    return BetterExplanation() if best is None else _compared(specified, best, frames)
 
 
 def _needs_alternatives(specified: Explanation) -> bool:
@@ -188,8 +166,8 @@ def _best_candidate(
 ) -> Explanation | None:
     """Return the candidate with the largest evidence, less the costs of its parameters.
 
-    Candidates do not count under which most cells have moved, whose inequalities the readings
-    break, or that do not differ from the scene's circuit. Where the scene's circuit is at fault,
+    Candidates do not count whose inequalities the readings break, or that do not differ from the
+    scene's circuit. Where the scene's circuit is at fault,
     the best one has to say more than that each reading has its cell (`_says_no_more`), and loads
     have to lower some resistance.
 
@@ -203,8 +181,7 @@ def _best_candidate(
     specified_memory = frames.specified.scene.converter_memory
     valid = []
     for candidate in candidates:
-        still = candidate.pair is None or mostly_still(candidate.pair.moved)
-        if still and not broken_law(candidate.alternative, frames) and candidate.alternative.name:
+        if candidate.alternative.name and not broken_law(candidate.alternative, frames):
             valid.append(candidate)
 
     reversible = any(
@@ -216,7 +193,7 @@ def _best_candidate(
         has_series = candidate.alternative.in_series is not None
         has_memory = candidate.alternative.scene.converter_memory != specified_memory
         rises = RISING_COST * (reversible and _only_rises(candidate))
-        return candidate.beyond_noise + PARAMETER_COST * (has_series + has_memory) + rises
+        return candidate.evidence + PARAMETER_COST * (has_series + has_memory) + rises
 
     # of circuits that differ in the names of lines alone, the one that keeps the file's order
     least = min(map(cost, valid), default=0.0)
@@ -271,21 +248,26 @@ def rises_only(change: Array) -> bool:
 def _compared(
     specified: Explanation | None, best: Explanation, frames: ComparedFrames
 ) -> BetterExplanation:
-    """Return the best candidate as better, as nearly as good, or as neither."""
+    """Return the best candidate as better, as nearly as good, or as neither.
+
+    A better one has evidence in other frames, too, where there are loaded ones.
+    """
     if specified is None or best.pair is None:
         return BetterExplanation(best.alternative.name, addition=best.alternative.addition)
-    gain = (specified.beyond_noise - best.beyond_noise) / best.pair.excess
-    if specified.pair is None or gain <= DOUBTFUL_GAIN or not best.pair.moved.any():
+    if specified.pair is None or not (best.pair.moved.any() or best.pair.is_field):
         return BetterExplanation()
-    insignificant = gain <= MIN_EVIDENCE_GAIN
-    if insignificant or specified.pair.gain_apart(best.pair) <= DOUBTFUL_GAIN:
-        # A resistance in series follows hidden errors of the circuit, a memory the edge of a load:
-        # alone, neither is a doubt.
-        as_specified = (
-            best.alternative.scene.converter_memory == frames.specified.scene.converter_memory
-        )
-        doubtful = insignificant and best.alternative.kind and as_specified
-        return BetterExplanation(nearly=best.alternative.name if doubtful else "")
+    gain = _gain(specified, best)
+    if gain <= DOUBTFUL_GAIN:
+        return BetterExplanation()
+    # A resistance in series follows hidden errors of the circuit, a memory the edge of a load:
+    # alone, neither is a doubt, and both need cells that touch no moved ones.
+    as_specified = (
+        best.alternative.scene.converter_memory == frames.specified.scene.converter_memory
+    )
+    other_circuit = bool(best.alternative.kind) and as_specified
+    apart = other_circuit or specified.pair.gain_apart(best.pair) > DOUBTFUL_GAIN
+    if gain <= MIN_EVIDENCE_GAIN or not apart or not _confirmed(specified, best, frames):
+        return BetterExplanation(nearly=best.alternative.name if other_circuit else "")
     return BetterExplanation(
         best.alternative.name,
         frames.loaded,
@@ -293,3 +275,30 @@ def _compared(
         cell_factors(specified.pair, best.pair),
         addition=best.alternative.addition,
     )
+
+
+def _gain(specified: Explanation, best: Explanation) -> float:
+    """Return the decrease of −2 ln evidence by another explanation of the same frames.
+
+    The decrease is relative to the misfit of still cells, which errors that the scene does not name
+    increase.
+    """
+    assert best.pair is not None
+    return (specified.evidence - best.evidence) / best.pair.excess
+
+
+def _confirmed(specified: Explanation, best: Explanation, frames: ComparedFrames) -> bool:
+    """Return whether frames that were not compared have evidence for the best candidate, too.
+
+    The result is True where there are none.
+    """
+    others = frames.others
+    if others is None:
+        return True
+    first, second = (
+        Explanation.of(explanation.alternative, others, explanation)
+        for explanation in (specified, best)
+    )
+    if second is None or second.pair is None:
+        return False
+    return first is None or _gain(first.final, second.final) > MIN_EVIDENCE_GAIN

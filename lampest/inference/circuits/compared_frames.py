@@ -75,6 +75,22 @@ class ComparedFrames:
             standing = standing_frames(used, frame, standing, noise)
         return cls(specified, role, resting, standing, noise, named)
 
+    @cached_property
+    def others(self) -> Self | None:
+        """Every second unloaded frame, and the strongest loaded frame that is not compared.
+
+        The value is None without such a frame.
+        """
+        loaded = np.setdiff1d(np.flatnonzero(self.role == MEASURED), self.standing)
+        loaded = loaded[(self._usable[loaded] > 0).any(axis=(1, 2))]
+        if not len(loaded):
+            return None
+        readings = self.specified.readings
+        resting = self.resting[1::2] if len(self.resting) > 1 else self.resting
+        unloaded = readings[resting].mean().value
+        strongest = strongest_frame(readings.plain_values, unloaded, loaded)
+        return replace(self, resting=resting, standing=np.array([strongest]))
+
     @property
     def loaded(self) -> str:
         """The loaded frames in words: 'frame 3', or 'frames 3 to 9'."""

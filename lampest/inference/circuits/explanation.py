@@ -16,8 +16,10 @@ from lampest.inference.cells_fit import CellsFit, fitted
 from lampest.inference.circuits.alternatives import Alternative
 from lampest.inference.circuits.compared_frames import ComparedFrames
 from lampest.inference.pair import FittedPair
+from lampest.inference.unloaded_cells import unloaded_costs
 from lampest.panel.readouts.starts import several_panels
 
+NO_ERROR = np.zeros(1)  # of each reading, beside its noise
 FAR = 100.0  # in scores, beyond what channels and the selection of moved cells change
 
 
@@ -121,6 +123,27 @@ class Explanation:
     def score(self) -> float:
         """−2 ln density of the loaded frame, and the costs of parameters."""
         return 0.0 if self.pair is None else self.pair.density + self.pair.misfits
+
+    @cached_property
+    def evidence(self) -> float:
+        """−2 ln evidence of both frames, and the costs of parameters.
+
+        Cells of the unloaded panel are alike, and changes are single ones, loads, or a field. The
+        value is infinite where arithmetic breaks down.
+        """
+        if self.pair is None:
+            return 0.0
+        with suppress(*BROKEN):
+            return self._density_at_rest + self.pair.density_of_loads + self.pair.misfits
+        return np.inf
+
+    @property
+    def _density_at_rest(self) -> float:
+        """−2 ln density of the unloaded readings in units of their noise."""
+        resting = self.fits[0]
+        readings = resting.readings
+        costs = unloaded_costs(resting.scene, readings, resting, NO_ERROR)
+        return float(costs[0, 0]) - 2 * float(np.log(readings.known_sigma[readings.plain]).sum())
 
     @cached_property
     def beyond_noise(self) -> float:

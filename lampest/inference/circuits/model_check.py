@@ -35,10 +35,6 @@ from lampest.recording.recording import (
 
 EXPLAINED = "the circuit can give these readings"
 NO_LIKELIER = "no other known one is likelier"
-COVERED = (
-    "most cells would have moved under {}, which gives the readings as well: "
-    "press a few cells, and leave the others free"
-)
 # Deviation of ln of a module's median reading at rest from the other modules: none of 1,640
 # simulated modules whose cells scatter by 0.2 exceeds it, and a reference that is off by 20 % does.
 MIN_AWAY = 0.15
@@ -194,7 +190,7 @@ class Question(ComparedFrames):
         if explains and self.explanation is not None:
             ends = undetermined_ends(self.explanation, self)
         likely = best.nearly or ends.doubts
-        compared = explains and not (likely or best.covered or self._uncompared)
+        compared = explains and not (likely or self._uncompared)
         check = ModelCheck(
             explains,
             "; ".join((self._verdict(best, alone=not likely), *ends.remarks)),
@@ -259,9 +255,8 @@ class Question(ComparedFrames):
             return f"{self.fault}; {alternative}"
         if best.name:
             return f"{best.name} explains the readings better: {best.reason}"
-        uncompared = self._uncompared or (best.covered and COVERED.format(best.covered))
-        if uncompared:
-            return f"{EXPLAINED}; other circuits were not compared: {uncompared}"
+        if self._uncompared:
+            return f"{EXPLAINED}; other circuits were not compared: {self._uncompared}"
         return f"{EXPLAINED}, and {NO_LIKELIER}" if alone else EXPLAINED
 
     @cached_property

@@ -19,7 +19,6 @@ from lampest.files.document import in_one_line
 from lampest.inference.circuits.compared_frames import ComparedFrames
 from lampest.inference.circuits.explanation import Explanation
 from lampest.inference.circuits.parameters import DOUBTFUL_GAIN
-from lampest.inference.evidence import mostly_still
 from lampest.panel.lines import as_tuple, opposite
 from lampest.panel.readouts.wiring import NeighbourLeaks
 from lampest.panel.scene import Scene
@@ -218,9 +217,7 @@ def _possible(end: LeftOutEnd, specified: Explanation, frames: ComparedFrames) -
     the best one by twice EXCLUDED: larger ones are still less probable.
     """
     assert specified.pair is not None
-    # where most cells moved, loads may be a field
-    field = not mostly_still(specified.pair.moved)
-    without = specified.pair.density_of_loads(field=field)
+    without = specified.pair.density_of_loads
     tried: list[TriedEnd] = []
     most = 0.0
     near = specified
@@ -230,7 +227,7 @@ def _possible(end: LeftOutEnd, specified: Explanation, frames: ComparedFrames) -
         if further is None or further.pair is None:
             break
         near = further
-        gain = without - further.pair.density_of_loads(field=field)
+        gain = without - further.pair.density_of_loads
         most = max(most, gain)
         if gain < most - 2 * EXCLUDED:
             break

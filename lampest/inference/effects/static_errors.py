@@ -74,7 +74,6 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 PRIOR_ODDS = np.where(READING_ERRORS > 0, 0.5 / np.count_nonzero(READING_ERRORS), 0.5)
 # Standard deviation of an error over that of its prior: with more, frames tell nothing of it.
 MAX_UNTOLD = 0.9
-ALIKE = "the load changes all cells alike: press a few cells, and leave the others free"
 # Numbers of the tried values: those at which cells between rest and a load are selected, and those
 # that show whether a finer scan is worth its time. Neighbours differ by a factor of 2.6. Below the
 # most probable error −2 ln p falls with e², so that the smaller neighbour of one that counts keeps
@@ -329,8 +328,7 @@ def _with_common_errors(
         unit = 1 / moves.scales(factor, len(second))
         second = unit[:, None] * second * unit
     possible = replace(errors.possible, settings=tuple(settings), root=lower_root(second))
-    determined = all(error.setting in sizes for error in moves.errors)
-    return replace(errors, possible=possible, sizes=sizes, undetermined="" if determined else ALIKE)
+    return replace(errors, possible=possible, sizes=sizes)
 
 
 def _with_spread(errors: SharedErrors, prior: Systematic, spread: Number) -> SharedErrors:
@@ -451,7 +449,7 @@ class StaticErrors(SceneEffect):
             if name in errors.sizes:
                 noise = noise.determined(f"systematic.{name}", errors.sizes[name])
             else:
-                reason = errors.undetermined or "no frame shows it; `lampest calibrate` measures it"
+                reason = errors.undetermined or shared_effect_of(name).if_undetermined
                 noise = noise.undetermined(f"systematic.{name}", reason)
         return noise
 

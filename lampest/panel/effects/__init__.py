@@ -38,6 +38,7 @@ SHARED = {
     "series_tolerance_ohm": "lampest.panel.effects.series:SeriesTolerance",
     "inl_lsb": "lampest.panel.effects.converter_curve:ConverterCurve",
     "wire_ohm_per_cell": "lampest.panel.effects.wire:WirePerCell",
+    "load_tolerance": "lampest.panel.effects.loads:LoadTolerance",
     "reading_error": "lampest.panel.effects.reading_error:ReadingError",
 }
 REFERENCE = "reference_tolerance"
@@ -66,6 +67,8 @@ class SharedEffect(ABC):
         Whether advice searches for the error where the scene does not name it.
     keeps_column : bool
         Whether the error has a column of zeros where its size is 0.
+    if_undetermined : str
+        Why a recording with unloaded and loaded frames may not determine the size, and what to do.
 
     >>> class CommonFactor(lampest.SharedEffect):
     ...     setting = "common_factor"
@@ -85,6 +88,9 @@ class SharedEffect(ABC):
     is_typical: ClassVar[bool] = False
     is_advised: ClassVar[bool] = True
     keeps_column: ClassVar[bool] = False
+    if_undetermined: ClassVar[str] = (
+        "the load changes all cells alike: press a few cells, and leave the others free"
+    )
 
     @abstractmethod
     def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:

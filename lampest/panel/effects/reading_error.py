@@ -14,6 +14,7 @@ class ReadingError(SharedEffect):
     setting = "reading_error"
     name = "each reading"
     limits = (0.0, 10.0)
+    if_undetermined = "no frame shows it; `lampest calibrate` measures it"
 
     def sentence(self, size: float, deviation: float) -> str:
         return (
