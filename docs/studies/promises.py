@@ -253,8 +253,8 @@ BREAKS = {
         "object.__setattr__(state, 'previous', step.solution.cell_resistance[-1])",
     ),
     "every_combination_of_potentials_agrees_with_its_netlist": Break(
-        "panel/readouts/driven.py",
-        "DrivenCircuit.load_ends",
+        "panel/readouts/keys.py",
+        "load_ends",
         "return replace(result, volt=0.9 * result.volt)",
     ),
     "codes_of_a_rounding_converter_leave_cells_unbiased": Break(

@@ -2,33 +2,30 @@
 
 A kind of readout is one file with its keys and one function from keys to ends, `terminations`. All
 else follows from the ends: `lampest.panel.equation` has the equation of the readings,
-`lampest.panel.readouts.starts` the cells at which solves begin, and
-`lampest.panel.readouts.inequalities` the bounds.
+`lampest.panel.readouts.starts` the cells at which solves begin,
+`lampest.panel.readouts.inequalities` the bounds, and `lampest.panel.readouts.tolerances` the
+errors of resistors and channels.
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol, Self
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.typed import check_ranges
 from lampest.panel.circuit import NOMINAL_LINES, Terminations, nominal_terminations
 from lampest.panel.equation import equation_of
-from lampest.panel.law import Law
-from lampest.panel.lines import (
-    LineNumber,
-    PerLine,
-    as_tuple,
-    listed_lines,
-    of_side,
-    per_line,
-)
+from lampest.panel.law import TWO_POINT, Law
+from lampest.panel.lines import Side, along, listed_lines, of_side, opposite, per_line
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array, Panel, connected_parts
-from lampest.panel.readouts import inequalities, starts
-from lampest.panel.readouts.converter import Converter
-from lampest.panel.readouts.inequalities import FreeTest
+from lampest.panel.readouts import starts
+from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT, Converter
+from lampest.panel.readouts.floating import grounding, two_point_resistance
+from lampest.panel.readouts.keys import check_keys, check_on_panel, entry
 from lampest.panel.readouts.scan_order import check_scan_order
 from lampest.panel.readouts.starts import USUAL_OHM
 from lampest.panel.readouts.wiring import Wiring
@@ -67,18 +64,14 @@ class Readout(Converter, ABC):
         Unit of a reading.
     signal, signal_name : str
         Dataset in files, and its long name.
-    homogeneous : bool
-        Whether a common factor on all cells multiplies all readings.
-    unique : bool
-        Whether plain least squares without noise has one minimum; otherwise solvers begin at
-        several starts.
-    in_series : bool
-        Whether the scene's series resistance adds to every reading.
-    series_name : str
-        Scene's key of a resistance in series with the panel; '' without one.
     of_driven, of_sensed : tuple of str
         Keys of numbers of driven, and of sensed lines; the first one of sensed lines is the
         reference resistor of a reading.
+    may_be_zero, may_be_infinite : tuple of str
+        Keys of resistances that may be 0, or infinite.
+    channels : tuple of str
+        Keys, a number or one for each line, of the channels of driven, and of sensed lines; ''
+        without any. Sensed lines without a channel have 0.
 
     >>> issubclass(lampest.GroundedReadout, lampest.Readout)
     True
@@ -87,23 +80,33 @@ class Readout(Converter, ABC):
     unit: ClassVar[str] = "volt"
     signal: ClassVar[str] = "volt"
     signal_name: ClassVar[str] = "voltage at the converter"
-    homogeneous: ClassVar[bool] = False
-    unique: ClassVar[bool] = False
-    in_series: ClassVar[bool] = False
-    series_name: ClassVar[str] = ""
-    of_driven: ClassVar[tuple[str, ...]] = ()
-    of_sensed: ClassVar[tuple[str, ...]] = ()
+    of_driven: ClassVar[tuple[str, ...]] = ("drive_ohm",)
+    of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm",)
+    may_be_zero: ClassVar[tuple[str, ...]] = ("drive_ohm", "sense_ohm")
+    may_be_infinite: ClassVar[tuple[str, ...]] = ()
+    channels: ClassVar[tuple[str, str]] = ("", "")
+
+    def __post_init__(self) -> None:
+        own_volts = [name for name in ("drive_volt", "converter_volt") if hasattr(self, name)]
+        check_ranges(self, MIN_VOLT, MAX_VOLT, *own_volts)
+        super().__post_init__()
+        check_keys(self)
 
     @abstractmethod
     def terminations(self, driven: int, sensed: int) -> Terminations:
         """Return the ends of the lines of a panel with so many driven and sensed lines."""
 
     @property
+    def series_name(self) -> str:
+        """Scene's key of a resistance in series with the panel; '' without one."""
+        return "series_resistance_ohm" if self.unit == "ohm" else self.channels[0]
+
+    @property
     def nominal_lines(self) -> tuple[int, int]:
         """Numbers of driven and of sensed lines that lists and groups tell, otherwise two."""
         sides = (
-            (self.of_driven, getattr(self, "driven_groups", None)),
-            ((*self.of_sensed, "offset_volt"), getattr(self, "groups", None)),
+            (self.of_driven, entry(self, "driven_groups")),
+            ((*self.of_sensed, "offset_volt"), entry(self, "groups")),
         )
         driven, sensed = (
             max(
@@ -122,17 +125,18 @@ class Readout(Converter, ABC):
         return driven, sensed
 
     def check(self, scene: Surroundings) -> None:
-        """Raise ValueError if the scene does not fit the readout or the panel.
+        """Raise ValueError if the scene does not fit the readout, or lists do not fit its panel.
 
         A scene does not fit the readout if it has keys that the readout cannot model.
         """
         per_line("noise_lsb", self.assumed_noise, of_side(self.noisy_side, *scene.panel.shape)[0])
         check_scan_order(self, scene.panel)
-        if np.any(scene.series_ohm) and not self.in_series:
+        if np.any(scene.series_ohm) and self.unit != "ohm":
             raise ValueError(
                 "series_resistance_ohm belongs to readout.kind: two_point; "
                 "with others a channel's resistance is part of the readout's drive_ohm or sense_ohm"
             )
+        check_on_panel(self, scene)
 
     def in_scene(self, scene: Surroundings) -> "Readout":
         """Return the circuit that gives the readings of a scene."""
@@ -142,10 +146,19 @@ class Readout(Converter, ABC):
     def description(self) -> str:
         """Return the circuit and its numbers with their units, in words."""
 
+    @cached_property
+    def two_point(self) -> bool:
+        """Whether a reading is the resistance between two lines while all others float.
+
+        Then a common factor on all cells multiplies all readings, and plain least squares without
+        noise has one minimum.
+        """
+        return nominal_terminations(self).two_point
+
     @property
     def law(self) -> Law:
         """Law of the readings, h with its derivatives."""
-        return Law(self)
+        return TWO_POINT if self.two_point else Law(self)
 
     # Readings of cells.
 
@@ -155,6 +168,8 @@ class Readout(Converter, ABC):
         Lines that 0 ohm hold have infinite ties. `parts`, (lines,), is the number of each line's
         part of a panel that open cells divide; None for a connected panel.
         """
+        if self.two_point:
+            return grounding(measured, parts)
         equation = equation_of(self, *measured.shape[-2:])
         ties = equation.ties_of_parts(parts, lambda: self.apparent_resistance(measured))
         return ties[0] if len(ties) == 1 else ties
@@ -164,6 +179,8 @@ class Readout(Converter, ABC):
 
         The ties are those of `ties`. Raises numpy.linalg.LinAlgError if a line is not connected.
         """
+        if self.two_point:
+            return self.solved_network(cell_resistance, ties, wiring)
         equation = equation_of(self, *cell_resistance.shape)
         excited = equation.excitations(np.atleast_2d(ties))
         if ties.ndim == 1:
@@ -187,8 +204,11 @@ class Readout(Converter, ABC):
         """Return the readings y of cells of any contrast.
 
         The cells are (rows, columns) or (frames, rows, columns) ohm; the readings have the same
-        shape. Open cells may divide the panel into parts.
+        shape. Open cells may divide the panel into parts. Resistances between two lines have at
+        least ten correct digits without wiring.
         """
+        if wiring is None and self.two_point:
+            return two_point_resistance(cell_resistance)
         if cell_resistance.ndim == 3:
             return np.stack([self.exact_reading(frame, wiring) for frame in cell_resistance])
         conducting = np.isfinite(cell_resistance)
@@ -254,35 +274,35 @@ class Readout(Converter, ABC):
         """
         return starts.start(self, measured, upper, near)
 
-    def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
-        """Return tests of inequalities that the circuit's readings satisfy for any cells.
-
-        `measured` and `sigma` are (frames, rows, columns); sigma is infinite for readings that are
-        no values.
-        """
-        equation = equation_of(self, *measured.shape[-2:])
-        return inequalities.free_tests(equation, measured, sigma)
-
-    # Information of readings on the circuit.
-
-    def largest_possible(self, measured: Array) -> Array:
-        """Return the largest value of each reading that the others allow, (..., rows, columns).
-
-        Infinite readings in `measured` allow anything. The result is infinite where no law limits a
-        reading.
-        """
-        return np.full(measured.shape, np.inf)
-
     # Between recorded values and the network's readings.
 
-    def offset(self, shape: tuple[int, ...]) -> Array | float:
-        """Return what amplifiers add to recorded values, to be broadcast to (rows, columns)."""
-        return 0.0
+    @property
+    def full_scale_volt(self) -> float:
+        own = entry(self, "converter_volt")
+        return self.supply_volt if own is None else float(own)
+
+    @property
+    def noisy_side(self) -> Side:
+        side: Side = getattr(self, "driven", "rows")
+        return side
+
+    def _level(self, shape: tuple[int, ...]) -> Array | float:
+        """Return the recorded value of a reading of 0, to be broadcast to (rows, columns), volt.
+
+        Amplifiers add their offsets; an inverting one is recorded below its reference.
+        """
+        ends = nominal_terminations(self)
+        offset = entry(self, "offset_volt")
+        if offset is None:
+            return ends.recorded_reference
+        sensed = of_side(ends.driven, *shape[-2:])[1]
+        of_lines = along(opposite(ends.driven), per_line("offset_volt", offset, sensed))
+        return ends.recorded_reference + (-of_lines if ends.amplified else of_lines)
 
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
         """Return the network's readings of recorded values, (…, rows, columns)."""
         ends = nominal_terminations(self)
-        level = ends.recorded_reference + self.offset(recorded.shape)
+        level = self._level(recorded.shape)
         if ends.sign > 0 and not np.any(level):
             return recorded
         return np.asarray(ends.sign * (recorded - level))
@@ -290,7 +310,7 @@ class Readout(Converter, ABC):
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
         """Return the recorded values of the network's readings, (…, rows, columns)."""
         ends = nominal_terminations(self)
-        level = ends.recorded_reference + self.offset(reading.shape)
+        level = self._level(reading.shape)
         if ends.sign > 0 and not np.any(level):
             return reading
         return np.asarray(level + ends.sign * reading)
@@ -311,78 +331,3 @@ class Readout(Converter, ABC):
         `sigma` is the σ of the recorded values; all have the same shape.
         """
         return sigma
-
-    def simulated(
-        self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array
-    ) -> Array:
-        """Return recorded values (frames, rows, columns) of cells, without noise and quantisation.
-
-        `row_ohm` and `column_ohm` are additional series resistances of every line's channel, (lines
-        of a side,) ohm.
-        """
-        return self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
-
-    def off_by(self, fraction: float) -> Self:
-        """Return the circuit with every reference resistor larger by a fraction.
-
-        A kind that names no key of sensed lines has none.
-        """
-        if not self.of_sensed:
-            return self
-        name = self.of_sensed[0]
-        value: PerLine = getattr(self, name)
-        larger = tuple(number * (1 + fraction) for number in as_tuple(value))
-        changes: dict[str, Any] = {name: larger if isinstance(value, tuple) else larger[0]}
-        return replace(self, **changes)
-
-    def line_numbers(self) -> tuple[LineNumber, ...]:
-        """Return the numbers of the circuit that known resistors determine.
-
-        The known resistors are in place of the cells.
-        """
-        return ()
-
-    def shared_errors(
-        self, cells: Array, measured: Array, scene: Surroundings, reference: float, channel: float
-    ) -> Array:
-        """Return the effect of shared errors on the readings, as secants of the model.
-
-        Parameters
-        ----------
-        cells : array, shape (rows, columns)
-            Estimate in ohm.
-        measured : array, same shape
-            Its readings; with two-point readouts also (…, rows, columns) of many panels.
-        scene : Scene
-        reference : float
-            Relative error of the reference resistor, see `off_by`.
-        channel : float
-            Error of one line's channel in ohm, see `simulated`.
-
-        Returns
-        -------
-        array, shape (1 + rows + columns, rows, columns), or (1, rows, columns) without `channel`
-            Effect of the reference, then of the channel of each line, rows first.
-        """
-        unchanged = self.exact_reading(cells, scene.wiring)
-        errors = np.zeros((1, *cells.shape))
-        if reference:
-            errors[0] = self.off_by(reference).exact_reading(cells, scene.wiring) - unchanged
-        if not channel:
-            return errors
-        return np.concatenate([errors, self.channel_errors(cells, scene, channel)])
-
-    def channel_errors(self, cells: Array, scene: Surroundings, channel: float) -> Array:
-        """Return the effect of each line's channel on the readings, rows first.
-
-        Shape (rows + columns, rows, columns). See `shared_errors`.
-        """
-        unchanged = self.exact_reading(cells, scene.wiring)
-        rows, columns = cells.shape
-        return np.stack(
-            [
-                self.from_recorded(self.simulated(cells, scene, extra[:rows], extra[rows:]), scene)
-                - unchanged
-                for extra in channel * np.eye(rows + columns)
-            ]
-        )

@@ -28,6 +28,7 @@ from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.channel_memory import with_memory
 from lampest.panel.readouts.scan_order import in_panel_order
+from lampest.panel.readouts.tolerances import simulated
 from lampest.panel.readouts.wiring import Contacts
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import EFFECTS, added_effects
@@ -269,9 +270,11 @@ def _read(
     """
     begin = int(np.ceil((unmodelled.begins_s or 0.0) / period_s))
     cells = np.where(scene.panel.present, cells, np.inf)
-    recorded = actual.simulated(cells, scene, *_channel_errors(scene, unmodelled, seed, late=False))
+    channels = _channel_errors(scene, unmodelled, seed, late=False)
+    recorded = simulated(actual, cells, scene, *channels)
     if unmodelled.contact_ohm:
-        late = actual.simulated(cells, scene, *_channel_errors(scene, unmodelled, seed, late=True))
+        channels = _channel_errors(scene, unmodelled, seed, late=True)
+        late = simulated(actual, cells, scene, *channels)
         recorded[begin:] = late[begin:]
     if unmodelled.leak_ohm is None and not unmodelled.own:
         return recorded

@@ -5,6 +5,7 @@ from unittest import mock
 import numpy as np
 
 import lampest
+from lampest.panel.readouts.tolerances import simulated
 from lampest.runs.filling import _unchecked
 
 CIRCUITS = {
@@ -104,7 +105,7 @@ def sums_of(scene, cells, seed=1):
     rng = np.random.default_rng(seed)
     readout = scene.circuit
     zero = np.zeros(scene.panel.rows), np.zeros(scene.panel.columns)
-    volt = readout.volt_from_recorded(readout.simulated(cells, scene, *zero))
+    volt = readout.volt_from_recorded(simulated(readout, cells, scene, *zero))
     codes = volt[..., None] / readout.lsb_volt + readout.noise_lsb * rng.standard_normal(
         (*volt.shape, readout.readings)
     )
