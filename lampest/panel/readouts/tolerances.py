@@ -148,13 +148,14 @@ def line_numbers(circuit: Readout) -> tuple[LineNumber, ...]:
     """Return the numbers of a circuit that known resistors in place of the cells determine.
 
     They are resistances in series, which include channels, reference resistors, and a diode's drop.
+    A kind without channels has none.
     """
     if circuit.unit == "ohm":
         return (LineNumber(circuit.series_name, ("rows", "columns"), channel=True, in_scene=True),)
+    if not circuit.series_name:
+        return ()
     ends = nominal_terminations(circuit)
-    numbers = list[LineNumber]()
-    if circuit.series_name:
-        numbers.append(LineNumber(circuit.series_name, (ends.driven,), channel=True))
+    numbers = [LineNumber(circuit.series_name, (ends.driven,), channel=True)]
     name = circuit.of_sensed[0]
     if hasattr(circuit, name) and max(as_tuple(getattr(circuit, name))) < inf:
         numbers.append(LineNumber(name, (opposite(ends.driven),)))
