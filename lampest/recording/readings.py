@@ -14,6 +14,7 @@ from lampest.files.levels import NOISE_REACH, UNUSUAL
 from lampest.files.typed import ReadOnlyArrays, real_array
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array, Modules, beyond_any_panel, check_line_memory
+from lampest.panel.readouts.converter import constant_share
 from lampest.panel.scene import Scene
 
 
@@ -196,7 +197,7 @@ class Readings(ReadOnlyArrays):
         filled = _filled(noise, seen)
         constant = None
         if sigma is None and scene.readout is not None:
-            constant = filled * scene.readout.constant_share()
+            constant = filled * constant_share(scene.readout)
         return cls(value, filled, side, seen, constant)
 
     def without(self, omitted: NDArray[np.bool_]) -> "Readings":

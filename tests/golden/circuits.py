@@ -27,7 +27,13 @@ from lampest.panel.effects.line_effect import effect_on_readings, line_effects
 from lampest.panel.kirchhoff import NormalByLines, Stencil
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts import AnyReadout, channel_memory, wired_network
-from lampest.panel.readouts.converter import averaged_variance, noise_of_variance
+from lampest.panel.readouts.converter import (
+    averaged_variance,
+    noise_of_variance,
+    noise_volt,
+    rails_reached,
+    sigma_code,
+)
 from lampest.panel.readouts.floating import common_step
 from lampest.panel.readouts.inequalities import (
     free_tests,
@@ -206,8 +212,8 @@ def readout_row(scene: lp.Scene) -> dict[str, Any]:
         "codes": circuit.code_from_volt(volt),
         "volt": circuit.volt_from_code(np.array([0.0, 12.25, 900.0])),
         "sums": circuit.recorded_from_sums(np.array([[4000, 9000]]), 20),
-        "noise": circuit.noise_volt(),
-        "sigma of codes": circuit.sigma_code(),
+        "noise": noise_volt(circuit),
+        "sigma of codes": sigma_code(circuit),
         "averaged": averaged_variance(circuit, 0.4),
         "noise of variance": noise_of_variance(circuit, 0.02),
         "shared": tolerance_errors(circuit, cells, value, scene, 0.01, 2.0),
@@ -216,7 +222,7 @@ def readout_row(scene: lp.Scene) -> dict[str, Any]:
         "direction": nominal_terminations(circuit).sign,
         "texts": [
             circuit.description(),
-            circuit.rails_reached(recorded),
+            rails_reached(circuit, recorded),
             circuit.converter_description(),
             scene_text(scene),
         ],

@@ -31,6 +31,7 @@ from lampest.inference.cells_fit import fitted
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
+from lampest.panel.readouts.converter import noise_volt
 from lampest.panel.readouts.inequalities import free_tests, largest_series_ohm
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.simulation.measure import measured
@@ -128,7 +129,7 @@ def test_a_circuit_under_which_most_cells_moved_is_not_called_less_likely() -> N
         load_ohm=10_000, drive_ohm=1080, adc_bits=12, readings=8, noise_lsb=1.0
     )
     volt = columns.exact_reading(cells)
-    volt = volt + columns.noise_volt() / np.sqrt(8) * random.standard_normal(volt.shape)
+    volt = volt + noise_volt(columns) / np.sqrt(8) * random.standard_normal(volt.shape)
     divider = TwoPointReadout(adc_bits=12, readings=8, noise_lsb=1.0)
     scene = Scene(Panel(8, 8), divider, lampest.SeriesPerLine(70.0, 72.0))
     check = Prepared(recording_of(scene, divider.recorded_from_volt(volt), 4)).check

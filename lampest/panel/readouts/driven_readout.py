@@ -80,7 +80,7 @@ class DrivenReadout(Readout):
     input_ohm : float, or None
         Input resistance of the converter to ground in ohm, at the load; None: negligible.
     supply_volt, adc_bits, readings, noise_lsb
-        See `Converter`.
+        See `Readout`.
 
     A resistance is a number, or one for each line. Raises ValueError if a number is out of range,
     or if readings do not depend on the cells or on their common scale. Source: node analysis.

@@ -67,7 +67,7 @@ class GroundedReadout(Readout):
     load_volt : float, or None
         Potential in which the loads end, in volt; None: ground, or the supply with polarity: down.
     supply_volt, adc_bits, readings, noise_lsb
-        See `Converter`.
+        See `Readout`.
 
     The network's reading is the voltage across the load, for either polarity. No bound except r > 0
     holds, because other cells can increase and decrease a reading. Raises ValueError if a number is

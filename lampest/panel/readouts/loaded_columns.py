@@ -48,7 +48,7 @@ class LoadedColumnsReadout(Readout):
     idle_volt : float, or None
         Potential of the lines of other groups that are held with driven_groups.
     supply_volt, adc_bits, readings, noise_lsb
-        See `Converter`.
+        See `Readout`.
 
     The network's reading is the voltage across the load, for either polarity. Raises ValueError if
     a number is out of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rs at the

@@ -13,6 +13,7 @@ from lampest.panel.circuit import Ends, Terminations, scanned
 from lampest.panel.lines import Groups, PerLine, parallel, per_line
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array, EachModule, Modules
+from lampest.panel.readouts.converter import relative_step
 from lampest.panel.readouts.floating import convex_start, grounding, uniform_factor
 from lampest.panel.readouts.readout import Readout, Surroundings
 from lampest.panel.readouts.starts import SHORT_SHARE
@@ -44,7 +45,7 @@ class TwoPointReadout(Readout):
         resistor each. At every address one column of each group is read. None: one multiplexer has
         all columns.
     adc_bits, readings, noise_lsb
-        See `Converter`.
+        See `Readout`.
 
     >>> lampest.TwoPointReadout(adc_bits=12).unit
     'ohm'
@@ -167,7 +168,7 @@ class TwoPointReadout(Readout):
         R includes the series resistance.
         """
         total = np.asarray(recorded, dtype=float) + self.reference_ohm
-        sigma = self.sigma_volt() * self.relative_step(self.volt_from_recorded(recorded))
+        sigma = self.sigma_volt() * relative_step(self, self.volt_from_recorded(recorded))
         return np.asarray(total**2 * (sigma / (self.reference_ohm * self.supply_volt)))
 
 

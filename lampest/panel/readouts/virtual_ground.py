@@ -45,7 +45,7 @@ class VirtualGroundReadout(Readout):
     offset_volt : PerLine, or None
         Input offset of each amplifier in volt: its sensed line is held so far above the reference.
     supply_volt, adc_bits, readings, noise_lsb
-        See `Converter`.
+        See `Readout`.
 
     No bound except r > 0 holds, because other cells can increase and decrease a reading. Raises
     ValueError if a number is out of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹, t =

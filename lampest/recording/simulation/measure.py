@@ -27,6 +27,7 @@ from lampest.panel.lines import of_side
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.channel_memory import with_memory
+from lampest.panel.readouts.converter import noise_volt
 from lampest.panel.readouts.scan_order import in_panel_order
 from lampest.panel.readouts.tolerances import simulated
 from lampest.panel.readouts.wiring import Contacts
@@ -334,7 +335,7 @@ def sums_of_codes(
     """
     noise = random_stream(seed, "noise")
     outliers = random_stream(seed, "outliers")
-    sigma = readout.noise_volt() * (
+    sigma = noise_volt(readout) * (
         1.0 if unmodelled.noise_factor is None else unmodelled.noise_factor
     )
     sums = np.zeros(volt.shape, dtype=np.int64)
