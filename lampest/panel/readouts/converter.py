@@ -10,7 +10,7 @@ scale. Code c therefore stands for c steps, and its interval reaches half a step
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from lampest.files.typed import Configuration, read_only
 from lampest.panel.lines import PerLine, along
 from lampest.panel.panel import Array
 from lampest.panel.readouts.known_converters import KNOWN_CONVERTERS, Known, KnownConverter
-
-if TYPE_CHECKING:
-    from lampest.panel.readouts.readout import Readout
 
 MAX_VOLT = 1e3  # V: limit of low voltage in IEC 60038
 MIN_REPEATS = 50  # repeated readings, which determine a noise to a tenth
@@ -154,7 +151,7 @@ class Characteristic(Configuration):
         return f"{start} {self.zero_volt:.6g} V{end}"
 
 
-def relative_step(readout: "Readout", volt: Array) -> Array:
+def relative_step(readout: Any, volt: Array) -> Array:
     """Return the converter's step at voltages, in units of `lsb_volt`; any shape."""
     if readout.characteristic.curve is None:
         return np.ones(np.shape(volt))
@@ -164,7 +161,7 @@ def relative_step(readout: "Readout", volt: Array) -> Array:
     return np.asarray(steps[np.clip(piece, 0, len(steps) - 1)])
 
 
-def noise_volt(readout: "Readout", codes: Array | None = None) -> Array:
+def noise_volt(readout: Any, codes: Array | None = None) -> Array:
     """Return the noise of one reading in volt, or that of `codes` in LSB.
 
     The result can be broadcast to (rows, columns).
@@ -176,7 +173,7 @@ def noise_volt(readout: "Readout", codes: Array | None = None) -> Array:
 
 
 def sigma_code(
-    readout: "Readout", noise_lsb: PerLine | None = None, readings: int | None = None
+    readout: Any, noise_lsb: PerLine | None = None, readings: int | None = None
 ) -> Array:
     """Return σ of the mean of `readings` codes, in LSB.
 
@@ -188,7 +185,7 @@ def sigma_code(
     return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / (readings or readout.readings) + bias))
 
 
-def constant_share(readout: "Readout", noise_lsb: PerLine | None = None) -> Array:
+def constant_share(readout: Any, noise_lsb: PerLine | None = None) -> Array:
     """Return the share of σ that averaging cannot remove, to be broadcast to (rows, columns).
 
     None: that of the converter's own noise.
@@ -201,13 +198,13 @@ def constant_share(readout: "Readout", noise_lsb: PerLine | None = None) -> Arra
 
 
 @lru_cache(maxsize=64)
-def _own_constant_share(readout: "Readout") -> Array:
+def _own_constant_share(readout: Any) -> Array:
     """Return the share of a converter's own noise."""
     share: Array = read_only(constant_share(readout, readout.assumed_noise))
     return share
 
 
-def rails_reached(readout: "Readout", recorded: Array) -> str:
+def rails_reached(readout: Any, recorded: Array) -> str:
     """Return the rails that recorded readings exceed, in words; '' if no reading does."""
     least, largest = readout.rails()
     beyond = ((least, recorded < least), (largest, recorded > largest))
@@ -239,13 +236,13 @@ def _rounding_variance(noise: Array) -> Array:
     return np.asarray(bias)
 
 
-def averaged_variance(readout: "Readout", noise_lsb: PerLine) -> Array:
+def averaged_variance(readout: Any, noise_lsb: PerLine) -> Array:
     """Return the variance that averaging removes, σ²(readings) − σ²(ENDLESS readings), LSB²."""
     lasting = sigma_code(readout, noise_lsb, ENDLESS)
     return np.asarray(sigma_code(readout, noise_lsb) ** 2 - lasting**2)
 
 
-def noise_of_variance(readout: "Readout", variance: float) -> float:
+def noise_of_variance(readout: Any, variance: float) -> float:
     """Return the noise in LSB that has a given `averaged_variance` in LSB².
 
     Bisection finds the noise.
