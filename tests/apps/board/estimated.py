@@ -6,7 +6,6 @@ import numpy as np
 
 import lampest
 from lampest.panel.readouts.tolerances import simulated
-from lampest.runs.filling import _unchecked
 
 CIRCUITS = {
     "two_point": {"kind": "two_point", "noise_lsb": 0.7},
@@ -124,7 +123,8 @@ def unchecked_case(estimate, name="estimator"):
 
     The check takes longer than all the rest; tests/oracles/test_model_check.py has it.
     """
-    with mock.patch("lampest.runs.filling._audited", _unchecked):
+    warnings = {"warnings": "\n".join(estimate.checks_without_circuit)}
+    with mock.patch("lampest.runs.filling._audited", lambda estimates: warnings):
         return estimate.result(name)
 
 
