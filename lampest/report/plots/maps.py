@@ -524,7 +524,12 @@ def maps_figure(
     for painter, axes in zip(painters, beside, strict=False):
         painter.bar(figure, axes, "right", aspect=figure.get_figheight() / 0.16)
     style.shared_legend(figure, grid, "lower right", least=2 if contoured else 1, ncols=2)
-    if len(tiles) == 1:
+    return _labelled(figure, grid, title, about, alone=len(tiles) == 1)
+
+
+def _labelled(figure: Figure, grid: Any, title: str, about: str, *, alone: bool) -> Figure:
+    """Label the axes of a map that stands alone, or those that all maps of a grid share."""
+    if alone:
         grid[0, 0].set_xlabel(ACROSS_LABEL, fontsize=style.TEXT_POINT)
         grid[0, 0].set_ylabel(DOWN_LABEL, fontsize=style.TEXT_POINT)
         return style.labelled(figure, about, "", title)
