@@ -186,14 +186,11 @@ def lines_of_form(
     broken = _broken_fields(fields, source.counts, data & ~doubtful, excluded | short)
     parsed = parsed.without(broken)
     parted = np.any(broken, axis=1)
+    unequal = f"lines that have not {counted(form.width, 'field')}: the readings {{}} missing"
     notes = (
         _line_note(source, parted, "numbers at which a line was broken: they {} missing"),
         _line_note(source, data & damaged, "bytes that are no text: their fields {} missing"),
-        _line_note(
-            source,
-            doubtful,
-            f"lines that have not {counted(form.width, 'field')}: the readings {{}} missing",
-        ),
+        _line_note(source, doubtful, unequal),
         _excluded_note(source, fields, excluded),
     )
     table = ReadingsTable(

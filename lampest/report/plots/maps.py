@@ -516,11 +516,7 @@ def maps_figure(
         if arrangement.map_width < 5 * TICK_INCH:
             axes.locator_params(axis="x", nbins=max(1, int(arrangement.map_width / TICK_INCH)))
     # The maps beside which a colour bar stands: each, those of a row, or all.
-    beside: Any = [grid]
-    if own_bars:
-        beside = grid.flat
-    elif in_rows:
-        beside = grid
+    beside: Any = grid.flat if own_bars else grid if in_rows else [grid]
     for painter, axes in zip(painters, beside, strict=False):
         painter.bar(figure, axes, "right", aspect=figure.get_figheight() / 0.16)
     style.shared_legend(figure, grid, "lower right", least=2 if contoured else 1, ncols=2)
