@@ -173,8 +173,7 @@ class Readings(ReadOnlyArrays):
             within, side, sigma = _without_channel_before(
                 scene, scene.known_memory, within, side, sigma
             )
-        # From recorded values to readings of the network; missing and blind readings have no
-        # weight.
+        # Readings of the network; missing and blind ones have no weight.
         noise = _noise(scene, within, sigma)
         network = scene.circuit.from_recorded(within, scene)
         side = side * nominal_terminations(scene.circuit).sign

@@ -98,9 +98,7 @@ def calibrate_resistors(
     for unknown, number in zip(fit.problem.unknowns, numbers, strict=True):
         _check_number(f"{name}: no calibration: ", number, unknown.specified)
     noise = noise_of(trials)
-    remarks = list[str]()
-    for number in numbers:
-        remarks += number.remarks(fit.readings)
+    remarks = [remark for number in numbers for remark in number.remarks(fit.readings)]
     if noise is not None:
         repeats = sum(trial.repeats.sum() for trial in trials)
         remarks.append(f"noise_lsb: of one reading, from {repeats:g} repeats")
