@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import Bounds, minimize
 
 import lampest
+from lampest.panel.readouts.tolerances import simulated
 
 Array = lampest.Array
 LIMITLESS = 1e20
@@ -150,7 +151,7 @@ def _recording(rng: Any, shape: tuple[int, int]) -> lampest.Recording:
     scene = lampest.Scene(lampest.Panel(*shape), readout)
     spread = rng.choice([0.0, 0.3, 1.0])
     cells = 2000 * np.exp(spread * rng.standard_normal((2, *shape)))
-    exact = scene.circuit.simulated(cells, scene, np.zeros(shape[0]), np.zeros(shape[1]))
+    exact = simulated(scene.circuit, cells, scene, np.zeros(shape[0]), np.zeros(shape[1]))
     readings = exact + scene.circuit.sigma(exact) * rng.standard_normal(exact.shape)
     return lampest.Recording.from_array(readings, unit="ohm", baseline=1, scene=scene)
 

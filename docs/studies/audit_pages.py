@@ -27,20 +27,15 @@ def rows_of(folder: Path) -> dict[str, dict[str, dict[str, str]]]:
 def table(run: dict[str, dict[str, dict[str, str]]]) -> str:
     """Return percent of intervals of cells / changes / pressures that cover the truth.
 
-    The columns are the estimators, their own parts, and the reports.
-
-    Of the own part: percent of cells within it × its size over the actual error.
+    The columns are the estimators, and the reports.
     """
     names = list(next(iter(run.values())))
-    lines = [["not specified", *names, *(f"own part, {name}" for name in names), "reported"]]
+    lines = [["not specified", *names, "reported"]]
     lines.append(["---"] * len(lines[0]))
     for effect, own in run.items():
         first = next(iter(own.values()))
-        rows = [own[name] for name in names]
-        alone = [f"{float(row['alone']):.0f}×{float(row['ratio']):.2f}" for row in rows]
-        lines.append(
-            [effect, *map(shares, rows), *alone, f"{first['reported']} of {first['recordings']}"]
-        )
+        covered = [shares(own[name]) for name in names]
+        lines.append([effect, *covered, f"{first['reported']} of {first['recordings']}"])
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 

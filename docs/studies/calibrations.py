@@ -22,6 +22,7 @@ from lampest import (
 )
 from lampest.apps.calibration.resistors import ResistorCalibration, calibrate_resistors
 from lampest.panel.panel import Array
+from lampest.panel.readouts.tolerances import off_by, simulated
 from lampest.recording.simulation.measure import Unmodelled, sums_of_codes
 
 OPEN = 1e12
@@ -53,7 +54,7 @@ class Draw:
             else [np.zeros(n) for n in self.specified.panel.shape]
         )
         volt = self.actual.volt_from_recorded(
-            self.actual.simulated(frames, self.specified, *series)
+            simulated(self.actual, frames, self.specified, *series)
         )
         sums = sums_of_codes(self.actual, volt, Unmodelled(outlier_probability=1e-4), seed)
         values = self.specified.circuit.recorded_from_sums(sums, self.actual.readings)
@@ -85,7 +86,7 @@ def draw(kind: str, rng: np.random.Generator) -> Draw:
             **converter, measured_across=str(rng.choice(["reference", "sensor"]))
         )
         truth = (channels(rows), channels(columns))
-        actual = readout.off_by(tolerance * rng.uniform(-1, 1))
+        actual = off_by(readout, tolerance * rng.uniform(-1, 1))
         driven = "rows"
     else:
         driven = str(rng.choice(["rows", "columns"]))

@@ -50,7 +50,7 @@ def pad(seed: int, draw: int) -> lampest.Recording:
         row, column = rng.integers(0, SIDE, 2)
         cells[UNLOADED:, row, column] *= rng.uniform(15, 80)
     noise = np.random.default_rng([seed, draw])
-    series = SERIES_OHM if readout.in_series else 0.0
+    series = SERIES_OHM if readout.unit == "ohm" else 0.0
     scene = lampest.Scene(lampest.Panel(SIDE, SIDE), readout, series)
     exact = readout.to_recorded(readout.exact_reading(cells), scene)
     steps = readout.volt_from_recorded(exact) / readout.lsb_volt

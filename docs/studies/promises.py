@@ -47,13 +47,13 @@ class Break(NamedTuple):
 # By the name of the test, without `test_`.
 BREAKS = {
     "a_mean_of_frames_keeps_the_rounding_that_noise_does_not_dither": Break(
-        "panel/readouts/converter.py", "Converter.constant_share", "return 0.0 * result"
+        "panel/readouts/converter.py", "constant_share", "return 0.0 * result"
     ),
     "a_name_states_the_steps_of_a_chip": Break(
-        "panel/readouts/converter.py", "Converter.lsb_volt", "return 0.5 * result"
+        "panel/readouts/readout.py", "Readout.lsb_volt", "return 0.5 * result"
     ),
     "a_range_that_is_not_stated_is_told": Break(
-        "panel/readouts/converter.py", "Converter.range_assumed", "return False"
+        "panel/readouts/readout.py", "Readout.range_assumed", "return False"
     ),
     "wrong_small_cells_are_never_verified": Break(
         "solvers/certificate.py", "Certificate.settled", "return True"
@@ -253,13 +253,13 @@ BREAKS = {
         "object.__setattr__(state, 'previous', step.solution.cell_resistance[-1])",
     ),
     "every_combination_of_potentials_agrees_with_its_netlist": Break(
-        "panel/readouts/driven.py",
-        "DrivenCircuit.load_ends",
+        "panel/readouts/keys.py",
+        "load_ends",
         "return replace(result, volt=0.9 * result.volt)",
     ),
     "codes_of_a_rounding_converter_leave_cells_unbiased": Break(
-        "panel/readouts/converter.py",
-        "Converter.volt_from_code",
+        "panel/readouts/readout.py",
+        "Readout.volt_from_code",
         "return result + 0.5 * self.lsb_volt",
     ),
     "the_converter_memory_is_corrected_exactly_with_its_noise": Break(

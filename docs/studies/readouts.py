@@ -24,6 +24,7 @@ from lampest.cost.terms import Gradient, Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array
+from lampest.panel.readouts.converter import noise_volt
 
 CONVERTER = {"adc_bits": 12, "readings": 1, "noise_lsb": 1.0}
 SERIES = SeriesPerLine(70.0, 72.0)
@@ -63,7 +64,7 @@ def measured(scene: Scene, cells: Array, rng: np.random.Generator) -> Recording:
     """
     readout = scene.circuit
     volt = readout.volt_from_recorded(readout.to_recorded(readout.exact_reading(cells), scene))
-    codes = readout.code_from_volt(volt + readout.noise_volt() * rng.standard_normal(volt.shape))
+    codes = readout.code_from_volt(volt + noise_volt(readout) * rng.standard_normal(volt.shape))
     role = np.minimum(np.arange(len(cells)), 1).astype(np.uint8)
     return Recording(
         scene, readout.recorded_from_sums(codes, 1), np.arange(float(len(cells))), role

@@ -70,18 +70,9 @@ class Health:
     Attributes
     ----------
     findings : tuple of Finding
-    frames, unloaded : int
-        Numbers of all and of the unloaded frames.
-    missing, at_rails : float
-        Shares of the readings that are missing, and at a rail of the converter, zero or below the
-        series resistance.
     """
 
     findings: tuple[Finding, ...]
-    frames: int
-    unloaded: int
-    missing: float
-    at_rails: float
 
     @classmethod
     def of(cls, recording: Recording) -> "Health":
@@ -91,14 +82,7 @@ class Health:
         """
         view = _View(recording)
         checks = (_dead_lines, _equal_lines, _cells, _noise, _readings, _frames, _times, _order)
-        findings = tuple(chain.from_iterable(check(view) for check in checks))
-        requested = recording.scene.requested
-        missing = view.readings.missing(recording.scene)[:, requested]
-        bounds = view.readings.bounds[:, requested]
-        unloaded = int((recording.role == UNLOADED).sum())
-        return cls(
-            findings, len(recording.role), unloaded, float(missing.mean()), float(bounds.mean())
-        )
+        return cls(tuple(chain.from_iterable(check(view) for check in checks)))
 
     @property
     def well(self) -> bool:

@@ -22,6 +22,8 @@ import typer
 from lampest.files.errors import InputError, printable
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from lampest.panel.scene import Scene
     from lampest.report.compare import Table
 
@@ -242,24 +244,9 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
     if not sys.stderr.isatty():  # the library of the bar takes a tenth of a second to load
         yield lambda done, total, text=None, step=label: None
         return
-    from rich.console import Console
     from rich.markup import escape
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TaskProgressColumn,
-        TextColumn,
-    )
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TextColumn("{task.fields[left]} left"),
-        *[MofNCompleteColumn()] * counted,
-    )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with _bars(counted=counted) as bar:
         tasks = {label: bar.add_task(label, total=None, left=UNKNOWN_TIME)}
         began: dict[str, tuple[float, int]] = {}
         unfinished: dict[str, int] = {}
@@ -289,6 +276,27 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
             )
 
         yield show
+
+
+def _bars(*, counted: bool) -> "Progress":
+    """Return bars on stderr with a label, the percentage, the time left and, if asked, counts."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TextColumn("{task.fields[left]} left"),
+        *[MofNCompleteColumn()] * counted,
+    )
+    return Progress(*columns, console=Console(stderr=True))
 
 
 def time_left(elapsed: float, done: int, left: int | None) -> str:

@@ -188,7 +188,7 @@ class Data(ReadOnlyArrays):
 
         The start minimises a cost of readings alone if the cells that reproduce them are unique.
         """
-        return all(term.reads_measurement for term in cost.terms) and self.readout.unique
+        return all(term.reads_measurement for term in cost.terms) and self.readout.two_point
 
     @cached_property
     def log_bounds(self) -> tuple[Array, Array]:

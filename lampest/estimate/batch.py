@@ -24,7 +24,6 @@ from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import converter_and_faults, strongest, with_chosen_weights
 from lampest.files.errors import BROKEN
-from lampest.panel.readouts import TwoPointReadout
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.projected_lbfgs import NAME, BatchOutcome, InverseHessians, serves, solve
@@ -273,7 +272,7 @@ def _in_batches(stream: Stream, readings: Readings, *, partial: bool) -> bool:
     method = stream.estimator.method
     settings = stream.estimator.solver
     reduced = isinstance(method, OptimalMethod) and method.kind in ("reduced", "auto")
-    unwired = isinstance(stream.scene.circuit, TwoPointReadout) and stream.scene.wiring is None
+    unwired = stream.scene.circuit.two_point and stream.scene.wiring is None
     unlimited = settings.time_limit_s is None and settings.starts is None
     weighted = not estimator.weighs_previous and (
         not estimator.automatic or estimator.auto_weight.per == "recording"

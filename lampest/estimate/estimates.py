@@ -16,6 +16,7 @@ from lampest.files.typed import ReadOnlyArrays
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
+from lampest.panel.readouts.converter import rails_reached
 from lampest.panel.readouts.wiring import Contacts
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.interval import chi_square_tail
@@ -284,7 +285,7 @@ class Estimates(ReadOnlyArrays):
             message = step.status
             at_rails = AT_RAILS.get(step.solution.status)
             if at_rails is not None:
-                rails = readout.rails_reached(recorded)
+                rails = rails_reached(readout, recorded)
                 message = at_rails.format(rails) if rails else message
             messages.append(message)
         return tuple(messages)

@@ -22,7 +22,6 @@ from lampest.inference.module_noise import MAX_NAMED, named_modules
 from lampest.inference.noise import NoiseEstimate
 from lampest.panel.faults import Faults
 from lampest.panel.panel import Array, Modules, Panel
-from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.two_point import ModulesReadout
 from lampest.panel.scene import Scene
 from lampest.posterior.certainty import Certainty
@@ -142,7 +141,7 @@ def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
             "(panel.modules.coupled) have none"
         )
     for number, module in enumerate(scene.of_modules):
-        if not isinstance(module.circuit, TwoPointReadout) or module.wiring is not None:
+        if not module.circuit.two_point or module.wiring is not None:
             where = list(layout.place(number))
             raise InputError(
                 f"panel.modules.coupled: module {where} is wired, or its readout is not two_point"

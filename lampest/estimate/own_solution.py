@@ -168,7 +168,8 @@ class OwnSolution(SymbolsOwner):
     @property
     def objective(self) -> float:
         """Cost φ, own costs included; NaN where nothing was solved."""
-        return self._cost * self.instance.cost_scale if self.solved else float("nan")
+        cost, _ = self._values(self.result.unknown)
+        return cost * self.instance.cost_scale if self.solved else float("nan")
 
     @property
     def cell_resistance(self) -> Array:
@@ -453,11 +454,6 @@ class OwnSolution(SymbolsOwner):
         cost, _ = derivatives["grad_f"](*arguments)
         equations, _ = derivatives["jac_g"](*arguments)
         return float(cost), np.asarray(equations).ravel()
-
-    @property
-    def _cost(self) -> float:
-        """φ/cost_scale."""
-        return self._values(self.result.unknown)[0]
 
     @property
     def _equations(self) -> Array:

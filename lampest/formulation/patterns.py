@@ -25,7 +25,7 @@ from lampest.panel.compiled import guarded
 from lampest.panel.law import ENTRY_NAMES
 from lampest.panel.network import Numbers
 from lampest.panel.panel import Array
-from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts import Readout
 
 Voltages = dict[str, Array]
 END_VOLTAGE = "end_voltage"  # in volt; all others are for unit currents, in V/A
@@ -225,7 +225,7 @@ class PerPixel(Excitation):
         unknowns = _Unknowns()
         row, column = _lines_of_cells(circuit)
         numbers = list(range(len(row)))
-        if isinstance(readout, TwoPointReadout) and not circuit.held.any():
+        if readout.two_point and not circuit.held.any():
             voltage = unknowns.new("pixel_voltage", circuit.count, len(row))
             into = circuit.currents(row) - circuit.currents(column)
             balance = casadi.vec(circuit.balance(symbols, voltage) - casadi.DM(into))
@@ -255,7 +255,7 @@ class PerPixel(Excitation):
     def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
         """Return the voltages of a solved network; see `Excitation.voltages`."""
         row, column = _lines_of_cells(circuit)
-        if isinstance(readout, TwoPointReadout) and not circuit.held.any():
+        if readout.two_point and not circuit.held.any():
             return {"pixel_voltage": (response[:, row] - response[:, column]).T.ravel()}
         values = {"from_row_voltage": response[np.ix_(circuit.free, row)].T.ravel()}
         if _reads_own(circuit, readout)[1]:
@@ -409,7 +409,7 @@ def _reading(
         casadi.repmat(own[rows:].T, rows, 1),
         impedance[:rows, rows:],
     ]
-    if readout.homogeneous and not circuit.held.any():
+    if readout.two_point and not circuit.held.any():
         return casadi.vec(casadi.SX(symbols.scale * symbols.reading(*entries)).T)
     row, column = _lines_of_cells(circuit)
     pairs = ((row, row), (column, column), (row, column))

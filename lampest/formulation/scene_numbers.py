@@ -25,8 +25,6 @@ from lampest.files.errors import InputError, in_words
 from lampest.panel.compiled import CasadiOwner
 from lampest.panel.equation import Equation, equation_of
 from lampest.panel.panel import Array
-from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.scene import Scene, specified
 
 MAX_NUMBERS = 3  # keys: values at 3ⁿ points, and 2ⁿ⁺¹ coefficients of each entry
@@ -146,7 +144,7 @@ class SymbolicReadout(CasadiOwner):
         reading = casadi.DM(measured.ravel())
         slope = (last - first) / ((FARTHER - 1) * reading)
         offset = first - slope * reading
-        if not isinstance(circuit, DrivenCircuit):
+        if circuit.two_point:
             unchanged = casadi.SX(sum(measured.shape), 1)
             return cls(numbers, symbols, circuit.reading, unchanged, slope, offset)
         equation = equation_of(circuit, *measured.shape)
@@ -313,11 +311,10 @@ def _entries(scene: Scene, nominal: Scene, measured: Array) -> Array:
     if not np.allclose(middle - first, (last - first) / 2, rtol=ROUNDING):
         raise InputError("numbers: the converter's input beside the sensor is not in this program")
     conversion = [first.ravel(), last.ravel()]
-    if isinstance(circuit, TwoPointReadout):
+    if circuit.two_point:
         return np.concatenate(conversion)
-    assert isinstance(circuit, DrivenCircuit)
     equation = equation_of(circuit, *measured.shape)
-    if _structure(equation) != _structure(equation_of(_driven(nominal.circuit), *measured.shape)):
+    if _structure(equation) != _structure(equation_of(nominal.circuit, *measured.shape)):
         raise InputError("numbers: a line cannot pass from a resistance to none, or to another end")
     arrays = [np.broadcast_to(array, measured.shape).ravel() for array in _arrays(equation)]
     return np.concatenate([*conversion, equation.ties.ravel(), *arrays])
@@ -327,14 +324,9 @@ def _check_circuit(scene: Scene) -> None:
     """Raise InputError where numbers of a scene cannot be unknown."""
     if scene.wiring is not None:
         raise InputError("numbers: wire, contacts and touching lines are not in this program")
-    if type(scene.circuit) is not TwoPointReadout and not isinstance(scene.circuit, DrivenCircuit):
+    if scene.circuit.unit == "ohm" and not scene.circuit.two_point:
         kind = type(scene.circuit).__name__
         raise InputError(f"numbers: {kind} has no line ends of which a number could be unknown")
-
-
-def _driven(circuit: Readout) -> DrivenCircuit:
-    assert isinstance(circuit, DrivenCircuit)
-    return circuit
 
 
 def _arrays(equation: Equation) -> list[Any]:

@@ -19,6 +19,7 @@ from lampest.files.levels import MIN_EVIDENCE_GAIN, TWO_SIDED
 from lampest.inference.cells_fit import CellsFit, fitted
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.variance_components import MIN_EXCESS
+from lampest.panel.readouts.converter import sigma_code
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.posterior.interval import LEVEL, student_two_sided
@@ -183,5 +184,5 @@ def _in_words(factor: float, sigma_factor: float, scene: Scene) -> str:
     """Return the sentence on an error of the model, given the factor on σ before it."""
     size = ""
     if scene.readout is not None:
-        size = f"by {factor * sigma_factor * float(np.mean(scene.readout.sigma_code())):.2g} LSB, "
+        size = f"by {factor * sigma_factor * float(np.mean(sigma_code(scene.readout))):.2g} LSB, "
     return f"readings are missed {size}{factor:.2g} times their noise: an error of the model"

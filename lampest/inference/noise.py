@@ -25,7 +25,12 @@ from lampest.inference.variance_components import (
 from lampest.panel.effects import Possible, recorded_times, sized_effects
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.converter import averaged_variance, noise_of_variance
+from lampest.panel.readouts.converter import (
+    averaged_variance,
+    constant_share,
+    noise_of_variance,
+    sigma_code,
+)
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.posterior.interval import chi_square_tail, normal_quantile
@@ -303,7 +308,7 @@ def estimate_noise(
     scaled = replace(cleaned, sigma=factor * cleaned.sigma)
     if readout is not None and scaled.constant is not None and factor != 1:
         # noise as large as the shown one dithers the rounding
-        share = readout.constant_share(shown_noise(readout, ratio)[0])
+        share = constant_share(readout, shown_noise(readout, ratio)[0])
         scaled = replace(scaled, constant=share * scaled.known_sigma)
     noise = replace(
         unscaled, readings=scaled, factor=ratio, factor_error=ratio / precision, sigma_factor=factor
@@ -338,7 +343,7 @@ def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
     if readout is not None and parts.own * MIN_EXCESS < expected:
         below = 1 - chi_square_tail(squares / expected**2, parts.own_freedom)
         noise, factor = shown_noise(readout, parts.own)
-        constant = factor * readout.constant_share(noise) - readout.constant_share()
+        constant = factor * constant_share(readout, noise) - constant_share(readout)
         change = max(abs(factor - 1), float(np.abs(constant).mean()))
         # with less noise than rounding σ is that of the step, whatever the noise is
         if below < SIGNIFICANCE and change > MIN_EXCESS - 1:
@@ -352,7 +357,7 @@ def scattering_share(readout: Readout) -> float:
     The quantisation that averaging does not remove is the same in all frames.
     """
     scattering = np.mean(averaged_variance(readout, readout.assumed_noise))
-    return float(np.sqrt(scattering / np.mean(readout.sigma_code() ** 2)))
+    return float(np.sqrt(scattering / np.mean(sigma_code(readout) ** 2)))
 
 
 def _contradiction_in_words(readout: Readout | None, ratio: float, unloaded: int) -> str:
@@ -406,9 +411,9 @@ def shown_noise(readout: Readout, factor: float) -> tuple[float, float]:
         Factor on the assumed σ. It differs from `factor` because a part of σ, the quantisation that
         averaging does not reduce, is constant and does not scatter.
     """
-    assumed = float(np.mean(readout.sigma_code()))
+    assumed = float(np.mean(sigma_code(readout)))
     noise = noise_of_variance(readout, (factor * assumed) ** 2)
-    return noise, float(np.mean(readout.sigma_code(noise))) / assumed
+    return noise, float(np.mean(sigma_code(readout, noise))) / assumed
 
 
 def unseen_noise(count: float) -> float:

@@ -33,6 +33,7 @@ from lampest.panel.effects.line_effect import LineEffect
 from lampest.panel.effects.reference import REFERENCE
 from lampest.panel.effects.series import SERIES
 from lampest.panel.panel import Array
+from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.trust_region import backtracked
 from lampest.recording.readings import Readings
 
@@ -98,14 +99,11 @@ class FittedPair:
         """Change a of the log cells by one ohm more in each line's channel, (cells, lines)."""
         if self.known_channels is not None:
             return self.known_channels
-        responses = [
-            fit.response(
-                fit.scene.circuit.shared_errors(fit.cells, fit.readings.value, fit.scene, 0.0, 1.0)[
-                    1:
-                ]
-            )
-            for fit in self.frames
-        ]
+        responses = []
+        for fit in self.frames:
+            circuit, value = fit.scene.circuit, fit.readings.value
+            errors = tolerance_errors(circuit, fit.cells, value, fit.scene, 0.0, 1.0)
+            responses.append(fit.response(errors[1:]))
         return np.asarray(responses[1] - responses[0])
 
     @property

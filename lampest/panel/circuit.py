@@ -138,6 +138,12 @@ class Terminations(Validated):
     as_resistance: bool = False
     diode: Diode | None = None
 
+    @cached_property
+    def two_point(self) -> bool:
+        """Whether a reading is the resistance between two lines while all others float."""
+        idle_ends = self.driving.connected(own=False).size + self.sensing.connected(own=False).size
+        return self.as_resistance and not idle_ends
+
     @property
     def source(self) -> Array:
         """Potentials in which driven lines end while they are driven, (driven,) volt."""

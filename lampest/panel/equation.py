@@ -241,11 +241,6 @@ class Equation:
         return self.potentials is None and not self.several_driven
 
     @property
-    def two_point(self) -> bool:
-        """Whether a reading is the resistance between two lines while all others float."""
-        return self.floating and self.terminations.as_resistance
-
-    @property
     def diode(self) -> Diode | None:
         """Diode in series with the end of the driven line."""
         return self.terminations.diode
@@ -417,13 +412,12 @@ def equation_of(circuit: CircuitOfLines, rows: int, columns: int) -> Equation:
         return np.broadcast_to(along(opposite(side), values), (rows, columns)).copy()
 
     # Where nothing but both read lines ends anywhere, a resistance is that of floating lines
-    idle_ends = ends.driving.connected(own=False).size + ends.sensing.connected(own=False).size
-    apart = ends.as_resistance and not idle_ends
-    sensing = LineChange.of(ends.sensing, Ends.floating(sensed_count) if apart else None)
+    alone = Ends.floating(sensed_count) if ends.two_point else None
+    sensing = LineChange.of(ends.sensing, alone)
     # A driven line that no other address shows idle rests behind its resistance, or floats if it
     # has none, unless nothing else ends
     resting = ends.driving.ohm.diagonal()
-    if apart or np.isfinite(sensing.bases.ohm).any(axis=1).all():
+    if ends.two_point or np.isfinite(sensing.bases.ohm).any(axis=1).all():
         resting = np.where(resting > 0, resting, np.inf)
     driving = LineChange.of(ends.driving, Ends.of(resting, nominal.reference))
     ties = []

@@ -370,7 +370,7 @@ class Scene(Configuration):
         Returns the scene itself if the readout's kind has none; see `Readout.series_name`.
         """
         changes: dict[str, Any] = {self.circuit.series_name: ohm}
-        if self.circuit.in_series:
+        if self.circuit.unit == "ohm":
             return replace(self, **changes)
         circuit = self.circuit
         return replace(self, readout=replace(circuit, **changes)) if circuit.series_name else self
@@ -378,7 +378,7 @@ class Scene(Configuration):
     @property
     def specified_in_series(self) -> float:
         """Specified resistance in series in ohm; the mean if lines differ."""
-        if self.circuit.in_series:
+        if self.circuit.unit == "ohm":
             return float(np.mean(self.series_ohm))
         return float(np.mean(as_tuple(getattr(self.circuit, self.circuit.series_name, 0.0))))
 

@@ -117,19 +117,14 @@ class Spectrum:
         weight = np.sqrt(loss.stiffness(residual))
         penalty = weight * model.penalty[of_term]
         penalties = weight * penalties
-        # R⁻¹ Zᵀ = Q diag(√κ) Vᵀ, T = R⁻ᵀ Q. Its square would lose κ below 1e-16 of the largest one.
-        _, triangle = np.linalg.qr(penalties.T)
-        vectors, root, _ = np.linalg.svd(triangle.T)
-        stiffness = np.zeros(len(vectors))
-        stiffness[: len(root)] = root**2
+        vectors, stiffness = _modes_of(penalties)  # R⁻¹ Zᵀ = Q diag(√κ) Vᵀ, T = R⁻ᵀ Q
         basis = solve_triangular(factor, vectors, lower=True, trans="T")
         directions = jacobian @ basis
         gram = basis.T @ basis
         noise = directions * (size * model.noise)[:, None]
-        # Covariance of T⁻¹ u = Qᵀ Rᵀ u
+        # Covariance of T⁻¹ u = Qᵀ Rᵀ u. Absolute losses hold cells where the reference cannot.
         doubt = np.zeros_like(gram)
         back = vectors.T @ np.tril(factor).T
-        # Absolute losses hold cells where the reference cannot.
         if covariance is not None and loss.enters != "dual":
             doubt = back @ covariance[np.ix_(model.free, model.free)] @ back.T
         return cls(
@@ -190,6 +185,18 @@ class Spectrum:
         smallest = -float(np.log(EXTENT_FACTOR * effective.max()))
         largest = float(np.log(EXTENT_FACTOR / effective.min()))
         return smallest, largest
+
+
+def _modes_of(rows: Array) -> tuple[Array, Array]:
+    """Return left singular vectors of a matrix (n, m), and the squares of all n singular values.
+
+    The matrix times its transpose would lose squares below 1e-16 of the largest one.
+    """
+    _, triangle = np.linalg.qr(rows.T)
+    vectors, root, _ = np.linalg.svd(triangle.T)
+    squares = np.zeros(len(vectors))
+    squares[: len(root)] = root**2
+    return vectors, squares
 
 
 def best_weight(spectra: Sequence[Spectrum]) -> float:

@@ -14,6 +14,7 @@ from lampest.files.levels import NOISE_REACH, UNUSUAL
 from lampest.files.typed import ReadOnlyArrays, real_array
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array, Modules, beyond_any_panel, check_line_memory
+from lampest.panel.readouts.converter import constant_share
 from lampest.panel.scene import Scene
 
 
@@ -172,8 +173,7 @@ class Readings(ReadOnlyArrays):
             within, side, sigma = _without_channel_before(
                 scene, scene.known_memory, within, side, sigma
             )
-        # From recorded values to readings of the network; missing and blind readings have no
-        # weight.
+        # Readings of the network; missing and blind ones have no weight.
         noise = _noise(scene, within, sigma)
         network = scene.circuit.from_recorded(within, scene)
         side = side * nominal_terminations(scene.circuit).sign
@@ -196,7 +196,7 @@ class Readings(ReadOnlyArrays):
         filled = _filled(noise, seen)
         constant = None
         if sigma is None and scene.readout is not None:
-            constant = filled * scene.readout.constant_share()
+            constant = filled * constant_share(scene.readout)
         return cls(value, filled, side, seen, constant)
 
     def without(self, omitted: NDArray[np.bool_]) -> "Readings":

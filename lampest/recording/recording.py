@@ -14,7 +14,6 @@ from lampest.files.applications import applications
 from lampest.files.errors import InputError, extra
 from lampest.files.typed import Validated, typed
 from lampest.panel.panel import Array, Panel, as_panels_have
-from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FILE_ATTRIBUTES, Acquisition, group_of, stored_fields
 from lampest.recording.file import create_frames_group, read_frames, recording_file
@@ -145,12 +144,7 @@ class Recording(Validated):
         """
         circuit = self.scene.circuit
         valid = self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
-        if (
-            not isinstance(circuit, TwoPointReadout)
-            or self.raw_sums is not None
-            or self.of_module
-            or not valid.size
-        ):
+        if not circuit.two_point or self.raw_sums is not None or self.of_module or not valid.size:
             return
         series = float(np.min(self.scene.series_ohm))
         code = circuit.code_from_volt(circuit.volt_from_recorded(np.array(1000 * np.median(valid))))

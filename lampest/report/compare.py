@@ -449,7 +449,7 @@ def _title(group: Sequence[Row], *, several: bool) -> str:
     return f"{first['results'] + ': ' if several else ''}{first['recording']}: {', '.join(parts)}"
 
 
-def _plus_minus(row: Row, header: str, factor: float = 1.0) -> str:
+def _plus_minus(row: Row, header: str) -> str:
     """Return mean and standard deviation such as '2.3 ± 1.4', or '' without a mean.
 
     A header is for example 'time {} [s]'.
@@ -457,11 +457,9 @@ def _plus_minus(row: Row, header: str, factor: float = 1.0) -> str:
     mean, sd = (row[header.format(name)] for name in ("mean", "sd"))
     if mean is None:
         return ""
-    if 0 < mean * factor < MIN_DIFFERENCE:
+    if 0 < mean < MIN_DIFFERENCE:
         return f"< {MIN_DIFFERENCE:g}"
-    return digits(factor * mean, 2) + (
-        "" if sd is None else f" ± {digits(factor * sd, 2, like=factor * mean)}"
-    )
+    return digits(mean, 2) + ("" if sd is None else f" ± {digits(sd, 2, like=mean)}")
 
 
 def _solved(group: Sequence[Row]) -> str:

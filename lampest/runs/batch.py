@@ -13,6 +13,7 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 from lampest.estimate.state import Step
 from lampest.files import hdf5
@@ -180,15 +181,7 @@ def run_batch(
             aside=aside,
             not_run=not_run,
             lost=lost,
-            warnings=(*_different_warnings(cases), *_unchecked(checked)),
-            advice=tuple(
-                dict.fromkeys((case.recording, case.advice) for case in cases if case.advice)
-            ),
-            estimated=about_recordings(
-                (case.recording, read_case_scene(case).estimated)
-                for case, previous in zip(cases, (None, *cases), strict=False)
-                if previous is None or previous.recording != case.recording
-            ),
+            **_findings(cases, checked),
         )
 
 
@@ -228,20 +221,28 @@ def _with_checks(
     return results
 
 
-def _unchecked(checked: Mapping[str, RecordingCheck | BaseException | None]) -> Iterator[str]:
-    """Yield warnings of checks that failed."""
-    for recording, outcome in checked.items():
-        if isinstance(outcome, BaseException) and not isinstance(outcome, InputError):
-            reason = logged_reason(outcome, recording)
-            yield f"{recording}: the circuit was not checked: {reason}"
-
-
-def _different_warnings(cases: Sequence[StoredCase]) -> tuple[str, ...]:
-    """Return the different lines of warnings, each after its recording's name."""
-    lines = list[str]()
-    for case in cases:
-        lines += [f"{case.recording}: {line}" for line in case.warnings.split("\n") if line]
-    return tuple(dict.fromkeys(lines))
+def _findings(
+    cases: Sequence[StoredCase], checked: Mapping[str, RecordingCheck | BaseException | None]
+) -> dict[str, Any]:
+    """Return warnings, advice and estimated numbers of a report by field, each line once."""
+    warnings = [
+        f"{case.recording}: {line}" for case in cases for line in case.warnings.split("\n") if line
+    ]
+    warnings += [
+        f"{recording}: the circuit was not checked: {logged_reason(outcome, recording)}"
+        for recording, outcome in checked.items()
+        if isinstance(outcome, BaseException) and not isinstance(outcome, InputError)
+    ]
+    scenes = {case.recording: case for case in reversed(cases)}
+    recordings = dict.fromkeys(case.recording for case in cases)
+    advice = ((case.recording, case.advice) for case in cases if case.advice)
+    return {
+        "warnings": tuple(dict.fromkeys(warnings)),
+        "advice": tuple(dict.fromkeys(advice)),
+        "estimated": about_recordings(
+            (name, read_case_scene(scenes[name]).estimated) for name in recordings
+        ),
+    }
 
 
 @contextmanager

@@ -33,7 +33,7 @@ from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import check_name
-from lampest.runs.executors import AnyExecutor, Dask, Executor
+from lampest.runs.executors import AnyExecutor, Executor
 from lampest.runs.provenance import digest
 from lampest.runs.results import PublishedFigures
 from lampest.solvers.posed import Bounds
@@ -202,6 +202,13 @@ class Run:
     check: Literal["all", "none"] = "all"
 
 
+# Key → why no sweep varies it.
+UNSWEPT = {
+    "executor": "where cases run changes no result, so it cannot be swept",
+    "check": "a recording is checked once, so it cannot be swept",
+}
+
+
 @typed
 def read_run(path: str | Path, settings: tuple[str, ...] = ()) -> Run:
     """Read the cases of a run file with `PATH=VALUE` settings applied.
@@ -228,21 +235,15 @@ def read_run(path: str | Path, settings: tuple[str, ...] = ()) -> Run:
     cases: list[Case] = []
     published: dict[str, PublishedFigures] = {}
     executor: Executor | None = None
-    fixed = {
-        "executor": "where cases run changes no result, so it cannot be swept",
-        "check": "a recording is checked once, so it cannot be swept",
-    }
     check: Literal["all", "none"] = "all"
     for point in sweep.combinations(
-        document, lambda varied: validated(varied, RunFile), "estimators", fixed
+        document, lambda varied: validated(varied, RunFile), "estimators", UNSWEPT
     ):
         run: RunFile = point.value
         published |= run.published or {}
         # the same at every point
         check = run.check
-        executor = (
-            run.executor.beside(path.parent) if isinstance(run.executor, Dask) else run.executor
-        )
+        executor = run.executor and run.executor.beside(path.parent)
         prefix = f"estimators.{point.entry}."  # swept keys without the estimator: gradient.weight
         swept = {
             key.removeprefix(prefix).removeprefix("terms."): value

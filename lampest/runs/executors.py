@@ -54,6 +54,10 @@ class LostError(RuntimeError):
 class Executor(Configuration):
     """Base of executors, which call a function once for every argument."""
 
+    def beside(self, folder: Path) -> "Executor":
+        """Return the executor with files relative to a folder."""
+        return self
+
     def ready(self) -> None:
         """Raise InputError if this executor cannot run here."""
 

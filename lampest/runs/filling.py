@@ -104,7 +104,11 @@ def _filled(
     checked : bool
         Whether the case has the check of the circuit and advice.
     """
-    doubts = _audited(estimates) if checked else _unchecked(estimates)
+    doubts = (
+        _audited(estimates)
+        if checked
+        else {"warnings": "\n".join(estimates.checks_without_circuit)}
+    )
     table = all_columns(columns)
     values = {column.name: column.filled(estimates) for column in table}
     result = CaseResult.of(
@@ -140,11 +144,6 @@ def _audited(estimates: Estimates) -> dict[str, str]:
         "advice": "\n".join(audit.lines),
         "warnings": "\n".join(estimates.checks),
     }
-
-
-def _unchecked(estimates: Estimates) -> dict[str, str]:
-    """Return the warnings of estimates that need no check of the circuit."""
-    return {"warnings": "\n".join(estimates.checks_without_circuit)}
 
 
 @cache

@@ -192,7 +192,7 @@ def several_minima(cost: Cost, data: Data) -> bool:
     cases: plain least squares; and two-sided readings with terms that compare with an earlier
     frame, all of them convex in log r.
     """
-    if not (all(term.loss.convex for term in cost.terms) and data.readout.unique):
+    if not (all(term.loss.convex for term in cost.terms) and data.readout.two_point):
         return True
     if all(term.reads_measurement for term in cost.terms):
         return False

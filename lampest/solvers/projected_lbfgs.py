@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from lampest.cost.cost import Cost
 from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.panel.panel import Array
-from lampest.panel.readouts import TwoPointReadout
 from lampest.solvers.bounds import MILLIONTH
 from lampest.solvers.certificate import clear_of_rounding
 from lampest.solvers.direction import conductance_change, log_resistance_change
@@ -211,11 +210,7 @@ def serves(cost: Cost, data: Data) -> bool:
     ):
         return False
     entries = cost.functions.entries
-    return (
-        isinstance(data.readout, TwoPointReadout)
-        and entries.at_model is not None
-        and not entries.crossed
-    )
+    return data.readout.two_point and entries.at_model is not None and not entries.crossed
 
 
 def solve(start: Evaluation, inverses: InverseHessians, settings: Settings) -> BatchOutcome:

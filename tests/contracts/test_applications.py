@@ -163,21 +163,20 @@ def copied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Copy]:
 
 CORE = {"init", "simulate", "tare", "run", "info", "compare", "plot", "export", "check", "show"}
 WORDS = {
-    "board": {"record", "ports"},
+    "board": {"record"},
     "calibration": {"calibrate"},
     "foreign": {"import"},
     "live": {"live"},
     "recognition": {"detect"},
-    "studies": {"study", "bench", "tradeoff", "extremes"},
+    "studies": {"study"},
 }
-FORMER = {"repair", "terms", "schema"}
 
 
 def check(gone: set[str], words: dict[str, list[str]], sentences: dict[str, str]) -> None:
     """Without some applications, the help lacks their commands alone, and each use names one."""
     lost = set().union(*(WORDS.get(name, set()) for name in gone))
     remaining = set().union(*(WORDS.get(name, set()) for name in NAMES)) - lost
-    assert set(words) == CORE | FORMER | remaining
+    assert set(words) == CORE | remaining
     for use, name in ASKED.items():
         named = MISSING.format(name)
         assert (named in sentences[use]) == (name in gone), f"{use}: {sentences[use]}"

@@ -27,10 +27,22 @@ from lampest.panel.effects.line_effect import effect_on_readings, line_effects
 from lampest.panel.kirchhoff import NormalByLines, Stencil
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts import AnyReadout, channel_memory, wired_network
-from lampest.panel.readouts.converter import averaged_variance, noise_of_variance
+from lampest.panel.readouts.converter import (
+    averaged_variance,
+    noise_of_variance,
+    noise_volt,
+    rails_reached,
+    sigma_code,
+)
 from lampest.panel.readouts.floating import common_step
-from lampest.panel.readouts.inequalities import largest_series_ohm, least_cells, resolution
+from lampest.panel.readouts.inequalities import (
+    free_tests,
+    largest_series_ohm,
+    least_cells,
+    resolution,
+)
 from lampest.panel.readouts.starts import nearly_shorted
+from lampest.panel.readouts.tolerances import line_numbers, off_by, simulated, tolerance_errors
 from lampest.panel.response import BentSuction, ratio_from_pressure
 from lampest.panel.scene import OwnOfModule
 from lampest.panel.scene_file import scene_text
@@ -194,36 +206,36 @@ def readout_row(scene: lp.Scene) -> dict[str, Any]:
         "least without noise": least_cells(circuit, value, None),
         "shorted": nearly_shorted(circuit, value),
         "resolution": resolution(circuit, value, sigma),
-        "step": common_step(value[chosen] * 1.02, value[chosen]) if circuit.homogeneous else 1.0,
+        "step": common_step(value[chosen] * 1.02, value[chosen]) if circuit.two_point else 1.0,
         "rails": circuit.rails(),
         "series": largest_series_ohm(circuit, value[None], sigma[None]),
         "codes": circuit.code_from_volt(volt),
         "volt": circuit.volt_from_code(np.array([0.0, 12.25, 900.0])),
         "sums": circuit.recorded_from_sums(np.array([[4000, 9000]]), 20),
-        "noise": circuit.noise_volt(),
-        "sigma of codes": circuit.sigma_code(),
+        "noise": noise_volt(circuit),
+        "sigma of codes": sigma_code(circuit),
         "averaged": averaged_variance(circuit, 0.4),
         "noise of variance": noise_of_variance(circuit, 0.02),
-        "shared": circuit.shared_errors(cells, value, scene, 0.01, 2.0),
-        "off": circuit.off_by(0.01),
-        "numbers": circuit.line_numbers(),
+        "shared": tolerance_errors(circuit, cells, value, scene, 0.01, 2.0),
+        "off": off_by(circuit, 0.01),
+        "numbers": line_numbers(circuit),
         "direction": nominal_terminations(circuit).sign,
         "texts": [
             circuit.description(),
-            circuit.rails_reached(recorded),
+            rails_reached(circuit, recorded),
             circuit.converter_description(),
             scene_text(scene),
         ],
         "tests": [
             (test.law, test.excess, test.count, test.single)
-            for test in circuit.free_tests(value[None], sigma[None])
+            for test in free_tests(circuit, value[None], sigma[None])
         ],
     }
     if scene.panel.modules is None:
         row |= {
-            "simulated": circuit.simulated(cells[None], scene, *channels),
+            "simulated": simulated(circuit, cells[None], scene, *channels),
             "beyond": circuit.from_recorded(
-                circuit.simulated(network.cell_resistance, scene, *channels), scene
+                simulated(circuit, network.cell_resistance, scene, *channels), scene
             )
             - network.reading(),
             "memory": channel_memory.with_memory(circuit, 0.1, volt[None]),

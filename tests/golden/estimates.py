@@ -34,6 +34,7 @@ from lampest.files.errors import InputError
 from lampest.inference.prepared import Prepared
 from lampest.panel.effects import Shared
 from lampest.panel.panel import EachModule, Modules
+from lampest.panel.readouts import tolerances
 from lampest.panel.readouts.channel_memory import with_memory
 from lampest.panel.scene import OwnOfModule
 from lampest.posterior.frame_noise import FrameNoise
@@ -455,8 +456,12 @@ def on_resistors(
     columns = np.linspace(-4, 8, 5) + shift
     if scene.circuit.unit == "volt" and "readout" not in true:
         actual = replace(actual, readout=replace(actual.circuit, drive_ohm=90.0))
-    volt = actual.circuit.simulated(
-        np.repeat(np.minimum(printed, OPEN_OHM)[None], 6, axis=0), actual, rows, columns
+    volt = tolerances.simulated(
+        actual.circuit,
+        np.repeat(np.minimum(printed, OPEN_OHM)[None], 6, axis=0),
+        actual,
+        rows,
+        columns,
     )
     volt = with_memory(actual.circuit, memory, volt) if memory else volt
     noise = 1 + 1e-4 * np.random.default_rng(5).standard_normal(volt.shape)

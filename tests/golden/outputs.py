@@ -959,7 +959,7 @@ def commands_row() -> dict[str, Any]:
                 "detect": ("detect", "rod.h5", "--json"),
                 "detect results": ("detect", "out/results.h5", "--all", "--out", "out"),
                 "check": ("check", "rod.h5"),
-                "repair": ("repair", "rod.h5"),
+                "repair": ("check", "rod.h5", "--repair"),
             }.items()
         }
         lp.write_results(folder / "invented.h5", invented())

@@ -14,8 +14,10 @@ from lampest.inference.circuits.alternatives import Alternative, alternatives_of
 from lampest.inference.circuits.compared_frames import broken_law
 from lampest.inference.prepared import Prepared
 from lampest.panel.effects.loose_contact import LooseContact
+from lampest.panel.readouts.inequalities import free_tests
 from lampest.panel.readouts.readout import Readout
 from lampest.panel.readouts.starts import UNIFORM_KNOTS, several_panels, uniform_readings
+from lampest.panel.readouts.tolerances import channel_errors, simulated
 from lampest.recording.readings import Readings
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.posed import cost_of_solve
@@ -57,7 +59,7 @@ def test_a_resistance_in_series_only_narrows_the_laws_of_a_circuit(circuit: Read
     for ohm in (0.0, 5.0, 20.0, 60.0):
         tried = alternative.with_series(ohm)
         readings = tried.readings
-        tests = tried.scene.circuit.free_tests(readings.value, readings.known_sigma)
+        tests = free_tests(tried.scene.circuit, readings.value, readings.known_sigma)
         # the law of idle lines at ground comes first, and only with resistances that are large
         # enough
         excess = [test.excess for test in reversed(tests)]
@@ -70,9 +72,14 @@ def test_a_resistance_in_series_only_narrows_the_laws_of_a_circuit(circuit: Read
 def test_the_effect_of_channels_is_that_of_one_simulation_for_each(circuit: Readout) -> None:
     scene = Scene(Panel(4, 5), circuit)
     cells = panel_cells(4, 5)
-    one_by_one = Readout.channel_errors(circuit, cells, scene, 1.0)
-    several = circuit.channel_errors(cells, scene, 1.0)
-    np.testing.assert_allclose(several, one_by_one, atol=1e-9 * np.abs(one_by_one).max())
+    unchanged = circuit.exact_reading(cells)
+    one_by_one = [
+        circuit.from_recorded(simulated(circuit, cells, scene, *np.split(line, [4])), scene)
+        - unchanged
+        for line in np.eye(9)
+    ]
+    several = channel_errors(circuit, cells, scene, 1.0)
+    np.testing.assert_allclose(several, one_by_one, atol=1e-9 * np.abs(several).max())
 
 
 @pytest.fixture(scope="module")

@@ -12,13 +12,25 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest import Array, Bounds, Contacts, Faults, LoadedColumnsReadout, Panel, Readings, Scene
+from lampest import (
+    Array,
+    Bounds,
+    Contacts,
+    Faults,
+    LoadedColumnsReadout,
+    Panel,
+    Readings,
+    Scene,
+    SeriesPerLine,
+    TwoPointReadout,
+)
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.typed import members_of
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.equation import equation_of
 from lampest.panel.network import Network
 from lampest.panel.readouts import AnyReadout
+from lampest.panel.readouts.tolerances import simulated
 from lampest.panel.readouts.wired_network import contact_responses
 from lampest.panel.readouts.wiring import Lines, NeighbourLeaks
 from tests.laws.samples import examples
@@ -258,9 +270,21 @@ def test_a_simulation_records_the_reading_of_the_network(scene: Scene) -> None:
     """
     rows, columns = scene.panel.shape
     cells = np.exp(cells_of(scene))
-    simulated = scene.circuit.simulated(cells[None], scene, np.zeros(rows), np.zeros(columns))[0]
+    recorded = simulated(scene.circuit, cells[None], scene, np.zeros(rows), np.zeros(columns))[0]
     expected = scene.circuit.to_recorded(network_of(scene, np.log(cells)).reading(), scene)
-    assert_allclose(simulated, expected, atol=ROUNDING * size(expected))
+    assert_allclose(recorded, expected, atol=ROUNDING * size(expected))
+
+
+@pytest.mark.parametrize("across", ["reference", "sensor"])
+def test_channels_of_a_simulation_are_those_of_a_scene(across: str) -> None:
+    """The input of a converter lies beside the channels, as beside the cells."""
+    readout = TwoPointReadout(measured_across=across, input_ohm=20_000.0)
+    rows, columns = np.array([100.0, 150.0]), np.array([30.0, 0.0, 60.0])
+    scene = Scene(Panel(2, 3), readout)
+    named = Scene(Panel(2, 3), readout, SeriesPerLine(tuple(rows), tuple(columns)))
+    cells = np.geomspace(500.0, 20_000.0, 6).reshape(1, 2, 3)
+    expected = simulated(readout, cells, named, np.zeros(2), np.zeros(3))
+    assert_allclose(simulated(readout, cells, scene, rows, columns), expected, rtol=1e-12)
 
 
 @every_scene
@@ -322,4 +346,4 @@ def test_readings_grow_with_all_cells_where_the_kind_is_homogeneous(scene: Scene
     readout = scene.circuit
     logarithm = cells_of(scene)
     single, triple = (readout.exact_reading(factor * np.exp(logarithm)) for factor in (1, 3))
-    assert (size(triple - 3 * single) < ROUNDING * size(triple)) == readout.homogeneous
+    assert (size(triple - 3 * single) < ROUNDING * size(triple)) == readout.two_point

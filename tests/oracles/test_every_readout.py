@@ -39,6 +39,7 @@ from lampest.panel.lines import SeriesPerLine
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.driven_readout import DrivenReadout
 from lampest.panel.readouts.starts import uniform_branches
+from lampest.panel.readouts.tolerances import off_by, simulated
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.recording.simulation.simulation import Simulation
@@ -320,7 +321,7 @@ def test_dividers_in_parallel_share_the_driven_row(input_ohm: float | None) -> N
         volt = volts(truth[0], DrivenReadout(groups=groups, **states))
         recorded = two_point.recorded_from_volt(volt)[None]
         assert_allclose(
-            scene.circuit.simulated(truth, scene, np.zeros(5), np.zeros(6)),
+            simulated(scene.circuit, truth, scene, np.zeros(5), np.zeros(6)),
             recorded,
             rtol=1e-2 * ROUNDING,
         )
@@ -574,10 +575,10 @@ def test_shared_errors_move_the_estimate_within_its_error_bars(readout: Any) -> 
     if isinstance(readout, TwoPointReadout):
         specified = replace(specified, series_resistance_ohm=140.0)
     for _ in range(40):
-        actual = quiet.off_by(0.02 * rng.uniform(-1, 1))
+        actual = off_by(quiet, 0.02 * rng.uniform(-1, 1))
         channels = 4.0 * rng.normal(size=sum(SHAPE))
         volt = actual.volt_from_recorded(
-            actual.simulated(cells[None], specified, channels[:4], channels[4:])
+            simulated(actual, cells[None], specified, channels[:4], channels[4:])
         )
         frames = np.concatenate([quiet.recorded_from_volt(volt)] * 2)
         estimate = reconstruct(recording_of(specified, frames, 1), Estimator(LSM, "reduced"))

@@ -18,6 +18,7 @@ from random_program import RandomProgram, drawn
 import lampest
 from lampest import OwnProgram
 from lampest.formulation.ipopt import Interface
+from lampest.panel.readouts.tolerances import simulated
 
 IPOPT_TOLERANCE = 1e-12  # of the default settings
 SAME_COST = 1e-6  # relative, and of kilo-ohm or millisiemens
@@ -34,7 +35,7 @@ def recording_of(
     scene = lampest.Scene(lampest.Panel(*shape), READOUT, 140.0)
     rng = np.random.default_rng(seed)
     cells = 3000 * np.exp(spread * rng.standard_normal((frames, *shape)))
-    exact = scene.circuit.simulated(cells, scene, np.zeros(shape[0]), np.zeros(shape[1])) + 140.0
+    exact = simulated(scene.circuit, cells, scene, np.zeros(shape[0]), np.zeros(shape[1])) + 140.0
     readings = exact + scene.circuit.sigma(exact) * rng.standard_normal(exact.shape)
     return lampest.Recording.from_array(readings, unit="ohm", baseline=1, scene=scene)
 

@@ -24,6 +24,7 @@ from lampest.files.levels import Witness
 from lampest.formulation.circuit import Circuit
 from lampest.formulation.instance import Instance, Multipliers, ProgramResult
 from lampest.formulation.ipopt import Interface
+from lampest.panel.readouts.tolerances import simulated
 from lampest.runs.case import COLUMNS
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -68,7 +69,7 @@ def recording_of(
     scene = lampest.Scene(lampest.Panel(*shape), readout, **wires)
     cells = 3000 * np.exp(0.5 * rng.standard_normal((3, *shape)))
     cells[0] = 3000.0
-    exact = scene.circuit.simulated(cells, scene, np.zeros(shape[0]), np.zeros(shape[1]))
+    exact = simulated(scene.circuit, cells, scene, np.zeros(shape[0]), np.zeros(shape[1]))
     recorded = exact + scene.circuit.sigma(exact) * rng.standard_normal(exact.shape)
     recorded[1, 1, 1] = np.nan
     return lampest.Recording.from_array(recorded, unit=readout.unit, baseline=1, scene=scene)

@@ -14,6 +14,7 @@ from lampest.inference.assumptions import ASSUMED
 from lampest.inference.prepared import Prepared
 from lampest.inference.shared_changes import SharedFrames, shared_changes
 from lampest.panel.effects import systematic_of
+from lampest.panel.readouts.tolerances import simulated
 
 QUIET: dict[str, Any] = {"noise_lsb": 0.7, "readings": 20}
 NOISE = lampest.Misfit(weighting="noise")
@@ -31,7 +32,7 @@ def scene_with(scene: lampest.Scene, key: str, value: Any) -> lampest.Scene:
 def recorded(true: lampest.Scene, scene: lampest.Scene, cells: Any) -> lampest.Array:
     """Readings of a true circuit, without noise, as the converter of another scene takes them."""
     rows, columns = scene.panel.shape
-    values = true.circuit.simulated(cells, true, np.zeros(rows), np.zeros(columns))
+    values = simulated(true.circuit, cells, true, np.zeros(rows), np.zeros(columns))
     return scene.circuit.recorded_from_volt(true.circuit.volt_from_recorded(values))
 
 

@@ -37,6 +37,7 @@ from lampest.panel.network import SolvedNetwork
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.channel_memory import with_memory, without_memory
+from lampest.panel.readouts.converter import sigma_code
 from lampest.panel.readouts.wired_network import wire_responses
 from lampest.panel.readouts.wiring import (
     ContactPrior,
@@ -424,7 +425,7 @@ def test_the_converter_memory_is_corrected_exactly_with_its_noise(readout: Reado
     freed, sigma = without_memory(readout, MEMORY_FRACTION, recorded, readout.sigma(recorded))
     assert_allclose(freed, readout.recorded_from_volt(volt), rtol=ROUNDING)
     rng = np.random.default_rng(8)
-    size = readout.sigma_code() * readout.lsb_volt
+    size = sigma_code(readout) * readout.lsb_volt
     draws = []
     for _ in range(DRAWS):
         noisy = readout.recorded_from_volt(

@@ -12,17 +12,18 @@ from lampest.apps.microcontroller.constants import CircuitLines
 from lampest.inference.prepared import Prepared
 from lampest.panel.circuit import Ends, Terminations, scanned
 from lampest.panel.lines import PerLine, Side, per_line
-from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.readouts.keys import driven_ends, idle_ends, load_ends
 
 SHAPE = (6, 5)
 
 
 @dataclass(frozen=True, kw_only=True)
-class BleederReadout(DrivenCircuit):
+class BleederReadout(lampest.Readout):
     """Columns keep a pull-down, and the one that is read has a bleeder beside it."""
 
     of_driven: ClassVar[tuple[str, ...]] = ("drive_ohm", "rest_ohm")
     of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm", "bleeder_ohm")
+    channels: ClassVar[tuple[str, str]] = ("drive_ohm", "")
     kind: Literal["bleeder"] = "bleeder"
     driven: Side = "rows"
     polarity: Literal["up", "down"] = "up"
@@ -35,12 +36,12 @@ class BleederReadout(DrivenCircuit):
         return f"columns with pull-downs and a bleeder, {self.converter_description()}"
 
     def terminations(self, driven: int, sensed: int) -> Terminations:
-        load = self.load_ends(sensed)
+        load = load_ends(self, sensed)
         bleeder = Ends.of(per_line("bleeder_ohm", self.bleeder_ohm, sensed))
-        rest = self.idle_ends(per_line("rest_ohm", self.rest_ohm, driven))
+        rest = idle_ends(self, per_line("rest_ohm", self.rest_ohm, driven))
         return Terminations(
             self.driven,
-            scanned(own=self.driven_ends(driven), idle=rest),
+            scanned(own=driven_ends(self, driven), idle=rest),
             scanned(own=load.beside(bleeder), idle=load),
             gain=np.ones(sensed),
         )

@@ -19,6 +19,7 @@ from lampest import (
     Scene,
     TwoPointReadout,
 )
+from lampest.panel.readouts.tolerances import simulated
 from lampest.recording.processed import processing_of
 from lampest.recording.recording import UNLOADED
 
@@ -44,7 +45,7 @@ def codes_of(scene: Scene, seed: int = 1) -> Array:
     cells[UNLOADED_FRAMES:, 2:4, 3:5] /= 5
     circuit = scene.circuit
     volt = circuit.volt_from_recorded(
-        circuit.simulated(cells, scene, np.zeros(SHAPE[0]), np.zeros(SHAPE[1]))
+        simulated(circuit, cells, scene, np.zeros(SHAPE[0]), np.zeros(SHAPE[1]))
     )
     return np.asarray(circuit.code_from_volt(volt + circuit.lsb_volt * rng.normal(size=volt.shape)))
 

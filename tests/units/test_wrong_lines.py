@@ -74,11 +74,13 @@ def test_the_entries_of_a_alternative_make_its_circuit(readout: Readout) -> None
         if alternative.order is not None:
             continue
         numbered = alternative.with_memory(0.0812)
-        numbered = numbered.with_series(141.3) if alternative.scene.circuit.in_series else numbered
+        numbered = (
+            numbered.with_series(141.3) if alternative.scene.circuit.unit == "ohm" else numbered
+        )
         made = with_addition(scene, numbered.addition)
         assert made.readout == alternative.scene.readout, alternative.kind
         assert made.converter_memory == 0.081
-        assert made.series_resistance_ohm == (140 if alternative.scene.circuit.in_series else 0)
+        assert made.series_resistance_ohm == (140 if alternative.scene.circuit.unit == "ohm" else 0)
 
 
 def test_another_order_of_readings_has_no_entries() -> None:

@@ -120,14 +120,22 @@ def report_recorded(done: "Recorded") -> None:
         f"{done.frames} frames, {done.lost} lost, "
         f"{done.restarts} restarts of the board{noise}: {done.path}"
     )
+    if done.understood:
+        screen.say(screen.as_options(f"the board prints: {done.understood}"))
+    for sentence in _warnings(done):
+        screen.warn(sentence)
+    if done.ended_by:
+        raise typer.Exit(screen.INTERRUPTED)
+
+
+def _warnings(done: "Recorded") -> list[str]:
+    """Return what went wrong while a recording was made, a sentence each."""
     jumps = "1 jump" if done.clock_jumps == 1 else f"{done.clock_jumps} jumps"
     parted, behind = (
         f"{count} of the {done.frames} frames" for count in (done.parted, done.behind)
     )
     bare = done.scene.circuit.unit == "ohm" and not done.scene.series_resistance_ohm
-    if done.understood:
-        screen.say(screen.as_options(f"the board prints: {done.understood}"))
-    for true, sentence in (
+    sentences = (
         (
             done.damaged,
             f"{done.damaged} of the {done.frames} frames have a reading that the converter cannot "
@@ -176,11 +184,8 @@ def report_recorded(done: "Recorded") -> None:
             f"{done.ended_by} ended the recording; "
             f"{f'{behind} were' if done.behind else 'no frame was'} still in the port then",
         ),
-    ):
-        if true:
-            screen.warn(sentence)
-    if done.ended_by:
-        raise typer.Exit(screen.INTERRUPTED)
+    )
+    return [sentence for holds, sentence in sentences if holds]
 
 
 def repaired_sentence(file: Path) -> str:

@@ -245,12 +245,13 @@ class Printer:
         if self.last is not None:
             elapsed = self._elapsed(stamped, now, together)
             now = now if stamped.arrived is None else self.last.arrived + elapsed
-            restarted = self._restarted(frame)
+            restarted = frame.seconds is None and self._stamp is not None
             by_stamp = self._stamp_step(frame)
             at = self.last.time + (self.period or by_stamp or elapsed)
             session = self.last.session + restarted
             events = (*events, *((RESTARTED,) if restarted else ()))
-            lost += self._missing(frame, restarted=restarted)
+            if frame.number is not None and self._number is not None and not restarted:
+                lost += max(frame.number - self._number - 1, 0)
         self._stamp = frame.seconds
         self._number = frame.number
         self._lost = 0
@@ -286,16 +287,6 @@ class Printer:
         if frame.seconds is None or self._stamp is None or frame.seconds <= self._stamp:
             return None
         return frame.seconds - self._stamp
-
-    def _restarted(self, frame: TextFrame) -> bool:
-        """Return whether the board has begun again before a frame: its clock says so."""
-        return frame.seconds is None and self._stamp is not None
-
-    def _missing(self, frame: TextFrame, *, restarted: bool) -> int:
-        """Return the number of frames that are missing before one, by the board's numbers."""
-        if frame.number is None or self._number is None or restarted:
-            return 0
-        return max(frame.number - self._number - 1, 0)
 
     @property
     def _lines_per_frame(self) -> float:

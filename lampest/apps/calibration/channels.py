@@ -31,7 +31,7 @@ from lampest.panel.effects import systematic_of, usual_sizes
 from lampest.panel.effects.channels import CHANNELS
 from lampest.panel.lines import SeriesPerLine, of_side
 from lampest.panel.panel import Array
-from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.readouts.tolerances import behind_channels, line_numbers, off_by
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.posterior.gaussian import Information
@@ -141,7 +141,7 @@ def _check_determined(name: str, scene: Scene) -> None:
         raise InputError(
             f"{name}: its scene names no readout, whose numbers a calibration could find"
         )
-    if not scene.circuit.line_numbers():
+    if not line_numbers(scene.circuit):
         raise InputError(
             f"{name}: recordings tell nothing of this readout ({scene.circuit.description()})"
         )
@@ -185,10 +185,10 @@ def _channel_deviations(covariance: Array, rows: int, columns: int) -> tuple[flo
 
 def _corrected(scene: Scene, errors: Array) -> Scene:
     """Return the scene with its reference and channels corrected by these errors."""
-    readout: Any = (scene.readout or scene.circuit).off_by(float(errors[0]))
+    readout: Any = off_by(scene.readout or scene.circuit, float(errors[0]))
     of_rows, of_columns = np.split(errors[1:], [scene.panel.rows])
-    if isinstance(readout, DrivenCircuit):
-        driven: Any = readout.with_channels(of_rows, of_columns)
+    if readout.unit != "ohm":
+        driven: Any = behind_channels(readout, of_rows, of_columns)
         return replace(scene, readout=_rounded(driven))
     specified = scene.series_resistance_ohm
     if not isinstance(specified, SeriesPerLine):

@@ -34,6 +34,7 @@ from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.lines import MAX_OHM, LineNumber, Side
 from lampest.panel.panel import Array
 from lampest.panel.readouts.channel_memory import with_memory
+from lampest.panel.readouts.tolerances import line_numbers, off_by, simulated
 from lampest.panel.scene import Scene
 from lampest.recording.simulation.measure import SHORT_OHM
 
@@ -123,7 +124,7 @@ class Problem:
         scene = self.scene
         unknowns = list[Unknown]()
         memory = () if scene.known_memory is None else (MEMORY,)
-        numbers = scene.circuit.line_numbers() + memory + (WIRE if scene.lines is not None else ())
+        numbers = line_numbers(scene.circuit) + memory + (WIRE if scene.lines is not None else ())
         lengths = dict(zip(("rows", "columns"), scene.panel.shape, strict=True))
         first = len(numbers)
         for index, number in enumerate(numbers):
@@ -172,8 +173,8 @@ class Problem:
                 values[scene_key(unknown.number)] = tuple(limited) if offsets else limited
         scene: Scene = with_numbers(self._unplugged, values)
         readout = scene.circuit
-        volt = readout.off_by(reference_off).volt_from_recorded(
-            readout.simulated(cells, scene, *channels)
+        volt = off_by(readout, reference_off).volt_from_recorded(
+            simulated(readout, cells, scene, *channels)
         )
         return with_memory(readout, scene.known_memory, volt) if scene.known_memory else volt
 

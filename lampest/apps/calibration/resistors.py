@@ -31,6 +31,7 @@ from lampest.panel.effects.reference import E24_TOLERANCE
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import MIN_REPEATS
+from lampest.panel.readouts.tolerances import line_numbers
 from lampest.recording.recording import Recording
 
 # Deviation of a reading without a resistor over full scale: hum, and a memory of 3 %, stay below.
@@ -84,7 +85,7 @@ def calibrate_resistors(
     scene = common_scene(recordings)
     scene.panel.check_memory()
     name = recordings[0].name
-    if not scene.circuit.line_numbers():
+    if not line_numbers(scene.circuit):
         raise InputError(
             f"{name}: known resistors tell nothing of this readout ({scene.circuit.description()})"
         )
@@ -97,9 +98,7 @@ def calibrate_resistors(
     for unknown, number in zip(fit.problem.unknowns, numbers, strict=True):
         _check_number(f"{name}: no calibration: ", number, unknown.specified)
     noise = noise_of(trials)
-    remarks = list[str]()
-    for number in numbers:
-        remarks += number.remarks(fit.readings)
+    remarks = [remark for number in numbers for remark in number.remarks(fit.readings)]
     if noise is not None:
         repeats = sum(trial.repeats.sum() for trial in trials)
         remarks.append(f"noise_lsb: of one reading, from {repeats:g} repeats")

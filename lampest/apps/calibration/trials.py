@@ -15,7 +15,12 @@ from lampest.files.whole import note_read
 from lampest.panel.lines import Side
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.converter import ENDLESS, averaged_variance, noise_of_variance
+from lampest.panel.readouts.converter import (
+    ENDLESS,
+    averaged_variance,
+    noise_of_variance,
+    sigma_code,
+)
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM
 
@@ -100,7 +105,7 @@ class Trial:
             BELIEF + freedom
         )
         noise = np.array([noise_of_variance(readout, value) for value in variance])
-        lasting = np.array([float(readout.sigma_code(value, ENDLESS)) for value in noise])
+        lasting = np.array([float(sigma_code(readout, value, ENDLESS)) for value in noise])
         of_mean = (
             np.expand_dims(variance, across) / np.maximum(counts, 1)
             + np.expand_dims(lasting, across) ** 2
@@ -172,7 +177,7 @@ def _valid(name: str, readout: Readout, volt: Array, across: int) -> NDArray[np.
         deviation = (volt - np.nanmedian(volt, axis=0)) / readout.lsb_volt
         robust = MAD_TO_SIGMA * np.nanmedian(np.abs(deviation), axis=(0, 1 + across))
     # Where the noise is below one step of the code, the median deviation is zero.
-    least = np.maximum(readout.sigma_code(readout.assumed_noise), 1 / readout.readings)
+    least = np.maximum(sigma_code(readout, readout.assumed_noise), 1 / readout.readings)
     # Robust σ.
     wild = np.abs(deviation) > 7.0 * np.expand_dims(
         np.maximum(np.nan_to_num(robust), least), across

@@ -132,10 +132,18 @@ def clock_of(
             f"{where(0)}: {texts[0][:40]!r} may be {' or '.join(ways)}; write year-month-day"
         )
     way, stamps = next(iter(ways.items()))
+    return _clock_of_stamps(stamps, way if dated else "", texts[0], where)
+
+
+def _clock_of_stamps(stamps: Sequence[str], way: str, first: str, where: Where) -> Clock:
+    """Return times of stamps in ISO 8601, seconds from the first.
+
+    `way` is the order of their dates, or '' for times of day, of which `first` is the first text.
+    """
     times = list(map(datetime.fromisoformat, stamps))
     zoned = [time if time.tzinfo else time.replace(tzinfo=UTC) for time in times]
     seconds = np.array([(time - zoned[0]).total_seconds() for time in zoned])
-    if dated:
+    if way:
         zone = "" if times[0].tzinfo else ", no zone in the file"
         if not times[0].tzinfo:
             seconds, changed = _through_changes(seconds, times)
@@ -145,10 +153,10 @@ def clock_of(
         day = 24 * SECONDS["h"]
         seconds[1:] += day * np.cumsum(np.diff(seconds) < -day / 2)
         sentence = (
-            f"time of day, s from the first; it began at {texts[0]}, the date is not in the file"
+            f"time of day, s from the first; it began at {first}, the date is not in the file"
         )
     seconds, cut = _growing(seconds, where)
-    return Clock(seconds, stamps[0] if dated else None, f"{sentence}{cut}")
+    return Clock(seconds, stamps[0] if way else None, f"{sentence}{cut}")
 
 
 def _through_changes(seconds: Array, times: Sequence[datetime]) -> tuple[Array, str]:

@@ -177,31 +177,20 @@ def lines_of_form(
     # Only the empty fields at the end may be left out.
     ended = (source.counts >= form.width) & (fields[:, form.width - 1] != "")
     short = data & (source.counts < form.usual) & ~ended & ~separated & (not source.padded)
-    if since is not None and long.sum() > MAX_CUT * data.sum():
-        line = int(np.argmax(long))
-        usual_line = int(np.argmax(data & ~long))
-        mismatch = (
-            f"{source.counts[line]} fields, where {source.called(usual_line)} has {form.width}"
-        )
-        raise InputError(f"{source.at(source.lines[line].number, None)}: {mismatch}")
+    if since is not None:
+        _refuse_long(source, long, data, form.width)
     doubtful = short | long
     parsed = parsed.without(doubtful[:, None])
     excluded = ~data & ~titles & ~source.comment & np.any(fields != "", axis=1)
     excluded &= np.array([line.number > 0 for line in source.lines], dtype=bool)
     broken = _broken_fields(fields, source.counts, data & ~doubtful, excluded | short)
     parsed = parsed.without(broken)
+    parted = np.any(broken, axis=1)
+    unequal = f"lines that have not {counted(form.width, 'field')}: the readings {{}} missing"
     notes = (
-        _line_note(
-            source,
-            np.any(broken, axis=1),
-            "numbers at which a line was broken: they {} missing",
-        ),
+        _line_note(source, parted, "numbers at which a line was broken: they {} missing"),
         _line_note(source, data & damaged, "bytes that are no text: their fields {} missing"),
-        _line_note(
-            source,
-            doubtful,
-            f"lines that have not {counted(form.width, 'field')}: the readings {{}} missing",
-        ),
+        _line_note(source, doubtful, unequal),
         _excluded_note(source, fields, excluded),
     )
     table = ReadingsTable(
@@ -218,6 +207,18 @@ def lines_of_form(
         numbers=parsed.values,
     )
     return replace(table.only(data, slice(form.width)), names=form.names)
+
+
+def _refuse_long(
+    source: FieldLines, long: NDArray[np.bool_], data: NDArray[np.bool_], width: int
+) -> None:
+    """Raise InputError if more than a few lines of data are longer than the others."""
+    if long.sum() <= MAX_CUT * data.sum():
+        return
+    line = int(np.argmax(long))
+    usual_line = int(np.argmax(data & ~long))
+    mismatch = f"{source.counts[line]} fields, where {source.called(usual_line)} has {width}"
+    raise InputError(f"{source.at(source.lines[line].number, None)}: {mismatch}")
 
 
 def _laid_out(table: ReadingsTable, layout: str) -> ReadingsTable:

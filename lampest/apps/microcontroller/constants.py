@@ -14,8 +14,7 @@ from lampest.panel.circuit import nominal_terminations
 from lampest.panel.equation import equation_of
 from lampest.panel.lines import Side
 from lampest.panel.panel import Array
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.inequalities import resolution
 from lampest.panel.readouts.unseen import unseen_scales
 from lampest.panel.scene import Scene
@@ -111,7 +110,7 @@ class CircuitLines:
     gain: Array
 
     @classmethod
-    def of(cls, readout: DrivenCircuit, shape: tuple[int, int]) -> "CircuitLines":
+    def of(cls, readout: Readout, shape: tuple[int, int]) -> "CircuitLines":
         """Return the circuit's numbers.
 
         Raises InputError for a circuit that is not of this form.
@@ -134,7 +133,8 @@ class CircuitLines:
                 "the C library has no lines that 0 ohm hold at ground while they are idle: "
                 "give idle_ohm or idle_load_ohm of the switch"
             )
-        by_rows = readout.driven == "rows"
+        side = equation.terminations.driven
+        by_rows = side == "rows"
 
         def along_driven(values: Array) -> Array:
             return values[:, 0] if by_rows else values[0]
@@ -157,7 +157,7 @@ class CircuitLines:
         # Anything else that a readout states would be lost silently.
         cells = np.geomspace(1e3, 1e4, shape[0] * shape[1]).reshape(shape)
         exact = readout.exact_reading(cells)
-        if not np.allclose(lines.readings(cells, readout.driven), exact, rtol=1e-6, atol=1e-9):
+        if not np.allclose(lines.readings(cells, side), exact, rtol=1e-6, atol=1e-9):
             raise InputError(f"the C library has no such circuit: {readout.description()}")
         return lines
 
@@ -258,7 +258,7 @@ class Constants:
         check_scene(scene)
         readout = scene.circuit
         lines = None
-        if isinstance(readout, DrivenCircuit):
+        if readout.unit == "volt":
             lines = CircuitLines.of(readout, scene.panel.shape)
         recorded = readout.to_recorded(case.measured, scene)
         sigma_volt = _sigma_volt(case, recorded)
@@ -459,7 +459,7 @@ def check_scene(scene: Scene) -> None:
     named = [key for key in keys if getattr(readout, key, None) is not None]
     if named:
         raise InputError(f"the C library has no {named[0]}")
-    if not isinstance(readout, TwoPointReadout | DrivenCircuit):
+    if readout.unit == "ohm" and not readout.two_point:
         raise InputError(f"the C library has no such circuit: {readout.description()}")
     if readout.readings * (2**readout.adc_bits - 1) >= MISSING:
         raise InputError(
@@ -510,7 +510,7 @@ def _largest(case: CaseResult) -> float:
     Larger resistances are not resolved by single precision or by the noise.
     """
     readout = case.scene.circuit
-    if not isinstance(readout, DrivenCircuit) or case.sigma is None:
+    if readout.two_point or case.sigma is None:
         return MAX_OHM
     whole = case.valued.all(axis=(1, 2))
     limits = resolution(readout, case.measured[whole], case.sigma[whole])

@@ -10,7 +10,6 @@ from lampest.apps.microcontroller.library import library_version
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.scene import Scene
 
 NUMBERS_A_LINE = 8
@@ -181,14 +180,15 @@ def _panel(constants: Constants) -> Entries:
 def _circuit(constants: Constants) -> Entries:
     """Return the circuit's numbers of a readout that drives its lines, or of two-point readings."""
     readout = constants.scene.circuit
-    if constants.lines is not None and isinstance(readout, DrivenCircuit):
+    ends = nominal_terminations(readout)
+    if constants.lines is not None:
         lines = {
             field: CArray.of_floats(getattr(constants.lines, field))
             for field in ("tie", "drive", "release", "load", "gain")
         }
         sides = {
-            "rows_driven": _literal(readout.driven == "rows"),
-            "mirrored": _literal(nominal_terminations(readout).sign < 0),
+            "rows_driven": _literal(ends.driven == "rows"),
+            "mirrored": _literal(ends.sign < 0),
         }
         return {"driven": "true"} | sides | lines
     assert isinstance(readout, TwoPointReadout)
@@ -224,7 +224,7 @@ def _converter(constants: Constants) -> Entries:
     # A mirrored voltage is taken from where loads end: the converter's input lowers this potential
     mirrored_at = readout.supply_volt
     ends = nominal_terminations(readout)
-    if isinstance(readout, DrivenCircuit) and ends.sign < 0:
+    if ends.sign < 0:
         mirrored_at = ends.recorded_reference
     alike = bool(np.all(constants.sigma_volt == constants.sigma_volt.flat[0]))
     return {

@@ -13,6 +13,7 @@ from lampest.files.typed import Configuration, check_range
 from lampest.panel.faults import Faults
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.converter import noise_volt
 from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
@@ -126,7 +127,7 @@ def recording_of(sample: AtlasSample) -> tuple[Recording, Array]:
         )
     sigma: Array | None = max(sample.noise, 1e-9) * total
     if readout is not None:
-        volt = readout.volt_from_recorded(total) + readout.noise_volt() * rng.standard_normal(
+        volt = readout.volt_from_recorded(total) + noise_volt(readout) * rng.standard_normal(
             total.shape
         )
         codes = readout.code_from_volt(volt).astype(float)

@@ -184,7 +184,7 @@ class Method(Configuration):
         if state.track is not None and state.track.deviation is not None:
             deviation = np.fmin(state.track.deviation, deviation)
         background = replace(background, previous_deviation=deviation)
-        if not state.scene.circuit.homogeneous:
+        if not state.scene.circuit.two_point:
             return background
         # Remove the step that all cells have in common, so that the previous cells predict the
         # frame's level.

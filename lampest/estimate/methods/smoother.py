@@ -431,8 +431,7 @@ def smoothed(joint: Joint, walk: Walk, settings: Settings, until: float = inf) -
     rounds : int
         Number of rounds.
     """
-    # Noise of frames alone, from diag (J̃ᵀ J̃ + prior)⁻¹: the walk begins at three times its
-    # median.
+    # Noise of frames alone, from diag (J̃ᵀ J̃ + prior)⁻¹: the walk begins at thrice its median.
     cells = slice(joint.cells)
     prior = np.pad(np.full(joint.cells, IGNORANCE), (0, joint.drawn.shape[2]), constant_values=1.0)
     inverses = [positive_inverse(rows.T @ rows + np.diag(prior)) for rows in joint.sensitivities]
@@ -452,8 +451,7 @@ def smoothed(joint: Joint, walk: Walk, settings: Settings, until: float = inf) -
         )
         squares = joint.expected_squares()
         walk, decreases = walk.drawn_down(squares, joint.stiffness, least)
-        # U is evaluated at the model's readings, and again with the last q: with a large q these
-        # follow the noise, which an error of the reference would seem to explain.
+        # U is evaluated again with the last q: with a large one the model's readings follow noise.
         if not decreases:
             joint = joint.sharing()
         joint = replace(joint, stiffness=walk.stiffness(squares))

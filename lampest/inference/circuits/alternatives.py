@@ -106,7 +106,7 @@ class Alternative:
             series: dict[str, Any] = {circuit.series_name: float(f"{self.in_series:.2g}")}
             entries |= (
                 series
-                if circuit.in_series
+                if circuit.unit == "ohm"
                 else {"readout": {**entries.get("readout", {}), **series}}
             )
         return entries
@@ -192,7 +192,7 @@ def alternatives_of(specified: Alternative, *, reversed_too: bool = False) -> It
             continue
         sigma = specified.sigma if circuit.unit == readout.unit else None
         with suppress(ValueError):  # the kind may have no model of another entry of the scene
-            alike = type(circuit) is type(readout) and circuit.in_series
+            alike = type(circuit) is type(readout) and circuit.unit == "ohm"
             series = scene.series_resistance_ohm if alike else 0.0
             alternative = replace(
                 scene, readout=circuit, series_resistance_ohm=series, systematic=None

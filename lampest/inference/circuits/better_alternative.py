@@ -32,7 +32,6 @@ from lampest.inference.evidence import PARAMETER_COST
 from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation, cell_factors
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array
-from lampest.panel.readouts.driven import DrivenCircuit
 
 SAME_SCORE = 1e-3  # scores that differ by less are rounding's
 # Fits end within some hundredths of their smallest χ², alternatives within SMALL_CHI_SQUARE.
@@ -215,7 +214,7 @@ def _best_candidate(
 def _reads_cells_apart(candidate: Explanation) -> bool:
     """Return whether each line has an amplifier, so that any readings have cells."""
     readout = candidate.alternative.scene.readout
-    return isinstance(readout, DrivenCircuit) and nominal_terminations(readout).amplified
+    return readout is not None and nominal_terminations(readout).amplified
 
 
 def _says_no_more(candidate: Explanation) -> bool:

@@ -17,6 +17,7 @@ from lampest.inference.circuits.alike import PanelChoice
 from lampest.inference.circuits.alternatives import Alternative, standing_frames
 from lampest.inference.variance_components import noted_excess
 from lampest.panel.panel import Array
+from lampest.panel.readouts.inequalities import free_tests
 from lampest.panel.readouts.starts import several_panels
 from lampest.posterior.interval import largest_of
 from lampest.recording.readings import Readings, strongest_frame
@@ -173,7 +174,7 @@ def broken_law(alternative: Alternative, frames: ComparedFrames) -> str:
         readings, seen=readings.seen * frames.specified.nearly_gaussian(1)
     ).sigma_of_values
     assert sigma is not None
-    for test in alternative.scene.circuit.free_tests(readings.value, frames.widening * sigma):
+    for test in free_tests(alternative.scene.circuit, readings.value, frames.widening * sigma):
         frame = int(np.argmax(test.excess))
         if largest_of(test.excess[frame], test.count * len(test.excess)) < SIGNIFICANCE:
             beyond = f"{test.excess[frame]:.3g} times its noise"

@@ -56,7 +56,8 @@ def with_potentials(specified: Any, scene: Scene) -> Iterator[Any]:
     Loads end at half the supply, multiplexers hold driven lines, idle lines follow the sensed one,
     and a converter has an input resistance beside resistors to the supply.
     """
-    if getattr(specified, "load_volt", 0.0) is None and specified.polarity == "up":
+    to_supply = getattr(specified, "polarity", "up") == "down"
+    if getattr(specified, "load_volt", 0.0) is None and not to_supply:
         with suppress(ValueError):
             yield replace(specified, load_volt=nominal_terminations(specified).source_volt / 2)
     if getattr(specified, "idle_load_ohm", 0.0) is None:
@@ -64,7 +65,6 @@ def with_potentials(specified: Any, scene: Scene) -> Iterator[Any]:
             yield replace(specified, idle_load_ohm=0.0)
     if getattr(specified, "driven_groups", 0) is None:
         yield from _with_groups(specified, scene, "driven_groups", _driven_side(specified))
-    to_supply = getattr(specified, "polarity", "up") == "down"
     across_sensor = getattr(specified, "measured_across", "reference") == "sensor"
     if (to_supply or across_sensor) and getattr(specified, "input_ohm", 0.0) is None:
         with suppress(ValueError):

@@ -29,8 +29,6 @@ from lampest.inference.noise import NoiseEstimate
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array
 from lampest.panel.readouts.converter import MAX_VOLT, Characteristic
-from lampest.panel.readouts.divider import Divider
-from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED
 from lampest.posterior.interval import binomial_tail
@@ -263,11 +261,7 @@ def _zero_of_open_cells(recording: Recording) -> tuple[float, float] | None:
     if readout is None or not unloaded.any() or readout.code_sign < 0:
         return None
     ends = nominal_terminations(readout)
-    if isinstance(readout, DrivenCircuit) and ends.sign > 0:
-        at_open = ends.recorded_reference
-    elif isinstance(readout, Divider) and readout.measured_across == "reference":
-        at_open = 0.0
-    else:
+    if ends.sign < 0 or getattr(readout, "measured_across", "reference") == "sensor":
         return None
     volt = readout.volt_from_recorded(recording.recorded[unloaded])
     codes = readout.steps_from_volt(volt)
@@ -280,7 +274,7 @@ def _zero_of_open_cells(recording: Recording) -> tuple[float, float] | None:
         return None
     spread = max(float(lowest.std()), 0.1) / np.sqrt(len(lowest))
     return (
-        at_open - readout.lsb_volt * float(lowest.mean()),
+        ends.recorded_reference - readout.lsb_volt * float(lowest.mean()),
         readout.lsb_volt * spread,
     )
 

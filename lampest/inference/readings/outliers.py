@@ -31,6 +31,7 @@ from lampest.inference.readings.neighbours import (
 )
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
+from lampest.panel.readouts.inequalities import free_tests, largest_possible
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import largest_normal, largest_of
 from lampest.recording.readings import Readings, Sidedness, median, stand_in
@@ -125,7 +126,7 @@ def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool
     bounds = outliers.copy()
     for _ in range(int(MAX_SHARE * value[0].size) + 1):
         broken = np.zeros(len(frames), dtype=bool)
-        for test in circuit.free_tests(value[frames], np.where(outliers, np.inf, sigma)[frames]):
+        for test in free_tests(circuit, value[frames], np.where(outliers, np.inf, sigma)[frames]):
             if test.single is None:
                 continue
             # the largest excess of all frames decides on the significance
@@ -149,7 +150,7 @@ def _impossible_bounds(circuit: Readout, readings: Readings) -> NDArray[np.bool_
     if not np.any(bound):
         return np.zeros(bound.shape, dtype=bool)
     plain = np.where(readings.plain, readings.value, np.inf)
-    allowed = circuit.largest_possible(plain)
+    allowed = largest_possible(circuit, plain)
     if readings.sigma is not None:
         noise = circuit.sigma(np.where(np.isfinite(allowed), allowed, 1.0))
         allowed = allowed + OUTLIER_THRESHOLD * noise

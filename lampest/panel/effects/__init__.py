@@ -26,6 +26,7 @@ from lampest.files.errors import InputError
 from lampest.files.typed import installed
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
+from lampest.panel.readouts.tolerances import line_numbers, tolerance_errors
 from lampest.panel.response import TYPICAL_RESPONSE_SD
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
@@ -157,7 +158,7 @@ class ReadoutNumber(SharedEffect):
         Setting over the standard deviation of the reference's relative error, and of each line's
         channel in ohm; infinite where the error has no part in them.
     first : int
-        Number of its first column among those of `Readout.shared_errors`.
+        Number of its first column among those of `tolerance_errors`.
     """
 
     over_reference: ClassVar[float] = np.inf
@@ -167,7 +168,7 @@ class ReadoutNumber(SharedEffect):
     def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:
         cells = network.cell_resistance
         sizes = size / self.over_reference, size / self.over_channel
-        return scene.circuit.shared_errors(cells, measured, scene, *sizes)[self.first :]
+        return tolerance_errors(scene.circuit, cells, measured, scene, *sizes)[self.first :]
 
 
 @cache
@@ -356,7 +357,7 @@ def unobservable_numbers(scene: Scene, of_changes: float | None = None) -> str:
         f"within {100 * reference:.3g} %" if reference else "exact",
         f"within {series:.3g} ohm" if series else "exact",
     )
-    tolerances = {number.name: within[number.channel] for number in scene.circuit.line_numbers()}
+    tolerances = {number.name: within[number.channel] for number in line_numbers(scene.circuit)}
     further = {"reference_ohm": within[0], "drive_volt": "exact", "converter_volt": "exact"}
     tolerances |= {name: size for name, size in further.items() if hasattr(scene.readout, name)}
     if not tolerances:

@@ -12,6 +12,8 @@ from lampest.panel.lines import Side, along, opposite, per_line
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
+from lampest.panel.readouts.keys import entry
+from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import BELOW_ONE
 
@@ -38,7 +40,7 @@ class LoadTolerance(SharedEffect):
         resistors = resistors_of(circuit, shape)
         deviation = size / REFERENCE.over_reference
         if circuit.unit == "ohm":
-            together = circuit.shared_errors(cells, measured, scene, deviation, 0.0)[0]
+            together = tolerance_errors(circuit, cells, measured, scene, deviation, 0.0)[0]
             side = sensed_side(circuit)
             errors = [together * along(side, lines) for lines in resistors]
         else:
@@ -67,14 +69,14 @@ def resistors_of(circuit: Readout, shape: tuple[int, ...]) -> Array:
     """
     driven, sensed = shape if sensed_side(circuit) == "columns" else shape[::-1]
     idle = ~np.eye(sensed, dtype=bool)
-    groups = getattr(circuit, "groups", None)
+    groups = entry(circuit, "groups")
     if groups is not None:
         resistors = [np.isin(np.arange(sensed), group) for group in groups]
     elif np.isfinite(circuit.terminations(driven, sensed).sensing.ohm[idle]).any():
         resistors = list(np.eye(sensed, dtype=bool))
     else:
         resistors = []
-    several = circuit.of_sensed and len(resistors) > 1
+    several = entry(circuit, circuit.of_sensed[0]) is not None and len(resistors) > 1
     return np.array(resistors if several else np.zeros((0, sensed)), dtype=float)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from lampest.panel.effects.line_effect import LineEffect
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
+from lampest.panel.readouts.tolerances import simulated
 from lampest.panel.scene import Scene
 
 
@@ -32,5 +33,5 @@ class LooseContact(LineEffect):
         rows, columns = network.conductance.shape
         more = self.size * np.isin(np.arange(rows + columns), self.lines)
         circuit = scene.circuit
-        recorded = circuit.simulated(network.cell_resistance, scene, more[:rows], more[rows:])
+        recorded = simulated(circuit, network.cell_resistance, scene, more[:rows], more[rows:])
         return np.asarray(circuit.from_recorded(recorded, scene) - network.reading())

@@ -6,6 +6,7 @@ import numpy as np
 
 from lampest.panel.effects import ReadoutNumber
 from lampest.panel.readouts import Readout
+from lampest.panel.readouts.tolerances import off_by
 from lampest.panel.sizes import BELOW_ONE
 
 E24_TOLERANCE = 0.05  # of ordinary resistors, uniformly distributed
@@ -30,7 +31,7 @@ class ReferenceTolerance(ReadoutNumber):
 
     def drawn(self, circuit: Readout, size: float, random: np.random.Generator) -> Readout:
         """Return a circuit whose reference is off by a drawn error of at most `size`."""
-        return circuit.off_by(size * random.uniform(-1, 1))
+        return off_by(circuit, size * random.uniform(-1, 1))
 
 
 REFERENCE = ReferenceTolerance()

@@ -17,11 +17,18 @@ from lampest.panel.lines import (
     opposite,
     per_line,
 )
-from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.readouts.keys import (
+    driven_ends,
+    ends_in_words,
+    idle_ends,
+    idle_load_ends,
+    load_ends,
+)
+from lampest.panel.readouts.readout import Readout
 
 
 @dataclass(frozen=True, kw_only=True)
-class DrivenReadout(DrivenCircuit):
+class DrivenReadout(Readout):
     """Circuit with driven and sensed lines, named by the resistances of its lines.
 
     Each resistance holds while a line is used, or while it is idle. Loaded columns, grounded lines
@@ -73,7 +80,7 @@ class DrivenReadout(DrivenCircuit):
     input_ohm : float, or None
         Input resistance of the converter to ground in ohm, at the load; None: negligible.
     supply_volt, adc_bits, readings, noise_lsb
-        See `Converter`.
+        See `Readout`.
 
     A resistance is a number, or one for each line. Raises ValueError if a number is out of range,
     or if readings do not depend on the cells or on their common scale. Source: node analysis.
@@ -86,6 +93,7 @@ class DrivenReadout(DrivenCircuit):
     of_driven: ClassVar[tuple[str, ...]] = ("drive_ohm", "idle_ohm")
     may_be_zero: ClassVar[tuple[str, ...]] = ("drive_ohm", "sense_ohm", "idle_ohm", "idle_load_ohm")
     may_be_infinite: ClassVar[tuple[str, ...]] = ("load_ohm", "idle_ohm", "idle_load_ohm")
+    channels: ClassVar[tuple[str, str]] = ("drive_ohm", "sense_ohm")
     kind: Literal["driven"] = "driven"
     driven: Side = "rows"
     polarity: Literal["up", "down"] = "up"
@@ -170,21 +178,21 @@ class DrivenReadout(DrivenCircuit):
             f"one after the other through {lines_text(self.drive_ohm)}, "
             f"idle ones {_state(self.idle_ohm)}{' all the time' if self.idle_stays else ''}, "
             f"load {lines_text(self.load_ohm)}{channel}, {load}, "
-            f"{self.supply_volt:g} V{diode}{self._end_text}"
+            f"{self.supply_volt:g} V{diode}{ends_in_words(self)}"
         )
 
     def terminations(self, driven: int, sensed: int) -> Terminations:
         """Return the ends that the keys state."""
-        drive = self.driven_ends(driven)
-        together = self.idle_ends(drive.ohm)
-        idle = self.idle_ends(per_line("idle_ohm", self.idle_ohm, driven))
+        drive = driven_ends(self, driven)
+        together = idle_ends(self, drive.ohm)
+        idle = idle_ends(self, per_line("idle_ohm", self.idle_ohm, driven))
         if self.idle_stays:
             drive = drive.beside(idle)
             together = together.beside(idle)
-        load = self.load_ends(sensed)
+        load = load_ends(self, sensed)
         total = load.behind(per_line("sense_ohm", self.sense_ohm, sensed))
         stays = self.idle_load_ohm is None and self.groups is None
-        idle_load = total if stays else self.idle_load_ends(sensed)
+        idle_load = total if stays else idle_load_ends(self, sensed)
         with np.errstate(invalid="ignore"):
             gain = np.where(np.isinf(load.ohm), 1.0, load.ohm / total.ohm)
         return Terminations(

@@ -15,11 +15,18 @@ from lampest.panel.lines import (
     opposite,
     per_line,
 )
-from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.readouts.keys import (
+    driven_ends,
+    ends_in_words,
+    idle_ends,
+    idle_load_ends,
+    load_ends,
+)
+from lampest.panel.readouts.readout import Readout
 
 
 @dataclass(frozen=True, kw_only=True)
-class GroundedReadout(DrivenCircuit):
+class GroundedReadout(Readout):
     """Grounded readout: driven line i is at the supply, idle driven lines at ground.
 
     Each is connected through its Rd. V = Vcc·Z_ij/Rd_i·Rs_j/(Rc_j + Rs_j)/k_j. With sense: all,
@@ -60,7 +67,7 @@ class GroundedReadout(DrivenCircuit):
     load_volt : float, or None
         Potential in which the loads end, in volt; None: ground, or the supply with polarity: down.
     supply_volt, adc_bits, readings, noise_lsb
-        See `Converter`.
+        See `Readout`.
 
     The network's reading is the voltage across the load, for either polarity. No bound except r > 0
     holds, because other cells can increase and decrease a reading. Raises ValueError if a number is
@@ -73,6 +80,7 @@ class GroundedReadout(DrivenCircuit):
     of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm", "sense_ohm", "idle_load_ohm")
     may_be_zero: ClassVar[tuple[str, ...]] = ("drive_ohm", "sense_ohm", "idle_load_ohm")
     may_be_infinite: ClassVar[tuple[str, ...]] = ("idle_load_ohm",)
+    channels: ClassVar[tuple[str, str]] = ("drive_ohm", "sense_ohm")
     kind: Literal["grounded"] = "grounded"
     driven: Side = "rows"
     sense: Literal["all", "one"] = "all"
@@ -105,7 +113,7 @@ class GroundedReadout(DrivenCircuit):
         return (
             f"grounded, {self.driven} driven {self.polarity} while the others are held, {loads}, "
             f"{self.supply_volt:g} V, load {lines_text(self.load_ohm)}, "
-            f"drive {lines_text(self.drive_ohm)}{channel}{self._end_text}"
+            f"drive {lines_text(self.drive_ohm)}{channel}{ends_in_words(self)}"
         )
 
     @property
@@ -118,14 +126,14 @@ class GroundedReadout(DrivenCircuit):
 
         Idle sensed lines are loaded or floating.
         """
-        drive = self.driven_ends(driven)
+        drive = driven_ends(self, driven)
         drive = Ends.of(np.maximum(drive.ohm, MIN_OHM), drive.volt)
-        load = self.load_ends(sensed)
+        load = load_ends(self, sensed)
         total = load.behind(per_line("sense_ohm", self.sense_ohm, sensed))
-        idle_load = total if self._all_loaded else self.idle_load_ends(sensed)
+        idle_load = total if self._all_loaded else idle_load_ends(self, sensed)
         return Terminations(
             self.driven,
-            scanned(drive, self.idle_ends(drive.ohm)),
+            scanned(drive, idle_ends(self, drive.ohm)),
             scanned(total, idle_load, self.groups),
             gain=load.ohm / total.ohm,
         )

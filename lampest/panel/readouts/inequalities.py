@@ -1,4 +1,4 @@
-"""Inequalities of cells and readings that circuits with driven lines satisfy.
+"""Inequalities of cells and readings that circuits satisfy.
 
 All are functions of the numbers of a circuit's equation, `lampest.panel.equation.Equation`.
 """
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lampest.files.levels import NOISE_REACH
-from lampest.panel.circuit import CircuitOfLines
+from lampest.panel.circuit import CircuitOfLines, nominal_terminations
 from lampest.panel.equation import Equation, equation_of
 from lampest.panel.lines import lines_text
 from lampest.panel.panel import Array
@@ -47,7 +47,7 @@ def least_cells(circuit: SolvableCircuit, measured: Array, sigma: Array | None) 
     unknown.
     """
     equation = equation_of(circuit, *measured.shape[-2:])
-    if equation.two_point:
+    if equation.terminations.two_point:
         return measured.copy()
     least = nearly_shorted(circuit, measured)
     bound = _least_by_currents(equation, measured, sigma)
@@ -95,7 +95,7 @@ def resolution(circuit: SolvableCircuit, measured: Array, sigma: Array) -> Array
     if by_uniform_panels(circuit, measured):
         return np.asarray(uniform_responses(circuit, rows, columns) / sigma)
     start = circuit.uniform_start(measured)
-    if equation_of(circuit, rows, columns).two_point:
+    if nominal_terminations(circuit).two_point:
         return np.asarray(np.maximum(measured**2 / sigma, 2 * start))
     if measured.ndim > 2:
         frames = zip(measured, sigma, strict=True)
@@ -105,14 +105,24 @@ def resolution(circuit: SolvableCircuit, measured: Array, sigma: Array) -> Array
     return np.asarray(np.maximum(np.abs(response) * start / sigma, 2 * start))
 
 
-def free_tests(equation: Equation, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
-    """Return the tests v_ij ≤ U − Rd_i Σ_k v_ik/Rs_k and Σ_i v_ij ≤ U; see `Readout.free_tests`.
+def free_tests(circuit: CircuitOfLines, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
+    """Return tests of inequalities that a circuit's readings satisfy for any cells.
 
-    The sum over k is over simultaneous loads. The first one: no sensed line has a higher potential
-    than the driven one, which is below the source by the loads' current through its Rd. The second
-    one, for idle lines at ground through no more than Rd: if all driven
-    lines were at the source, no sensed line would be above it (superposition, Z·t ≤ 1).
+    Of two-point readings the test is R_jk ≤ R_jq + R_pq + R_pk, see `four_point_excess`. Of others
+    v_ij ≤ U − Rd_i Σ_k v_ik/Rs_k and Σ_i v_ij ≤ U, where the sum over k is over simultaneous loads.
+    The first one: no sensed line has a higher potential than the driven one, which is below the
+    source by the loads' current through its Rd. The second one, for idle lines at ground through no
+    more than Rd: if all driven lines were at the source, no sensed line would be above it
+    (superposition, Z·t ≤ 1).
+
+    `measured` and `sigma` are (frames, rows, columns); sigma is infinite for readings that are no
+    values.
     """
+    equation = equation_of(circuit, *measured.shape[-2:])
+    if equation.terminations.two_point:
+        law = "R_jk <= R_jq + R_pq + R_pk of any two rows and columns"
+        single = four_point_excess(measured, sigma)
+        return (FreeTest(law, single.max(axis=(1, 2)), measured[0].size ** 2, single),)
     if equation.potentials is not None:
         return _tests_of_potentials(equation, measured, sigma)
     load = equation.load
@@ -137,6 +147,54 @@ def free_tests(equation: Equation, measured: Array, sigma: Array) -> tuple[FreeT
         excess = np.where(spread > 0, (value - equation.source) / known, -np.inf)
         results.append(FreeTest(law, excess.reshape(len(value), -1).max(axis=1), value[0].size))
     return tuple(results)
+
+
+def four_point_excess(resistance: Array, sigma: Array) -> Array:
+    """Return max_pq (R_jk − R_jq − R_pq − R_pk)/σ for every reading, (frames, rows, columns).
+
+    Effective resistance is a metric (Klein & Randić, J. Math. Chem. 12, 1993): no path from row j
+    over column q and row p to column k is shorter than R_jk. σ is that of all four readings
+    together. The shortest path over any q from row j to row p is computed first, then the shortest
+    over any p: (rows² · columns) sums. The result is −∞ for readings with infinite σ.
+
+    Parameters
+    ----------
+    resistance : array, shape (frames, rows, columns)
+        Readings R in ohm.
+    sigma : array, same shape
+        Standard deviations; infinite for readings that are excluded.
+    """
+    value = np.where(np.isfinite(sigma), resistance, np.inf)
+    variance = np.where(np.isfinite(sigma), sigma, 0.0) ** 2
+    excess = np.full(value.shape, -np.inf)
+    for row in range(value.shape[1]):
+        # Row to row p: min_q (R_jq + R_pq), and its variance
+        over = value[:, [row]] + value
+        middle = over.argmin(axis=2)[..., None]
+        between = np.take_along_axis(over, middle, axis=2)
+        spread = np.take_along_axis(variance[:, [row]] + variance, middle, axis=2)
+        # Row to column k: min_p (min_q (R_jq + R_pq) + R_pk), and the variance of all four readings
+        way = between + value
+        last = way.argmin(axis=1)[:, None]
+        noise = variance[:, row] + np.take_along_axis(spread + variance, last, axis=1)[:, 0]
+        way = np.take_along_axis(way, last, axis=1)[:, 0]
+        counted = np.isfinite(value[:, row]) & np.isfinite(way) & (noise > 0)
+        excess[:, row][counted] = (value[:, row][counted] - way[counted]) / np.sqrt(noise[counted])
+    return excess
+
+
+def largest_possible(circuit: CircuitOfLines, measured: Array) -> Array:
+    """Return the largest value of each reading that the others allow, (…, rows, columns).
+
+    Of two-point readings it is min_pq (R_jq + R_pq + R_pk). Infinite readings in `measured` allow
+    anything. The result is infinite where no law limits a reading.
+    """
+    largest = np.full(measured.shape, np.inf)
+    if nominal_terminations(circuit).two_point:
+        for row in range(measured.shape[-2]):
+            between = (measured[..., [row], :] + measured).min(axis=-1)  # to each row p
+            largest[..., row, :] = (between[..., None] + measured).min(axis=-2)
+    return largest
 
 
 def _tests_of_potentials(equation: Equation, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:

@@ -1,18 +1,19 @@
 """Loaded columns: a line is driven, the other ones float, and every sensed line has a load."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from lampest.panel.circuit import Ends, Terminations, scanned
 from lampest.panel.diode import Diode
 from lampest.panel.lines import Groups, PerLine, Side, lines_text, opposite
-from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.readouts.keys import driven_ends, ends_in_words, idle_ends, load_ends
+from lampest.panel.readouts.readout import Readout
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoadedColumnsReadout(DrivenCircuit):
+class LoadedColumnsReadout(Readout):
     """Loaded columns: one line is driven, all sensed lines are loaded.
 
     All other driven lines float. V = Vcc·Z_ij/(Rd_i + Z_ii) for driven line i and sensed line j
@@ -47,7 +48,7 @@ class LoadedColumnsReadout(DrivenCircuit):
     idle_volt : float, or None
         Potential of the lines of other groups that are held with driven_groups.
     supply_volt, adc_bits, readings, noise_lsb
-        See `Converter`.
+        See `Readout`.
 
     The network's reading is the voltage across the load, for either polarity. Raises ValueError if
     a number is out of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rs at the
@@ -57,6 +58,7 @@ class LoadedColumnsReadout(DrivenCircuit):
     'volt'
     """
 
+    channels: ClassVar[tuple[str, str]] = ("drive_ohm", "")
     kind: Literal["loaded_columns"] = "loaded_columns"
     driven: Side = "rows"
     polarity: Literal["up", "down"] = "up"
@@ -74,7 +76,7 @@ class LoadedColumnsReadout(DrivenCircuit):
         return (
             f"loaded {opposite(self.driven)}, {self.driven} driven {self.polarity} "
             f"one after the other, {self.supply_volt:g} V, load {lines_text(self.load_ohm)}, "
-            f"drive {lines_text(self.drive_ohm)}{diode}{self._end_text}"
+            f"drive {lines_text(self.drive_ohm)}{diode}{ends_in_words(self)}"
         )
 
     def terminations(self, driven: int, sensed: int) -> Terminations:
@@ -82,13 +84,13 @@ class LoadedColumnsReadout(DrivenCircuit):
 
         Groups have their loads behind the multiplexers.
         """
-        drive = self.driven_ends(driven)
-        load = self.load_ends(sensed)
+        drive = driven_ends(self, driven)
+        load = load_ends(self, sensed)
         idle_load = load if self.groups is None else Ends.floating(sensed)
         floating = Ends.floating(driven)
         return Terminations(
             self.driven,
-            scanned(drive, floating, self.driven_groups, self.idle_ends(drive.ohm)),
+            scanned(drive, floating, self.driven_groups, idle_ends(self, drive.ohm)),
             scanned(load, idle_load, self.groups),
             gain=np.ones(sensed),
             diode=self.diode,

@@ -2,33 +2,53 @@
 
 A kind of readout is one file with its keys and one function from keys to ends, `terminations`. All
 else follows from the ends: `lampest.panel.equation` has the equation of the readings,
-`lampest.panel.readouts.starts` the cells at which solves begin, and
-`lampest.panel.readouts.inequalities` the bounds.
+`lampest.panel.readouts.starts` the cells at which solves begin,
+`lampest.panel.readouts.inequalities` the bounds, and `lampest.panel.readouts.tolerances` the
+errors of resistors and channels.
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol, Self
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.errors import counted
+from lampest.files.levels import NOISE_REACH
+from lampest.files.typed import Completed, check_range, check_ranges
 from lampest.panel.circuit import NOMINAL_LINES, Terminations, nominal_terminations
 from lampest.panel.equation import equation_of
-from lampest.panel.law import Law
+from lampest.panel.law import TWO_POINT, Law
 from lampest.panel.lines import (
-    LineNumber,
     PerLine,
+    Side,
+    along,
     as_tuple,
+    check_lines,
+    lines_text,
     listed_lines,
     of_side,
+    opposite,
     per_line,
 )
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array, Panel, connected_parts
-from lampest.panel.readouts import inequalities, starts
-from lampest.panel.readouts.converter import Converter
-from lampest.panel.readouts.inequalities import FreeTest
+from lampest.panel.readouts import starts
+from lampest.panel.readouts.converter import (
+    MAX_VOLT,
+    MIN_VOLT,
+    USUAL_NOISE_LSB,
+    Characteristic,
+    noise_volt,
+    relative_step,
+    sigma_code,
+)
+from lampest.panel.readouts.floating import grounding, two_point_resistance
+from lampest.panel.readouts.keys import check_keys, check_on_panel, entry
+from lampest.panel.readouts.known_converters import KNOWN_CONVERTERS, Known, KnownConverter
 from lampest.panel.readouts.scan_order import check_scan_order
 from lampest.panel.readouts.starts import USUAL_OHM
 from lampest.panel.readouts.wiring import Wiring
@@ -55,30 +75,53 @@ class Surroundings(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Readout(Converter, ABC):
-    """Base of readouts: the circuit of a kind, with the fields of its converter from `Converter`.
+class Readout(Completed, ABC):
+    """Base of readouts: the circuit of a kind, and its converter.
+
+    Code c stands for c steps of 2^−bits of the converter's range, which by default reaches from 0
+    to the supply. The range of signed codes reaches as far below the voltage of code 0 as above it.
 
     At the converter, recorded readings are voltages between 0 and the supply; `rails` are the
     limits of valid readings.
 
     Attributes
     ----------
+    supply_volt : float
+        Supply of the circuit and reference of the converter in volt.
+    adc_bits : int
+        Resolution of the converter; without a number that of the named converter, otherwise 10.
+    readings : int
+        Conversions that are averaged for one cell.
+    noise_lsb : PerLine or {'estimated'}, or None
+        Standard deviation of one reading before quantisation, in least significant bits; a number
+        or one for each driven line (`noisy_side`). 'estimated': from the unloaded frames. None:
+        from five or more unloaded frames, otherwise that of a named converter by its data sheet, or
+        of the shipped boards, which is sufficient dither for averaging.
+    floor_code : int, or None
+        Codes at or below it were not recorded: such a reading, zero or infinite by its unit, is a
+        bound.
+    passes_volt : tuple[float, float] or {'estimated'}, or None
+        Smallest and largest voltage that a stage before the converter passes; a reading within its
+        noise of either is a bound. 'estimated': from the frames. None: all.
+    converter : Characteristic or Known, or None
+        Voltages that the codes stand for, or a converter's name (`KNOWN_CONVERTERS`). None: from 0
+        to full scale.
+    scan_order : {'rows', 'columns'} or tuple of (int, int), or None
+        Order in which the readings of a frame are taken: row by row, column by column, or a list of
+        [row, column]. Memory, motion and times within a frame follow it. None: driven line by
+        driven line.
     unit : {'ohm', 'volt'}
         Unit of a reading.
     signal, signal_name : str
         Dataset in files, and its long name.
-    homogeneous : bool
-        Whether a common factor on all cells multiplies all readings.
-    unique : bool
-        Whether plain least squares without noise has one minimum; otherwise solvers begin at
-        several starts.
-    in_series : bool
-        Whether the scene's series resistance adds to every reading.
-    series_name : str
-        Scene's key of a resistance in series with the panel; '' without one.
     of_driven, of_sensed : tuple of str
         Keys of numbers of driven, and of sensed lines; the first one of sensed lines is the
         reference resistor of a reading.
+    may_be_zero, may_be_infinite : tuple of str
+        Keys of resistances that may be 0, or infinite.
+    channels : tuple of str
+        Keys, a number or one for each line, of the channels of driven, and of sensed lines; ''
+        without any. Sensed lines without a channel have 0.
 
     >>> issubclass(lampest.GroundedReadout, lampest.Readout)
     True
@@ -87,23 +130,84 @@ class Readout(Converter, ABC):
     unit: ClassVar[str] = "volt"
     signal: ClassVar[str] = "volt"
     signal_name: ClassVar[str] = "voltage at the converter"
-    homogeneous: ClassVar[bool] = False
-    unique: ClassVar[bool] = False
-    in_series: ClassVar[bool] = False
-    series_name: ClassVar[str] = ""
-    of_driven: ClassVar[tuple[str, ...]] = ()
-    of_sensed: ClassVar[tuple[str, ...]] = ()
+    of_driven: ClassVar[tuple[str, ...]] = ("drive_ohm",)
+    of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm",)
+    may_be_zero: ClassVar[tuple[str, ...]] = ("drive_ohm", "sense_ohm")
+    may_be_infinite: ClassVar[tuple[str, ...]] = ()
+    channels: ClassVar[tuple[str, str]] = ("", "")
+
+    supply_volt: float = 5.0
+    adc_bits: int = 10
+    readings: int = 20
+    noise_lsb: PerLine | Literal["estimated"] | None = None
+    floor_code: int | None = None
+    passes_volt: tuple[float, float] | Literal["estimated"] | None = None
+    converter: Characteristic | Known | None = None
+    scan_order: Literal["rows", "columns"] | tuple[tuple[int, int], ...] | None = None
+
+    @classmethod
+    def completed(cls, content: Any) -> Any:
+        """Return arguments, or the content of a file, with the bits of a named converter."""
+        named = content.get("converter") if isinstance(content, Mapping) else None
+        name = named.get("name") if isinstance(named, Mapping) else getattr(named, "name", named)
+        known: Mapping[Any, KnownConverter] = KNOWN_CONVERTERS
+        bits = known[name].adc_bits if isinstance(name, str) and name in known else None
+        return content if bits is None else {"adc_bits": bits} | content
+
+    def __post_init__(self) -> None:
+        own_volts = [name for name in ("drive_volt", "converter_volt") if hasattr(self, name)]
+        check_ranges(self, MIN_VOLT, MAX_VOLT, *own_volts)
+        self._check_converter()
+        super().__post_init__()
+        check_keys(self)
+
+    def _check_converter(self) -> None:
+        """Raise ValueError if a number of the converter is out of range, or contradicts another."""
+        check_range("supply_volt", self.supply_volt, MIN_VOLT, MAX_VOLT, " V")
+        check_ranges(self, 1, 32, "adc_bits")
+        bits = self._stated.numbers.adc_bits
+        if bits not in (None, self.adc_bits):
+            raise ValueError(
+                f"adc_bits: {self.adc_bits} contradicts the converter {self._stated.name}, "
+                f"which has {bits} bits"
+            )
+        check_ranges(self, 1, 65535, "readings")
+        check_lines("noise_lsb", self.assumed_noise)
+        if max(as_tuple(self.assumed_noise)) > 2**self.adc_bits:
+            raise ValueError(
+                f"noise_lsb must not exceed the converter's range, {2**self.adc_bits} LSB"
+            )
+        lowest, highest = self.codes
+        check_ranges(self, lowest, highest - 2, "floor_code")
+        curve = self.characteristic.curve
+        if curve is not None and not all(lowest <= code <= highest + 1 for _, code in curve):
+            raise ValueError(f"converter.curve: codes lie between {lowest} and {highest + 1}")
+        if self._ends[0] == self._ends[1]:
+            raise ValueError(f"converter: code 0 stands at the end of the range, {self._ends[0]} V")
+        if isinstance(self.passes_volt, str | None):
+            return
+        least, most = self.range_volt
+        lower, upper = self.passes_volt
+        if not least <= lower < upper <= most:
+            raise ValueError(
+                f"passes_volt must be two voltages from {least:g} to {most:g}, the lower one first"
+            )
 
     @abstractmethod
     def terminations(self, driven: int, sensed: int) -> Terminations:
         """Return the ends of the lines of a panel with so many driven and sensed lines."""
 
     @property
+    def series_name(self) -> str:
+        """Scene's key of a resistance in series with the panel; '' without one."""
+        return "series_resistance_ohm" if self.unit == "ohm" else self.channels[0]
+
+    @property
     def nominal_lines(self) -> tuple[int, int]:
         """Numbers of driven and of sensed lines that lists and groups tell, otherwise two."""
         sides = (
-            (self.of_driven, getattr(self, "driven_groups", None)),
-            ((*self.of_sensed, "offset_volt"), getattr(self, "groups", None)),
+            (self.of_driven, entry(self, "driven_groups")),
+            ((*self.of_sensed, "offset_volt"), entry(self, "groups")),
         )
         driven, sensed = (
             max(
@@ -122,17 +226,18 @@ class Readout(Converter, ABC):
         return driven, sensed
 
     def check(self, scene: Surroundings) -> None:
-        """Raise ValueError if the scene does not fit the readout or the panel.
+        """Raise ValueError if the scene does not fit the readout, or lists do not fit its panel.
 
         A scene does not fit the readout if it has keys that the readout cannot model.
         """
         per_line("noise_lsb", self.assumed_noise, of_side(self.noisy_side, *scene.panel.shape)[0])
         check_scan_order(self, scene.panel)
-        if np.any(scene.series_ohm) and not self.in_series:
+        if np.any(scene.series_ohm) and self.unit != "ohm":
             raise ValueError(
                 "series_resistance_ohm belongs to readout.kind: two_point; "
                 "with others a channel's resistance is part of the readout's drive_ohm or sense_ohm"
             )
+        check_on_panel(self, scene)
 
     def in_scene(self, scene: Surroundings) -> "Readout":
         """Return the circuit that gives the readings of a scene."""
@@ -142,10 +247,19 @@ class Readout(Converter, ABC):
     def description(self) -> str:
         """Return the circuit and its numbers with their units, in words."""
 
+    @cached_property
+    def two_point(self) -> bool:
+        """Whether a reading is the resistance between two lines while all others float.
+
+        Then a common factor on all cells multiplies all readings, and plain least squares without
+        noise has one minimum.
+        """
+        return nominal_terminations(self).two_point
+
     @property
     def law(self) -> Law:
         """Law of the readings, h with its derivatives."""
-        return Law(self)
+        return TWO_POINT if self.two_point else Law(self)
 
     # Readings of cells.
 
@@ -155,6 +269,8 @@ class Readout(Converter, ABC):
         Lines that 0 ohm hold have infinite ties. `parts`, (lines,), is the number of each line's
         part of a panel that open cells divide; None for a connected panel.
         """
+        if self.two_point:
+            return grounding(measured, parts)
         equation = equation_of(self, *measured.shape[-2:])
         ties = equation.ties_of_parts(parts, lambda: self.apparent_resistance(measured))
         return ties[0] if len(ties) == 1 else ties
@@ -164,6 +280,8 @@ class Readout(Converter, ABC):
 
         The ties are those of `ties`. Raises numpy.linalg.LinAlgError if a line is not connected.
         """
+        if self.two_point:
+            return self.solved_network(cell_resistance, ties, wiring)
         equation = equation_of(self, *cell_resistance.shape)
         excited = equation.excitations(np.atleast_2d(ties))
         if ties.ndim == 1:
@@ -187,8 +305,11 @@ class Readout(Converter, ABC):
         """Return the readings y of cells of any contrast.
 
         The cells are (rows, columns) or (frames, rows, columns) ohm; the readings have the same
-        shape. Open cells may divide the panel into parts.
+        shape. Open cells may divide the panel into parts. Resistances between two lines have at
+        least ten correct digits without wiring.
         """
+        if wiring is None and self.two_point:
+            return two_point_resistance(cell_resistance)
         if cell_resistance.ndim == 3:
             return np.stack([self.exact_reading(frame, wiring) for frame in cell_resistance])
         conducting = np.isfinite(cell_resistance)
@@ -254,35 +375,25 @@ class Readout(Converter, ABC):
         """
         return starts.start(self, measured, upper, near)
 
-    def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
-        """Return tests of inequalities that the circuit's readings satisfy for any cells.
-
-        `measured` and `sigma` are (frames, rows, columns); sigma is infinite for readings that are
-        no values.
-        """
-        equation = equation_of(self, *measured.shape[-2:])
-        return inequalities.free_tests(equation, measured, sigma)
-
-    # Information of readings on the circuit.
-
-    def largest_possible(self, measured: Array) -> Array:
-        """Return the largest value of each reading that the others allow, (..., rows, columns).
-
-        Infinite readings in `measured` allow anything. The result is infinite where no law limits a
-        reading.
-        """
-        return np.full(measured.shape, np.inf)
-
     # Between recorded values and the network's readings.
 
-    def offset(self, shape: tuple[int, ...]) -> Array | float:
-        """Return what amplifiers add to recorded values, to be broadcast to (rows, columns)."""
-        return 0.0
+    def _level(self, shape: tuple[int, ...]) -> Array | float:
+        """Return the recorded value of a reading of 0, to be broadcast to (rows, columns), volt.
+
+        Amplifiers add their offsets; an inverting one is recorded below its reference.
+        """
+        ends = nominal_terminations(self)
+        offset = entry(self, "offset_volt")
+        if offset is None:
+            return ends.recorded_reference
+        sensed = of_side(ends.driven, *shape[-2:])[1]
+        of_lines = along(opposite(ends.driven), per_line("offset_volt", offset, sensed))
+        return ends.recorded_reference + (-of_lines if ends.amplified else of_lines)
 
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
         """Return the network's readings of recorded values, (…, rows, columns)."""
         ends = nominal_terminations(self)
-        level = ends.recorded_reference + self.offset(recorded.shape)
+        level = self._level(recorded.shape)
         if ends.sign > 0 and not np.any(level):
             return recorded
         return np.asarray(ends.sign * (recorded - level))
@@ -290,20 +401,10 @@ class Readout(Converter, ABC):
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
         """Return the recorded values of the network's readings, (…, rows, columns)."""
         ends = nominal_terminations(self)
-        level = ends.recorded_reference + self.offset(reading.shape)
+        level = self._level(reading.shape)
         if ends.sign > 0 and not np.any(level):
             return reading
         return np.asarray(level + ends.sign * reading)
-
-    def rails_reached(self, recorded: Array) -> str:
-        """Return the rails that recorded readings exceed, in words; '' if no reading does."""
-        least, largest = self.rails()
-        beyond = ((least, recorded < least), (largest, recorded > largest))
-        reached = [f"{rail:.3g}" for rail, readings in beyond if np.any(readings)]
-        if not reached:
-            return ""
-        rails = "rails" if len(reached) > 1 else "rail"
-        return f"the converter's {rails} of {' and '.join(reached)} {self.unit}"
 
     def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
         """Return the σ of the network's readings y, σ·|∂y/∂(recorded)|.
@@ -312,77 +413,184 @@ class Readout(Converter, ABC):
         """
         return sigma
 
-    def simulated(
-        self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array
-    ) -> Array:
-        """Return recorded values (frames, rows, columns) of cells, without noise and quantisation.
+    # Codes, voltages and recorded values.
 
-        `row_ohm` and `column_ohm` are additional series resistances of every line's channel, (lines
-        of a side,) ohm.
+    @property
+    def full_scale_volt(self) -> float:
+        """Voltage at the end of the converter's range, where `converter` does not name another."""
+        own = entry(self, "converter_volt")
+        return self.supply_volt if own is None else float(own)
+
+    @property
+    def noisy_side(self) -> Side:
+        """Side whose lines `noise_lsb` lists: the driven one."""
+        side: Side = getattr(self, "driven", "rows")
+        return side
+
+    @property
+    def _stated(self) -> Characteristic:
+        """Voltages that the codes stand for, as the scene states them."""
+        if isinstance(self.converter, Characteristic):
+            return self.converter
+        return Characteristic(name=self.converter)
+
+    @cached_property
+    def characteristic(self) -> Characteristic:
+        """Voltages that the codes stand for, in numbers."""
+        return self._stated.within(self.full_scale_volt)
+
+    @property
+    def range_assumed(self) -> bool:
+        """Whether the range is one of several of a named chip, that after power-up."""
+        return bool(self._stated.numbers.ranges) and self._stated.full_volt is None
+
+    @property
+    def codes(self) -> tuple[int, int]:
+        """Lowest and highest code: 0 and 2^bits − 1, or −2^(bits−1) and 2^(bits−1) − 1."""
+        lowest = -(2 ** (self.adc_bits - 1)) if self.characteristic.signed else 0
+        return lowest, lowest + 2**self.adc_bits - 1
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        """Voltages of code 0 and of the one above the highest.
+
+        A voltage to be estimated is that of a scene without `converter`.
         """
-        return self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
+        characteristic = self.characteristic
+        if characteristic.curve is not None:
+            volt, _ = characteristic.points
+            return float(volt[0]), float(volt[-1])
+        zero = characteristic.zero_volt
+        full = characteristic.full_volt
+        return (
+            0.0 if isinstance(zero, str) else zero,
+            full if isinstance(full, float | int) else self.full_scale_volt,
+        )
 
-    def off_by(self, fraction: float) -> Self:
-        """Return the circuit with every reference resistor larger by a fraction.
+    @property
+    def zero_volt(self) -> float:
+        """Voltage of code 0."""
+        return self._ends[0]
 
-        A kind that names no key of sensed lines has none.
+    @property
+    def range_volt(self) -> tuple[float, float]:
+        """Least and largest voltage of the converter's range, in this order."""
+        zero, full = self._ends
+        if self.characteristic.signed and self.characteristic.curve is None:
+            zero = 2 * zero - full
+        return min(zero, full), max(zero, full)
+
+    @property
+    def code_sign(self) -> float:
+        """1 if codes rise with the voltage, −1 if they fall."""
+        return 1.0 if self._ends[0] < self._ends[1] else -1.0
+
+    @property
+    def noise_specified(self) -> bool:
+        """Whether the noise is specified; otherwise frames determine it."""
+        return self.noise_lsb not in (None, "estimated")
+
+    @property
+    def assumed_noise(self) -> PerLine:
+        """`noise_lsb` if it is specified, otherwise that of the named converter or the usual one.
+
+        The latter is the assumption until frames determine it.
         """
-        if not self.of_sensed:
-            return self
-        name = self.of_sensed[0]
-        value: PerLine = getattr(self, name)
-        larger = tuple(number * (1 + fraction) for number in as_tuple(value))
-        changes: dict[str, Any] = {name: larger if isinstance(value, tuple) else larger[0]}
-        return replace(self, **changes)
+        if self.noise_lsb is None or self.noise_lsb == "estimated":
+            noise = self._stated.numbers.noise_lsb
+            return USUAL_NOISE_LSB if noise is None else noise
+        return self.noise_lsb
 
-    def line_numbers(self) -> tuple[LineNumber, ...]:
-        """Return the numbers of the circuit that known resistors determine.
+    def converter_description(self) -> str:
+        """Return the converter's numbers in words."""
+        noise = (
+            lines_text(self.assumed_noise, "LSB")
+            if self.noise_specified
+            else "as the unloaded frames show it"
+        )
+        floor = f", codes above {self.floor_code}" if self.floor_code else ""
+        ends = "" if self.converter is None else f", {self._stated.description()}"
+        return (
+            f"{self.adc_bits} bits, {counted(self.readings, 'reading')}, noise {noise}{floor}{ends}"
+        )
 
-        The known resistors are in place of the cells.
+    def recorded_from_volt(self, volt: Array) -> Array:
+        """Return recorded readings of voltages at the converter, any shape."""
+        return np.asarray(volt, dtype=float)
+
+    def volt_from_recorded(self, recorded: Array) -> Array:
+        """Return the voltages at the converter of recorded readings, any shape."""
+        return np.asarray(recorded, dtype=float)
+
+    @property
+    def lsb_volt(self) -> float:
+        """One least significant bit in volt: range/2^bits; of a curve, its mean step."""
+        curve = self.characteristic.curve
+        if curve is None:
+            return abs(self._ends[1] - self._ends[0]) / (self.codes[1] + 1.0)
+        volt, code = self.characteristic.points
+        return float(abs(volt[-1] - volt[0]) / (code[-1] - code[0]))
+
+    def steps_from_volt(self, volt: Array) -> Array:
+        """Return voltages as codes that are neither rounded nor clipped; any shape."""
+        if self.characteristic.curve is None:
+            return np.asarray((np.asarray(volt) - self.zero_volt) * self.code_sign / self.lsb_volt)
+        points, codes = self.characteristic.points
+        order = np.argsort(points)
+        return np.asarray(np.interp(volt, points[order], codes[order]))
+
+    def code_from_volt(self, volt: Array) -> NDArray[np.int64]:
+        """Return the nearest code, clipped to the lowest and the highest one; any shape."""
+        code = np.clip(np.rint(self.steps_from_volt(volt)), *self.codes)
+        return np.asarray(code, dtype=np.int64)
+
+    def volt_from_code(self, mean_code: Array) -> Array:
+        """Return the voltage that a code stands for, the middle of its interval.
+
+        Codes may be means.
         """
-        return ()
+        code = np.asarray(mean_code, dtype=float)
+        if self.characteristic.curve is None:
+            return np.asarray(self.zero_volt + self.code_sign * self.lsb_volt * code)
+        volt, codes = self.characteristic.points
+        return np.asarray(np.interp(code, codes, volt))
 
-    def shared_errors(
-        self, cells: Array, measured: Array, scene: Surroundings, reference: float, channel: float
-    ) -> Array:
-        """Return the effect of shared errors on the readings, as secants of the model.
+    def recorded_from_sums(self, sums: NDArray[np.integer[Any]], readings: int) -> Array:
+        """Return recorded values of sums of `readings` codes."""
+        return self.recorded_from_volt(self.volt_from_code(sums / readings))
 
-        Parameters
-        ----------
-        cells : array, shape (rows, columns)
-            Estimate in ohm.
-        measured : array, same shape
-            Its readings; with two-point readouts also (…, rows, columns) of many panels.
-        scene : Scene
-        reference : float
-            Relative error of the reference resistor, see `off_by`.
-        channel : float
-            Error of one line's channel in ohm, see `simulated`.
+    def sigma(self, recorded: Array) -> Array:
+        """Return σ of recorded readings, the same shape and unit."""
+        volt = self.volt_from_recorded(recorded)
+        return np.asarray(
+            np.broadcast_to(self.sigma_volt(), volt.shape) * relative_step(self, volt)
+        )
+
+    def sigma_volt(self) -> Array:
+        """Return σ of the mean of `readings` codes in volt, to be broadcast to (rows, columns)."""
+        return noise_volt(self, sigma_code(self))
+
+    def rails(self) -> tuple[float, float]:
+        """Return the range of recorded values that are no bounds.
+
+        A reading outside it is one-sided: a code at a rail, or at the floor, only bounds the
+        voltage by its edge.
 
         Returns
         -------
-        array, shape (1 + rows + columns, rows, columns), or (1, rows, columns) without `channel`
-            Effect of the reference, then of the channel of each line, rows first.
+        least, most : float
+            Recorded values, in the readout's unit.
         """
-        unchanged = self.exact_reading(cells, scene.wiring)
-        errors = np.zeros((1, *cells.shape))
-        if reference:
-            errors[0] = self.off_by(reference).exact_reading(cells, scene.wiring) - unchanged
-        if not channel:
-            return errors
-        return np.concatenate([errors, self.channel_errors(cells, scene, channel)])
-
-    def channel_errors(self, cells: Array, scene: Surroundings, channel: float) -> Array:
-        """Return the effect of each line's channel on the readings, rows first.
-
-        Shape (rows + columns, rows, columns). See `shared_errors`.
-        """
-        unchanged = self.exact_reading(cells, scene.wiring)
-        rows, columns = cells.shape
-        return np.stack(
-            [
-                self.from_recorded(self.simulated(cells, scene, extra[:rows], extra[rows:]), scene)
-                - unchanged
-                for extra in channel * np.eye(rows + columns)
-            ]
-        )
+        lowest, top = self.codes
+        floor = lowest if self.floor_code is None else self.floor_code
+        # Lower edge of the first valid code, and of the last code; stages before the converter may
+        # narrow the range.
+        edges = np.sort(self.volt_from_code(np.array([floor + 0.5, top - 0.5])))
+        if not isinstance(self.passes_volt, str | None):
+            within = np.add(
+                self.passes_volt,
+                np.array([1, -1]) * NOISE_REACH * float(np.mean(self.sigma_volt())),
+            )
+            edges = np.array([max(edges[0], within[0]), min(edges[1], within[1])])
+        ends = self.recorded_from_volt(edges)
+        return float(ends.min()), float(ends.max())

@@ -1,19 +1,20 @@
 """Order in which the readings of a frame are taken."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts.converter import Converter
 
 
-def by_columns(readout: Converter) -> bool:
+def by_columns(readout: Any) -> bool:
     """Return whether a scan goes column by column; a list of readings counts as rows."""
     order = readout.noisy_side if readout.scan_order is None else readout.scan_order
-    return order == "columns"
+    return bool(order == "columns")
 
 
-def scan_places(readout: Converter, rows: int, columns: int) -> NDArray[np.intp]:
+def scan_places(readout: Any, rows: int, columns: int) -> NDArray[np.intp]:
     """Return the numbers of the readings, rows first, in scan order, (rows · columns,).
 
     Readings that a list leaves out are the last ones.
@@ -26,7 +27,7 @@ def scan_places(readout: Converter, rows: int, columns: int) -> NDArray[np.intp]
     return np.concatenate([listed, np.setdiff1d(places, listed)])
 
 
-def check_scan_order(readout: Converter, panel: Panel) -> None:
+def check_scan_order(readout: Any, panel: Panel) -> None:
     """Raise ValueError unless a list of readings names every cell of a panel once."""
     order = readout.scan_order
     if not isinstance(order, tuple):
@@ -46,20 +47,20 @@ def check_scan_order(readout: Converter, panel: Panel) -> None:
         raise ValueError(f"readout.scan_order: {left_out[0].tolist()} is left out")
 
 
-def in_scan_order(readout: Converter, values: Array) -> Array:
+def in_scan_order(readout: Any, values: Array) -> Array:
     """Return values (…, rows, columns) in scan order, (…, channels)."""
     flat = values.reshape(*values.shape[:-2], -1)
     return np.asarray(flat[..., scan_places(readout, *values.shape[-2:])])
 
 
-def in_scan_lines(readout: Converter, values: Array) -> Array:
+def in_scan_lines(readout: Any, values: Array) -> Array:
     """Return values (…, rows, columns) in scan order by scanned lines, (…, lines, channels)."""
     rows, columns = values.shape[-2:]
     lines, channels = (columns, rows) if by_columns(readout) else (rows, columns)
     return in_scan_order(readout, values).reshape(*values.shape[:-2], lines, channels)
 
 
-def in_panel_order(readout: Converter, channels: Array, shape: tuple[int, ...]) -> Array:
+def in_panel_order(readout: Any, channels: Array, shape: tuple[int, ...]) -> Array:
     """Return values (…, channels) in scan order as an array of `shape` (…, rows, columns)."""
     flat = np.empty_like(channels)
     flat[..., scan_places(readout, *shape[-2:])] = channels

@@ -1,35 +1,27 @@
 """Two-point readout: one row and one column are selected, all other lines float.
 
-A divider measures the resistance.
+A divider with a reference resistor measures the resistance.
 """
 
-from dataclasses import dataclass, fields
-from typing import ClassVar, Literal
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.law import TWO_POINT, Law
-from lampest.panel.lines import Groups, check_apart, check_groups
+from lampest.panel.circuit import Ends, Terminations, scanned
+from lampest.panel.lines import Groups, PerLine, parallel, per_line
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array, EachModule, Modules
-from lampest.panel.readouts.divider import Divider
-from lampest.panel.readouts.floating import (
-    convex_start,
-    grounding,
-    two_point_resistance,
-    uniform_factor,
-)
-from lampest.panel.readouts.inequalities import FreeTest
+from lampest.panel.readouts.converter import relative_step
+from lampest.panel.readouts.floating import convex_start, grounding, uniform_factor
 from lampest.panel.readouts.readout import Readout, Surroundings
+from lampest.panel.readouts.starts import SHORT_SHARE
 from lampest.panel.readouts.wiring import Wiring
-
-# Keys of two_point that dividers in parallel do not share.
-OWN = ("kind", "measured_across")
 
 
 @dataclass(frozen=True, kw_only=True)
-class TwoPointReadout(Divider):
+class TwoPointReadout(Readout):
     """Two-point readout R_jk = Z_jj + Z_kk − 2 Z_jk, all other lines floating.
 
     A divider with a reference resistor measures R. The recorded value is that of the divider
@@ -53,14 +45,17 @@ class TwoPointReadout(Divider):
         resistor each. At every address one column of each group is read. None: one multiplexer has
         all columns.
     adc_bits, readings, noise_lsb
-        See `Converter`.
+        See `Readout`.
 
     >>> lampest.TwoPointReadout(adc_bits=12).unit
     'ohm'
     """
 
-    homogeneous: ClassVar[bool] = True
-    unique: ClassVar[bool] = True
+    unit: ClassVar[str] = "ohm"
+    signal: ClassVar[str] = "resistance"
+    signal_name: ClassVar[str] = "two-point resistance, divider equation"
+    of_driven: ClassVar[tuple[str, ...]] = ()
+    of_sensed: ClassVar[tuple[str, ...]] = ("reference_ohm",)
     kind: Literal["two_point"] = "two_point"
     reference_ohm: float = 1000.0
     measured_across: Literal["reference", "sensor"] = "reference"
@@ -69,18 +64,10 @@ class TwoPointReadout(Divider):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.groups is None:
-            return
-        check_apart(self.groups)
-        if self.measured_across == "sensor":
+        if self.groups is not None and self.measured_across == "sensor":
             raise ValueError(
                 "groups have a resistor each at their columns: measured_across must be reference"
             )
-
-    def check(self, scene: Surroundings) -> None:
-        """Raise ValueError as `Readout.check`, or if groups do not list every column once."""
-        super().check(scene)
-        check_groups(self.groups, "columns", scene.panel.shape[1])
 
     def in_scene(self, scene: Surroundings) -> Readout:
         """Return the circuit that gives the readings.
@@ -89,11 +76,7 @@ class TwoPointReadout(Divider):
         """
         if self.groups is None or len(self.groups) < 2:
             return self
-        from lampest.panel.readouts.parallel import ParallelDividers  # for groups alone
-
-        numbers = {
-            field.name: getattr(self, field.name) for field in fields(self) if field.name not in OWN
-        }
+        numbers: dict[str, Any] = {key.name: getattr(self, key.name) for key in fields(self)}
         rows, columns = scene.series_lines
         return ParallelDividers(**numbers, row_ohm=tuple(rows), column_ohm=tuple(columns))
 
@@ -105,95 +88,126 @@ class TwoPointReadout(Divider):
             f"measured across the {self.measured_across}{converter}, {self.converter_description()}"
         )
 
-    def ties(self, measured: Array, parts: NDArray[np.intp] | None = None) -> Array:
-        return grounding(measured, parts)
+    def terminations(self, driven: int, sensed: int) -> Terminations:
+        """Return the ends: the supply at the driven row, the reference at the columns read.
 
-    @property
-    def law(self) -> Law:
-        return TWO_POINT
-
-    def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
-        if wiring is not None:
-            return super().network(cell_resistance, ties, wiring)
-        return SolvedNetwork.tied(cell_resistance, ties, TWO_POINT)
-
-    def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
-        """Return R = f(r); without wiring with at least ten correct digits for any contrast."""
-        if wiring is not None:
-            return super().exact_reading(cell_resistance, wiring)
-        return two_point_resistance(cell_resistance)
-
-    def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
-        """Return the test of R_jk ≤ R_jq + R_pq + R_pk; see `four_point_excess`."""
-        law = "R_jk <= R_jq + R_pq + R_pk of any two rows and columns"
-        single = four_point_excess(measured, sigma)
-        return (FreeTest(law, single.max(axis=(1, 2)), measured[0].size ** 2, single),)
-
-    def largest_possible(self, measured: Array) -> Array:
-        """Return min_pq (R_jq + R_pq + R_pk); see `Readout.largest_possible`."""
-        largest = np.empty(measured.shape)
-        for row in range(measured.shape[-2]):
-            between = (measured[..., [row], :] + measured).min(axis=-1)  # to each row p
-            largest[..., row, :] = (between[..., None] + measured).min(axis=-2)
-        return largest
-
-    def simulated(
-        self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array
-    ) -> Array:
-        """Return R + R_series plus the additional resistance of both channels.
-
-        Shape (frames, rows, columns), in ohm.
+        All other lines float.
         """
-        total = self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
-        return np.asarray(total + (row_ohm[:, None] + column_ohm[None, :]))
+        supply = Ends.of(np.zeros(driven), self.supply_volt)
+        reference = Ends.of(parallel(np.full(sensed, self.reference_ohm), self.input_ohm))
+        return Terminations(
+            "rows",
+            scanned(supply, Ends.floating(driven)),
+            scanned(reference, Ends.floating(sensed), self.groups),
+            gain=np.ones(sensed),
+            as_resistance=True,
+        )
 
-    def shared_errors(
-        self, cells: Array, measured: Array, scene: Surroundings, reference: float, channel: float
-    ) -> Array:
-        """Return −(R + R_series)·reference, then `channel` for each line.
+    def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
+        return np.asarray(self._between_lines(recorded) - scene.series_ohm)
 
-        See `Readout.shared_errors`.
+    def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
+        """Return R + R_series as recorded, (…, rows, columns) ohm.
+
+        The converter's input resistance distorts the value.
         """
-        rows, columns = measured.shape[-2:]
-        lines = np.zeros((rows + columns if channel else 0, *measured.shape))
-        if channel:
-            np.einsum("j...jk->j...k", lines[:rows])[...] = channel
-            np.einsum("k...jk->k...j", lines[rows:])[...] = channel
-        return np.concatenate([-((measured + scene.series_ohm) * reference)[None], lines])
+        total = np.asarray(reading + scene.series_ohm)
+        if self.input_ohm is None:
+            return total
+        if self.measured_across == "sensor":
+            with np.errstate(divide="ignore"):
+                return np.asarray(1 / (1 / total + 1 / self.input_ohm))
+        return np.asarray(total * (1 + self.reference_ohm / self.input_ohm))
+
+    def _between_lines(self, recorded: Array) -> Array:
+        """Return the resistance of lines and panel without the converter's input resistance.
+
+        Across the sensor, a recorded value above the input resistance becomes nearly open.
+        """
+        if self.input_ohm is None:
+            return recorded
+        if self.measured_across == "sensor":
+            return np.asarray(
+                1 / np.maximum(1 / recorded - 1 / self.input_ohm, SHORT_SHARE / self.input_ohm)
+            )
+        return np.asarray(recorded / (1 + self.reference_ohm / self.input_ohm))
+
+    def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
+        """Return σ of the readings: σ of the recorded values times ∂R/∂(recorded)."""
+        if self.input_ohm is None:
+            return sigma
+        slope = self._between_lines(recorded) / recorded
+        return np.asarray(sigma * slope ** (2 if self.measured_across == "sensor" else 1))
+
+    def recorded_from_volt(self, volt: Array) -> Array:
+        """Return R of voltages V at the converter: 0 or infinite at the rails.
+
+        R = (Vcc − V)/V·Rref across the reference, R = V/(Vcc − V)·Rref across the sensor.
+        """
+        volt = np.asarray(volt, dtype=float)
+        ends = self.supply_volt - volt, volt
+        upper, lower = ends if self.measured_across == "reference" else ends[::-1]
+        with np.errstate(divide="ignore"):
+            return np.asarray(upper / lower * self.reference_ohm)
+
+    def volt_from_recorded(self, recorded: Array) -> Array:
+        """Return V across the reference, or across the sensor; any shape.
+
+        V = Vcc·Rref/(R + Rref) across the reference, V = Vcc·R/(R + Rref) across the sensor.
+        """
+        with np.errstate(divide="ignore"):
+            ratio = np.asarray(recorded, dtype=float) / self.reference_ohm
+            return np.asarray(
+                self.supply_volt
+                / (1 + (ratio if self.measured_across == "reference" else 1 / ratio))
+            )
+
+    def sigma(self, recorded: Array) -> Array:
+        """Return σ_R = (R + Rref)²/Rref · σ_V/Vcc (delta method); any shape, ohm.
+
+        R includes the series resistance.
+        """
+        total = np.asarray(recorded, dtype=float) + self.reference_ohm
+        sigma = self.sigma_volt() * relative_step(self, self.volt_from_recorded(recorded))
+        return np.asarray(total**2 * (sigma / (self.reference_ohm * self.supply_volt)))
 
 
-def four_point_excess(resistance: Array, sigma: Array) -> Array:
-    """Return max_pq (R_jk − R_jq − R_pq − R_pk)/σ for every reading, (frames, rows, columns).
+@dataclass(frozen=True, kw_only=True)
+class ParallelDividers(TwoPointReadout):
+    """Circuit of a two-point readout with several groups of columns in its scene.
 
-    Effective resistance is a metric (Klein & Randić, J. Math. Chem. 12, 1993): no path from row j
-    over column q and row p to column k is shorter than R_jk. σ is that of all four readings
-    together. The shortest path over any q from row j to row p is computed first, then the shortest
-    over any p: (rows² · columns) sums. The result is −∞ for readings with infinite σ.
+    A reading is the resistance R = (Vcc/V − 1)·Rref that the divider equation gives, less the
+    channels. The equation is that of circuits with driven lines, in ohm. As the columns of
+    an address share the driven row's channel and its neighbours' cells, R may be larger or smaller
+    than the cell.
 
-    Parameters
+    Attributes
     ----------
-    resistance : array, shape (frames, rows, columns)
-        Readings R in ohm.
-    sigma : array, same shape
-        Standard deviations; infinite for readings that are excluded.
+    row_ohm, column_ohm : PerLine
+        Resistance of the channels in ohm.
+    reference_ohm, input_ohm, groups, supply_volt, adc_bits, readings, noise_lsb
+        See `TwoPointReadout`.
     """
-    value = np.where(np.isfinite(sigma), resistance, np.inf)
-    variance = np.where(np.isfinite(sigma), sigma, 0.0) ** 2
-    excess = np.full(value.shape, -np.inf)
-    for row in range(value.shape[1]):
-        # Row to row p: min_q (R_jq + R_pq), and its variance
-        over = value[:, [row]] + value
-        middle = over.argmin(axis=2)[..., None]
-        between = np.take_along_axis(over, middle, axis=2)
-        spread = np.take_along_axis(variance[:, [row]] + variance, middle, axis=2)
-        # Row to column k: min_p (min_q (R_jq + R_pq) + R_pk), and the variance of all four readings
-        way = between + value
-        last = way.argmin(axis=1)[:, None]
-        noise = variance[:, row] + np.take_along_axis(spread + variance, last, axis=1)[:, 0]
-        way = np.take_along_axis(way, last, axis=1)[:, 0]
-        counted = np.isfinite(value[:, row]) & np.isfinite(way) & (noise > 0)
-        excess[:, row][counted] = (value[:, row][counted] - way[counted]) / np.sqrt(noise[counted])
-    return excess
+
+    of_driven: ClassVar[tuple[str, ...]] = ("row_ohm",)
+    of_sensed: ClassVar[tuple[str, ...]] = ("reference_ohm", "column_ohm")
+    may_be_zero: ClassVar[tuple[str, ...]] = ("row_ohm", "column_ohm")
+    channels: ClassVar[tuple[str, str]] = ("row_ohm", "column_ohm")
+    row_ohm: PerLine = 0.0
+    column_ohm: PerLine = 0.0
+
+    def terminations(self, driven: int, sensed: int) -> Terminations:
+        """Return the ends of a two-point readout, behind the channels of their lines."""
+        ends = super().terminations(driven, sensed)
+        row = per_line("series_resistance_ohm.rows", self.row_ohm, driven)
+        column = per_line("series_resistance_ohm.columns", self.column_ohm, sensed)
+        reference = ends.sensing.ohm.diagonal()
+        return replace(
+            ends,
+            driving=ends.driving.behind(row),
+            sensing=ends.sensing.behind(column),
+            gain=reference / (reference + column),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,11 +7,12 @@ import numpy as np
 
 from lampest.panel.circuit import Ends, Terminations, nominal_terminations, scanned
 from lampest.panel.lines import MIN_OHM, PerLine, Side, as_tuple, lines_text, per_line
-from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.readouts.keys import driven_ends, ends_in_words, idle_ends
+from lampest.panel.readouts.readout import Readout
 
 
 @dataclass(frozen=True, kw_only=True)
-class VirtualGroundReadout(DrivenCircuit):
+class VirtualGroundReadout(Readout):
     """Virtual-ground readout: driven line i is at the voltage U.
 
     All other lines are held at ground. V = Rf_j·i_j = U·Rf_j·Z_ij/(Rd_i·Rc_j). Idle driven lines
@@ -44,7 +45,7 @@ class VirtualGroundReadout(DrivenCircuit):
     offset_volt : PerLine, or None
         Input offset of each amplifier in volt: its sensed line is held so far above the reference.
     supply_volt, adc_bits, readings, noise_lsb
-        See `Converter`.
+        See `Readout`.
 
     No bound except r > 0 holds, because other cells can increase and decrease a reading. Raises
     ValueError if a number is out of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹, t =
@@ -56,6 +57,7 @@ class VirtualGroundReadout(DrivenCircuit):
 
     of_sensed: ClassVar[tuple[str, ...]] = ("feedback_ohm", "sense_ohm")
     signal_name: ClassVar[str] = "output of the amplifier below its reference"
+    channels: ClassVar[tuple[str, str]] = ("drive_ohm", "sense_ohm")
     kind: Literal["virtual_ground"] = "virtual_ground"
     driven: Side = "rows"
     drive_ohm: PerLine = 50.0
@@ -84,7 +86,7 @@ class VirtualGroundReadout(DrivenCircuit):
             f"virtual ground, {self.driven} driven to {nominal_terminations(self).source_volt:g} V "
             f"while all other lines are grounded, converter to {self.full_scale_volt:g} V, "
             f"drive {lines_text(self.drive_ohm)}, sense {lines_text(self.sense_ohm)}, "
-            f"feedback {lines_text(self.feedback_ohm)}{self._end_text}"
+            f"feedback {lines_text(self.feedback_ohm)}{ends_in_words(self)}"
         )
 
     def terminations(self, driven: int, sensed: int) -> Terminations:
@@ -92,7 +94,7 @@ class VirtualGroundReadout(DrivenCircuit):
 
         The gain is Rf/Rc.
         """
-        drive = self.driven_ends(driven)
+        drive = driven_ends(self, driven)
         drive = Ends.of(np.maximum(drive.ohm, MIN_OHM), drive.volt)
         channel = np.maximum(per_line("sense_ohm", self.sense_ohm, sensed), MIN_OHM)
         feedback = per_line("feedback_ohm", self.feedback_ohm, sensed)
@@ -101,7 +103,7 @@ class VirtualGroundReadout(DrivenCircuit):
         idle_volt = volt if self.idle_load_volt is None else self.idle_load_volt
         return Terminations(
             self.driven,
-            scanned(drive, self.idle_ends(drive.ohm)),
+            scanned(drive, idle_ends(self, drive.ohm)),
             scanned(Ends.of(channel, volt + offset), Ends.of(channel, idle_volt + offset)),
             gain=feedback / channel,
             amplified=True,

@@ -6,6 +6,7 @@ The simulation includes circuit, multiplexers, converter, and effects outside th
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,9 @@ from lampest.panel.lines import of_side
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.channel_memory import with_memory
+from lampest.panel.readouts.converter import noise_volt
 from lampest.panel.readouts.scan_order import in_panel_order
+from lampest.panel.readouts.tolerances import simulated
 from lampest.panel.readouts.wiring import Contacts
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import EFFECTS, added_effects
@@ -190,16 +193,8 @@ def measured(
         return joined
     actual, scene = _true_circuit(scene, unmodelled, seed)
     # Exact readings, line by line for moving loads, with an error of each reading.
-    total, *passes = [
-        _read(actual, scene, part, unmodelled, seed, period_s) for part in scanned or [cells]
-    ]
-    if passes:  # every reading from the pass in which its line of the scan was read
-        count = 1 + len(passes)
-        crossings = total[0].size
-        lines = np.repeat(np.arange(count), -(-crossings // count))[:crossings]
-        read_in = in_panel_order(actual, lines.astype(float), total.shape[1:]).astype(int)
-        total = np.take_along_axis(np.stack([total, *passes]), read_in[None, None], axis=0)[0]
-    total = total * READING_ERROR.drawn(
+    passes = [_read(actual, scene, part, unmodelled, seed, period_s) for part in scanned or [cells]]
+    total = _of_scan(actual, np.stack(passes)) * READING_ERROR.drawn(
         scene.panel.shape, unmodelled.reading_error or 0.0, random_stream(seed, "readings")
     )
     if actual.unit == "ohm" and not np.all(total > 0):
@@ -216,6 +211,19 @@ def measured(
     volt = _disturbed(actual, volt, unmodelled, seed, period_s)
     sums = sums_of_codes(actual, volt, unmodelled, seed, on_frame)
     return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
+
+
+def _of_scan(readout: Readout, passes: Array) -> Array:
+    """Return every reading from the pass in which its line of the scan was read.
+
+    The passes have the shape (lines of the scan, frames, rows, columns).
+    """
+    count = len(passes)
+    shape = passes.shape[2:]
+    crossings = prod(shape)
+    lines = np.repeat(np.arange(count), -(-crossings // count))[:crossings]
+    read_in = in_panel_order(readout, lines.astype(float), shape).astype(int)
+    return np.asarray(np.take_along_axis(passes, read_in[None, None], axis=0)[0])
 
 
 def _measured_modules(
@@ -269,9 +277,11 @@ def _read(
     """
     begin = int(np.ceil((unmodelled.begins_s or 0.0) / period_s))
     cells = np.where(scene.panel.present, cells, np.inf)
-    recorded = actual.simulated(cells, scene, *_channel_errors(scene, unmodelled, seed, late=False))
+    channels = _channel_errors(scene, unmodelled, seed, late=False)
+    recorded = simulated(actual, cells, scene, *channels)
     if unmodelled.contact_ohm:
-        late = actual.simulated(cells, scene, *_channel_errors(scene, unmodelled, seed, late=True))
+        channels = _channel_errors(scene, unmodelled, seed, late=True)
+        late = simulated(actual, cells, scene, *channels)
         recorded[begin:] = late[begin:]
     if unmodelled.leak_ohm is None and not unmodelled.own:
         return recorded
@@ -331,7 +341,7 @@ def sums_of_codes(
     """
     noise = random_stream(seed, "noise")
     outliers = random_stream(seed, "outliers")
-    sigma = readout.noise_volt() * (
+    sigma = noise_volt(readout) * (
         1.0 if unmodelled.noise_factor is None else unmodelled.noise_factor
     )
     sums = np.zeros(volt.shape, dtype=np.int64)

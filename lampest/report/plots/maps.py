@@ -516,15 +516,16 @@ def maps_figure(
         if arrangement.map_width < 5 * TICK_INCH:
             axes.locator_params(axis="x", nbins=max(1, int(arrangement.map_width / TICK_INCH)))
     # The maps beside which a colour bar stands: each, those of a row, or all.
-    beside: Any = [grid]
-    if own_bars:
-        beside = grid.flat
-    elif in_rows:
-        beside = grid
+    beside: Any = grid.flat if own_bars else grid if in_rows else [grid]
     for painter, axes in zip(painters, beside, strict=False):
         painter.bar(figure, axes, "right", aspect=figure.get_figheight() / 0.16)
     style.shared_legend(figure, grid, "lower right", least=2 if contoured else 1, ncols=2)
-    if len(tiles) == 1:
+    return _labelled(figure, grid, title, about, alone=len(tiles) == 1)
+
+
+def _labelled(figure: Figure, grid: Any, title: str, about: str, *, alone: bool) -> Figure:
+    """Label the axes of a map that stands alone, or those that all maps of a grid share."""
+    if alone:
         grid[0, 0].set_xlabel(ACROSS_LABEL, fontsize=style.TEXT_POINT)
         grid[0, 0].set_ylabel(DOWN_LABEL, fontsize=style.TEXT_POINT)
         return style.labelled(figure, about, "", title)

@@ -146,12 +146,8 @@ def write_starter(
     recording.save(paths[RECORDING])
     scene, simulation = files(simulated_widths(recording))
     schema = json.dumps(json_schema(), indent=2) + "\n"
-    for name, text in {
-        SCENE: scene,
-        SIMULATION: simulation,
-        SCHEMA: schema,
-        RUN: _template(RUN),
-    }.items():
+    texts = {SCENE: scene, SIMULATION: simulation, SCHEMA: schema, RUN: _template(RUN)}
+    for name, text in texts.items():
         write_whole(paths[name], text)
     return tuple(paths.values())
 

@@ -19,6 +19,7 @@ from lampest.apps.microcontroller.constants import Budget, Constants
 from lampest.apps.microcontroller.host import Host, compiled
 from lampest.apps.microcontroller.library import library_folder
 from lampest.panel.panel import Array
+from lampest.panel.readouts.tolerances import off_by, simulated
 from lampest.panel.scene import Scene
 from tests.apps.board.estimated import unchecked_case
 
@@ -81,7 +82,7 @@ class Board:
         for key in self.bad:
             actual[key] = self.bad_ohm
         readout = self.scene.circuit
-        recorded = readout.simulated(actual, self.scene, self.row_ohm, self.column_ohm)
+        recorded = simulated(readout, actual, self.scene, self.row_ohm, self.column_ohm)
         volt = np.array(readout.volt_from_recorded(recorded), dtype=float).ravel()
         for reading in range(1, volt.size):
             volt[reading] += self.memory * (volt[reading - 1] - volt[reading])
@@ -101,7 +102,7 @@ def _channels(scene: Scene, rng: np.random.Generator) -> Board:
 
 
 def _reference(scene: Scene, rng: np.random.Generator) -> Board:
-    wrong: Any = scene.circuit.off_by(REFERENCE_ERROR)
+    wrong: Any = off_by(scene.circuit, REFERENCE_ERROR)
     return _nominal(replace(scene, readout=wrong), rng)
 
 

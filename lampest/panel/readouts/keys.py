@@ -1,0 +1,209 @@
+"""Keys that circuits share: the ends that they state, their limits, and their words.
+
+`drive_ohm`, `sense_ohm`, `input_ohm`, `groups`, `idle_volt`, `load_volt` and all other keys of
+`DrivenReadout` mean the same in every kind. A kind has the keys that it declares; the others count
+as None.
+"""
+
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from lampest.panel.circuit import FOLLOWS, Ends, Terminations, nominal_terminations
+from lampest.panel.equation import equation_of
+from lampest.panel.lines import (
+    as_tuple,
+    check_apart,
+    check_groups,
+    check_resistors,
+    lines_text,
+    of_side,
+    opposite,
+    per_line,
+)
+from lampest.panel.panel import Array
+from lampest.panel.readouts.converter import MAX_VOLT
+
+MAX_OFFSET_VOLT = 0.1  # amplifiers without trimming: 15 mV (data sheet of the LM324)
+
+
+def entry(readout: Any, key: str) -> Any:
+    """Return the value of a key; None if the kind does not have it."""
+    return getattr(readout, key, None)
+
+
+# Ends of the lines.
+
+
+def driven_ends(readout: Any, count: int) -> Ends:
+    """Return the ends of driven lines while they are driven: the source behind drive_ohm."""
+    own = entry(readout, "drive_volt")
+    source = readout.supply_volt if own is None else own
+    drive = per_line("drive_ohm", readout.drive_ohm, count)
+    return Ends.of(drive, 0.0 if entry(readout, "polarity") == "down" else source)
+
+
+def idle_ends(readout: Any, ohm: Array) -> Ends:
+    """Return the ends of idle driven lines behind resistances (lines,) ohm, at idle_volt."""
+    volt = entry(readout, "idle_volt")
+    return Ends.of(ohm, _ground(readout) if volt is None else volt)
+
+
+def load_ends(readout: Any, count: int) -> Ends:
+    """Return the ends of sensed lines while they are read.
+
+    A load at load_volt and the converter's input to ground are beside each other.
+    """
+    key = readout.of_sensed[0]
+    load = Ends.of(per_line(key, getattr(readout, key), count), _load_volt(readout))
+    input_ohm = entry(readout, "input_ohm")
+    return load if input_ohm is None else load.beside(Ends.of(np.full(count, input_ohm)))
+
+
+def idle_load_ends(readout: Any, count: int) -> Ends:
+    """Return the ends of idle sensed lines that have one of their own, else floating ones."""
+    ohm = entry(readout, "idle_load_ohm")
+    volt = entry(readout, "idle_load_volt")
+    return Ends.of(
+        per_line("idle_load_ohm", inf if ohm is None else ohm, count),
+        _load_volt(readout) if volt is None else volt,
+    )
+
+
+def _load_volt(readout: Any) -> float:
+    """Return the potential in which loads end, in volt."""
+    volt = entry(readout, "load_volt")
+    return _ground(readout) if volt is None else float(volt)
+
+
+def _ground(readout: Any) -> float:
+    """Return the potential of the ends without one of their own: ground, or the supply, in volt."""
+    return float(readout.supply_volt) if entry(readout, "polarity") == "down" else 0.0
+
+
+# Limits.
+
+
+def check_keys(readout: Any) -> None:
+    """Raise ValueError if a number is out of range, or if potentials contradict the circuit."""
+    for name in (*readout.of_driven, *readout.of_sensed):
+        value = entry(readout, name)
+        if value is None:
+            continue
+        ohm = as_tuple(value)
+        if name in readout.may_be_infinite:
+            ohm = tuple(number for number in ohm if number != inf)
+        if ohm or value == ():
+            check_resistors(name, ohm, open_end=name not in readout.may_be_zero)
+    if entry(readout, "input_ohm") is not None:
+        check_resistors("input_ohm", readout.input_ohm, most=inf)
+    for key in ("groups", "driven_groups"):
+        if entry(readout, key) is not None:
+            check_apart(getattr(readout, key), key)
+    _check_potentials(readout)
+
+
+def _check_potentials(readout: Any) -> None:
+    """Raise ValueError if potentials contradict the circuit."""
+    for name in ("idle_volt", "load_volt", "idle_load_volt"):
+        volt = entry(readout, name)
+        if isinstance(volt, float | int) and not abs(volt) <= MAX_VOLT:
+            raise ValueError(f"{name} must lie within {MAX_VOLT:g} V of ground")
+    offset = entry(readout, "offset_volt")
+    if offset == ():
+        raise ValueError("offset_volt lists no number")
+    if not all(abs(volt) <= MAX_OFFSET_VOLT for volt in as_tuple(offset or 0.0)):
+        raise ValueError(f"offset_volt must lie within {MAX_OFFSET_VOLT:g} V of zero")
+    follows = entry(readout, "idle_volt") == FOLLOWS
+    if follows and len(entry(readout, "groups") or ()) > 1:
+        raise ValueError(
+            "idle_volt: follows needs one sensed line at a time, not groups in parallel"
+        )
+    if follows and entry(readout, "driven_groups") is not None:
+        raise ValueError("idle_volt: follows has no place with driven_groups")
+    ends = nominal_terminations(readout)
+    keeps_load = getattr(readout, "idle_load_ohm", 0.0) is None
+    for name, connected, lines in (
+        ("idle_volt", ends.driving.connected(own=False).size, "idle driven lines"),
+        ("load_volt", ends.sensing.connected(own=True).size, "sensed lines"),
+        (
+            "idle_load_volt",
+            ends.sensing.connected(own=False).size and not keeps_load,
+            "idle sensed lines keep their load or",
+        ),
+    ):
+        if entry(readout, name) is not None and not connected:
+            raise ValueError(f"{name} has no place where {lines} float: name their resistor")
+    source = float(np.mean(ends.source))
+    if not follows and source == ends.reference:
+        raise ValueError(f"all lines end at {source:g} V, as the driven one does: no current flows")
+
+
+def check_on_panel(readout: Any, scene: Any) -> None:
+    """Raise ValueError if a list or an end does not fit the lines of a scene's panel."""
+    ends = nominal_terminations(readout)
+    driven, sensed = of_side(ends.driven, *scene.panel.shape)
+    for keys, count in (
+        (readout.of_driven, driven),
+        ((*readout.of_sensed, "offset_volt"), sensed),
+    ):
+        for key in keys:
+            if entry(readout, key) is not None:
+                per_line(key, getattr(readout, key), count)
+    check_groups(entry(readout, "groups"), opposite(ends.driven), sensed)
+    check_groups(entry(readout, "driven_groups"), ends.driven, driven, "driven_groups")
+    _check_ends(readout, readout.terminations(driven, sensed))
+    equation = equation_of(readout, *scene.panel.shape)
+    if ends.diode is not None and equation.potentials is not None:
+        raise ValueError("diode: circuits with several potentials have no diode in this model")
+    if ends.diode is not None and entry(readout, "driven_groups") is not None:
+        raise ValueError("diode: circuits with driven_groups have no diode in this model")
+    if scene.wiring is not None and scene.wiring.joined and np.isinf(equation.ties).any():
+        raise ValueError(
+            "faults: lines that touch cannot be joined to idle ones that 0 ohm hold at ground"
+        )
+
+
+def _check_ends(readout: Any, ends: Terminations) -> None:
+    """Raise ValueError if no current flows at an address: one line at most ends somewhere."""
+    driving, sensing = np.isfinite(ends.driving.ohm), np.isfinite(ends.sensing.ohm)
+    side = ends.driven.removesuffix("s")
+    if not driving.diagonal().all():
+        line = int(np.argmin(driving.diagonal()))
+        raise ValueError(f"readout.drive_ohm: {side} {line} ends nowhere while it is driven")
+    ending = driving.sum(axis=1)[:, None] + sensing.sum(axis=1)
+    if ending.min() < 2:
+        line, read = divmod(int(np.argmin(ending)), ending.shape[1])
+        raise ValueError(
+            f"readout.{readout.of_sensed[0]}: while {side} {line} is driven and "
+            f"{opposite(ends.driven).removesuffix('s')} {read} is read no other line ends "
+            "anywhere: no current flows; name the resistor of the line that is read"
+        )
+
+
+# Words.
+
+
+def ends_in_words(readout: Any) -> str:
+    """Return the groups, potentials and converter of a circuit, with its input resistance."""
+    driven = nominal_terminations(readout).driven
+    sensed = opposite(driven)
+    text = ""
+    if entry(readout, "groups") is not None:
+        text += f", {len(readout.groups)} {sensed} read in parallel"
+    if entry(readout, "driven_groups") is not None:
+        text += f", {len(readout.driven_groups)} multiplexers of {driven}"
+    idle_volt = entry(readout, "idle_volt")
+    if idle_volt is not None:
+        volt = "those of the sensed line" if idle_volt == FOLLOWS else f"{idle_volt:g} V"
+        text += f", idle {driven} at {volt}"
+    if entry(readout, "load_volt") is not None:
+        text += f", loads end at {readout.load_volt:g} V"
+    if entry(readout, "idle_load_volt") is not None:
+        text += f", idle {sensed} at {readout.idle_load_volt:g} V"
+    if entry(readout, "offset_volt"):
+        text += f", amplifiers off by {lines_text(readout.offset_volt, 'V')}"
+    if entry(readout, "input_ohm") is not None:
+        text += f", converter input {readout.input_ohm:g} ohm"
+    return f"{text}, {readout.converter_description()}"

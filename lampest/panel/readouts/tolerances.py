@@ -1,0 +1,164 @@
+"""Changes of a circuit by the tolerances of its resistors and channels, and by calibration."""
+
+from dataclasses import replace
+from math import inf
+from typing import Any, TypeVar
+
+import numpy as np
+
+from lampest.panel.circuit import nominal_terminations
+from lampest.panel.lines import LineNumber, along, as_tuple, of_side, opposite, with_channels
+from lampest.panel.panel import Array
+from lampest.panel.readouts.keys import entry
+from lampest.panel.readouts.readout import Readout, Surroundings
+
+Circuit = TypeVar("Circuit", bound=Readout)
+
+
+def off_by(circuit: Circuit, fraction: float) -> Circuit:
+    """Return the circuit with every reference resistor larger by a fraction.
+
+    The circuit itself is returned if its kind has no such key.
+    """
+    name = circuit.of_sensed[0]
+    value = entry(circuit, name)
+    if value is None:
+        return circuit
+    larger = tuple(number * (1 + fraction) for number in as_tuple(value))
+    changes: dict[str, Any] = {name: larger if isinstance(value, tuple) else larger[0]}
+    return replace(circuit, **changes)
+
+
+def behind_channels(circuit: Circuit, row_ohm: Array, column_ohm: Array) -> Circuit:
+    """Return the circuit with additional channel resistances, (rows,) and (columns,) ohm.
+
+    Sensed lines without a channel have none in addition; see `Readout.channels`.
+    """
+    driven, sensed = of_side(nominal_terminations(circuit).driven, row_ohm, column_ohm)
+    of_driven, of_sensed = circuit.channels
+    additional = {of_driven: driven} if of_driven else {}
+    if entry(circuit, of_sensed):
+        additional[of_sensed] = sensed
+    named = circuit.series_name if circuit.unit == "ohm" else ""
+    changes: dict[str, Any] = {
+        key: with_channels(named or key, getattr(circuit, key), ohm)
+        for key, ohm in additional.items()
+    }
+    return replace(circuit, **changes) if changes else circuit
+
+
+def _reading_behind(
+    circuit: Readout, cells: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array
+) -> Array:
+    """Return the readings with additional channels, which are part of a resistance that is read."""
+    actual = behind_channels(circuit, row_ohm, column_ohm)
+    reading = actual.exact_reading(cells, scene.wiring)
+    return reading + (row_ohm[:, None] + column_ohm) if circuit.unit == "ohm" else reading
+
+
+def simulated(
+    circuit: Readout, cells: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array
+) -> Array:
+    """Return recorded values (frames, rows, columns) of cells, without noise and quantisation.
+
+    `row_ohm` and `column_ohm` are additional resistances of every line's channel, (lines of a
+    side,) ohm.
+    """
+    return circuit.to_recorded(_reading_behind(circuit, cells, scene, row_ohm, column_ohm), scene)
+
+
+def tolerance_errors(
+    circuit: Readout,
+    cells: Array,
+    measured: Array,
+    scene: Surroundings,
+    reference: float,
+    channel: float,
+) -> Array:
+    """Return the effect of shared errors on the readings, as secants of the model.
+
+    Parameters
+    ----------
+    circuit : Readout
+    cells : array, shape (rows, columns)
+        Estimate in ohm.
+    measured : array, same shape
+        Its readings; with two-point readouts also (…, rows, columns) of many panels.
+    scene : Scene
+    reference : float
+        Relative error of the reference resistor, see `off_by`.
+    channel : float
+        Error of one line's channel in ohm, see `simulated`.
+
+    Returns
+    -------
+    array, shape (1 + rows + columns, …, rows, columns), or (1, …, rows, columns) without `channel`
+        Effect of the reference, then of the channel of each line, rows first. That of a reference
+        on resistances is −(R + R_series)·reference.
+    """
+    errors = np.zeros((1, *measured.shape))
+    if circuit.unit == "ohm":
+        errors[0] = -(measured + scene.series_ohm) * reference
+    elif reference:
+        changed = off_by(circuit, reference).exact_reading(cells, scene.wiring)
+        errors[0] = changed - circuit.exact_reading(cells, scene.wiring)
+    if not channel:
+        return errors
+    if not circuit.two_point:
+        return np.concatenate([errors, channel_errors(circuit, cells, scene, channel)])
+    rows, columns = measured.shape[-2:]
+    lines = np.zeros((rows + columns, *measured.shape))
+    np.einsum("j...jk->j...k", lines[:rows])[...] = channel
+    np.einsum("k...jk->k...j", lines[rows:])[...] = channel
+    return np.concatenate([errors, lines])
+
+
+def channel_errors(circuit: Readout, cells: Array, scene: Surroundings, channel: float) -> Array:
+    """Return the effect of each line's channel on the readings, rows first.
+
+    Shape (rows + columns, rows, columns). Where idle driven lines are not connected through their
+    channels, the channel of a driven line changes the readings of this line alone, so that one
+    network shows all of them.
+    """
+    rows = len(cells)
+    lines = np.eye(sum(cells.shape))
+    side = nominal_terminations(circuit).driven
+    driven, sensed = of_side(side, *np.split(np.arange(len(lines)), [rows]))
+    errors = np.zeros((len(lines), *cells.shape))
+    unchanged = circuit.exact_reading(cells, scene.wiring)
+
+    def error(chosen: Array) -> Array:
+        added = np.split(channel * chosen, [rows])
+        return _reading_behind(circuit, cells, scene, *added) - unchanged
+
+    every = lines[driven].sum(axis=0)
+    behind = behind_channels(circuit, *np.split(channel * every, [rows]))
+    if np.array_equal(circuit.ties(cells), behind.ties(cells)):
+        together = error(every)
+        for line, own in zip(driven, np.eye(len(driven)), strict=True):
+            errors[line] = together * along(side, own)
+    else:
+        errors[driven] = [error(one) for one in lines[driven]]
+    if circuit.unit == "ohm" or entry(circuit, circuit.channels[1]):
+        errors[sensed] = [error(one) for one in lines[sensed]]
+    return errors
+
+
+def line_numbers(circuit: Readout) -> tuple[LineNumber, ...]:
+    """Return the numbers of a circuit that known resistors in place of the cells determine.
+
+    They are resistances in series, which include channels, reference resistors, and a diode's drop.
+    A kind without channels has none.
+    """
+    if circuit.unit == "ohm":
+        return (LineNumber(circuit.series_name, ("rows", "columns"), channel=True, in_scene=True),)
+    if not circuit.series_name:
+        return ()
+    ends = nominal_terminations(circuit)
+    numbers = [LineNumber(circuit.series_name, (ends.driven,), channel=True)]
+    name = circuit.of_sensed[0]
+    if hasattr(circuit, name) and max(as_tuple(getattr(circuit, name))) < inf:
+        numbers.append(LineNumber(name, (opposite(ends.driven),)))
+    if ends.diode is not None:
+        numbers.append(LineNumber("diode.drop_volt", (), unit="volt"))
+    return tuple(numbers)
