@@ -10,7 +10,7 @@ from lampest.files.document import parse_document
 from lampest.inference.prepared import Prepared
 from lampest.panel.effects.loads import resistors_of
 from lampest.recording.simulation import Simulation, simulate
-from lampest.recording.simulation.simulation import simulation_of
+from lampest.recording.simulation.file import simulation_of
 
 SIDE = 6
 TOLERANCE = 0.03

@@ -13,6 +13,8 @@ from promises import promise
 
 import lampest
 from docs.studies.model_check import named, sound, wrong
+from docs.studies.wrong_readings import drawn as drawn_panel
+from docs.studies.wrong_readings import of_load
 from lampest import (
     GroundedReadout,
     LoadedColumnsReadout,
@@ -117,7 +119,7 @@ def test_a_verdict_says_whether_other_circuits_were_compared() -> None:
 
 
 @pytest.mark.slow
-def test_a_circuit_under_which_most_cells_moved_is_not_called_less_likely() -> None:
+def test_a_wrong_circuit_is_found_where_most_cells_moved() -> None:
     """The voltages of loaded columns are those of a divider between two lines, of other cells."""
     random = np.random.default_rng(5)
     row, column = np.indices((8, 8)) - 3.5
@@ -133,15 +135,13 @@ def test_a_circuit_under_which_most_cells_moved_is_not_called_less_likely() -> N
     divider = TwoPointReadout(adc_bits=12, readings=8, noise_lsb=1.0)
     scene = Scene(Panel(8, 8), divider, lampest.SeriesPerLine(70.0, 72.0))
     check = Prepared(recording_of(scene, divider.recorded_from_volt(volt), 4)).check
-    assert check.mark == "yes" and not check.compared
-    assert "most cells would have moved under" in check.sentence
-    assert "press a few cells" in check.sentence and "no other known one" not in check.sentence
+    assert check.mark == "no" and check.better
 
 
 @pytest.mark.slow
 @promise(
-    "theory/model_check: Between circuits, changed cells are either single ones or loads, "
-    "with equal probability."
+    "theory/model_check: Changed cells are single ones, loads with an outline, "
+    "or all of them a smooth field, such as a palm or two feet."
 )
 def test_a_bar_over_whole_lines_is_no_other_circuit() -> None:
     """17 cells that moved alone cost more than two cells under crosstalk of 28 ohm."""
@@ -155,6 +155,20 @@ def test_a_bar_over_whole_lines_is_no_other_circuit() -> None:
 @pytest.mark.parametrize("seed", [*range(6), 90079, 90220])
 def test_a_right_circuit_is_not_called_wrong(seed: int) -> None:
     check = Prepared(sound(seed)[1]).check
+    assert check.explains is not False, check.sentence
+
+
+# Under the first five, other circuits once explained the readings "better": all cells change, or
+# keys change in every frame, so that the frames that are compared hold several.
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("load", "seed"),
+    [("palm", 1001), ("palm", 1003), ("palm", 1007), ("feet", 1010), ("keys", 1002), ("palm", 7)],
+)
+def test_a_right_circuit_is_not_called_wrong_under_palms_feet_and_keys(
+    load: str, seed: int
+) -> None:
+    check = Prepared(drawn_panel(seed, of_load(load)).recording()).check
     assert check.explains is not False, check.sentence
 
 
