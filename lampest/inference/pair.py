@@ -278,6 +278,11 @@ class FittedPair:
         """Whether the changes are rather a smooth field than single cells or loads."""
         return self._score_of_field < self._score
 
+    @property
+    def has_load(self) -> bool:
+        """Whether any cell changed."""
+        return self.is_field or bool(self.moved.any())
+
     @cached_property
     def _score_of_field(self) -> float:
         """−2 ln evidence where all changes are a smooth field."""

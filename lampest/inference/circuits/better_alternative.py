@@ -253,7 +253,7 @@ def _compared(
     """
     if specified is None or best.pair is None:
         return BetterExplanation(best.alternative.name, addition=best.alternative.addition)
-    if specified.pair is None or not (best.pair.moved.any() or best.pair.is_field):
+    if specified.pair is None or not best.pair.has_load:
         return BetterExplanation()
     gain = _gain(specified, best)
     if gain <= DOUBTFUL_GAIN:
@@ -289,15 +289,18 @@ def _gain(specified: Explanation, best: Explanation) -> float:
 def _confirmed(specified: Explanation, best: Explanation, frames: ComparedFrames) -> bool:
     """Return whether frames that were not compared have evidence for the best candidate, too.
 
-    The result is True where there are none.
+    The result is True where there are none, or no load on them.
     """
     others = frames.others
     if others is None:
         return True
-    first, second = (
+    found = [
         Explanation.of(explanation.alternative, others, explanation)
         for explanation in (specified, best)
-    )
+    ]
+    first, second = (None if each is None else each.final for each in found)
+    if first is not None and first.pair is not None and not first.pair.has_load:
+        return True
     if second is None or second.pair is None:
         return False
-    return first is None or _gain(first.final, second.final) > MIN_EVIDENCE_GAIN
+    return first is None or _gain(first, second) > MIN_EVIDENCE_GAIN
