@@ -109,12 +109,9 @@ class Detector:
         kinds = tuple(load for load in self.loads if load.sucks)
         places = suctions(without)[: self.most_loads]
         if places and kinds:
-            # cells rise, too, where other readings saturate under a heavy load: no disc fits then,
-            # or none lies on them
+            # cells rise, too, where other readings saturate under a heavy load: no disc fits then
             verdict = self._sucking(frame, kinds, places, field, without, former)
-            discs = verdict.best.discs
-            aside = bool(discs) and not any(verdict.sucks_at(disc) for disc in discs)
-            refuted = aside or verdict.goodness > MAX_MISFIT
+            refuted = verdict.goodness > MAX_MISFIT
             return self._judged(without, (field,)) if refuted else verdict
         # Where fallen cells hide others, the shape decides whether these have risen.
         hidden = may_suck(without)

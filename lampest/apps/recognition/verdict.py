@@ -11,12 +11,12 @@ from itertools import combinations
 from math import exp, hypot, log
 
 import numpy as np
-from scipy.special import softmax
+from scipy.special import expit, softmax
 
 from lampest.apps.recognition.candidates import FIELD, UNIFORM
 from lampest.apps.recognition.fit import Fit
 from lampest.apps.recognition.observation import Observation
-from lampest.apps.recognition.suction import Suction
+from lampest.apps.recognition.suction import UNRISEN, Suction, inner_cells, rise_odds
 from lampest.files.levels import NOISE_REACH
 from lampest.panel.panel import Array
 from lampest.recording.shapes.disc import Disc
@@ -28,9 +28,6 @@ MAX_MISFIT = 10.0
 # a mouth that does not breathe; and of the impossible, two loads in one place.
 RARE_LOG_ODDS = log(20)
 IMPOSSIBLE = 60.0
-# Probability that a load sucks none of whose cells has risen, where they would show it: assumed, of
-# faint suctions, to which a film hardly answers, and of films that open late.
-UNRISEN = 0.05
 OVERLAP = 0.25  # share of the smaller diameter by which two loads may overlap: soft rims touch
 # Exponent of evidence ratios, because films and loads deviate from their models in more ways than
 # the errors include. Fitted by log-likelihood to scenes made without this package's simulation
@@ -119,7 +116,8 @@ class Verdict:
     def sucks_at(self, disc: Disc | None) -> float:
         """Return the probability that a load at a disc's place sucks; None: any load.
 
-        Its cells decide, unless fallen cells hide others; then the fitted shapes do.
+        Its cells decide, unless fallen cells hide others; then the fitted shapes do. A load without
+        a cell that would show its suction has 1/2.
         """
 
         def near(x_mm: float, y_mm: float) -> bool:
@@ -129,7 +127,10 @@ class Verdict:
         if risen:
             return max(risen)
         if self.suctions or not self.by_shapes:
-            return UNRISEN
+            if disc is None:
+                return UNRISEN
+            inner = inner_cells(self.frame.panel, (disc.x_mm, disc.y_mm), disc.diameter_mm)
+            return float(expit(min(rise_odds(self.frame, inner), 0.0)))
         total = 0.0
         for fit, share in zip(self.fits, self.shares, strict=True):
             discs = [part.disc(values) for part, values in fit.loads if part.sucks]
