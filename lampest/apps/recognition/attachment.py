@@ -406,14 +406,14 @@ def attachments_of(
                 shape["pulled_kpa"] = _pulled(frame, candidate, parameters, covariance, of_curves)
         for group in groups:
             conductance = float(more[group].sum()), float(np.hypot.reduce(errors[group]))
-            held = np.where(group if disc is None else covered, change, 0.0)
+            held = np.where(group if disc is None else covered, verdict.cells.free_map, 0.0)
             attachment = Attachment(
                 sucks=0.0,
                 since_s=since,
                 placed_s=since,
                 clear=clear,
                 patterns=effects,
-                held=Hold(held, frame.free_sd),
+                held=Hold(held, verdict.cells.free_sd),
                 conductance_s=conductance,
                 **_touched(frame.panel, group, change) | shape,
             )

@@ -112,7 +112,8 @@ class Detector:
             # cells rise, too, where other readings saturate under a heavy load: no disc fits then
             verdict = self._sucking(frame, kinds, places, field, without, former)
             refuted = verdict.goodness > MAX_MISFIT
-            return self._judged(without, (field,)) if refuted else verdict
+            found = self._judged(without, (field,)) if refuted else verdict
+            return replace(found, cells=without)
         # Where fallen cells hide others, the shape decides whether these have risen.
         hidden = may_suck(without)
         kinds = tuple(load for load in self.loads if hidden or not load.sucks)
@@ -140,7 +141,7 @@ class Detector:
                 verdict = max(single, together, key=lambda verdict: verdict.best.evidence)
         if self._incomplete(frame, verdict.best, field):
             verdict = self._judged(without, (field,))
-        return self._spread(frame, verdict)
+        return replace(self._spread(frame, verdict), cells=without)
 
     def _sucking(
         self,

@@ -49,6 +49,9 @@ class Verdict:
         χ² per reading of the best fit.
     frame : Observation
         The frame without its outliers.
+    cells : Observation
+        The frame without readings that no cells explain. What contradicts a shape may be cells
+        beside it.
     suctions : tuple of Suction
         Places under suction.
     """
@@ -57,6 +60,7 @@ class Verdict:
     shares: tuple[float, ...]
     goodness: float
     frame: Observation
+    cells: Observation
     suctions: tuple[Suction, ...] = ()
 
     @classmethod
@@ -78,7 +82,7 @@ class Verdict:
         goodness = fits[int(np.argmax(evidence - before))].chi2 / frame.measured.size
         counts = (EVIDENCE_SHARE if len(fits) > len(UNIFORM) else 1.0) / max(1.0, goodness)
         shares = softmax(counts * evidence - before)
-        return cls(tuple(fits), tuple(map(float, shares)), goodness, frame, tuple(suctions))
+        return cls(tuple(fits), tuple(map(float, shares)), goodness, frame, frame, tuple(suctions))
 
     @property
     def best(self) -> Fit:
@@ -130,7 +134,7 @@ class Verdict:
             if disc is None:
                 return UNRISEN
             inner = inner_cells(self.frame.panel, (disc.x_mm, disc.y_mm), disc.diameter_mm)
-            return float(expit(min(rise_odds(self.frame, inner), 0.0)))
+            return float(expit(min(rise_odds(self.cells, inner), 0.0)))
         total = 0.0
         for fit, share in zip(self.fits, self.shares, strict=True):
             discs = [part.disc(values) for part, values in fit.loads if part.sucks]

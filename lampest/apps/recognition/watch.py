@@ -541,7 +541,7 @@ class Watch:
         watch = replace(self, known=True, next_s=again, former=None)
         if not loads and not quiet and not self._recognised:
             return replace(watch, history=RELIEVED)
-        if not loads and self._left(frame) and not (quiet and self._shown):
+        if not loads and self._left(verdict.cells) and not (quiet and self._shown):
             return self._gone(time if self.known else since)
         return replace(
             watch,
@@ -551,8 +551,8 @@ class Watch:
                 self.attachments,
                 loads,
                 since,
-                frame,
-                lambda load: self._has_left(load, frame),
+                verdict.cells,
+                lambda load: self._has_left(load, verdict.cells),
                 again=self.known,
             ),
         )

@@ -326,7 +326,7 @@ def test_live_takes_a_new_zero_if_the_first_was_touched() -> None:
     [
         ((51, 45), 42, -1.9, Rod(centre_mm=(85, 48), diameter_mm=26, mass_g=1185)),
         ((35, 64), 39, -2.2, Rod(centre_mm=(51, 90), diameter_mm=37, mass_g=2080)),
-        ((59, 29), 40, -3.0, Rod(centre_mm=(36, 53), diameter_mm=24, mass_g=878)),
+        ((48, 58), 38, -2.0, Rod(centre_mm=(28, 85), diameter_mm=28, mass_g=829)),
     ],
 )
 def test_a_mouth_stays_where_a_heavier_load_beside_it_leaves(
