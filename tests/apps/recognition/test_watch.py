@@ -320,7 +320,6 @@ def test_live_takes_a_new_zero_if_the_first_was_touched() -> None:
 
 
 @pytest.mark.slow
-@promise("theory/recognition: Each load leaves by itself")
 @pytest.mark.parametrize(
     ("place", "diameter_mm", "pressure_kpa", "rod"),
     [
