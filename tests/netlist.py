@@ -207,7 +207,10 @@ def with_potentials(network: list[Resistor], readout: Any, low: float, sensed: i
     Idle lines that follow the sensed one are at a potential at which the sensed one is, too; it is
     between the answers to two trials, because the network is linear.
     """
-    load = low if readout.load_volt is None else readout.load_volt
+    load, idle_load, idle = (
+        getattr(readout, key, None) for key in ("load_volt", "idle_load_volt", "idle_volt")
+    )
+    load = low if load is None else load
     source = getattr(readout, "drive_volt", None)
     if source is None:
         source = readout.supply_volt if low == 0 else 0.0
@@ -216,11 +219,11 @@ def with_potentials(network: list[Resistor], readout: Any, low: float, sensed: i
         "low": low,
         "ground": 0.0,
         "load end": load,
-        "idle load end": load if readout.idle_load_volt is None else readout.idle_load_volt,
+        "idle load end": load if idle_load is None else idle_load,
     }
 
-    def of_idle(idle: float, *, at_line: bool = False) -> float:
-        volt = potentials(network, held | {"idle": idle})
+    def of_idle(idle_volt: float, *, at_line: bool = False) -> float:
+        volt = potentials(network, held | {"idle": idle_volt})
         line = volt["s", sensed]
         if at_line:
             return line
@@ -231,8 +234,8 @@ def with_potentials(network: list[Resistor], readout: Any, low: float, sensed: i
             return feedback * (line - load) / channel
         return volt.get(("load", sensed), line)
 
-    if readout.idle_volt != "follows":
-        return of_idle(low if readout.idle_volt is None else readout.idle_volt)
+    if idle != "follows":
+        return of_idle(low if idle is None else idle)
     at_zero = of_idle(0.0, at_line=True)
     slope = of_idle(1.0, at_line=True) - at_zero
     return of_idle(at_zero / (1 - slope))
@@ -300,13 +303,15 @@ def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Re
         if line == driven or not floating
     ]
     channels = (
-        (0.0,) * len(sense_lines) if floating else per_line(readout.sense_ohm, len(sense_lines))
+        (0.0,) * len(sense_lines)
+        if floating
+        else per_line(getattr(readout, "sense_ohm", 0.0), len(sense_lines))
     )
     if isinstance(readout, VirtualGroundReadout):
         return [*network, *((("s", line), "low", channels[line]) for line in sense_lines)]
     loads = per_line(readout.load_ohm, len(sense_lines))
     for line in [sensed] if getattr(readout, "sense", "all") == "one" else sense_lines:
-        network += load_of(line, channels[line], loads[line], readout.input_ohm)
+        network += load_of(line, channels[line], loads[line], getattr(readout, "input_ohm", None))
     return network
 
 
@@ -344,22 +349,26 @@ def network_of_states(matrix: Array, readout: Any, driven: int, sensed: int) -> 
     if getattr(readout, "idle_stays", False):
         network.append((("d", driven), idle_end, per_line(readout.idle_ohm, count)[driven]))
     if isinstance(readout, VirtualGroundReadout):
-        channels = per_line(readout.sense_ohm, sense_count)
+        channels = per_line(getattr(readout, "sense_ohm", 0.0), sense_count)
         ends = [load_end if line == sensed else idle_load_end for line in range(sense_count)]
         return [
             *network,
             *((("s", line), ends[line], channels[line]) for line in range(sense_count)),
         ]
-    groups = readout.groups or [range(sense_count)]
+    groups = getattr(readout, "groups", None) or [range(sense_count)]
     turn = next(list(group).index(sensed) for group in groups if sensed in group)
     read = [group[turn] for group in groups if turn < len(group)]
     loads = per_line(readout.load_ohm, sense_count)
     channels = per_line(getattr(readout, "sense_ohm", 0.0), sense_count)
-    stays = getattr(readout, "idle_load_ohm", None) is None and readout.groups is None
+    stays = (
+        getattr(readout, "idle_load_ohm", None) is None and getattr(readout, "groups", None) is None
+    )
     stays = stays and getattr(readout, "sense", "all") == "all"
     for line in range(sense_count):
         if line in read or stays:
-            network += load_of(line, channels[line], loads[line], readout.input_ohm, load_end)
+            network += load_of(
+                line, channels[line], loads[line], getattr(readout, "input_ohm", None), load_end
+            )
         elif getattr(readout, "idle_load_ohm", None) is not None:
             ohm = per_line(readout.idle_load_ohm, sense_count)[line]
             network.append((("s", line), idle_load_end, ohm))

@@ -1174,6 +1174,11 @@ def attachments_row() -> Any:
     """
     rng = np.random.default_rng(5)
     courses = []
+    frame: Any = None  # of loads whose cells are not known
+
+    def joined(before: Any, loads: Any, time: float, *, again: bool = False) -> Any:
+        return continued_by(before, loads, time, frame, lambda _: True, again=again)
+
     for _ in range(20):
         present: tuple[Attachment, ...] = ()
         for time, returns in ((1.0, False), (4.0, False), (4.0, True), (6.0, False)):
@@ -1189,7 +1194,7 @@ def attachments_row() -> Any:
                 )
                 for x, kind in drawn
             ]
-            present = continued_by(present, loads, time, again=returns)
+            present = joined(present, loads, time, again=returns)
         courses.append(
             [
                 (*load.place, load.since_s, load.until_s or 0.0, load.sucks, len(load.moved_s))
@@ -1200,15 +1205,15 @@ def attachments_row() -> Any:
         Attachment(0.2, float(k), (20.0 * k, 0.6), (9.0 * k, 0.6), (15.0, 1.0), cells=5)
         for k in range(4)
     ]
-    present = continued_by((), loads[:2], 1.0)
-    present = continued_by(
+    present = joined((), loads[:2], 1.0)
+    present = joined(
         present, [replace(loads[1], x_mm=(24.0, 0.6), sucks=0.9, since_s=3.0), loads[3]], 3.0
     )
-    returned = continued_by(
+    returned = joined(
         present, [replace(loads[3], y_mm=(30.0, 0.5), diameter_mm=(20.0, 2.0))], 3.0, again=True
     )
     return {
-        "attachments": [present, returned, continued_by(returned, [], 8.0)],
+        "attachments": [present, returned, joined(returned, [], 8.0)],
         "courses": courses,
         "sizes": [[load.size, load.width, load.lives] for load in present],
     }

@@ -384,7 +384,9 @@ def wired_volts(cells: Array, scene: Scene) -> Array:
     }
     volt = np.empty(cells.shape)
     count = cells.T.shape if turned else cells.shape
-    high, low = (0.0, readout.supply_volt)[:: 1 if readout.polarity == "down" else -1]
+    high, low = (0.0, readout.supply_volt)[
+        :: 1 if getattr(readout, "polarity", "up") == "down" else -1
+    ]
     panel = list(resistors(cells, scene))
     for driven, sensed in np.ndindex(count):
         outside = network_of(np.ones(count), readout, driven, sensed)[rows * columns :]

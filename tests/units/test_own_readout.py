@@ -13,6 +13,7 @@ from lampest.inference.prepared import Prepared
 from lampest.panel.circuit import Ends, Terminations, scanned
 from lampest.panel.lines import PerLine, Side, per_line
 from lampest.panel.readouts.keys import driven_ends, idle_ends, load_ends
+from lampest.panel.readouts.tolerances import behind_channels
 
 SHAPE = (6, 5)
 
@@ -79,3 +80,18 @@ def test_the_c_library_has_the_readings_of_a_readout_of_a_notebook() -> None:
     cells = np.geomspace(500.0, 50_000.0, 30).reshape(SHAPE)
     lines = CircuitLines.of(READOUT, SHAPE)
     assert_allclose(lines.readings(cells, "rows"), READOUT.exact_reading(cells), rtol=1e-9)
+
+
+def test_keys_of_usual_names_have_their_limits_in_a_readout_of_a_notebook() -> None:
+    with pytest.raises(lampest.InputError, match="load_ohm must be positive and finite"):
+        BleederReadout(load_ohm=0.0)
+    with pytest.raises(lampest.InputError, match="bleeder_ohm must be positive and finite"):
+        BleederReadout(bleeder_ohm=0.0)
+    with pytest.raises(lampest.InputError, match="drive_ohm lists 2 numbers"):
+        lampest.Scene(lampest.Panel(*SHAPE), BleederReadout(drive_ohm=(40.0, 41.0)))
+
+
+def test_channels_of_a_readout_of_a_notebook_are_those_that_it_names() -> None:
+    actual = behind_channels(READOUT, np.linspace(1.0, 6.0, 6), np.ones(5))
+    assert actual.drive_ohm == (41.0, 42.0, 43.0, 44.0, 45.0, 46.0)
+    assert actual.load_ohm == READOUT.load_ohm

@@ -3,7 +3,7 @@
 Each attachment has the probabilities that it sucks, breathes and pumps.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from math import exp, hypot, inf
@@ -15,18 +15,20 @@ from scipy.special import expit, logit
 
 from lampest.apps.recognition.breath import breath
 from lampest.apps.recognition.breathing import MAX_LOG_ODDS, MIN_WINDOW_S, WINDOW_S, Breathing
-from lampest.apps.recognition.candidates import UNIFORM, under
+from lampest.apps.recognition.candidates import FULL_KPA, UNIFORM, under
 from lampest.apps.recognition.contacts import contacts_of
+from lampest.apps.recognition.hold import Hold
 from lampest.apps.recognition.hypotheses import NEVER_LOG_ODDS
 from lampest.apps.recognition.observation import Observation
 from lampest.apps.recognition.pulled import pulled_suction
 from lampest.apps.recognition.pumping import BLOCK_S, Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without_water
-from lampest.apps.recognition.suction import would_show
+from lampest.apps.recognition.suction import UNRISEN, inner_cells, rise_odds
 from lampest.apps.recognition.swings import Patterns
-from lampest.apps.recognition.verdict import UNRISEN, Verdict
+from lampest.apps.recognition.verdict import Verdict
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
 from lampest.panel.panel import Array, Panel
+from lampest.recording.shapes.disc import Disc
 from lampest.recording.shapes.shape import Candidate
 
 Pair = tuple[float, float]
@@ -46,7 +48,8 @@ class Attachment:
     Attributes
     ----------
     sucks : float
-        Probability that it sucks, by all recognitions; at least 1/2 where that would not show.
+        Probability that it sucks: the ln odds of all recognitions, each within MAX_LOOK_LOG_ODDS,
+        add up. A recognition that would not show it has 1/2.
     since_s, until_s : float, float or None
         Times of arrival and departure, s; `until_s` is None while it is present.
     x_mm, y_mm, diameter_mm, area_mm2 : (float, float) or None
@@ -59,8 +62,10 @@ class Attachment:
         Number of touched cells.
     conductance_s : (float, float) or None
         Increase of their conductance since rest, S, and its standard deviation.
-    suction_odds : float
-        ln odds that it sucks, by the cells of all recognitions, each within MAX_LOOK_LOG_ODDS.
+    by_shapes : bool
+        Whether `sucks` is by fitted shapes alone, because its cells are hidden.
+    held : Hold or None
+        Change of its cells when it was weakest in its place; None where it is not known.
     breath : Breathing
         Breath of its suction, from all windows.
     sucks_s : float or None
@@ -90,7 +95,8 @@ class Attachment:
     area_mm2: Pair | None = None
     conductance_s: Pair | None = None
     until_s: float | None = None
-    suction_odds: float = 0.0
+    by_shapes: bool = False
+    held: Hold | None = field(default=None, repr=False, compare=False)
     breath: Breathing = Breathing()
     sucks_s: float | None = None
     moved_s: tuple[float, ...] = ()
@@ -205,12 +211,16 @@ class Attachment:
         reach = self.size / 2 + contact.x_mm[1]
         return comparable and self.distance(contact.place) < reach
 
+    def adjoins(self, load: "Attachment") -> bool:
+        """Return whether the centre of one of two loads lies within the width of the other."""
+        return self.distance(load.place) < max(self.width, load.width)
+
     def ended(self, time: float) -> "Attachment":
         """Return the attachment after it left at a time in s.
 
         Data that only later frames need are dropped.
         """
-        return replace(self, until_s=time, patterns=None)
+        return replace(self, until_s=time, patterns=None, held=None)
 
     def with_new_reference(self) -> "Attachment":
         """Return the attachment whose next sample of suction begins anew.
@@ -219,34 +229,38 @@ class Attachment:
         """
         return self if self.track is None else replace(self, track=self.track.interrupted())
 
-    def sucks_with(self, later: "Attachment") -> float:
-        """Return the probability that it sucks after a later recognition.
+    def sucks_with(self, look: float, *, by_shapes: bool = False) -> float:
+        """Return the probability that it sucks after a further recognition, which alone gives one.
 
-        Its odds are those of the later recognition times those of the cells in all earlier ones.
-        Recognitions without a risen cell do not add up beyond UNRISEN: a suction that raises no
-        cell raises none at any time.
+        The odds of cells are multiplied. Recognitions without a risen cell do not add up beyond
+        UNRISEN: a suction that raises no cell raises none at any time. Shapes err alike at all
+        times, so that they add nothing to cells, and have the mean ln odds among themselves.
         """
-        own = float(np.clip(logit(later.sucks), -MAX_LOG_ODDS, MAX_LOG_ODDS))
-        return max(float(expit(self.suction_odds + own)), min(UNRISEN, later.sucks))
+        before = min(float(logit(self.sucks)), MAX_LOG_ODDS)
+        odds = float(logit(look))
+        if by_shapes:
+            return float(expit((before + odds) / 2)) if self.by_shapes else self.sucks
+        least = min(float(logit(UNRISEN)), odds)
+        return float(expit(np.clip(before + odds, least, MAX_LOG_ODDS)))
 
-    def outlasts(self, later: "Attachment") -> bool:
-        """Return whether it still sucks after a recognition that does not show it.
+    def beside(self, frame: Observation) -> "Attachment":
+        """Return the attachment after a frame whose recognition does not show it as sucking.
 
-        Leaking suction, or one beside another load, has no clear shape.
+        The cells that it raised before give the evidence. Leaking suction, or one beside another
+        load, has no clear shape.
         """
-        return min(self.sucks, self.sucks_with(later)) > 0.5 >= later.sucks
+        if self.held is None:
+            return self
+        look = expit(min(rise_odds(frame, self.held.risen), MAX_LOOK_LOG_ODDS))
+        return replace(self, sucks=self.sucks_with(float(look)))
 
     def continued(self, later: "Attachment") -> "Attachment":
-        """Return the later state of the same load, with its history.
-
-        A recognition that it outlasts changes the odds of its suction alone.
-        """
-        added = self.suction_odds + later.suction_odds
-        odds = float(np.clip(added, logit(UNRISEN), MAX_LOG_ODDS))
-        sucks = self.sucks_with(later)
-        if self.outlasts(later):
-            return replace(self, suction_odds=odds, sucks=sucks)
-        later = replace(later, suction_odds=odds, sucks=sucks)
+        """Return the later state of the same load, with its history."""
+        sucks = self.sucks_with(later.sucks, by_shapes=later.by_shapes)
+        by_shapes = self.by_shapes and later.by_shapes
+        later = replace(later, sucks=sucks, by_shapes=by_shapes)
+        if self.held is not None and later.held is not None:
+            later = replace(later, held=self.held.followed_by(later.held))
         # a move: farther than three standard deviations of the distance, and than 3 mm
         distance_sd = max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         is_far = self.distance(later.place) > NOISE_REACH * distance_sd
@@ -373,17 +387,15 @@ def attachments_of(
         own = slice(first, first + len(parameters))
         covariance = best.covariance[own, own]
         first = own.stop
-        sucks = 0.0 if any_form else verdict.sucks_at(disc)
-        by_cells = 0.0 if verdict.by_shapes else float(logit(sucks))
         shape: dict[str, Any] = {}
         if disc is None:
             groups = _contacts(frame)
         else:
-            groups = [moved & under(frame.panel, disc)]
+            covered = under(frame.panel, disc)
+            groups = [moved & covered]
             half_pitch = frame.panel.pitch_mm / 2
             shape["x_mm"] = (disc.x_mm, half_pitch)
             shape["y_mm"] = (disc.y_mm, half_pitch)
-            shape["sucks_s"] = since if sucks > 0.5 else None
             # σ² = sᵀ C s, with s the derivative of the quantity by φ
             for name, (value, slopes) in candidate.report(parameters).items():
                 shape[name] = (value, float(np.sqrt(slopes @ covariance @ slopes)))
@@ -394,22 +406,39 @@ def attachments_of(
                 shape["pulled_kpa"] = _pulled(frame, candidate, parameters, covariance, of_curves)
         for group in groups:
             conductance = float(more[group].sum()), float(np.hypot.reduce(errors[group]))
+            held = np.where(group if disc is None else covered, verdict.cells.free_map, 0.0)
             attachment = Attachment(
-                sucks=sucks,
-                suction_odds=float(np.clip(by_cells, -MAX_LOOK_LOG_ODDS, MAX_LOOK_LOG_ODDS)),
+                sucks=0.0,
                 since_s=since,
                 placed_s=since,
                 clear=clear,
                 patterns=effects,
+                held=Hold(held, verdict.cells.free_sd),
                 conductance_s=conductance,
                 **_touched(frame.panel, group, change) | shape,
             )
-            if not any_form and sucks < 0.5:
-                diameter_mm = attachment.width if disc else attachment.width * (4 / np.pi) ** 0.5
-                if not would_show(frame.panel, attachment.place, diameter_mm):
-                    attachment = replace(attachment, small=True, suction_odds=0.0, sucks=0.5)
-            attachments.append(attachment)
+            attachments.append(attachment if any_form else _judged(attachment, verdict, disc))
     return attachments
+
+
+def _judged(load: Attachment, verdict: Verdict, disc: Disc | None) -> Attachment:
+    """Return a load with the probability that it sucks by one recognition.
+
+    `disc` is its shape; a contact without one is a disc of the same area.
+    """
+    diameter_mm = load.width if disc else load.width * (4 / np.pi) ** 0.5
+    place = Disc(*load.place, diameter_mm, 0.0, *FULL_KPA, 0.0, 0.0)
+    sucks = verdict.sucks_at(place)
+    small = sucks <= 0.5 and not inner_cells(verdict.frame.panel, load.place, diameter_mm).any()
+    odds = 0.0 if small else np.clip(logit(sucks), -MAX_LOOK_LOG_ODDS, MAX_LOOK_LOG_ODDS)
+    begins = load.since_s if disc is not None and sucks > 0.5 else None
+    return replace(
+        load,
+        sucks=float(expit(odds)),
+        by_shapes=verdict.by_shapes and not small,
+        small=small,
+        sucks_s=begins,
+    )
 
 
 def _drift_sd(frame: Observation) -> float:
@@ -478,12 +507,18 @@ def _touched(panel: Panel, group: NDArray[np.bool_], change: Array) -> dict[str,
 
 
 def continued_by(
-    before: Sequence[Attachment], loads: Sequence[Attachment], time: float, *, again: bool = False
+    before: Sequence[Attachment],
+    loads: Sequence[Attachment],
+    time: float,
+    frame: Observation,
+    has_left: Callable[[Attachment], bool],
+    *,
+    again: bool = False,
 ) -> tuple[Attachment, ...]:
     """Return all attachments after a recognition.
 
-    Each load continues the nearest attachment that is present. Contacts under the disc of one that
-    outlasts the recognition are parts of that load.
+    Each load continues the nearest attachment that is present. One that sucks, whose cells still
+    show that where no shape does, stays as it was; contacts under its disc are parts of it.
 
     Parameters
     ----------
@@ -491,17 +526,20 @@ def continued_by(
     loads : sequence of Attachment
         Loads that were recognised.
     time : float
-        Time of the last step, s; attachments without a load left then.
+        Time of the last step, s; attachments without a load left then, unless their cells show
+        them.
+    frame : Observation
+    has_left : callable
+        Returns whether the cells of an attachment show it no more.
     again : bool
         Whether it is a repeated recognition since that step. Attachments without a load then stay,
-        because nothing leaves without a step, except those that arrived with the step, which were
-        parts of another load.
+        because nothing leaves without a step, except those that arrived with the step and were
+        parts of a load, or nothing.
     """
     attachments = list(before)
     unmatched = [number for number, load in enumerate(before) if load.present]
     kept = list[Attachment]()
-    # Greedy matching: the load with the nearest attachment first, within the larger diameter of
-    # both.
+    # Greedy matching: the load with the nearest attachment first, within the larger width of both.
     distances = [
         min((attachments[number].distance(load.place) for number in unmatched), default=inf)
         for load in loads
@@ -510,22 +548,24 @@ def continued_by(
         near = min(
             unmatched, key=lambda number: attachments[number].distance(load.place), default=None
         )
-        if near is not None and attachments[near].distance(load.place) < max(
-            attachments[near].size, load.size
-        ):
+        if near is not None and attachments[near].adjoins(load):
             former = attachments[near]
-            attachments[near] = former.continued(load)
+            shown = former.beside(frame)
             unmatched.remove(near)
-            if former.outlasts(load):
+            if min(former.sucks, shown.sucks) > 0.5 >= load.sucks:
+                attachments[near] = shown
                 kept.append(former)
+            else:
+                attachments[near] = former.continued(load)
         elif not any(former.contains(load) for former in kept):
             attachments.append(load)
-    if again:
-        return tuple(
-            load
-            for number, load in enumerate(attachments)
-            if number not in unmatched or load.since_s < time
-        )
+    parts = list[int]()
     for number in unmatched:
-        attachments[number] = attachments[number].ended(time)
-    return tuple(attachments)
+        load = attachments[number]
+        if again and load.since_s >= time and (has_left(load) or any(map(load.adjoins, loads))):
+            parts.append(number)
+        elif again or not has_left(load):
+            attachments[number] = load.beside(frame)
+        else:
+            attachments[number] = load.ended(time)
+    return tuple(load for number, load in enumerate(attachments) if number not in parts)

@@ -109,13 +109,11 @@ class Detector:
         kinds = tuple(load for load in self.loads if load.sucks)
         places = suctions(without)[: self.most_loads]
         if places and kinds:
-            # cells rise, too, where other readings saturate under a heavy load: no disc fits then,
-            # or none lies on them
+            # cells rise, too, where other readings saturate under a heavy load: no disc fits then
             verdict = self._sucking(frame, kinds, places, field, without, former)
-            discs = verdict.best.discs
-            aside = bool(discs) and not any(verdict.sucks_at(disc) for disc in discs)
-            refuted = aside or verdict.goodness > MAX_MISFIT
-            return self._judged(without, (field,)) if refuted else verdict
+            refuted = verdict.goodness > MAX_MISFIT
+            found = self._judged(without, (field,)) if refuted else verdict
+            return replace(found, cells=without)
         # Where fallen cells hide others, the shape decides whether these have risen.
         hidden = may_suck(without)
         kinds = tuple(load for load in self.loads if hidden or not load.sucks)
@@ -143,7 +141,7 @@ class Detector:
                 verdict = max(single, together, key=lambda verdict: verdict.best.evidence)
         if self._incomplete(frame, verdict.best, field):
             verdict = self._judged(without, (field,))
-        return self._spread(frame, verdict)
+        return replace(self._spread(frame, verdict), cells=without)
 
     def _sucking(
         self,

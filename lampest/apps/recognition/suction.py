@@ -11,7 +11,7 @@ from math import log, pi
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.special import expit, log_ndtr, ndtr
+from scipy.special import expit, log_ndtr, logit, ndtr
 
 from lampest.apps.recognition.observation import Observation, patch_of
 from lampest.files.levels import NOISE_REACH
@@ -28,6 +28,9 @@ RISEN_LOG_ODDS = log(20)
 # Assumed probability that a neighbour of risen cells has fallen if they are under suction, and that
 # it has not if they are not. Rims pass between patches, and other loads adjoin.
 ENCLOSED = 0.75
+# Probability that a load sucks none of whose cells has risen, where they would show it: assumed, of
+# faint suctions, to which a film hardly answers, and of films that open late.
+UNRISEN = 0.05
 MIN_FALL = 0.05  # ln r/r0 of a cell under a rim; less is drift
 # Interquartile range of ln r0 of an unloaded film: 0.54 with a spread of 0.4, and 0.2 to 0.32 of
 # the shipped panels; a foot that stands or walks on an insole has 1.2 and 2.4.
@@ -112,10 +115,10 @@ def suctions(frame: Observation) -> list[Suction]:
     return _merged(panel, places)
 
 
-def would_show(panel: Panel, place: tuple[float, float], diameter_mm: float) -> bool:
-    """Return whether a cell would show that a round load sucks.
+def inner_cells(panel: Panel, place: tuple[float, float], diameter_mm: float) -> NDArray[np.bool_]:
+    """Return the cells that would show that a round load sucks, boolean (rows, columns).
 
-    The patch of one cell has to lie within a usual rim.
+    Their patches lie within a usual rim.
 
     Parameters
     ----------
@@ -124,9 +127,25 @@ def would_show(panel: Panel, place: tuple[float, float], diameter_mm: float) -> 
         Centre of the load, mm.
     diameter_mm : float
     """
-    x, y = (line[panel.present] for line in panel.places_mm)
+    x, y = panel.places_mm
     distances = np.hypot(x - place[0], y - place[1])
-    return bool(np.min(distances) + patch_of(panel) / 2 <= diameter_mm / 2 - RIM_MM[0])
+    inside = distances + patch_of(panel) / 2 <= diameter_mm / 2 - RIM_MM[0]
+    return np.asarray(panel.present & inside)
+
+
+def rise_odds(frame: Observation, cells: NDArray[np.bool_]) -> float:
+    """Return ln odds that the clearest of some cells has risen, over those of an unknown cell.
+
+    A cell has risen by more than MIN_RISE with the probability P. A cell of which nothing is known,
+    as under a dead line, has P(N(0, 1) > MIN_RISE): its odds are 1. At least UNRISEN remains: that
+    suction raises no cell. The result is 0 without cells.
+    """
+    if not cells.any():
+        return 0.0
+    clearest = float(np.max((frame.free_map - MIN_RISE)[cells] / frame.free_sd[cells]))
+    odds = log_ndtr(clearest) - log_ndtr(-clearest)
+    unknown = log_ndtr(-MIN_RISE) - log_ndtr(MIN_RISE)
+    return max(float(odds - unknown), float(logit(UNRISEN)))
 
 
 def may_suck(frame: Observation) -> bool:

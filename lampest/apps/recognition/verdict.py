@@ -11,12 +11,12 @@ from itertools import combinations
 from math import exp, hypot, log
 
 import numpy as np
-from scipy.special import softmax
+from scipy.special import expit, softmax
 
 from lampest.apps.recognition.candidates import FIELD, UNIFORM
 from lampest.apps.recognition.fit import Fit
 from lampest.apps.recognition.observation import Observation
-from lampest.apps.recognition.suction import Suction
+from lampest.apps.recognition.suction import UNRISEN, Suction, inner_cells, rise_odds
 from lampest.files.levels import NOISE_REACH
 from lampest.panel.panel import Array
 from lampest.recording.shapes.disc import Disc
@@ -28,9 +28,6 @@ MAX_MISFIT = 10.0
 # a mouth that does not breathe; and of the impossible, two loads in one place.
 RARE_LOG_ODDS = log(20)
 IMPOSSIBLE = 60.0
-# Probability that a load sucks none of whose cells has risen, where they would show it: assumed, of
-# faint suctions, to which a film hardly answers, and of films that open late.
-UNRISEN = 0.05
 OVERLAP = 0.25  # share of the smaller diameter by which two loads may overlap: soft rims touch
 # Exponent of evidence ratios, because films and loads deviate from their models in more ways than
 # the errors include. Fitted by log-likelihood to scenes made without this package's simulation
@@ -52,6 +49,9 @@ class Verdict:
         χ² per reading of the best fit.
     frame : Observation
         The frame without its outliers.
+    cells : Observation
+        The frame without readings that no cells explain. What contradicts a shape may be cells
+        beside it.
     suctions : tuple of Suction
         Places under suction.
     """
@@ -60,6 +60,7 @@ class Verdict:
     shares: tuple[float, ...]
     goodness: float
     frame: Observation
+    cells: Observation
     suctions: tuple[Suction, ...] = ()
 
     @classmethod
@@ -81,7 +82,7 @@ class Verdict:
         goodness = fits[int(np.argmax(evidence - before))].chi2 / frame.measured.size
         counts = (EVIDENCE_SHARE if len(fits) > len(UNIFORM) else 1.0) / max(1.0, goodness)
         shares = softmax(counts * evidence - before)
-        return cls(tuple(fits), tuple(map(float, shares)), goodness, frame, tuple(suctions))
+        return cls(tuple(fits), tuple(map(float, shares)), goodness, frame, frame, tuple(suctions))
 
     @property
     def best(self) -> Fit:
@@ -119,7 +120,8 @@ class Verdict:
     def sucks_at(self, disc: Disc | None) -> float:
         """Return the probability that a load at a disc's place sucks; None: any load.
 
-        Its cells decide, unless fallen cells hide others; then the fitted shapes do.
+        Its cells decide, unless fallen cells hide others; then the fitted shapes do. A load without
+        a cell that would show its suction has 1/2.
         """
 
         def near(x_mm: float, y_mm: float) -> bool:
@@ -129,7 +131,10 @@ class Verdict:
         if risen:
             return max(risen)
         if self.suctions or not self.by_shapes:
-            return UNRISEN
+            if disc is None:
+                return UNRISEN
+            inner = inner_cells(self.frame.panel, (disc.x_mm, disc.y_mm), disc.diameter_mm)
+            return float(expit(min(rise_odds(self.cells, inner), 0.0)))
         total = 0.0
         for fit, share in zip(self.fits, self.shares, strict=True):
             discs = [part.disc(values) for part, values in fit.loads if part.sucks]

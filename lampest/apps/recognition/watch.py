@@ -32,6 +32,7 @@ from lampest.apps.recognition.watch_parts import (
     WatchSetup,
     latest,
 )
+from lampest.files.levels import NOISE_REACH
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
 from lampest.panel.panel import Array
 from lampest.recording.recording import UNEVENLY
@@ -416,15 +417,24 @@ class Watch:
         return replace(watch, leaks_since_s=leaks_since_s, attachments=loads), frame
 
     def _left(self, frame: Observation) -> bool:
-        """Return whether a frame shows no more of the load before any pull than the film's residue.
+        """Return whether a frame shows no more of each load than the film's residue.
 
         The result is True without a load. The common change by temperature is subtracted.
         """
-        if self.look is None or self.look.over:
+        return all(self._has_left(load, frame) for load in self._standing)
+
+    def _has_left(self, load: Attachment, frame: Observation) -> bool:
+        """Return whether a frame shows no more of one load than the film's residue."""
+        if load.held is None or self.look is None:
             return True
-        held = self.look.held
-        residue = self.look.most_left(self.setup.errors.residue) * np.sum(held**2)
-        return bool(np.sum((frame.map - self._common(frame.map)) * held) <= residue)
+        change = frame.free_map - self._common(frame.free_map)
+        residue = self.setup.errors.residue
+        return load.held.has_left(change, frame.free_sd, self.look.reached, residue)
+
+    @property
+    def _standing(self) -> tuple[Attachment, ...]:
+        """The attachments that are present."""
+        return tuple(load for load in self.attachments if load.present)
 
     def _common(self, change: Array) -> float:
         """Return the median of ln r/r0, (rows, columns), over the cells without a load."""
@@ -512,47 +522,61 @@ class Watch:
 
     def _after(self, verdict: Verdict, time: float, again: float) -> "Watch":
         """Return the watch after a verdict at a time in s; the next look is at `again`."""
-        scores = self.test.scores(self.level.mean - self.rest.mean)
         frame = verdict.frame
-        change = verdict.changed
-        residue = False
-        if not self.known and self.look is not None and not self.look.over:
-            held = self.look.held
-            remains = np.where(change != 0, change - self._common(frame.free_map), 0.0)
-            remains = np.minimum(remains, 0.0) if np.any(held < 0) else remains
-            remains = np.where(np.abs(remains) > MIN_FALL, np.abs(remains), 0.0)  # less is drift
-            # the film's residue in all cells that the load has reached, before a slide, too
-            cells = np.maximum(np.abs(held), self.look.reached)
-            least = self.look.most_left(self.setup.errors.residue) * np.sum(remains * cells)
-            residue = bool(np.sum(remains**2) <= least)
+        since = self.level.since_s
         # some steps are noise
         noise = verdict.nothing > exp(-RARE_LOG_ODDS) * (1 - verdict.nothing)
-        if residue or noise:
-            # The load has left, unless its cells still show it.
-            shown = self.known and np.any(scores >= self.test.least())
-            if self._left(frame) and not shown:
-                return self._gone(time if self.known else self.level.since_s)
-            return replace(self, known=True, next_s=again, former=None)
-        sizes = self.test.sizes(self.level.mean - self.rest.mean)
-        look = Look.after(self.look, verdict, sizes, time)
-        first = not self._recognised and not self.attachments
-        if first and relieved_by_departure(verdict) and self.setup.explained():
-            left_s = self.level.since_s
-            history = LEFT.format(left_s)
-            return replace(self, look=look, history=history)._gone(left_s)
-        patterns = patterns_of(frame, verdict.best, self.test.whitening, self.setup.detector)
-        any_form = self.setup.detector.any_form
-        since = self.level.since_s
-        loads = attachments_of(frame, verdict, since, patterns, any_form=any_form)
-        if not loads and self._recognised and self._left(frame):
-            return self._gone(time if self.known else self.level.since_s)
-        if not loads:
-            return replace(self, known=True, next_s=again, former=None, history=RELIEVED)
-        watch = replace(
-            self, film_sd=self._keeps(frame), look=look, known=True, former=None, next_s=again
+        quiet = noise or self._is_residue(verdict)
+        look = self.look
+        loads = list[Attachment]()
+        if not quiet:
+            sizes = self.test.sizes(self.level.mean - self.rest.mean)
+            look = Look.after(self.look, verdict, sizes, time)
+            first = not self._recognised and not self.attachments
+            if first and relieved_by_departure(verdict) and self.setup.explained():
+                return replace(self, look=look, history=LEFT.format(since))._gone(since)
+            patterns = patterns_of(frame, verdict.best, self.test.whitening, self.setup.detector)
+            any_form = self.setup.detector.any_form
+            loads = attachments_of(frame, verdict, since, patterns, any_form=any_form)
+        watch = replace(self, known=True, next_s=again, former=None)
+        if not loads and not quiet and not self._recognised:
+            return replace(watch, history=RELIEVED)
+        if not loads and self._left(verdict.cells) and not (quiet and self._shown):
+            return self._gone(time if self.known else since)
+        return replace(
+            watch,
+            film_sd=self._keeps(frame),
+            look=look if loads else self.look,
+            attachments=continued_by(
+                self.attachments,
+                loads,
+                since,
+                verdict.cells,
+                lambda load: self._has_left(load, verdict.cells),
+                again=self.known,
+            ),
         )
-        continued = continued_by(self.attachments, loads, self.level.since_s, again=self.known)
-        return replace(watch, attachments=continued)
+
+    @property
+    def _shown(self) -> bool:
+        """Whether the readings still show a load that was recognised since the last step."""
+        scores = self.test.scores(self.level.mean - self.rest.mean)
+        return self.known and bool(np.any(scores >= self.test.least()))
+
+    def _is_residue(self, verdict: Verdict) -> bool:
+        """Return whether a step has left no more than the film's residue of all loads.
+
+        The cells that the loads have reached, before a slide, too, then show no more than it.
+        """
+        if self.known or not self._recognised or self.look is None:
+            return False
+        change = verdict.changed
+        remains = np.where(change != 0, change - self._common(verdict.frame.free_map), 0.0)
+        if any(load.held is not None and np.any(load.held.change < 0) for load in self._standing):
+            remains = np.minimum(remains, 0.0)
+        remains = np.where(np.abs(remains) > MIN_FALL, np.abs(remains), 0.0)  # less is drift
+        residues = NOISE_REACH * self.setup.errors.residue * self.look.reached
+        return bool(np.sum(remains**2) <= np.sum(remains * residues))
 
     def _heard(self, time: float) -> "Watch":
         """Return the watch with judged breath and suction of every load.

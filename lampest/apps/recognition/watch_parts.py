@@ -23,9 +23,6 @@ from lampest.panel.scene import Scene
 FOLLOWS_S = 20.0
 MIN_FRAMES = 3  # that a recognition needs
 DEVIATION_ROUNDS = 12  # of weighted least squares, which approach least absolute deviations
-# Cosine between the changes of two recognitions of one load: a rim that begins to suck, a second
-# load or a move gives less, a pull more.
-SAME_PATTERN = 0.8
 # Times in s, and readings ln y, (cells,).
 Frames = tuple[tuple[float, Array], ...]
 
@@ -199,13 +196,8 @@ class Look:
         Scores of the load.
     time_s : float
         Time of the recognition, or at which the load left.
-    held : array, shape (rows, columns)
-        ln r/r0 of the cells that fell, or of all if none did, when the load was weakest in its
-        place.
     reached : array, shape (rows, columns)
         Largest |ln r/r0| that every cell may have had since the load arrived; 0 of free cells.
-    pulled : float
-        Strongest change since then over `held`, less what has faded of it: a pull has more.
     over : bool
         Whether the load has left.
     """
@@ -213,52 +205,20 @@ class Look:
     verdict: Verdict
     size: Array
     time_s: float
-    held: Array
     reached: Array
-    pulled: float = 1.0
     over: bool = False
 
     @classmethod
     def after(cls, former: "Look | None", verdict: Verdict, size: Array, time: float) -> "Look":
-        """Return the recognition at a time in s that follows a former one of the same loads.
-
-        Another pattern of the change follows no former recognition. A weaker change shows the
-        strength with which the load holds; a stronger one is a pull.
-        """
-        # Every load presses, and a pull hardly changes what is pressed. A film under suction may
-        # keep more of a pull than the load caused before.
-        fallen = np.minimum(verdict.changed, 0.0)
-        change = fallen if np.any(fallen) else verdict.changed
-        touched = (verdict.changed != 0) | (verdict.best.change != 0)
-        frame = verdict.frame
-        most = np.abs(frame.free_map) + NOISE_REACH * frame.free_sd
+        """Return the recognition at a time in s that follows a former one of the same loads."""
+        changed = np.abs(verdict.cells.free_map)
+        noise = NOISE_REACH * verdict.cells.free_sd
+        touched = (changed > noise) | (verdict.best.change != 0)
+        most = changed + noise
         reached = np.where(touched, most, 0.0)
-        if former is None or former.over:
-            return cls(verdict, size, time, change, reached)
-        look = cls(verdict, size, time, change, np.maximum(former.reached, reached))
-        squares = float(np.sum(former.held**2))
-        along = float(np.sum(change * former.held))
-        if along < SAME_PATTERN * np.sqrt(squares * np.sum(change**2)) or along <= 0:
-            return look
-        ratio = along / squares
-        faded = 1 + (former.pulled - 1) / (1 + max(time - former.time_s, 0.0) / FOLLOWS_S)
-        if ratio < 1:
-            return replace(look, pulled=faded / ratio)
-        return replace(look, held=former.held, pulled=max(faded, ratio))
-
-    def most_left(self, residue: float) -> float:
-        """Return the largest share of `held` that the film may show once the load has left.
-
-        Without a pull it is NOISE_REACH standard deviations of the residue in the film. After a
-        pull the film keeps more of `held`; the load has left where the readings are nearer to the
-        expected residue than to `held`.
-
-        Parameters
-        ----------
-        residue : float
-            Standard deviation of the residue, over the ln r/r0 that left it.
-        """
-        return min(NOISE_REACH * residue * self.pulled, (1 + residue * self.pulled) / 2)
+        if former is not None and not former.over:
+            reached = np.maximum(former.reached, reached)
+        return cls(verdict, size, time, reached)
 
     def fading(self, time: float) -> Array:
         """Return the scores of the residue of a load that left, (discs,)."""

@@ -47,7 +47,8 @@ from lampest.apps.recognition.fit import (
 from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.apps.recognition.observation import Baseline, Observation
 from lampest.apps.recognition.profile import along_diameter
-from lampest.apps.recognition.verdict import UNRISEN, Verdict
+from lampest.apps.recognition.suction import UNRISEN
+from lampest.apps.recognition.verdict import Verdict
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.files.levels import MAX_MEAN_SQUARE

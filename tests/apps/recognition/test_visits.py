@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import log
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -35,9 +36,11 @@ from lampest.apps.recognition.detect.detection import Known, known_of, measured_
 from lampest.apps.recognition.detect.timeline import timeline
 from lampest.apps.recognition.detect.visits import COLUMNS, count_table, visits_of
 from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.hold import Hold
 from lampest.apps.recognition.pulled import pulled_suction
 from lampest.apps.recognition.pumping import Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames
+from lampest.apps.recognition.suction import UNRISEN
 from lampest.apps.recognition.swings import Patterns
 from lampest.apps.recognition.watch import Watch
 from lampest.inference.prepared import Prepared
@@ -97,29 +100,74 @@ def test_a_visit_gives_a_row_with_the_clock_of_its_recording() -> None:
 
 def contact(x_mm: float) -> Attachment:
     """A contact without a shape whose place is known to half a pitch."""
-    return Attachment(0.01, 60.0, (x_mm, 5.0), (50.0, 5.0), suction_odds=-3.0)
+    area = (900.0, 300.0)
+    return Attachment(UNRISEN, 60.0, (x_mm, 5.0), (50.0, 5.0), area_mm2=area)
+
+
+def shown(rise: float, sd: float = 0.02) -> Any:
+    """A frame in which each of 5 x 5 cells has risen by ln r/r0."""
+    return SimpleNamespace(free_map=np.full((5, 5), rise), free_sd=np.full((5, 5), sd))
+
+
+def attached_mouth(sucks: float = MOUTH) -> Attachment:
+    """A mouth that has raised a cell by 0.6 within a rim of eight."""
+    change = np.zeros((5, 5))
+    change[1:4, 1:4] = -0.5
+    change[2, 2] = 0.6
+    return replace(load(0.0, None, sucks=sucks), held=Hold(change, np.full((5, 5), 0.03)))
 
 
 def test_contacts_under_a_load_that_sucks_are_its_rim() -> None:
     """The disc reaches to 57.5 mm."""
-    mouth = replace(load(0.0, None), suction_odds=9.0)
+    mouth = attached_mouth()
     rim = [contact(41.0), contact(22.0), contact(60.0)]
-    (kept,) = continued_by([mouth], rim, 60.0)
-    assert kept == replace(mouth, suction_odds=6.0, sucks=kept.sucks) and kept.sucks > 0.9
-    assert len(continued_by([mouth], [*rim, contact(75.0)], 60.0)) == 2
+    (kept,) = continued_by([mouth], rim, 60.0, shown(0.6), lambda _: True)
+    assert kept == replace(mouth, sucks=kept.sucks) and kept.sucks > 0.999
+    assert len(continued_by([mouth], [*rim, contact(75.0)], 60.0, shown(0.6), lambda _: True)) == 2
 
 
-def test_a_load_that_sucked_is_lost_to_evidence_against_it_alone() -> None:
-    """Every recognition without a risen cell counts; one that cannot show any does not."""
-    mouth = replace(load(0.0, None), suction_odds=9.0)
-    silent = replace(contact(41.0), sucks=0.5, suction_odds=0.0, small=True)
+@pytest.mark.parametrize(("rise", "sd"), [(0.0, 1.0), (0.35, 0.1), (0.6, 0.02)])
+def test_a_load_that_sucked_is_lost_to_evidence_against_it_alone(rise: float, sd: float) -> None:
+    """Its cells are hidden, beside a second load, or as before; then they are at rest."""
+    mouth = attached_mouth()
     loads: tuple[Attachment, ...] = (mouth,)
     for _ in range(20):
-        loads = continued_by(loads, [silent], 60.0)
+        loads = continued_by(loads, [contact(41.0)], 60.0, shown(rise, sd), lambda _: False)
     assert loads == (replace(mouth, sucks=loads[0].sucks),) and loads[0].sucks > 0.999
-    for _ in range(3):
-        loads = continued_by(loads, [contact(41.0)], 60.0)
+    for _ in range(4):
+        loads = continued_by(loads, [contact(41.0)], 60.0, shown(0.0), lambda _: False)
     assert loads[0].sucks < 0.5 and loads[0].diameter_mm is None
+
+
+def test_no_single_recognition_decides_whether_a_visit_sucks() -> None:
+    """Ones with shapes add nothing to ones with cells."""
+    pressing = load(0.0, None, sucks=UNRISEN)
+    once = pressing.continued(load(0.0, None, sucks=0.95))
+    assert once.sucks == pytest.approx(0.5, abs=0.01)
+    sucking = load(0.0, None, sucks=0.95)
+    assert sucking.continued(sucking).continued(pressing).sucks > 0.9
+    shaped = replace(pressing, by_shapes=True)
+    assert sucking.continued(shaped).sucks == sucking.sucks
+    assert shaped.continued(replace(sucking, by_shapes=True)).sucks == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_load_stays_until_its_own_cells_show_no_more_than_a_residue() -> None:
+    """Beside it and on its rim another load stands meanwhile, and a pull leaves a residue."""
+    held = attached_mouth().held
+    assert held is not None
+    another = held.change.copy()
+    another[3, 3:] = -3.0
+    sd = np.full((5, 5), 0.03)
+    together = held.followed_by(Hold(another, sd))
+    assert together is held
+    reached = np.abs(another)
+    assert not together.has_left(held.change, sd, reached, 0.12)
+    assert together.has_left(0.1 * another, sd, reached, 0.12)
+    assert not together.has_left(0.1 * another, np.ones((5, 5)), reached, 0.12)
+    weaker = Hold(0.4 * held.change, sd)
+    assert held.followed_by(weaker) is weaker
+    assert weaker.has_left(0.25 * held.change, sd, 3 * np.abs(held.change), 0.12)
+    assert not weaker.has_left(0.25 * held.change, sd, np.abs(weaker.change), 0.12)
 
 
 def waved(since_s: float, x_mm: float = 40.0, clear: float = 10.0) -> Attachment:

@@ -317,3 +317,30 @@ def test_live_takes_a_new_zero_if_the_first_was_touched() -> None:
     for frame in range(10, 20):
         live = live.after(scan_of(recording, frame))
     assert live.detected.answer == NOTHING
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("place", "diameter_mm", "pressure_kpa", "rod"),
+    [
+        ((51, 45), 42, -1.9, Rod(centre_mm=(85, 48), diameter_mm=26, mass_g=1185)),
+        ((35, 64), 39, -2.2, Rod(centre_mm=(51, 90), diameter_mm=37, mass_g=2080)),
+        ((48, 58), 38, -2.0, Rod(centre_mm=(28, 85), diameter_mm=28, mass_g=829)),
+    ],
+)
+def test_a_mouth_stays_where_a_heavier_load_beside_it_leaves(
+    place: tuple[float, float], diameter_mm: float, pressure_kpa: float, rod: Rod
+) -> None:
+    """The rod stands on a part of its rim, and leaves more in the film than the mouth changes."""
+    mouth = OralDisc(
+        centre_mm=place,
+        diameter_mm=diameter_mm,
+        rim_width_mm=5,
+        pressure_kpa=pressure_kpa,
+        unevenness=0.25,
+    )
+    courses = (mouth, 8, 40), (rod, 16, 30)
+    answer = answered(recording_with(*courses, frames=50, side=10))
+    visits = [(load.since_s, load.until_s) for load in answer.attachments if load.sucks > 0.5]
+    assert visits == [(8.0, 40.0)]
+    assert all(load.until_s == 30.0 for load in answer.attachments if load.sucks <= 0.5)
