@@ -65,7 +65,7 @@ class Entry:
         """Return the keys, with those of the section that are no fields and a scene names."""
         named = specified(scene, self.section) if self.section else None
         added = named.own if isinstance(named, Extensible) else ()
-        return (*self.keys, *(f"{self.section}.{key}" for key, _ in added))
+        return tuple(dict.fromkeys((*self.keys, *(f"{self.section}.{key}" for key, _ in added))))
 
     def acts(self, scene: Scene) -> bool:
         """Return whether the scene names the effect so that readings or σ depend on it."""

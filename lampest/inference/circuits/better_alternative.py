@@ -28,7 +28,7 @@ from lampest.inference.circuits.parameters import (
     with_series,
     without_series,
 )
-from lampest.inference.evidence import PARAMETER_COST
+from lampest.inference.evidence import PARAMETER_COST, mostly_still
 from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation, cell_factors
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array
@@ -166,8 +166,8 @@ def _best_candidate(
     """Return the candidate with the largest evidence, less the costs of its parameters.
 
     Candidates do not count whose inequalities the readings break, or that do not differ from the
-    scene's circuit. Where the scene's circuit is at fault,
-    the best one has to say more than that each reading has its cell (`_says_no_more`), and loads
+    scene's circuit. Where the scene's circuit is at fault, most cells have to stand still, the best
+    candidate has to say more than that each reading has its cell (`_says_no_more`), and loads
     have to lower some resistance.
 
     Parameters
@@ -180,7 +180,8 @@ def _best_candidate(
     specified_memory = frames.specified.scene.converter_memory
     valid = []
     for candidate in candidates:
-        if candidate.alternative.name and not broken_law(candidate.alternative, frames):
+        shown = not at_fault or candidate.pair is None or mostly_still(candidate.pair.moved)
+        if shown and candidate.alternative.name and not broken_law(candidate.alternative, frames):
             valid.append(candidate)
 
     reversible = any(

@@ -26,6 +26,7 @@ class ReferenceTolerance(ReadoutNumber):
     is_typical = True
     is_advised = False
     keeps_column = True
+    if_undetermined = "no frame shows it; `lampest calibrate` measures it"
 
     over_reference = float(np.sqrt(3))
 
