@@ -158,12 +158,12 @@ def test_a_right_circuit_is_not_called_wrong(seed: int) -> None:
     assert check.explains is not False, check.sentence
 
 
-# Under the first five, other circuits once explained the readings "better": all cells change, or
+# Other circuits once explained the readings "better": all cells change, or
 # keys change in every frame, so that the frames that are compared hold several.
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("load", "seed"),
-    [("palm", 1001), ("palm", 1003), ("palm", 1007), ("feet", 1010), ("keys", 1002), ("palm", 7)],
+    [("palm", 1001), ("palm", 1003), ("palm", 1007), ("feet", 1010), ("keys", 1002)],
 )
 def test_a_right_circuit_is_not_called_wrong_under_palms_feet_and_keys(
     load: str, seed: int
