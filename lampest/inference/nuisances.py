@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANT
+from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANT, UNUSUAL
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.evidence import PARAMETER_COST, mostly_still
 from lampest.inference.pair import FittedPair, without_late
@@ -224,12 +224,15 @@ def _with_one_more_effect(
 def _common_change_in_words(pair: FittedPair) -> str:
     """Return the common change of all cells that no load touches, in words.
 
-    The text is '' for a change that may be chance, or a load's rim.
+    The text is '' for a change that may be chance, or a load's rim, and for one that is too large
+    for creep and temperature: a load that covers the panel.
     """
     change, sd = (
         float(ASSUMED.common_change * part[0]) for part in (pair.evidence.size, pair.evidence.sd)
     )
-    if not mostly_still(pair.moved) or not abs(change) > max(MIN_CHANGE, SIGNIFICANT * sd):
+    is_change = abs(change) > max(MIN_CHANGE, SIGNIFICANT * sd)
+    is_load = abs(change) > UNUSUAL * ASSUMED.common_change
+    if not mostly_still(pair.moved) or not is_change or is_load:
         return ""
     return FilmCreep().sentence(change, sd)
 

@@ -18,6 +18,7 @@ from docs.studies.effects import LOADS, Load, Row, figures
 from docs.studies.effects import recording as channels_recording
 from docs.studies.motion import Motion
 from docs.studies.motion import recording as moving_load
+from docs.studies.wrong_readings import drawn, of_load
 from lampest import (
     LogGradient,
     LogRatio,
@@ -323,6 +324,14 @@ def test_a_ripple_that_the_scene_names_is_no_motion(load: str) -> None:
     """Still cells seemed to move with the load, in a scan that took 0 ± 0.6 of the time."""
     rippled = channels_recording(100, LOADS[load], Row(ripple_lsb=10.0), {"ripple": "estimated"})
     assert not effects.unnamed_effects(Prepared(rippled))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1000, 1005])
+def test_a_palm_that_changes_all_cells_alike_is_no_creep(seed: int) -> None:
+    """All cells fell by a third or more; `creep: estimated`, once advised, takes that off."""
+    palm = drawn(seed, of_load("palm")).recording()
+    assert not advice.Audit(Prepared(palm)).advice
 
 
 def test_an_effect_that_gains_only_alone_is_not_advised(monkeypatch: pytest.MonkeyPatch) -> None:
