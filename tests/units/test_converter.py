@@ -372,15 +372,13 @@ def test_a_dead_zone_below_which_most_readings_are_zero_is_asked_for() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("drive", "bits", "mark"), [(50.0, 12, "no"), (0.0, 10, "doubtful")])
-def test_codes_that_fall_behind_an_inverting_amplifier_are_named(
-    drive: float, bits: int, mark: str
-) -> None:
-    """Where no drive resistance couples cells, any codes have cells that explain them."""
+@pytest.mark.parametrize(("drive", "bits"), [(50.0, 12), (0.0, 10)])
+def test_codes_that_fall_behind_an_inverting_amplifier_are_named(drive: float, bits: int) -> None:
+    """Where no drive resistance couples cells, any codes have cells: these differ too much."""
     stated = VirtualGroundReadout(feedback_ohm=1e3, drive_ohm=drive, adc_bits=bits, readings=1)
     falling = Characteristic(zero_volt=stated.full_scale_volt, full_volt=0.0)
     audited = audit(replace(stated, converter=falling), stated)
-    assert audited.verdict.mark == mark
+    assert audited.verdict.mark == "no"
     assert "converter: inverting amplifier" in audited.verdict.sentence
     assert "inverting" not in audit(stated, stated).verdict.sentence
 

@@ -22,7 +22,7 @@ from lampest.panel.lines import (
     opposite,
     per_line,
 )
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, check_line_memory
 from lampest.panel.readouts.converter import MAX_VOLT
 
 MAX_OFFSET_VOLT = 0.1  # amplifiers without trimming: 15 mV (data sheet of the LM324)
@@ -141,7 +141,10 @@ def _check_potentials(readout: Any) -> None:
 
 
 def check_on_panel(readout: Any, scene: Any) -> None:
-    """Raise ValueError if a list or an end does not fit the lines of a scene's panel."""
+    """Raise ValueError if a list or an end does not fit the lines of a scene's panel.
+
+    Raises InputError if there is no memory for the ends of all lines at all addresses.
+    """
     ends = nominal_terminations(readout)
     driven, sensed = of_side(ends.driven, *scene.panel.shape)
     for keys, count in (
@@ -153,6 +156,9 @@ def check_on_panel(readout: Any, scene: Any) -> None:
                 per_line(key, getattr(readout, key), count)
     check_groups(entry(readout, "groups"), opposite(ends.driven), sensed)
     check_groups(entry(readout, "driven_groups"), ends.driven, driven, "driven_groups")
+    if ends.two_point:
+        return  # all lines end as those of the nominal panel
+    check_line_memory(driven, sensed)
     _check_ends(readout, readout.terminations(driven, sensed))
     equation = equation_of(readout, *scene.panel.shape)
     if ends.diode is not None and equation.potentials is not None:
