@@ -97,7 +97,7 @@ def test_results_equal_those_of_serial_even_if_a_worker_dies(
     )
     run = read_run(disk.run(disk.text.replace("[small.h5]", '["*.h5"]') + "formulation: reduced\n"))
     reference = run_batch(run, disk.folder / "one", Serial())
-    monkeypatch.setattr("lampest.runs.task.solve_task", dying_once)
+    monkeypatch.setattr("lampest.runs.batch.solve_task", dying_once)
     report = run_batch(run, disk.folder / "two", executor)
     assert (disk.folder / "two" / "died").exists()
     assert (report.done, report.skipped, report.failed) == (6, 0, ())
