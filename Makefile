@@ -5,7 +5,7 @@
 #   make test      set-up with what tests need, then the tests that guard behaviour, the board's, and a choice of the rest: some minutes
 #   make test-all  all tests: those of `make test`, the others, which carry the mark `slow`, with disturbed readings, and `make rounding`
 #                  with slow rows
-#   make rounding  golden results again, with readings that are changed by 1e-13, then without NumPy's vector extensions: two minutes or three
+#   make rounding  golden results again, with readings that are changed by 1e-13 and without NumPy's vector extensions: a minute
 #   make quick     the tests that notice most in a minute: laws, golden results, defaults, import, wrong input; golden results once more
 #                  with readings that are changed by 1e-13; Python alone
 #   make mutants   60 random changes of the package, and which of them no fast test notices: an hour or more
@@ -54,8 +54,7 @@ test-all: test
 	@$(MAKE) --silent --no-print-directory rounding ROWS='slow or not slow'
 
 rounding: $(VENV)/.installed-dev
-	@$(PYTEST) $(SPREAD) -m '$(ROWS)' --disturbed $(GOLDEN)
-	@$(PLAIN) $(PYTEST) $(SPREAD) -m '$(ROWS)' $(GOLDEN)
+	@$(PLAIN) $(PYTEST) $(SPREAD) -m '$(ROWS)' --disturbed $(GOLDEN)
 
 quick: $(VENV)/.installed-dev
 	@$(PYTEST) $(SPREAD) -m 'not slow and not long' $(QUICK)

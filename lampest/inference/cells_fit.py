@@ -110,13 +110,8 @@ class CellsFit(SumOfSquares):
     ) -> "CellsFit":
         """Return the fit of given cells, (rows, columns) ohm, to readings of a frame."""
         unaffected = data.network(0, cells)
-        network = unaffected
-        readings = measured
-        if effects:
-            from lampest.panel.effects.line_effect import with_effects
-
-            network, added = with_effects(effects, scene, unaffected)
-            readings = replace(measured, value=measured.value - added)
+        network, added = affected(scene, unaffected, effects)
+        readings = replace(measured, value=measured.value - added)
         sigma = measured.known_sigma
         # (f(r) − y)/σ; 0 where nothing was read, or a bound is satisfied
         missed = (network.reading() - readings.value) / sigma
@@ -137,6 +132,10 @@ class CellsFit(SumOfSquares):
             network=unaffected,
             effects=tuple(effects),
         )
+
+    def with_effects(self, network: Network) -> tuple[Network, Array | float]:
+        """Return a network with the effects in it, and what they add to its readings."""
+        return affected(self.scene, network, self.effects)
 
     def refitted(self, measured: Readings, effects: "tuple[LineEffect, ...]") -> "CellsFit | None":
         """Return the fit to other readings or effects, from these cells on.
@@ -266,6 +265,17 @@ class CellsFit(SumOfSquares):
         # log cells
         variance = np.sum((dry @ self.covariance) * dry, axis=1)
         return np.asarray(np.sqrt(np.maximum(variance, 1.0))).reshape(self.cells.shape)
+
+
+def affected(
+    scene: Scene, network: Network, effects: "Sequence[LineEffect]"
+) -> tuple[Network, Array | float]:
+    """Return the network with effects in it, and what they add to its readings."""
+    if not effects:
+        return network, 0.0
+    from lampest.panel.effects.line_effect import with_effects
+
+    return with_effects(effects, scene, network)
 
 
 def well_determined(fits: Sequence[CellsFit]) -> bool:

@@ -20,10 +20,11 @@ Sources: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83, 1988; Goodnight, The Amer
 33, 1979; Madras & Slade, The Self-Avoiding Walk, 1993 (number of outlines of a length).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from typing import Self
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -166,10 +167,8 @@ class Changes:
         precision = self.inverse_and_volume[0]
         slope = (precision @ self.change)[moved]
         of_moved = precision[np.ix_(moved, moved)]
-        square = ((place[moved, None] - place[moved]) ** 2).sum(axis=-1)
-        smooth = smooth_covariance(square, ASSUMED.slope_cells)
         as_loads = OUTLINE_COST * outline(place, moved) + _slab_cost(
-            of_moved, slope, (1 - OWN_SHARE) * smooth + OWN_SHARE * np.eye(len(slope))
+            of_moved, slope, covariance_of_load(place[moved])
         )
         as_cells = MOVED_COST * len(slope) + _slab_cost(of_moved, slope, np.eye(len(slope)))
         return 2 * float(np.logaddexp(0.0, (as_cells - as_loads) / 2) - np.log(2))
@@ -177,22 +176,16 @@ class Changes:
     def cost_of_field(self, place: NDArray[np.intp]) -> float:
         """Return −2 ln evidence of the changes as a smooth field over all cells.
 
-        The field is N(0, s² ((1 − o) S + o)) with S of a distance ℓ. All FIELD_DEVIATIONS s,
-        FIELD_CELLS ℓ and shares OWN_SHARES o of a cell's own are equally probable.
-
         Parameters
         ----------
         place : integer array, shape (n, 2)
             Row and column of each cell.
         """
-        square = ((place[:, None] - place) ** 2).sum(axis=-1)
-        unit = np.eye(len(place))
-        logarithms = []
-        for cells, own in product(FIELD_CELLS, OWN_SHARES):
-            field = (1 - own) * smooth_covariance(square, cells) + own * unit
-            for deviation in FIELD_DEVIATIONS:
-                covariance = self.covariance + deviation**2 * field
-                logarithms.append(-sum(misfit_and_volume(covariance, self.change)) / 2)
+        fields = covariances_of_field(place)
+        logarithms = [
+            -sum(misfit_and_volume(self.covariance + fields.covariance(number), self.change)) / 2
+            for number in range(len(fields.shares))
+        ]
         return -2 * float(np.logaddexp.reduce(logarithms) - np.log(len(logarithms)))
 
     def part(self, cells: Chosen) -> "Changes":
@@ -238,6 +231,74 @@ def smooth_covariance(square: Array, cells: float) -> Array:
         ℓ.
     """
     return np.asarray(np.exp(-square / (2 * cells**2)))
+
+
+def covariance_of_load(place: NDArray[np.intp]) -> Array:
+    """Return the covariance of the changes of a load's cells, (n, n).
+
+    Parameters
+    ----------
+    place : integer array, shape (n, 2)
+        Row and column of each cell.
+    """
+    square = ((place[:, None] - place) ** 2).sum(axis=-1)
+    smooth = smooth_covariance(square, ASSUMED.slope_cells)
+    return (1 - OWN_SHARE) * smooth + OWN_SHARE * np.eye(len(place))
+
+
+@dataclass(frozen=True, eq=False)
+class Mixtures:
+    """Covariances of changes that are sums of a few parts with different shares.
+
+    Attributes
+    ----------
+    parts : tuple of array, each of shape (n, n)
+    shares : array, shape (covariances, parts)
+    """
+
+    parts: tuple[Array, ...]
+    shares: Array
+
+    @classmethod
+    def one(cls, covariance: Array) -> Self:
+        """Return a single covariance, (n, n)."""
+        return cls((covariance,), np.ones((1, 1)))
+
+    def covariance(self, number: int) -> Array:
+        """Return the covariance of a number, (n, n)."""
+        return _mixed(self.parts, self.shares[number])
+
+    def through(self, jacobian: Array) -> Iterator[Array]:
+        """Generate the covariances J S Jᵀ of readings with the Jacobian (readings, n)."""
+        parts = [jacobian @ part @ jacobian.T for part in self.parts]
+        return (_mixed(parts, share) for share in self.shares)
+
+
+def _mixed(parts: Sequence[Array], shares: Array) -> Array:
+    """Return the sum of the parts with their shares."""
+    pairs = zip(parts, shares, strict=True)
+    return np.asarray(sum(share * part for part, share in pairs if share))
+
+
+def covariances_of_field(place: NDArray[np.intp]) -> Mixtures:
+    """Return the covariances s² ((1 − o) S + o) of a smooth field, S of a distance ℓ.
+
+    All FIELD_DEVIATIONS s, FIELD_CELLS ℓ and shares OWN_SHARES o of a cell's own are equally
+    probable.
+
+    Parameters
+    ----------
+    place : integer array, shape (n, 2)
+        Row and column of each cell.
+    """
+    square = ((place[:, None] - place) ** 2).sum(axis=-1)
+    smooth = [smooth_covariance(square, cells) for cells in FIELD_CELLS]
+    tried = product(range(len(smooth)), OWN_SHARES, FIELD_DEVIATIONS)
+    shares = np.zeros((len(smooth) * len(OWN_SHARES) * len(FIELD_DEVIATIONS), len(smooth) + 1))
+    for row, (number, own, deviation) in zip(shares, tried, strict=True):
+        row[number] = (1 - own) * deviation**2
+        row[-1] = own * deviation**2
+    return Mixtures((*smooth, np.eye(len(place))), shares)
 
 
 def outline(place: NDArray[np.intp], moved: Chosen) -> int:

@@ -6,14 +6,17 @@ MIN_EVIDENCE_GAIN. Readings can be corrected for the effects that were found.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.errors import BROKEN
 from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANT, UNUSUAL
 from lampest.inference.assumptions import ASSUMED
+from lampest.inference.circuits.loaded_density import LoadedDensity
 from lampest.inference.evidence import PARAMETER_COST, mostly_still
 from lampest.inference.pair import FittedPair, without_late
 from lampest.panel.effects.creep import FilmCreep
@@ -155,6 +158,8 @@ def find_effects(
         off_by_one = pair.scores_with((), LooseContact.prior * pair.frames[1].gain).min()
         if off_by_one < grown.evidence.score + MIN_EVIDENCE_GAIN or pair.gain_apart(grown) <= 0:
             continue
+        if not _cost(pair) - _cost(grown) > MIN_EVIDENCE_GAIN:
+            continue
         largest_gain = gain
         fits_noise = all(fit.within_noise for fit in grown.frames)
         names = " and ".join(effect.sentence(pair.shape[0]) for effect in grown.effects)
@@ -169,6 +174,13 @@ def find_effects(
             pair=certain if taken_off else None,
         )
     return besides if besides.name else replace(besides, common_change=common)
+
+
+def _cost(pair: FittedPair) -> float:
+    """Return −2 ln density of the loaded readings about the most probable cells, with effects."""
+    with suppress(*BROKEN):
+        return LoadedDensity(pair).cost + pair.cost_of_effects
+    return np.inf
 
 
 def _with_added_effects(

@@ -107,6 +107,12 @@ class FittedPair:
         return np.asarray(responses[1] - responses[0])
 
     @property
+    def channel_spread(self) -> float:
+        """Standard deviation of the channels, ohm: that of the scene, or of usual multiplexers."""
+        sizes = systematic_of(self.frames[1].scene)
+        return float((sizes and sizes.channel_spread_ohm) or CHANNELS.prior)
+
+    @property
     def scale_error(self) -> float | None:
         """Median error of the changes d of moved cells by the numbers that no frame shows.
 
@@ -154,12 +160,10 @@ class FittedPair:
         Effects and a common change are not included.
         """
         # Σ = P_b + P_f + creep² 1 + spread² channels channelsᵀ
-        sizes = systematic_of(self.frames[1].scene)
-        spread = float((sizes and sizes.channel_spread_ohm) or CHANNELS.prior)
         noise = sum(frame.covariance for frame in self.frames) + ASSUMED.creep**2 * np.eye(
             len(self.change)
         )
-        return np.asarray(noise + spread**2 * self.channels @ self.channels.T)
+        return np.asarray(noise + self.channel_spread**2 * self.channels @ self.channels.T)
 
     @cached_property
     def _volume(self) -> float:
@@ -190,14 +194,19 @@ class FittedPair:
         return Changes(self.change, self.covariance, np.column_stack([common, columns]))
 
     @property
-    def _prior(self) -> float:
-        """−2 ln prior of the effects in the network, less ln |Σ|."""
+    def cost_of_effects(self) -> float:
+        """−2 ln prior of the effects in the network."""
         costs = (
             PARAMETER_COST + (effect.size / effect.prior) ** 2
             for effect in self.effects
             if effect.size
         )
-        return sum(costs) - self._volume
+        return sum(costs)
+
+    @property
+    def _prior(self) -> float:
+        """−2 ln prior of the effects in the network, less ln |Σ|."""
+        return self.cost_of_effects - self._volume
 
     def explained(self, columns: Array) -> Evidence:
         """Return the evidence with a common change of all cells and with further effects.
@@ -228,10 +237,10 @@ class FittedPair:
     def gain_of_loads(self) -> float:
         """Decrease of −2 ln evidence where the moved cells may be loads."""
         changes = self.with_columns(self.columns(()))
-        return changes.gain_of_loads(self.evidence.moved, self._place)
+        return changes.gain_of_loads(self.evidence.moved, self.place)
 
     @property
-    def _place(self) -> NDArray[np.intp]:
+    def place(self) -> NDArray[np.intp]:
         """Row and column of each cell, (cells, 2)."""
         return np.argwhere(np.ones(self.shape, dtype=bool))
 
@@ -286,7 +295,7 @@ class FittedPair:
     @cached_property
     def _score_of_field(self) -> float:
         """−2 ln evidence where all changes are a smooth field."""
-        return self.with_columns(self.columns(())).cost_of_field(self._place) + self._prior
+        return self.with_columns(self.columns(())).cost_of_field(self.place) + self._prior
 
     @property
     def misfits(self) -> float:
@@ -294,8 +303,12 @@ class FittedPair:
 
         Thus no circuit gains by bounds.
         """
-        bounds = (PARAMETER_COST * int(frame.readings.bounds.sum()) for frame in self.frames)
-        return sum(frame.chi_square for frame in self.frames) + sum(bounds)
+        return sum(frame.chi_square for frame in self.frames) + self.cost_of_bounds
+
+    @property
+    def cost_of_bounds(self) -> float:
+        """PARAMETER_COST of each bound of both frames."""
+        return sum(PARAMETER_COST * int(frame.readings.bounds.sum()) for frame in self.frames)
 
     @cached_property
     def _misfit(self) -> tuple[float, int]:
@@ -312,7 +325,7 @@ class FittedPair:
         """Return −2 ln evidence of these cells alone, beyond that of noise."""
         changes = self.with_columns(self.columns(())).part(cells)
         score, moved = changes.selected(usual_starts(changes.change))
-        score -= changes.gain_of_loads(moved, self._place[cells])
+        score -= changes.gain_of_loads(moved, self.place[cells])
         score += self._prior + self._volume - float(np.linalg.slogdet(changes.noise)[1])
         return score - min(changes.part(~moved).misfit, int((~moved).sum()))
 

@@ -137,7 +137,7 @@ class Prepared:
         """
         from lampest.inference.circuits.model_check import Question  # for a check alone
 
-        return Question.of(self.cleaned.recording, self.cleaned.outliers)
+        return Question.of(self.cleaned.recording, self.cleaned.left_out)
 
     @cached_property
     def effects(self) -> "CircuitEffects":
@@ -198,7 +198,7 @@ class Prepared:
             check = self.question.check(self.effects, self._contradicting_scatter)
             if check.explains is False and not check.better:
                 check = self._with_named_errors(check)
-            count = int(self.cleaned.outliers.sum())
+            count = int(self.cleaned.left_out.sum())
             if not count:
                 return check
             outliers = "outliers" if count > 1 else "outlier"

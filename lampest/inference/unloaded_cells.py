@@ -6,15 +6,16 @@ coefficients β are free. Beside errors z ~ N(0, 1) with columns U their reading
 of the errors' sizes, and the posterior of z.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.problem import Data
 from lampest.inference.assumptions import ASSUMED
-from lampest.inference.cells_fit import FIT, CellsFit, data_of_cells
+from lampest.inference.cells_fit import CELL_PRECISION, FIT, CellsFit, data_of_cells
 from lampest.inference.shared_changes import LINEAR_LIMIT
 from lampest.panel.effects import (
     Possible,
@@ -26,10 +27,12 @@ from lampest.panel.effects import (
 from lampest.panel.effects.channels import CHANNELS
 from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.least_squares import SumOfSquares
+from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.posterior.gaussian import forms_over_scales, lower_root
+from lampest.posterior.linear import inverse_and_volume
 from lampest.recording.readings import Readings
 
 READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))  # tried sizes e
@@ -132,7 +135,7 @@ def at_rest(possible: Possible, scene: Scene, resting: Readings, fit: CellsFit |
     own = own_errors(resting.value, scene, READING_ERROR.size(possible.sizes))
     deviation = np.where(resting.plain, np.hypot(resting.known_sigma, own), np.inf)
     scatter = possible.film_scatter
-    cells, jacobian = _most_probable(data, resting.value, deviation, scatter, near, trend)
+    cells, _, jacobian = most_probable(data, resting.value, deviation, _unlike(data, scatter), near)
     network = data.network(0, np.exp(cells))
     missed = resting.value - network.reading()
     plain = resting.plain.ravel()
@@ -235,8 +238,10 @@ def costs_by_scatter(
 
     def linearised(error: float, scatter: float, near: Array) -> tuple[Array, Array, Array]:
         deviation = np.where(resting.plain, np.hypot(resting.known_sigma, error * share), np.inf)
-        cells, jacobian = _most_probable(data, resting.value, deviation, scatter, near, trend)
-        missed = resting.value - data.network(0, np.exp(cells)).reading()
+        cells, given, jacobian = most_probable(
+            data, resting.value, deviation, _unlike(data, scatter), near
+        )
+        missed = resting.value - given
         return cells, jacobian, missed.ravel() + jacobian @ cells.ravel()
 
     def costs(errors: Array, columns: Sequence[Array], jacobian: Array, target: Array) -> Array:
@@ -348,49 +353,110 @@ def _trend(data: Data) -> Array:
     return np.asarray(basis[:, sizes > MIN_OTHER_SHARE * sizes[0]])
 
 
-def _most_probable(
-    data: Data, value: Array, deviation: Array, spread: float, start: Array, trend: Array
-) -> tuple[Array, Array]:
-    """Return the most probable log cells u and the Jacobian J of the readings there.
+def _unlike(data: Data, scatter: float) -> tuple[Array, Array]:
+    """Return the prior N(T β, s²) of log cells, whose trend is free, for `most_probable`."""
+    trend = _trend(data)
+    free = data.lower[0] < data.upper[0]
+    unlike = (np.eye(free.size) - trend @ trend.T) / scatter
+    return unlike, np.where(free, 0.0, data.log_bounds[0][0])
 
-    The minimum is that of Σ ((f(u) − y)/τ)² + |u − T Tᵀ u|²/s².
+
+@dataclass(frozen=True, eq=False)
+class AtRest:
+    """The unloaded log cells, given their readings and the film, N(m, P).
+
+    Attributes
+    ----------
+    cells : array, shape (rows, columns)
+        m.
+    covariance : array, shape (cells, cells)
+        P.
+    jacobian : array, shape (readings, cells)
+        J of the plain readings, over their σ²; 0 for the others.
+    """
+
+    cells: Array
+    covariance: Array
+    jacobian: Array
+
+    @classmethod
+    def of(cls, fit: CellsFit) -> Self:
+        """Return the cells of a fit's readings.
+
+        The film's scatter is its root mean square, see `film_scatter`.
+
+        Raises
+        ------
+        Errors of `BROKEN`.
+        """
+        scene, resting = fit.scene, fit.measured
+        data = data_of_cells(scene, resting)
+        deviation = np.where(resting.plain, resting.known_sigma, np.inf)
+        prior = _unlike(data, film_scatter(scene, fit.readings, fit, 0.0))
+        cells, _, jacobian = most_probable(
+            data, resting.value, deviation, prior, np.log(fit.cells), fit.with_effects
+        )
+        scaled = np.vstack([jacobian / deviation.reshape(-1, 1), prior[0]])
+        precision = scaled.T @ scaled
+        precision[np.diag_indices(len(precision))] += CELL_PRECISION
+        weighted = jacobian / deviation.reshape(-1, 1) ** 2
+        return cls(cells, inverse_and_volume(precision)[0], weighted)
+
+    def response(self, errors: Array) -> Array:
+        """Return the change of m (cells, n) by errors of the readings, (readings, n)."""
+        return np.asarray(self.covariance @ (self.jacobian.T @ errors))
+
+
+def most_probable(
+    data: Data,
+    value: Array,
+    deviation: Array,
+    prior: tuple[Array, Array],
+    start: Array,
+    effects: Callable[[Network], tuple[Network, Array | float]] = lambda network: (network, 0.0),
+) -> tuple[Array, Array, Array]:
+    """Return the most probable log cells u, their readings f(u), and the Jacobian J there.
+
+    The minimum is that of Σ ((f(u) − y)/τ)² + |R (u − m)|².
 
     Parameters
     ----------
     data : Data
     value, deviation : array, shape (rows, columns)
         y and τ; τ is infinite where there is no reading.
-    spread : float
-        s.
+    prior : tuple of array
+        R, (residuals, cells), and m, (rows, columns).
     start : array, shape (rows, columns)
         Log cells.
-    trend : array, shape (cells, k)
-        T.
+    effects : callable
+        Function from a network to the one with effects, and what they add to its readings.
 
     Returns
     -------
     array, shape (rows, columns)
+    array, shape (rows, columns)
     array, shape (readings, cells)
     """
+    root, mean = prior
+    # Cells that the panel does not have stay.
     free = data.lower[0] < data.upper[0]
-    # (1 − T Tᵀ)/s over the cells that the panel has: residuals of the prior, whose trend is free.
-    # The others stay.
-    unlike = (np.eye(value.size) - trend @ trend.T) / spread
-    anchor = np.where(free, 0.0, data.log_bounds[0][0]).ravel()
     lower, upper = (
         np.where(free, far, bound[0]).ravel()
         for far, bound in zip((-np.inf, np.inf), data.log_bounds, strict=True)
     )
 
+    def read(cells: Array) -> tuple[Array, Array]:
+        network, added = effects(data.network(0, np.exp(cells).reshape(value.shape)))
+        return network.reading() + added, network.sensitivity() * free.ravel()
+
     def model(cells: Array) -> SumOfSquares:
-        network = data.network(0, np.exp(cells).reshape(value.shape))
-        missed = ((network.reading() - value) / deviation).ravel()
-        jacobian = network.sensitivity() / deviation.reshape(-1, 1) * free.ravel()
+        reading, jacobian = read(cells)
+        missed = ((reading - value) / deviation).ravel()
         return SumOfSquares(
-            np.concatenate([missed, unlike @ (cells - anchor)]), np.vstack([jacobian, unlike])
+            np.concatenate([missed, root @ (cells - mean.ravel())]),
+            np.vstack([jacobian / deviation.reshape(-1, 1), root]),
         )
 
     begin = np.where(free, start, data.log_bounds[0][0]).ravel()
     position, _ = replace(FIT, evaluations=25, share=0.0).minimum(model, begin, (lower, upper))
-    cells = position.reshape(value.shape)
-    return cells, data.network(0, np.exp(cells)).sensitivity() * free.ravel()
+    return position.reshape(value.shape), *read(position)

@@ -163,7 +163,7 @@ def _without_twins(candidates: Sequence[Explanation]) -> list[Explanation]:
 def _best_candidate(
     candidates: Sequence[Explanation], frames: ComparedFrames, *, at_fault: bool
 ) -> Explanation | None:
-    """Return the candidate with the largest evidence, less the costs of its parameters.
+    """Return the candidate with the largest linear evidence, less the costs of its parameters.
 
     Candidates do not count whose inequalities the readings break, or that do not differ from the
     scene's circuit. Where the scene's circuit is at fault, most cells have to stand still, the best
@@ -193,7 +193,7 @@ def _best_candidate(
         has_series = candidate.alternative.in_series is not None
         has_memory = candidate.alternative.scene.converter_memory != specified_memory
         rises = RISING_COST * (reversible and _only_rises(candidate))
-        return candidate.evidence + PARAMETER_COST * (has_series + has_memory) + rises
+        return candidate.linear_evidence + PARAMETER_COST * (has_series + has_memory) + rises
 
     # of circuits that differ in the names of lines alone, the one that keeps the file's order
     least = min(map(cost, valid), default=0.0)
@@ -256,8 +256,11 @@ def _compared(
         return BetterExplanation(best.alternative.name, addition=best.alternative.addition)
     if specified.pair is None or not best.pair.has_load:
         return BetterExplanation()
+    # Linear theory costs little, and most candidates gain nothing by it.
+    if specified.linear_evidence - best.linear_evidence <= DOUBTFUL_GAIN * best.pair.excess:
+        return BetterExplanation()
     gain = _gain(specified, best)
-    if gain <= DOUBTFUL_GAIN:
+    if not gain > DOUBTFUL_GAIN:
         return BetterExplanation()
     # A resistance in series follows hidden errors of the circuit, a memory the edge of a load:
     # alone, neither is a doubt, and both need cells that touch no moved ones.
@@ -266,7 +269,7 @@ def _compared(
     )
     other_circuit = bool(best.alternative.kind) and as_specified
     apart = other_circuit or specified.pair.gain_apart(best.pair) > DOUBTFUL_GAIN
-    if gain <= MIN_EVIDENCE_GAIN or not apart or not _confirmed(specified, best, frames):
+    if not gain > MIN_EVIDENCE_GAIN or not apart or not _confirmed(specified, best, frames):
         return BetterExplanation(nearly=best.alternative.name if other_circuit else "")
     return BetterExplanation(
         best.alternative.name,

@@ -15,6 +15,7 @@ from lampest.files.errors import BROKEN, InputError
 from lampest.inference.cells_fit import CellsFit, fitted
 from lampest.inference.circuits.alternatives import Alternative
 from lampest.inference.circuits.compared_frames import ComparedFrames
+from lampest.inference.circuits.loaded_density import LoadedDensity
 from lampest.inference.pair import FittedPair
 from lampest.inference.unloaded_cells import unloaded_costs
 from lampest.panel.readouts.starts import several_panels
@@ -125,8 +126,8 @@ class Explanation:
         return 0.0 if self.pair is None else self.pair.density + self.pair.misfits
 
     @cached_property
-    def evidence(self) -> float:
-        """−2 ln evidence of both frames, and the costs of parameters.
+    def linear_evidence(self) -> float:
+        """−2 ln evidence of both frames by linear theory about the fits, with costs of parameters.
 
         Cells of the unloaded panel are alike, and changes are single ones, loads, or a field. The
         value is infinite where arithmetic breaks down.
@@ -137,7 +138,17 @@ class Explanation:
             return self._density_at_rest + self.pair.density_of_loads + self.pair.misfits
         return np.inf
 
-    @property
+    @cached_property
+    def evidence(self) -> float:
+        """The same about the most probable cells, which costs solves of the network."""
+        if self.pair is None:
+            return 0.0
+        with suppress(*BROKEN):
+            loaded = LoadedDensity(self.pair).cost
+            return self._density_at_rest + loaded + self.pair.cost_of_bounds
+        return np.inf
+
+    @cached_property
     def _density_at_rest(self) -> float:
         """−2 ln density of the unloaded readings in units of their noise."""
         resting = self.fits[0]

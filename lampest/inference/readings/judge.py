@@ -76,6 +76,11 @@ class Cleaned:
         return cls(recording, frozen, garbled, impossible, outliers, deviation, readings)
 
     @property
+    def left_out(self) -> NDArray[np.bool_]:
+        """Outliers and impossible readings that are missing, boolean (frames, rows, columns)."""
+        return np.asarray(self.outliers & (self.readings.seen == 0))
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """Sentences on impossible readings, and on outliers that are missing or stay."""
         missing = self.readings.seen == 0
