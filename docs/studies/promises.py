@@ -98,6 +98,14 @@ BREAKS = {
     "a_bar_over_whole_lines_is_no_other_circuit": Break(
         "inference/evidence.py", "Changes.gain_of_loads", "return 0.0"
     ),
+    "a_right_circuit_is_not_called_wrong_under_palms_feet_keys_and_bars": Break(
+        "inference/circuits/explanation.py",
+        "Explanation.evidence",
+        "return self.linear_evidence",
+    ),
+    "keys_that_are_pressed_for_one_frame_are_compared": Break(
+        "inference/readings/judge.py", "Cleaned.left_out", "return self.outliers"
+    ),
     "the_status_says_that_the_unloaded_panel_of_a_comparison_is_not_verified": Break(
         "estimate/stream.py", "Stream._as_compared", "return step"
     ),

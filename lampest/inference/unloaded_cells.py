@@ -135,7 +135,9 @@ def at_rest(possible: Possible, scene: Scene, resting: Readings, fit: CellsFit |
     own = own_errors(resting.value, scene, READING_ERROR.size(possible.sizes))
     deviation = np.where(resting.plain, np.hypot(resting.known_sigma, own), np.inf)
     scatter = possible.film_scatter
-    cells, _, jacobian = most_probable(data, resting.value, deviation, _unlike(data, scatter), near)
+    cells, _, jacobian = most_probable_cells(
+        data, resting.value, deviation, _unlike(data, scatter), near
+    )
     network = data.network(0, np.exp(cells))
     missed = resting.value - network.reading()
     plain = resting.plain.ravel()
@@ -238,7 +240,7 @@ def costs_by_scatter(
 
     def linearised(error: float, scatter: float, near: Array) -> tuple[Array, Array, Array]:
         deviation = np.where(resting.plain, np.hypot(resting.known_sigma, error * share), np.inf)
-        cells, given, jacobian = most_probable(
+        cells, given, jacobian = most_probable_cells(
             data, resting.value, deviation, _unlike(data, scatter), near
         )
         missed = resting.value - given
@@ -354,7 +356,7 @@ def _trend(data: Data) -> Array:
 
 
 def _unlike(data: Data, scatter: float) -> tuple[Array, Array]:
-    """Return the prior N(T β, s²) of log cells, whose trend is free, for `most_probable`."""
+    """Return the prior N(T β, s²) of log cells, whose trend is free, for `most_probable_cells`."""
     trend = _trend(data)
     free = data.lower[0] < data.upper[0]
     unlike = (np.eye(free.size) - trend @ trend.T) / scatter
@@ -393,7 +395,7 @@ class AtRest:
         data = data_of_cells(scene, resting)
         deviation = np.where(resting.plain, resting.known_sigma, np.inf)
         prior = _unlike(data, film_scatter(scene, fit.readings, fit, 0.0))
-        cells, _, jacobian = most_probable(
+        cells, _, jacobian = most_probable_cells(
             data, resting.value, deviation, prior, np.log(fit.cells), fit.with_effects
         )
         scaled = np.vstack([jacobian / deviation.reshape(-1, 1), prior[0]])
@@ -407,7 +409,7 @@ class AtRest:
         return np.asarray(self.covariance @ (self.jacobian.T @ errors))
 
 
-def most_probable(
+def most_probable_cells(
     data: Data,
     value: Array,
     deviation: Array,

@@ -36,7 +36,7 @@ from lampest.inference.evidence import (
     usual_starts,
 )
 from lampest.inference.pair import FittedPair
-from lampest.inference.unloaded_cells import AtRest, most_probable
+from lampest.inference.unloaded_cells import AtRest, most_probable_cells
 from lampest.panel.panel import Array
 from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.scene import Scene
@@ -126,7 +126,7 @@ class LoadedDensity:
             taken = likeliest
             covariance = self._unchanged + changes.covariance(taken)
             root = np.linalg.inv(np.linalg.cholesky(covariance))
-            near, given, jacobian = most_probable(
+            near, given, jacobian = most_probable_cells(
                 data, readings.value, deviation, (root, mean), near, frame.with_effects
             )
             missed = (readings.value - given).ravel() + jacobian @ (near - mean).ravel()
