@@ -116,6 +116,7 @@ def test_a_full_disk_ends_the_command_with_one_sentence_and_whole_frames(tmp_pat
     )
 
 
+@pytest.mark.slow
 @promise("apps/board/board: A disk that is full, or fails, costs no frame for 10 s")
 def test_frames_wait_for_a_disk_that_is_full_for_a_moment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -147,6 +148,7 @@ def test_a_write_that_fails_once_is_repeated(
     check_frames(tmp_path / "r.h5", FRAMES)
 
 
+@pytest.mark.slow
 def test_a_disk_that_stays_full_ends_the_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

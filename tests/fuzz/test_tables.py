@@ -15,7 +15,7 @@ from lampest.apps.foreign.line_reader import LineReader, TextFrame
 from tests.fuzz import tables
 
 SEED = int(os.environ.get("TABLES_SEED", "1"))
-FEW = 50  # in `make test`
+FEW = 25  # in `make test`
 MANY = 200
 MIN_TAKEN = 0.8  # of the tables are imported, whole or in parts
 EXACT = 1e-6  # of codes

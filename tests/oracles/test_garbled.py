@@ -90,6 +90,7 @@ def test_a_lost_code_displaces_the_remaining_ones() -> None:
     assert len(detected) > MIN_FRAMES and np.mean(detected) > MIN_DETECTED
 
 
+@pytest.mark.slow
 def test_no_frame_of_clean_recordings_is_garbled() -> None:
     for seed in PLANS:
         plan, codes = drawn(seed)

@@ -132,6 +132,7 @@ def test_every_circuit_with_potentials_agrees_with_its_netlist(name: str) -> Non
     assert_allclose(recorded(readout, cells), volts(cells, readout), rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_random_circuits_agree_with_their_netlists() -> None:
     rng = np.random.default_rng(11)
     for seed in range(100):

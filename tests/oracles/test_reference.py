@@ -285,6 +285,7 @@ def test_weights_of_any_penalties_beat_the_hundredth_and_the_hundredfold(
         assert error < NO_WORSE * rms(log_errors(alternative)[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("static", [0.0, STATIC])
 def test_readings_without_noise_are_judged_by_the_reference_too(static: float) -> None:
     """A table in ohm: neither σ nor a converter."""

@@ -63,10 +63,11 @@ def _equal(one: CaseResult, other: CaseResult, name: str) -> bool:
     return True
 
 
+@pytest.mark.slow
 @promise("howto/batches: Segments are solved by several workers")
 @pytest.mark.parametrize(
     "executor",
-    [Processes(2), pytest.param(Dask(workers=2), marks=(pytest.mark.slow, pytest.mark.exact))],
+    [Processes(2), pytest.param(Dask(workers=2), marks=pytest.mark.exact)],
 )
 def test_workers_that_share_a_recording_change_no_number(
     executor: Executor, long: SimpleNamespace, monkeypatch: pytest.MonkeyPatch

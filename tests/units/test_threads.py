@@ -196,6 +196,7 @@ def test_processes_forked_during_estimates_can_estimate() -> None:
     )
 
 
+@pytest.mark.slow
 def test_processes_forked_while_threads_limit_blas_can_limit_it() -> None:
     run(
         """

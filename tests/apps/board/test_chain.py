@@ -73,6 +73,7 @@ def test_a_slowly_settling_line_carries_the_previous_cell_into_the_reading(tmp_p
     assert late[0, 1] > first[0, 1] + CARRIED_CODES
 
 
+@pytest.mark.slow
 def test_a_file_names_clocks_numbers_and_events_of_its_frames(tmp_path: Path) -> None:
     cells = random_cells(np.random.default_rng(1), 1, 4, 3)
     presses = iter(["", "", "x", "", "ab"])

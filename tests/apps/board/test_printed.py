@@ -125,6 +125,7 @@ def test_times_are_arrivals_where_the_board_sends_none(tmp_path: Path) -> None:
     assert np.median(np.diff(recording.time)) == pytest.approx(0.1, abs=ARRIVAL_S)
 
 
+@pytest.mark.slow
 def test_a_period_replaces_arrivals(tmp_path: Path) -> None:
     with on_terminal(printed(rows_and_a_blank_line, CODES)) as url:
         _, recording = recorded(url, tmp_path / "r.h5", period=0.25)
@@ -156,7 +157,7 @@ def test_a_line_that_lost_bytes_is_no_other_frame(tmp_path: Path) -> None:
 
 
 def test_words_are_refused_with_the_first_line(tmp_path: Path) -> None:
-    parts = [b"Hello from my sketch\r\n"] * 200
+    parts = [b"Hello from my sketch\r\n"] * 40
     with (
         on_terminal(parts) as url,
         pytest.raises(InputError, match="prints 'Hello from my sketch' first, where lines of 5"),

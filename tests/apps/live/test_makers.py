@@ -80,6 +80,7 @@ def test_five_lines_lead_from_nothing_to_a_live_map(
     assert "model      no" not in run(info)
 
 
+@pytest.mark.slow
 def test_a_board_behind_a_socket_is_live(tmp_path: Path, run: Callable[[list[str]], str]) -> None:
     """Frames that an ESP32 sends over Wi-Fi are estimated as they come, and end with it."""
     init, _, live, *_ = commands()
