@@ -14,11 +14,10 @@ For weights w of the readings, d(Σ w y) = tr(W dK) with W = [[diag Σ_k w h_p, 
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from itertools import combinations_with_replacement, product
+from itertools import product
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.kirchhoff import line_sums
@@ -87,8 +86,7 @@ class Law:
         """Return the first derivatives (h_p, h_q, h_t), or (h_p, h_q, h_t, h_e, h_f)."""
         if self.readout is None:
             return TWO_POINT_SLOPES
-        names = slope_names(with_potentials=len(entries) > 3)
-        return tuple(self._derivatives(self.readout, names, entries, shape))
+        return tuple(self._derivatives(self.readout, 1, entries, shape))
 
     def curvatures(self, entries: Entries, shape: tuple[int, ...]) -> Array | None:
         """Return the second derivatives, (entries, entries, …, rows, columns).
@@ -97,10 +95,8 @@ class Law:
         """
         if self.readout is None:
             return None
-        with_potentials = len(entries) > 3
-        names = curvature_names(with_potentials=with_potentials)
-        derivatives = self._derivatives(self.readout, names, entries, shape)
-        return np.asarray(derivatives[curvature_places(with_potentials=with_potentials)])
+        derivatives = self._derivatives(self.readout, 2, entries, shape)
+        return derivatives.reshape(len(entries), len(entries), *shape)
 
     def change(self, slopes: Entries, change: Entries) -> Array:
         """Return h_p·dp + h_q·dq + h_t·dt, (…, rows, columns)."""
@@ -120,82 +116,60 @@ class Law:
 
     @staticmethod
     def _derivatives(
-        readout: ReadCircuit, names: tuple[str, ...], entries: Entries, shape: tuple[int, ...]
+        readout: ReadCircuit, order: int, entries: Entries, shape: tuple[int, ...]
     ) -> Array:
-        """Return derivatives of h, (names, …, rows, columns)."""
+        """Return all derivatives of h of an order, (derivatives, …, rows, columns)."""
         if len(shape) > 2:
             each = (
-                Law._derivatives(readout, names, tuple(part[number] for part in entries), shape[1:])
+                Law._derivatives(readout, order, tuple(part[number] for part in entries), shape[1:])
                 for number in range(shape[0])
             )
             return np.stack(list(each), axis=1)
         every = np.empty((len(entries), *shape))
         for number, part in enumerate(entries):
             every[number] = part
-        return equation_derivatives(readout, *shape, names)(every).reshape(-1, *shape)
+        derivatives = equation_derivatives(readout, *shape, len(entries), order)
+        return derivatives(every).reshape(-1, *shape)
 
 
 TWO_POINT = Law(None)
 
 
-@cache
-def slope_names(*, with_potentials: bool) -> tuple[str, ...]:
-    """Return the names of the entries of which h is a function; see `ENTRY_NAMES`."""
-    return tuple(ENTRY_NAMES if with_potentials else ENTRY_NAMES[:3])
-
-
-@cache
-def curvature_names(*, with_potentials: bool) -> tuple[str, ...]:
-    """Return the names of the second derivatives of h: 'pp', 'pq', and so on."""
-    names = slope_names(with_potentials=with_potentials)
-    return tuple(map("".join, combinations_with_replacement(names, 2)))
-
-
-@cache
-def curvature_places(*, with_potentials: bool) -> NDArray[np.intp]:
-    """Return the place of h_pq among `curvature_names`, (entries, entries), where h_pq = h_qp."""
-    entries = slope_names(with_potentials=with_potentials)
-    names = curvature_names(with_potentials=with_potentials)
-    places = np.empty((len(entries), len(entries)), dtype=np.intp)
-    for (first, p), (second, q) in product(enumerate(entries), repeat=2):
-        places[first, second] = names.index(p + q if first <= second else q + p)
-    return places
-
-
 @guarded
 @lru_cache(maxsize=64)
 def equation_derivatives(
-    readout: ReadCircuit, rows: int, columns: int, names: tuple[str, ...]
+    readout: ReadCircuit, rows: int, columns: int, count: int, order: int
 ) -> Compiled:
-    """Return the function of the entries with the named derivatives of h, flat.
+    """Return the function of `count` entries with all derivatives of h of an order, flat.
 
-    The argument has the entries one after the other, (rows · columns) each.
+    The argument has the entries one after the other, (rows · columns) each. Second derivatives are
+    h_pp, h_pq, and so on, for every two entries.
     """
     import casadi
 
     # Expressions of whole arrays: their number does not grow with the panel.
-    entries = slope_names(with_potentials=bool(set("".join(names)) & set(ENTRY_NAMES[3:])))
     size = rows * columns
-    every = casadi.MX.sym("entries", size * len(entries))
+    every = casadi.MX.sym("entries", size * count)
     ones = casadi.DM.ones(size)
-    parts = casadi.vertsplit(every, size)
-    flat = {name: casadi.MX.sym(name, size) for name in entries}
-    reading = readout.reading(*(casadi.reshape(entry, columns, rows).T for entry in flat.values()))
+    flat = [casadi.MX.sym(name, size) for name in ENTRY_NAMES[:count]]
+    reading = readout.reading(*(casadi.reshape(entry, columns, rows).T for entry in flat))
 
     @cache
-    def derivative(name: str) -> Any:
-        """Return the derivative by the entries that `name` lists, flat.
+    def derivative(*by: int) -> Any:
+        """Return the derivative by the entries of these numbers, flat.
 
         Every reading depends on its own entries only: along a change of all entries by one it is
         elementwise.
         """
-        shorter: casadi.MX = (
-            derivative(name[:-1]) if name else casadi.vec(casadi.densify(reading).T)
-        )
-        return casadi.jtimes(shorter, flat[name[-1]], ones) if name else shorter
+        if not by:
+            return casadi.vec(casadi.densify(reading).T)
+        return casadi.jtimes(derivative(*by[:-1]), flat[by[-1]], ones)
 
-    stacked = casadi.cse(casadi.vertcat(*(casadi.densify(derivative(name)) for name in names)))
-    (of_every,) = casadi.substitute([stacked], list(flat.values()), list(parts))
+    names = product(range(count), repeat=order)
+    # h_pq = h_qp
+    listed = (casadi.densify(derivative(*sorted(numbers))) for numbers in names)
+    stacked = casadi.cse(casadi.vertcat(*listed))
+    (of_every,) = casadi.substitute([stacked], flat, casadi.vertsplit(every, size))
     return Compiled(casadi.Function("derivatives", [every], [of_every]))
 
 
