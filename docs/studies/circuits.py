@@ -72,8 +72,8 @@ def both(readout: lampest.Readout, cells: Array) -> tuple[SolvedNetwork, Differe
     """Return the network by sums over lines, and by potential differences."""
     ties = readout.ties(cells)
     return (
-        SolvedNetwork.tied(cells, ties, readout.law),
-        DifferenceNetwork.held(cells, ties, readout.law),
+        SolvedNetwork.tied(cells, ties, readout),
+        DifferenceNetwork.held(cells, ties, readout),
     )
 
 

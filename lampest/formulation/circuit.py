@@ -42,7 +42,7 @@ class ConductanceSymbols:
     scale : casadi.SX
         Unit of resistances in ohm; voltages for unit currents have the same unit.
     reading : callable
-        Equation of the readings, see `Readout.reading`.
+        Equation of the readings, see `Equation.reading`.
     """
 
     conductance: casadi.SX

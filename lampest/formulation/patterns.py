@@ -22,6 +22,7 @@ import numpy as np
 
 from lampest.formulation.circuit import Circuit, ConductanceSymbols
 from lampest.panel.compiled import guarded
+from lampest.panel.equation import equation_of
 from lampest.panel.law import ENTRY_NAMES
 from lampest.panel.network import Numbers
 from lampest.panel.panel import Array
@@ -319,7 +320,7 @@ def _entries_read(
     """Return the same for a readout and the shape of its panel."""
     names = ENTRY_NAMES if with_potentials else ENTRY_NAMES[:3]
     row, column, *others = (casadi.MX.sym(name, *shape) for name in names)
-    reading = readout.reading(row, column, *others)
+    reading = equation_of(readout, *shape).reading(row, column, *others)
     return bool(casadi.depends_on(reading, row)), bool(casadi.depends_on(reading, column))
 
 

@@ -41,6 +41,7 @@ from lampest.formulation.patterns import (
 )
 from lampest.formulation.values import Values, unit_of
 from lampest.panel.compiled import CasadiOwner, guarded
+from lampest.panel.equation import equation_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 
@@ -265,7 +266,7 @@ class Program(CasadiOwner):
             casadi.SX.sym(name) for name in ("scale", "cost_scale", "split_scale")
         )
         conductance = casadi.SX.sym("conductance", rows * columns, frames)
-        equation = readout.reading if symbolic is None else symbolic.reading
+        equation = equation_of(readout, rows, columns) if symbolic is None else symbolic
         networks = []
         for frame in range(frames):
             addresses = []
@@ -273,7 +274,7 @@ class Program(CasadiOwner):
                 tied = tie[:, frame * len(circuits) + number]
                 if symbolic is not None:
                     tied = tied + scale * symbolic.tie[:, number]
-                symbols = ConductanceSymbols(conductance[:, frame], tied, scale, equation)
+                symbols = ConductanceSymbols(conductance[:, frame], tied, scale, equation.reading)
                 addresses.append(patterns.network(circuit, readout, symbols))
             networks.append(joined_addresses(circuits, addresses))
         program = cls(

@@ -98,7 +98,7 @@ class SymbolicReadout(CasadiOwner):
     symbols : mapping of str to casadi.SX
         Symbols of the numbers by key, (n, 1) each.
     reading : callable
-        Equation of the readings, see `Readout.reading`.
+        Equation of the readings, see `Equation.reading`.
     tie : casadi.SX, shape (lines, addresses)
         Change of the ties of the lines from those of the scene, siemens.
     slope, offset : casadi.SX, shape (cells, 1)
@@ -144,10 +144,10 @@ class SymbolicReadout(CasadiOwner):
         reading = casadi.DM(measured.ravel())
         slope = (last - first) / ((FARTHER - 1) * reading)
         offset = first - slope * reading
+        equation = equation_of(circuit, *measured.shape)
         if circuit.two_point:
             unchanged = casadi.SX(sum(measured.shape), 1)
-            return cls(numbers, symbols, circuit.reading, unchanged, slope, offset)
-        equation = equation_of(circuit, *measured.shape)
+            return cls(numbers, symbols, equation.reading, unchanged, slope, offset)
         count = equation.ties.size
         finite = np.where(np.isfinite(equation.ties), equation.ties, 0.0)
         tied = casadi.reshape(values[:count], equation.ties.shape[1], len(equation.ties))

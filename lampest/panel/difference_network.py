@@ -11,8 +11,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.panel.circuit import CircuitOfLines
 from lampest.panel.kirchhoff import NormalByLines, laplacian, line_sums
-from lampest.panel.law import Entries, Law, Loading
+from lampest.panel.law import Entries, Loading
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array
 from lampest.panel.readouts.ladder import Wire
@@ -55,7 +56,7 @@ class DifferenceNetwork(SolvedNetwork):
         cls,
         cell_resistance: Array,
         ties: Array,
-        law: Law,
+        circuit: CircuitOfLines | None,
         sources: Array | None = None,
         leaks: Array | None = None,
     ) -> "DifferenceNetwork":
@@ -66,14 +67,14 @@ class DifferenceNetwork(SolvedNetwork):
         """
         admittance = laplacian(1 / cell_resistance)
         entries, potentials = excitations(admittance if leaks is None else admittance + leaks, ties)
-        return cls(cell_resistance, entries, law, ties, potentials, sources=sources)
+        return cls(cell_resistance, entries, circuit, ties, potentials, sources=sources)
 
     @classmethod
     def wired(
         cls,
         cell_resistance: Array,
         ties: Array,
-        law: Law,
+        circuit: CircuitOfLines | None,
         wiring: Wiring,
         sources: Array | None = None,
     ) -> "DifferenceNetwork":
@@ -91,7 +92,7 @@ class DifferenceNetwork(SolvedNetwork):
         entries, potentials = (
             nodes @ part @ nodes.T for part in excitations(nodes.T @ admittance @ nodes, node_ties)
         )
-        return cls(cell_resistance, entries, law, ties, potentials, wire, sources=sources)
+        return cls(cell_resistance, entries, circuit, ties, potentials, wire, sources=sources)
 
     @property
     def of_free(self) -> NDArray[np.bool_]:

@@ -11,16 +11,16 @@ For weights w of the readings, d(Σ w y) = tr(W dK) with W = [[diag Σ_k w h_p, 
 Σ_j w h_q]]. With w_v the weights of v, W becomes W + ½(x w_vᵀ + w_v xᵀ).
 """
 
-from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from itertools import product
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
+from lampest.panel.circuit import CircuitOfLines
 from lampest.panel.compiled import Compiled, guarded
-from lampest.panel.kirchhoff import line_sums
+from lampest.panel.equation import equation_of
 from lampest.panel.panel import Array
 
 ENTRY_NAMES = "pqtef"
@@ -47,98 +47,10 @@ class Loading:
     of_potentials: Array | None = None
 
 
-class ReadCircuit(Hashable, Protocol):
-    """Interface of a readout for a law; see `lampest.panel.readouts.readout.Readout`."""
-
-    def reading(self, row: Any, column: Any, mutual: Any, *potentials: Any) -> Any:
-        """Return h(K_jj, K_kk, K_jk), or h(K_jj, K_kk, K_jk, v_j, v_k) with potentials."""
-
-
-@dataclass(frozen=True)
-class Law:
-    """Law h of the readings of a network.
-
-    CasADi differentiates the equation of a readout. The derivatives are compiled once for each
-    equation and panel size, for readings of the whole panel.
-
-    Attributes
-    ----------
-    readout : ReadCircuit or None
-        Readout that defines h. None: two-point readings R_jk = Z_jj + Z_kk − 2 Z_jk in ohm, whose h
-        has no curvature.
-    """
-
-    readout: ReadCircuit | None
-
-    @property
-    def two_point(self) -> bool:
-        """Whether h = p + q − 2t."""
-        return self.readout is None
-
-    def read(self, entries: Entries, shape: tuple[int, ...]) -> Array:
-        """Return h of the entries, (…, rows, columns)."""
-        if self.readout is None:
-            return across(entries)
-        reading = self.readout.reading(*entries)
-        return reading if reading.shape == shape else np.array(np.broadcast_to(reading, shape))
-
-    def slopes(self, entries: Entries, shape: tuple[int, ...]) -> Entries:
-        """Return the first derivatives (h_p, h_q, h_t), or (h_p, h_q, h_t, h_e, h_f)."""
-        if self.readout is None:
-            return TWO_POINT_SLOPES
-        return tuple(self._derivatives(self.readout, 1, entries, shape))
-
-    def curvatures(self, entries: Entries, shape: tuple[int, ...]) -> Array | None:
-        """Return the second derivatives, (entries, entries, …, rows, columns).
-
-        The result is None if h is linear.
-        """
-        if self.readout is None:
-            return None
-        derivatives = self._derivatives(self.readout, 2, entries, shape)
-        return derivatives.reshape(len(entries), len(entries), *shape)
-
-    def change(self, slopes: Entries, change: Entries) -> Array:
-        """Return h_p·dp + h_q·dq + h_t·dt, (…, rows, columns)."""
-        if self.readout is None:
-            return across(change)
-        row, column, *others = (slope * part for slope, part in zip(slopes, change, strict=True))
-        return np.asarray(sum(others, row + column))
-
-    def loading(self, slopes: Entries, weights: Array) -> Loading:
-        """Return W of weights (…, rows, columns) of the readings.
-
-        Of two-point readings it is L_w, the Laplacian with the weights as conductances.
-        """
-        if self.readout is None:
-            return Loading(line_sums(weights), -weights)
-        return loading_of(*(weights * slope for slope in slopes))
-
-    @staticmethod
-    def _derivatives(
-        readout: ReadCircuit, order: int, entries: Entries, shape: tuple[int, ...]
-    ) -> Array:
-        """Return all derivatives of h of an order, (derivatives, …, rows, columns)."""
-        if len(shape) > 2:
-            each = (
-                Law._derivatives(readout, order, tuple(part[number] for part in entries), shape[1:])
-                for number in range(shape[0])
-            )
-            return np.stack(list(each), axis=1)
-        every = np.empty((len(entries), *shape))
-        for number, part in enumerate(entries):
-            every[number] = part
-        derivatives = equation_derivatives(readout, *shape, len(entries), order)
-        return derivatives(every).reshape(-1, *shape)
-
-
-TWO_POINT = Law(None)
-
-
 @guarded
 @lru_cache(maxsize=64)
 def equation_derivatives(
-    readout: ReadCircuit, rows: int, columns: int, count: int, order: int
+    circuit: CircuitOfLines, rows: int, columns: int, count: int, order: int
 ) -> Compiled:
     """Return the function of `count` entries with all derivatives of h of an order, flat.
 
@@ -152,7 +64,8 @@ def equation_derivatives(
     every = casadi.MX.sym("entries", size * count)
     ones = casadi.DM.ones(size)
     flat = [casadi.MX.sym(name, size) for name in ENTRY_NAMES[:count]]
-    reading = readout.reading(*(casadi.reshape(entry, columns, rows).T for entry in flat))
+    entries = (casadi.reshape(entry, columns, rows).T for entry in flat)
+    reading = equation_of(circuit, rows, columns).reading(*entries)
 
     @cache
     def derivative(*by: int) -> Any:

@@ -15,6 +15,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.panel.circuit import CircuitOfLines
+from lampest.panel.equation import equation_of
 from lampest.panel.kirchhoff import (
     LineBlocks,
     NormalByLines,
@@ -25,7 +27,14 @@ from lampest.panel.kirchhoff import (
     line_sums,
     square_by_lines,
 )
-from lampest.panel.law import TWO_POINT, Entries, Law, Loading, across, loading_of
+from lampest.panel.law import (
+    TWO_POINT_SLOPES,
+    Entries,
+    Loading,
+    across,
+    equation_derivatives,
+    loading_of,
+)
 from lampest.panel.panel import Array
 
 Numbers = NDArray[np.intp]
@@ -176,14 +185,15 @@ class SolvedNetwork(Network):
 
     Attributes
     ----------
-    law : Law
-        Law h of the readings.
+    circuit : CircuitOfLines or None
+        Circuit whose equation is h. None: two-point readings R_jk = Z_jj + Z_kk − 2 Z_jk in ohm,
+        whose h has no curvature.
     sources : array, shape (…, lines), or None
         Excitation x of the lines by the potentials in which idle lines end; None without any.
     """
 
     _impedance: Array
-    law: Law
+    circuit: CircuitOfLines | None
     sources: Array | None = field(default=None, kw_only=True)
 
     @classmethod
@@ -191,7 +201,7 @@ class SolvedNetwork(Network):
         cls,
         cell_resistance: Array,
         ties: Array,
-        law: Law,
+        circuit: CircuitOfLines | None,
         sources: Array | None = None,
         leaks: Array | None = None,
     ) -> Self:
@@ -206,7 +216,7 @@ class SolvedNetwork(Network):
             admittance = laplacian(1 / cell_resistance) + leaks
             np.einsum("...ii->...i", admittance)[...] += ties
             impedance = np.linalg.inv(admittance)
-        return cls(cell_resistance, impedance, law, sources=sources)
+        return cls(cell_resistance, impedance, circuit, sources=sources)
 
     @classmethod
     def floating(cls, conductance: Array, ties: Array) -> Self:
@@ -215,7 +225,7 @@ class SolvedNetwork(Network):
         The ties are (…, lines) siemens. Raises numpy.linalg.LinAlgError if a line is not connected.
         """
         with np.errstate(divide="ignore"):
-            return cls(1 / conductance, inverse_of(conductance, ties), TWO_POINT)
+            return cls(1 / conductance, inverse_of(conductance, ties), None)
 
     def some(self, numbers: Numbers | int) -> Self:
         """Return the chosen ones of many networks, or a single one by its number."""
@@ -249,7 +259,11 @@ class SolvedNetwork(Network):
         return self._impedance
 
     def reading(self) -> Array:
-        return self.law.read(self._entries, self.shape)
+        if self.circuit is None:
+            return across(self._entries)
+        reading = equation_of(self.circuit, *self.shape[-2:]).reading(*self._entries)
+        whole = reading.shape == self.shape
+        return reading if whole else np.array(np.broadcast_to(reading, self.shape))
 
     @cached_property
     def _entries(self) -> Entries:
@@ -259,16 +273,36 @@ class SolvedNetwork(Network):
     @cached_property
     def slopes(self) -> Entries:
         """First derivatives (h_p, h_q, h_t), or (h_p, h_q, h_t, h_e, h_f)."""
-        return self.law.slopes(self._entries, self.shape)
+        return TWO_POINT_SLOPES if self.circuit is None else tuple(self._derivatives(1))
 
     @cached_property
     def curvatures(self) -> Array | None:
         """Second derivatives h″ of h, (entries, entries, rows, columns); None: h is linear."""
-        return self.law.curvatures(self._entries, self.shape)
+        if self.circuit is None:
+            return None
+        count = len(self._entries)
+        return self._derivatives(2).reshape(count, count, *self.shape)
+
+    def _derivatives(self, order: int) -> Array:
+        """Return all derivatives of h of an order, (derivatives, …, rows, columns)."""
+        assert self.circuit is not None
+        entries = np.empty((len(self._entries), *self.shape))
+        for number, entry in enumerate(self._entries):
+            entries[number] = entry
+        function = equation_derivatives(self.circuit, *self.shape[-2:], len(entries), order)
+        if entries.ndim == 3:
+            return function(entries).reshape(-1, *self.shape)
+        each = (function(entries[:, number]) for number in range(len(self.cell_resistance)))
+        return np.stack([one.reshape(-1, *self.shape[1:]) for one in each], axis=1)
 
     def read_change(self, change: Entries) -> Array:
         """Return h_p·dp + h_q·dq + h_t·dt, (rows, columns)."""
-        return self.law.change(self.slopes, change)
+        if self.circuit is None:
+            return across(change)
+        row, column, *others = (
+            slope * part for slope, part in zip(self.slopes, change, strict=True)
+        )
+        return np.asarray(sum(others, row + column))
 
     def forward(self, step: Array) -> Array:
         """Return J·p = ∂y/∂u·p for a step p of u = log r, (rows, columns)."""
@@ -279,8 +313,13 @@ class SolvedNetwork(Network):
         return np.asarray(self.drawn(self.loading(weights)) / self.cell_resistance)
 
     def loading(self, weights: Array) -> Loading:
-        """Return W of weights (rows, columns) of the readings."""
-        return self.law.loading(self.slopes, weights)
+        """Return W of weights (rows, columns) of the readings.
+
+        Of two-point readings it is L_w, the Laplacian with the weights as conductances.
+        """
+        if self.circuit is None:
+            return Loading(line_sums(weights), -weights)
+        return loading_of(*(weights * slope for slope in self.slopes))
 
     def loaded(self, loading: Loading, values: Array) -> Array:
         """Return W·V, (…, lines, patterns), for values V of the same shape."""
@@ -403,7 +442,7 @@ class SolvedNetwork(Network):
 
     def sensitivity(self) -> Array:
         """Return J, (…, readings, cells); of two-point readings J = (D_jc − D_kc)²·g_c."""
-        if self.law.two_point:
+        if self.circuit is None:
             response: Array = self.across_readings**2
             response *= self.flat_conductance[..., None, :]
             return response
@@ -411,7 +450,7 @@ class SolvedNetwork(Network):
         return response.reshape(-1, response.shape[-1])
 
     def sensitivity_of(self, read: NDArray[np.bool_]) -> Array:
-        if self.law.two_point:
+        if self.circuit is None:
             return np.asarray(self.sensitivity()[read.ravel()])
         j, k = np.nonzero(read)
         return self._sensitivity(j, k, tuple(slope[read] for slope in self.slopes))
@@ -431,7 +470,7 @@ class SolvedNetwork(Network):
 
     def own_response(self) -> Array:
         row, column = self.own_differences()
-        if self.law.two_point:
+        if self.circuit is None:
             return np.asarray((row - column) ** 2 / self.cell_resistance)
         change: Entries = (row**2, column**2, row * column)
         if self.sources is not None:
@@ -446,7 +485,7 @@ class SolvedNetwork(Network):
 
     def normal_by_lines(self, weight: Array) -> NormalByLines:
         """Return JᵀWJ; of two-point readings with parts of rows and columns, `square_by_lines`."""
-        if not self.law.two_point:
+        if self.circuit is not None:
             return super().normal_by_lines(weight)
         return square_by_lines(self.conductance, self.reading(), weight)
 

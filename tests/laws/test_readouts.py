@@ -252,7 +252,9 @@ def test_the_symbolic_equation_gives_the_reading_of_the_network(scene: Scene) ->
         volt = impedance @ excitations[0]
         entries += [np.tile(volt[:rows, None], columns), np.tile(volt[None, rows:], (rows, 1))]
         symbols += [casadi.SX.sym(name, rows, columns) for name in ("at_row", "at_column")]
-    equation = casadi.Function("equation", symbols, [readout.reading(*symbols)])
+    equation = casadi.Function(
+        "equation", symbols, [equation_of(readout, rows, columns).reading(*symbols)]
+    )
     expected = np.array(equation(*entries))
     assert_allclose(
         network_of(scene, np.log(cells)).reading(), expected, atol=ROUNDING * size(expected)

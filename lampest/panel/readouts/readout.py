@@ -21,7 +21,6 @@ from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Completed, check_range, check_ranges
 from lampest.panel.circuit import NOMINAL_LINES, Terminations, nominal_terminations
 from lampest.panel.equation import equation_of
-from lampest.panel.law import TWO_POINT, Law
 from lampest.panel.lines import (
     PerLine,
     Side,
@@ -256,11 +255,6 @@ class Readout(Completed, ABC):
         """
         return nominal_terminations(self).two_point
 
-    @property
-    def law(self) -> Law:
-        """Law of the readings, h with its derivatives."""
-        return TWO_POINT if self.two_point else Law(self)
-
     # Readings of cells.
 
     def ties(self, measured: Array, parts: NDArray[np.intp] | None = None) -> Array:
@@ -321,10 +315,6 @@ class Readout(Completed, ABC):
         with np.errstate(divide="ignore"):
             return self.network(cell_resistance, ties, wiring).reading()
 
-    def reading(self, row: Any, column: Any, mutual: Any, *potentials: Any) -> Any:
-        """Return the readings; see `lampest.panel.equation.Equation.reading`."""
-        return equation_of(self, *mutual.shape[-2:]).reading(row, column, mutual, *potentials)
-
     def solved_network(
         self,
         cell_resistance: Array,
@@ -338,15 +328,16 @@ class Readout(Completed, ABC):
         potentials in which they end, (…, lines); see `network`. Many states have neither wire nor
         held lines.
         """
+        circuit = None if self.two_point else self
         leaks = None if wiring is None else wiring.leak_admittance(cell_resistance.shape[-2:])
         at_terminals = wiring is None or wiring.at_terminals
         if at_terminals and not np.isinf(ties).any():
-            return SolvedNetwork.tied(cell_resistance, ties, self.law, sources, leaks)
+            return SolvedNetwork.tied(cell_resistance, ties, circuit, sources, leaks)
         from lampest.panel.difference_network import DifferenceNetwork  # for wire and held lines
 
         if wiring is None or at_terminals:
-            return DifferenceNetwork.held(cell_resistance, ties, self.law, sources, leaks)
-        return DifferenceNetwork.wired(cell_resistance, ties, self.law, wiring, sources)
+            return DifferenceNetwork.held(cell_resistance, ties, circuit, sources, leaks)
+        return DifferenceNetwork.wired(cell_resistance, ties, circuit, wiring, sources)
 
     # Cells at which solves begin, and their bounds.
 
