@@ -5,14 +5,14 @@ not exist. The potential differences do. Where lines have wire, the differences 
 those between terminals. `DifferenceNetwork` has the equations.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.circuit import CircuitOfLines
-from lampest.panel.kirchhoff import NormalByLines, laplacian, line_sums
+from lampest.panel.kirchhoff import NormalByLines, laplacian
 from lampest.panel.law import Entries, Loading
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array
@@ -100,18 +100,13 @@ class DifferenceNetwork(SolvedNetwork):
         return ~np.isinf(self.ties)[:, None]
 
     def potentials(self) -> Array:
-        """Return the potential of every line, (lines, patterns).
+        return self.excited
 
-        Pattern k is the excitation of line k.
-        """
-        return self.excited.T
+    def free(self, values: Array) -> Array:
+        return np.where(self.of_free, values, 0.0)
 
-    def differences(self, potentials: Array) -> Array:
-        """Return Bᵀ·V, (cells, patterns), for potentials V (lines, patterns) of the terminals."""
-        if self.wire is not None:
-            return self.wire.differences(potentials)
-        differences = potentials[: self.rows, None] - potentials[None, self.rows :]
-        return differences.reshape(self.cell_resistance.size, -1)
+    def across_cells(self, values: Array) -> Array:
+        return super().across_cells(values) if self.wire is None else self.wire.across(values)
 
     def entering(self, currents: Array) -> Array:
         """Return B·i, (lines, patterns), for currents i driven through the cells, in ampere."""
@@ -125,19 +120,14 @@ class DifferenceNetwork(SolvedNetwork):
 
         `potentials` are P·B·i of the lines, (lines, patterns).
         """
-        differences = self.differences(np.where(self.of_free, potentials, 0.0))
+        differences = self.across_cells(self.free(potentials).T).T
         return differences if self.wire is None else differences + self.wire.within(currents)
-
-    @cached_property
-    def potential_differences(self) -> Array:
-        """D = P·B (lines, cells): across every cell for the excitation of every line."""
-        return self.differences(self.potentials()).T
 
     @cached_property
     def transfer(self) -> Array:
         """X (cells, cells): the potential differences for a unit current through every cell."""
         if self.wire is None:
-            return self.between(np.where(self.of_free, self.excited, 0.0))
+            return self.between(self.free(self.excited))
         each = np.eye(self.cell_resistance.size)
         return self.driven(each, self.excited @ self.entering(each))
 
@@ -149,21 +139,14 @@ class DifferenceNetwork(SolvedNetwork):
             self.transfer.shape
         )
 
-    @cached_property
-    def source_differences(self) -> Array:
-        """Difference across every cell by the sources, (rows, columns)."""
-        assert self.sources is not None
-        return np.asarray(self.sources @ self.potential_differences).reshape(self.shape)
-
     def own_differences(self) -> tuple[Array, Array]:
         rows, columns = self.shape
         row, column = np.indices((rows, columns))
         differences = self.potential_differences.reshape(-1, rows, columns)
         return differences[row, row, column], differences[rows + column, row, column]
 
-    def changes(self, step: Array) -> Entries:
-        """Return the entries of D·diag(s)·Dᵀ = P·B·diag(s)·Dᵀ for steps s = g·p."""
-        return self.entries_of_product(self.excited, self.entering(self._currents(step)))
+    def currents(self, step: Array) -> Array:
+        return self.entering(self._currents(step))
 
     def _currents(self, step: Array) -> Array:
         """Return diag(s)·Dᵀ, (cells, lines), for steps s (rows, columns)."""
@@ -174,7 +157,7 @@ class DifferenceNetwork(SolvedNetwork):
 
     def weighed(self, loading: Loading) -> Array:
         """Return the product with W that second derivatives share, W D (lines, cells)."""
-        return self.differences(self.loaded(loading, self.excited).T).T
+        return self.across_cells(self.loaded(loading, self.excited))
 
     def drawn_of(self, weighed: Array) -> Array:
         """Return diag(DᵀWD) from `weighed`, (rows, columns)."""
@@ -202,20 +185,6 @@ class DifferenceNetwork(SolvedNetwork):
 
     def normal_by_lines(self, weight: Array) -> NormalByLines:
         return Network.normal_by_lines(self, weight)
-
-    def leaking(self, across: Array, siemens: float) -> Network:
-        """Return the network with conductances between lines; see `SolvedNetwork.leaking`."""
-        towards = self.excited @ across
-        # Bᵀ Z B with Z the impedance of the lines that are not held
-        core = np.linalg.inv(
-            np.eye(across.shape[1]) + siemens * across.T @ np.where(self.of_free, towards, 0.0)
-        )
-        return replace(self, _impedance=self._impedance - siemens * towards @ core @ towards.T)
-
-    def condition(self) -> float:
-        """Return Σ_l |L_ll Z_ll| over the lines that are not held; see `SolvedNetwork`."""
-        driving_point = np.where(self.of_free[:, 0], self._impedance.diagonal(), 0.0)
-        return float(np.abs(line_sums(self.conductance) * driving_point).sum())
 
 
 def excitations(admittance: Array, ties: Array) -> tuple[Array, Array]:

@@ -142,10 +142,6 @@ class JoinedNetwork(Network):
         )
         return JoinedNetwork(self.cell_resistance, parts)
 
-    def condition(self) -> float:
-        """Return the largest condition of all parts; see `Network.condition`."""
-        return max(part.network.condition() for part in self.parts)
-
     def response_of(self, response: Callable[[SolvedNetwork], Array]) -> Array:
         parts = self._addresses
         return self._readings([part.network.response_of(response) for part in parts], parts)

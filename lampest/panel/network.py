@@ -101,10 +101,6 @@ class Network(ABC):
         """
 
     @abstractmethod
-    def condition(self) -> float:
-        """Return the amplification of the rounding of L in any reading."""
-
-    @abstractmethod
     def response_of(self, response: "Callable[[SolvedNetwork], Array]") -> Array:
         """Return a response of the readings, (…, rows, columns, k).
 
@@ -252,11 +248,15 @@ class SolvedNetwork(Network):
         return self.conductance.reshape(*self.shape[:-2], -1)
 
     def potentials(self) -> Array:
-        """Return the potential of every line, (lines, patterns).
+        """Return P, (…, lines, lines): row a has all lines for the excitation of line a.
 
-        Pattern k is the excitation of line k, a unit current into it.
+        The excitation is a unit current into the line, and P is Z.
         """
         return self._impedance
+
+    def free(self, values: Array) -> Array:
+        """Return values (…, lines, patterns) of lines that are not held, 0 for held ones."""
+        return values
 
     def reading(self) -> Array:
         if self.circuit is None:
@@ -338,10 +338,8 @@ class SolvedNetwork(Network):
 
     @cached_property
     def potential_differences(self) -> Array:
-        """D = Z·B (…, lines, cells) ohm: across every cell for the excitation of every line."""
-        impedance = self._impedance
-        differences = impedance[..., : self.rows, None] - impedance[..., None, self.rows :]
-        return differences.reshape(*impedance.shape[:-1], -1)
+        """D = P·B (…, lines, cells): across every cell for the excitation of every line."""
+        return self.across_cells(self.potentials())
 
     @cached_property
     def transfer(self) -> Array:
@@ -356,9 +354,13 @@ class SolvedNetwork(Network):
         """
         return self.transfer
 
+    def currents(self, step: Array) -> Array:
+        """Return B·diag(s)·Dᵀ = L_s Z, (…, lines, lines), for steps s = g·p, (rows, columns)."""
+        return injected(step, self._impedance)
+
     def changes(self, step: Array) -> Entries:
-        """Return the entries of D·diag(s)·Dᵀ = Z L_s Z for steps s = g·p, (rows, columns)."""
-        return self.entries_of_product(self._impedance, injected(step, self._impedance))
+        """Return the entries of D·diag(s)·Dᵀ = P·B·diag(s)·Dᵀ for steps s = g·p."""
+        return self.entries_of_product(self.potentials(), self.currents(step))
 
     def drawn(self, loading: Loading) -> Array:
         """Return diag(DᵀWD) = bᵀ(Z W Z)b of every cell, (rows, columns)."""
@@ -368,7 +370,7 @@ class SolvedNetwork(Network):
         if loading.of_potentials is not None:
             # ½ bᵀZ (x w_vᵀ + w_v xᵀ) Zb
             by_weights = matrix_vector(impedance, loading.of_potentials)
-            drawn += self.source_differences * self._differences(by_weights)
+            drawn += self.source_differences * self.across_cells(by_weights).reshape(self.shape)
         return drawn
 
     def weighed(self, loading: Loading) -> Array:
@@ -393,21 +395,22 @@ class SolvedNetwork(Network):
         drawn : array, shape (rows, columns)
             2 diag(DᵀW dD), dDᵀ = X·diag(s)·Dᵀ.
         """
-        currents = injected(step, self._impedance)
+        currents = self.currents(step)
         change = self.entries_of_product(self._impedance, currents)
         second = self.entries_of_product(weighed, currents, symmetric=False, with_sources=False)
         return change, 2 * across(second)
 
     @cached_property
     def source_differences(self) -> Array:
-        """Difference of v = Z·x across every cell, (…, rows, columns)."""
+        """Difference of v = Pᵀ·x across every cell, (…, rows, columns)."""
         assert self.sources is not None
-        return self._differences(matrix_vector(self._impedance, self.sources))
+        by_sources = matrix_vector(self.potentials().swapaxes(-1, -2), self.sources)
+        return self.across_cells(by_sources).reshape(self.shape)
 
-    def _differences(self, potentials: Array) -> Array:
-        """Return Bᵀv, (…, rows, columns), for potentials v (…, lines)."""
-        of_row, of_column = self._parts(potentials)
-        return np.asarray(of_row - of_column)
+    def across_cells(self, values: Array) -> Array:
+        """Return V·B (…, cells) for values V (…, lines)."""
+        differences = values[..., : self.rows, None] - values[..., None, self.rows :]
+        return differences.reshape(*values.shape[:-1], -1)
 
     def own_differences(self) -> tuple[Array, Array]:
         """Return (D_jc, D_kc) of every cell c at its own row j and column k, (rows, columns)."""
@@ -494,21 +497,11 @@ class SolvedNetwork(Network):
 
         By Woodbury's formula Z becomes Z − Z B (1/G + BᵀZB)⁻¹ BᵀZ.
         """
-        towards = self._impedance @ across
+        towards = self.potentials() @ across
         # (1/G + Bᵀ Z B)⁻¹ = G (1 + G Bᵀ Z B)⁻¹, which allows G = 0
-        core = np.linalg.inv(np.eye(across.shape[1]) + siemens * across.T @ towards)
+        core = np.linalg.inv(np.eye(across.shape[1]) + siemens * across.T @ self.free(towards))
         change = siemens * towards @ core @ towards.swapaxes(-1, -2)
         return replace(self, _impedance=self._impedance - change)
-
-    def condition(self) -> float:
-        """Return Σ_l |L_ll Z_ll| over the lines.
-
-        The sum is the amplification of the rounding of L in any reading. An error ε_l of L_ll
-        changes bᵀZb by ε_l·v_l², v = Z·b, and v_l² ≤ Z_ll·bᵀZb. The sum is infinite or NaN for a
-        broken inverse.
-        """
-        driving_point = self._impedance.diagonal(axis1=-2, axis2=-1)
-        return float(np.abs(line_sums(self.conductance) * driving_point).sum(axis=-1).max())
 
     def entries(self, matrix: Array) -> Entries:
         """Return (K_jj, K_kk, K_jk) of K (…, lines, lines), with sources also both parts of K·x."""
@@ -546,10 +539,9 @@ class SolvedNetwork(Network):
 
     def between(self, matrix: Array) -> Array:
         """Return BᵀKB (…, cells, cells) for K (…, lines, lines)."""
-        *leading, rows, columns = self.shape
-        at_cells = matrix[..., :rows, None] - matrix[..., None, rows:]
-        transfer = at_cells[..., :rows, None, :, :] - at_cells[..., None, rows:, :, :]
-        return transfer.reshape(*leading, rows * columns, rows * columns)
+        at_cells = self.across_cells(matrix)
+        transfer = at_cells[..., : self.rows, None, :] - at_cells[..., None, self.rows :, :]
+        return transfer.reshape(*self.shape[:-2], -1, at_cells.shape[-1])
 
 
 @dataclass(frozen=True, eq=False)

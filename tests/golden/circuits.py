@@ -152,7 +152,6 @@ def network_row(scene: lp.Scene) -> dict[str, Any]:
         "adjoint": network.adjoint(weights),
         "sensitivity": network.sensitivity(),
         "own": network.own_response(),
-        "condition": network.condition(),
         "products": second.products(step),
         "second adjoint": second.adjoint(),
         "second": second.matrix(),
@@ -161,7 +160,7 @@ def network_row(scene: lp.Scene) -> dict[str, Any]:
         row |= {
             "some": network.sensitivity()[np.ix_(nodes[:2], nodes)],
             "some second": second.matrix()[np.ix_(nodes, nodes)],
-            "potentials": network.potentials(),
+            "potentials": network.potentials().T,
             "by lines": by_lines(network.normal_by_lines(weights**2)),
             "wire": wired_network.wire_responses(network, scene.lines or lp.Lines()),
         }

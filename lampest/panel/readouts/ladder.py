@@ -137,9 +137,9 @@ class Wire:
         """r, (cells, 1)."""
         return self.cells.reshape(-1, 1)
 
-    def differences(self, potentials: Array) -> Array:
-        """Return r·C·p, (cells, patterns), for potentials p (lines, patterns)."""
-        return np.asarray(self._resistance * (self.currents @ potentials))
+    def across(self, potentials: Array) -> Array:
+        """Return p·Cᵀ·r, (…, cells), for potentials p (…, lines)."""
+        return (self._resistance * (self.currents @ np.atleast_2d(potentials).T)).T
 
     def entering(self, currents: Array) -> Array:
         """Return Cᵀ·r·i, (lines, patterns), for currents i driven through the cells."""
