@@ -104,21 +104,8 @@ class Circuit(ReadOnlyArrays):
     def of(cls, shape: tuple[int, int], wiring: Wiring | None) -> "Circuit":
         """Return the circuit of a panel of rows × columns cells, without lines at ground."""
         rows, columns = shape
-        held = np.zeros(rows + columns, dtype=bool)
-        read = np.ones(shape, dtype=bool)
+        wiring = Wiring() if wiring is None else wiring
         lines = np.arange(rows + columns)
-        row, column = (numbers.ravel() for numbers in np.indices(shape))
-        if wiring is None:
-            return cls(
-                shape,
-                count=len(lines),
-                terminals=lines,
-                cell_ends=np.stack([row, rows + column]),
-                wire_ends=np.zeros((2, 0), dtype=np.intp),
-                wire_siemens=np.zeros(0),
-                held=held,
-                read=read,
-            )
         # Before nodes are joined: terminals, then the row's and the column's node of every
         # crossing.
         crossings = np.arange(rows * columns).reshape(shape)
@@ -148,8 +135,8 @@ class Circuit(ReadOnlyArrays):
             cell_ends=cell_ends,
             wire_ends=node[branches],
             wire_siemens=siemens,
-            held=held,
-            read=read,
+            held=np.zeros(len(lines), dtype=bool),
+            read=np.ones(shape, dtype=bool),
         )
 
     @property

@@ -153,7 +153,7 @@ class Nodal(Excitation):
         at_ends, more = _at_ends(unknowns, circuit, symbols)
         return unknowns.network(
             casadi.vertcat(balance, more),
-            _reading(circuit, readout, impedance, symbols, at_ends),
+            _reading(circuit, readout, _of_lines(circuit, impedance), symbols, at_ends),
         )
 
     def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
@@ -204,7 +204,7 @@ def _network_of_lines(
     at_ends, more = _at_ends(unknowns, circuit, symbols)
     return unknowns.network(
         casadi.vertcat(*equations, more),
-        _reading(circuit, readout, impedance, symbols, at_ends),
+        _reading(circuit, readout, _of_lines(circuit, impedance), symbols, at_ends),
     )
 
 
@@ -238,20 +238,15 @@ class PerPixel(Excitation):
         own_row, mutual = (_chosen(from_row, line, numbers) for line in (row, column))
         own_column = mutual
         if _reads_own(circuit, readout)[1]:
-            entries, more = _excited(unknowns, "from_column_voltage", circuit, column, symbols)
-            own_column = _chosen(entries, column, numbers)
+            from_column, more = _excited(unknowns, "from_column_voltage", circuit, column, symbols)
+            own_column = _chosen(from_column, column, numbers)
             balance = casadi.vertcat(balance, more)
-        entries_of_cells = [
-            _unit(circuit, row, row, symbols.scale) * own_row,
-            _unit(circuit, column, column, symbols.scale) * own_column,
-            _unit(circuit, row, column, symbols.scale) * mutual,
-        ]
+        entries = [_grid(circuit, entry) for entry in (own_row, own_column, mutual)]
         at_ends, more = _at_ends(unknowns, circuit, symbols)
-        balance = casadi.vertcat(balance, more)
-        if at_ends is not None:
-            entries_of_cells += [at_ends[row.tolist()], at_ends[column.tolist()]]
-        reading = symbols.reading(*(_grid(circuit, entry) for entry in entries_of_cells))
-        return unknowns.network(balance, casadi.vec(casadi.SX(reading).T))
+        return unknowns.network(
+            casadi.vertcat(balance, more),
+            _reading(circuit, readout, entries, symbols, at_ends),
+        )
 
     def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
         """Return the voltages of a solved network; see `Excitation.voltages`."""
@@ -391,27 +386,32 @@ def _chosen(values: casadi.SX, rows: Numbers, columns: list[int]) -> casadi.SX:
     )
 
 
-def _reading(
-    circuit: Circuit,
-    readout: Readout,
-    impedance: casadi.SX,
-    symbols: ConductanceSymbols,
-    at_ends: casadi.SX | None,
-) -> casadi.SX:
-    """Return the readings (cells, 1) from K between the lines.
-
-    K has shape (lines, lines), in units of the symbols' scale; `at_ends` is v of the lines, (lines,
-    1), or None without potentials.
-    """
+def _of_lines(circuit: Circuit, impedance: casadi.SX) -> list[casadi.SX]:
+    """Return K_jj, K_kk and K_jk, (rows, columns) each, of K between the lines, (lines, lines)."""
     rows, columns = circuit.shape
     own = casadi.diag(impedance)
-    entries = [
+    return [
         casadi.repmat(own[:rows], 1, columns),
         casadi.repmat(own[rows:].T, rows, 1),
         impedance[:rows, rows:],
     ]
+
+
+def _reading(
+    circuit: Circuit,
+    readout: Readout,
+    entries: list[casadi.SX],
+    symbols: ConductanceSymbols,
+    at_ends: casadi.SX | None,
+) -> casadi.SX:
+    """Return the readings (cells, 1) from K_jj, K_kk and K_jk, (rows, columns) each.
+
+    The entries are in units of the symbols' scale; `at_ends` is v of the lines, (lines, 1), or None
+    without potentials.
+    """
     if readout.two_point and not circuit.held.any():
         return casadi.vec(casadi.SX(symbols.scale * symbols.reading(*entries)).T)
+    rows, columns = circuit.shape
     row, column = _lines_of_cells(circuit)
     pairs = ((row, row), (column, column), (row, column))
     scaled = [
