@@ -128,6 +128,22 @@ class LineChange:
             ratio = np.where(self.own.ohm == self.base.ohm, 1.0, self.own.ohm / self.base.ohm)
         return np.where(np.isinf(self.base.ohm), 0.0, np.where(self.base.ohm == 0, 1.0, ratio))
 
+    def drive_terms(self) -> Array:
+        """Return A and A', then both terms of the current, (4, lines); see `Equation`."""
+        own = self.own.ohm
+        ones = np.ones(len(own))
+        held = [ones, -own, 0 * ones, -ones]
+        tied = [own, 1 - self.ratio, ones, -self.base.siemens]
+        return np.where(self.base.ohm == 0, held, tied)
+
+    def load_terms(self) -> Array:
+        """Return B and B', (2, lines); see `Equation`."""
+        siemens = self.own.siemens
+        with np.errstate(invalid="ignore"):
+            change = np.where(self.stays, 0.0, siemens - self.base.siemens)
+        ones = np.ones(len(change))
+        return np.where(self.held, [siemens, -ones], [ones, change])
+
 
 @dataclass(frozen=True, eq=False)
 class PotentialTerms:
@@ -231,14 +247,9 @@ class Equation:
     potentials: PotentialTerms | None = field(default=None)
 
     @property
-    def several_driven(self) -> bool:
-        """Whether the bases of driven lines differ from address to address."""
-        return len(self.driving.of_base) > 1
-
-    @property
     def plain(self) -> bool:
         """Whether one source drives all currents, and one set of idle driven lines is tied."""
-        return self.potentials is None and not self.several_driven
+        return self.potentials is None and len(self.driving.of_base) == 1
 
     @property
     def diode(self) -> Diode | None:
@@ -254,8 +265,16 @@ class Equation:
         own_driven, own_sensed = of_side(driven, row, column)
         terms = self.potentials
         if terms is not None:
+            entries = own_driven, own_sensed, mutual
             at_lines = of_side(driven, *potentials) if potentials else (0.0, 0.0)
-            volt = self._line_volt((own_driven, own_sensed, mutual), at_lines, terms)
+            if terms.follows is None:
+                volt = self._solved(entries, at_lines, terms.of_drive, terms.of_load)
+            else:
+                # V_j = V_0 + V_1 Vp with Vp = V_j, where V_1 is excited by idle driven lines alone
+                alone = 0.0 * at_lines[0], 0.0 * at_lines[1]
+                without = self._solved(entries, alone, terms.of_drive, terms.of_load)
+                share = self._solved(entries, at_lines, terms.follows, 0.0 * terms.of_load)
+                volt = without / (1 - share)
             return terms.level + self.gain * (volt - terms.load_volt)
         if self.floating:
             # Nothing but the read lines conducts elsewhere: one loop of Rd, R and Rs
@@ -281,27 +300,16 @@ class Equation:
         current = of_load * by_excitation + potential * by_potential
         return mutual * self.gain * self._supply(determinant / current) / determinant
 
-    def _line_volt(
-        self, entries: tuple[Any, Any, Any], at_lines: tuple[Any, Any], terms: PotentialTerms
-    ) -> Any:
-        """Return V_j from the entries Z_ii, Z_jj, Z_ij and the potentials v_i, v_j."""
-        if terms.follows is None:
-            return self._solved(entries, at_lines, terms, terms.of_drive, terms.of_load)
-        # V_j = V_0 + V_1 Vp with Vp = V_j, where V_1 is excited by idle driven lines alone
-        alone = (0.0 * at_lines[0], 0.0 * at_lines[1])
-        without = self._solved(entries, alone, terms, terms.of_drive, terms.of_load)
-        share = self._solved(entries, at_lines, terms, terms.follows, 0.0 * terms.of_load)
-        return without / (1 - share)
-
     def _solved(
         self,
         entries: tuple[Any, Any, Any],
         at_lines: tuple[Any, Any],
-        terms: PotentialTerms,
         of_drive: Array,
         of_load: Array,
     ) -> Any:
         """Return V_j of the two equations of the module, for E and F."""
+        terms = self.potentials
+        assert terms is not None
         drive, by_drive = self.drive_terms
         load, by_load = self.load_terms
         own_driven, own_sensed, mutual = entries
@@ -359,10 +367,10 @@ class Equation:
 
         The result has the shape of the values.
         """
-        axis = -1 if self.terminations.driven == "rows" else -2
-        if self.together is None:
-            return np.broadcast_to(values.sum(axis=axis, keepdims=True), values.shape)
         by_rows = self.terminations.driven == "rows"
+        if self.together is None:
+            total = values.sum(axis=-1 if by_rows else -2, keepdims=True)
+            return np.broadcast_to(total, values.shape)
         return np.asarray(values @ self.together if by_rows else self.together @ values)
 
     def ties_of_parts(self, parts: NDArray[np.intp] | None, cells: Callable[[], Array]) -> Array:
@@ -434,9 +442,8 @@ def equation_of(circuit: CircuitOfLines, rows: int, columns: int) -> Equation:
         read = np.multiply.outer(driving.of_base[one], sensing.of_base[other]) * 1.0
         read_at.append(read if side == "rows" else read.T)
     together = (ends.sensing.ohm == sensing.own.ohm) & (ends.sensing.volt == sensing.own.volt)
-    drive_terms, current_terms = _drive_terms(driving)
-    load_terms = _load_terms(sensing)
-    idle = driving.base.ohm
+    drive, by_drive, by_excitation, by_potential = map(of_driven, driving.drive_terms())
+    load, by_load = map(of_sensed, sensing.load_terms())
     return Equation(
         terminations=ends,
         driving=driving,
@@ -445,11 +452,11 @@ def equation_of(circuit: CircuitOfLines, rows: int, columns: int) -> Equation:
         drive=of_driven(driving.own.ohm),
         load=of_sensed(sensing.own.ohm),
         gain=of_sensed(ends.gain),
-        drive_terms=(of_driven(drive_terms[0]), of_driven(drive_terms[1])),
-        load_terms=(of_sensed(load_terms[0]), of_sensed(load_terms[1])),
-        current_terms=(of_driven(current_terms[0]), of_driven(current_terms[1])),
+        drive_terms=(drive, by_drive),
+        load_terms=(load, by_load),
+        current_terms=(by_excitation, by_potential),
         floating=not np.any(ties),
-        grounded=bool(np.all(idle <= driving.own.ohm)) and len(driving.of_base) == 1,
+        grounded=bool(np.all(driving.base.ohm <= driving.own.ohm)) and len(driving.of_base) == 1,
         ties=np.stack(ties),
         read_at=np.stack(read_at),
         together=None if together.all() else together.T * 1.0,
@@ -508,24 +515,3 @@ def _potential_terms(
         loaded=bool(of_load.any()),
         follows=of_driven(-driving.ratio) if follows else None,
     )
-
-
-def _drive_terms(driving: LineChange) -> tuple[Array, Array]:
-    """Return (A, A'), and the terms of the current, (2, driven) each; see `Equation`."""
-    own = driving.own.ohm
-    ones = np.ones(len(own))
-    held = driving.base.ohm == 0
-    with np.errstate(divide="ignore"):
-        siemens = 1 / driving.base.ohm
-    drive_terms = np.where(held, (ones, -own), (own, 1 - driving.ratio))
-    current_terms = np.where(held, [[0.0], [-1.0]], (ones, -siemens))
-    return drive_terms, current_terms
-
-
-def _load_terms(sensing: LineChange) -> Array:
-    """Return (B, B'), (2, sensed); see `Equation`."""
-    ones = np.ones(len(sensing.own.ohm))
-    siemens = sensing.own.siemens
-    with np.errstate(invalid="ignore"):
-        change = np.where(sensing.stays, 0.0, siemens - sensing.base.siemens)
-    return np.where(sensing.held, (siemens, -ones), (ones, change))

@@ -8,6 +8,7 @@ cells.
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,33 +76,32 @@ class JoinedNetwork(Network):
     parts: tuple[NetworkPart, ...]
 
     @classmethod
-    def addressed(
-        cls, cell_resistance: Array, networks: Sequence[Network], read_at: NDArray[np.bool_]
+    def of(
+        cls,
+        cell_resistance: Array,
+        networks: Sequence[Network],
+        places: Modules | NDArray[np.bool_],
     ) -> "JoinedNetwork":
-        """Return the network of all addresses of a readout, over the same cells (rows, columns).
+        """Return the network of cells (rows, columns) ohm of all modules, or of all addresses.
 
-        The networks are those of the addresses, or a single one with all addresses as its leading
-        axis. `read_at` are the readings of each address, (addresses, rows, columns).
+        Parameters
+        ----------
+        cell_resistance : array, shape (rows, columns)
+        networks : sequence of Network
+            Those of the modules by their numbers, or of the addresses, or a single one with all of
+            them as its leading axis.
+        places : Modules, or boolean array, shape (addresses, rows, columns)
+            Arrangement of the modules, or the readings of each address, all over the same cells.
         """
-        numbers = np.broadcast_to(_numbers(*cell_resistance.shape), read_at.shape)
+        cells = _numbers(*places.shape[-2:])
+        if isinstance(places, Modules):
+            cells, read = places.split(cells), None
+        else:
+            cells, read = np.broadcast_to(cells, places.shape), places
         if networks[0].cell_resistance.ndim > 2:
-            return cls(cell_resistance, (NetworkPart(networks[0], numbers, read_at),))
-        parts = zip(networks, numbers, read_at, strict=True)
-        return cls(cell_resistance, tuple(NetworkPart(*part) for part in parts))
-
-    @classmethod
-    def of_modules(
-        cls, cell_resistance: Array, layout: Modules, networks: Sequence[Network]
-    ) -> "JoinedNetwork":
-        """Return the network of an image (rows, columns) of modules.
-
-        The networks are those of the modules by their numbers, or a single one with all modules as
-        its leading axis.
-        """
-        numbers = _numbers_in_modules(layout)
-        cells = (numbers,) if networks[0].cell_resistance.ndim > 2 else tuple(numbers)
-        pairs = zip(networks, cells, strict=True)
-        return cls(cell_resistance, tuple(NetworkPart(network, own) for network, own in pairs))
+            return cls(cell_resistance, (NetworkPart(networks[0], cells, read),))
+        reads = repeat(None) if read is None else read
+        return cls(cell_resistance, tuple(map(NetworkPart, networks, cells, reads)))
 
     def reading(self) -> Array:
         return self._readings([part.network.reading() for part in self.parts])
@@ -209,9 +209,3 @@ class JoinedSecondOrder(SecondOrder):
 def _numbers(rows: int, columns: int) -> Numbers:
     """Return the numbers of a panel's cells, (rows, columns)."""
     return np.arange(rows * columns).reshape(rows, columns)
-
-
-@lru_cache(maxsize=64)
-def _numbers_in_modules(layout: Modules) -> Numbers:
-    """Return the numbers of the cells of an image by modules, (modules, rows, columns)."""
-    return layout.split(_numbers(*layout.shape))

@@ -164,7 +164,7 @@ def test_an_image_of_modules_has_the_readings_of_each(modules: tuple[int, int]) 
         return [network.reading(), network.adjoint(weights), *products, *dense, wire]
 
     together = all_of(readout.network(cells, readout.ties(cells)))
-    one_by_one = all_of(JoinedNetwork.of_modules(cells, layout, networks))
+    one_by_one = all_of(JoinedNetwork.of(cells, networks, layout))
     for first, second in zip(together, one_by_one, strict=True):
         assert_allclose(first, second, rtol=ROUNDING, atol=ROUNDING * np.abs(second).max())
     assert_allclose(together[0], image(lambda number: networks[number].reading()), rtol=ROUNDING)
@@ -220,6 +220,6 @@ def test_addresses_of_multiplexers_are_one_network(ends: Any, groups: Any) -> No
     network = readout.network(cells, ties)
     assert isinstance(network, JoinedNetwork)
     assert len(network.parts) == 1
-    one_by_one = JoinedNetwork.addressed(cells, alone, equation.read_at > 0)
+    one_by_one = JoinedNetwork.of(cells, alone, equation.read_at > 0)
     for first, second in zip(all_of(network), all_of(one_by_one), strict=True):
         assert_allclose(first, second, rtol=0, atol=1e-13 * np.abs(second).max())

@@ -78,7 +78,7 @@ class WindowScene:
             module.circuit.network(part, module.circuit.ties(part), module.wiring)
             for module, part in parts
         ]
-        return JoinedNetwork.of_modules(cells, layout, solved)
+        return JoinedNetwork.of(cells, solved, layout)
 
     def _joined(self, part: Callable[[RecognitionScene, Array], Array], image: Array) -> Array:
         layout = layout_of(self.panel)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lampest.panel.circuit import FOLLOWS, Ends, Terminations, nominal_terminations
+from lampest.panel.circuit import FOLLOWS, Ends, nominal_terminations
 from lampest.panel.equation import equation_of
 from lampest.panel.lines import (
     as_tuple,
@@ -101,11 +101,6 @@ def check_keys(readout: Any) -> None:
     for key in ("groups", "driven_groups"):
         if entry(readout, key) is not None:
             check_apart(getattr(readout, key), key)
-    _check_potentials(readout)
-
-
-def _check_potentials(readout: Any) -> None:
-    """Raise ValueError if potentials contradict the circuit."""
     for name in ("idle_volt", "load_volt", "idle_load_volt"):
         volt = entry(readout, name)
         if isinstance(volt, float | int) and not abs(volt) <= MAX_VOLT:
@@ -159,21 +154,8 @@ def check_on_panel(readout: Any, scene: Any) -> None:
     if ends.two_point:
         return  # all lines end as those of the nominal panel
     check_line_memory(driven, sensed)
-    _check_ends(readout, readout.terminations(driven, sensed))
-    equation = equation_of(readout, *scene.panel.shape)
-    if ends.diode is not None and equation.potentials is not None:
-        raise ValueError("diode: circuits with several potentials have no diode in this model")
-    if ends.diode is not None and entry(readout, "driven_groups") is not None:
-        raise ValueError("diode: circuits with driven_groups have no diode in this model")
-    if scene.wiring is not None and scene.wiring.joined and np.isinf(equation.ties).any():
-        raise ValueError(
-            "faults: lines that touch cannot be joined to idle ones that 0 ohm hold at ground"
-        )
-
-
-def _check_ends(readout: Any, ends: Terminations) -> None:
-    """Raise ValueError if no current flows at an address: one line at most ends somewhere."""
-    driving, sensing = np.isfinite(ends.driving.ohm), np.isfinite(ends.sensing.ohm)
+    table = readout.terminations(driven, sensed)
+    driving, sensing = np.isfinite(table.driving.ohm), np.isfinite(table.sensing.ohm)
     side = ends.driven.removesuffix("s")
     if not driving.diagonal().all():
         line = int(np.argmin(driving.diagonal()))
@@ -185,6 +167,15 @@ def _check_ends(readout: Any, ends: Terminations) -> None:
             f"readout.{readout.of_sensed[0]}: while {side} {line} is driven and "
             f"{opposite(ends.driven).removesuffix('s')} {read} is read no other line ends "
             "anywhere: no current flows; name the resistor of the line that is read"
+        )
+    equation = equation_of(readout, *scene.panel.shape)
+    if ends.diode is not None and equation.potentials is not None:
+        raise ValueError("diode: circuits with several potentials have no diode in this model")
+    if ends.diode is not None and entry(readout, "driven_groups") is not None:
+        raise ValueError("diode: circuits with driven_groups have no diode in this model")
+    if scene.wiring is not None and scene.wiring.joined and np.isinf(equation.ties).any():
+        raise ValueError(
+            "faults: lines that touch cannot be joined to idle ones that 0 ohm hold at ground"
         )
 
 

@@ -293,7 +293,7 @@ class Readout(Completed, ABC):
                 )
                 for number, tie in enumerate(ties)
             ]
-        return JoinedNetwork.addressed(cell_resistance, networks, equation.read_at > 0)
+        return JoinedNetwork.of(cell_resistance, networks, equation.read_at > 0)
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
         """Return the readings y of cells of any contrast.

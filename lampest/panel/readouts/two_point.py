@@ -229,7 +229,7 @@ class ModulesReadout(TwoPointReadout):
         from lampest.panel.joined_network import JoinedNetwork  # for modules alone
 
         modules = SolvedNetwork.floating(1 / self.layout.split(cell_resistance), ties)
-        return JoinedNetwork.of_modules(cell_resistance, self.layout, [modules])
+        return JoinedNetwork.of(cell_resistance, [modules], self.layout)
 
     def uniform_start(self, measured: Array) -> Array:
         """Return the uniform start of each module; see `TwoPointReadout.uniform_start`."""
