@@ -57,7 +57,9 @@ class Draw:
             simulated(self.actual, frames, self.specified, *series)
         )
         sums = sums_of_codes(self.actual, volt, Unmodelled(outlier_probability=1e-4), seed)
-        values = self.specified.circuit.recorded_from_sums(sums, self.actual.readings)
+        values = self.specified.circuit.recorded_from_volt(
+            self.specified.circuit.volt_from_code(sums / self.actual.readings)
+        )
         time = np.arange(float(len(sums)))
         return Recording(self.specified, values, time, np.ones(len(sums), dtype=np.uint8), name="r")
 

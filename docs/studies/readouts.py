@@ -67,7 +67,10 @@ def measured(scene: Scene, cells: Array, rng: np.random.Generator) -> Recording:
     codes = readout.code_from_volt(volt + noise_volt(readout) * rng.standard_normal(volt.shape))
     role = np.minimum(np.arange(len(cells)), 1).astype(np.uint8)
     return Recording(
-        scene, readout.recorded_from_sums(codes, 1), np.arange(float(len(cells))), role
+        scene,
+        readout.recorded_from_volt(readout.volt_from_code(codes)),
+        np.arange(float(len(cells))),
+        role,
     )
 
 

@@ -8,13 +8,13 @@ readings follows from them: `lampest.panel.equation`.
 from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Protocol, Self
+from typing import ClassVar, Protocol, Self
 
 import numpy as np
 
 from lampest.files.typed import Validated, real_array, typed
 from lampest.panel.diode import Diode
-from lampest.panel.lines import Groups, Side
+from lampest.panel.lines import Groups, Side, listed_lines
 from lampest.panel.panel import Array
 
 FOLLOWS = "follows"
@@ -240,18 +240,27 @@ def scanned(
 class CircuitOfLines(Hashable, Protocol):
     """Interface of a readout that states how each line ends."""
 
+    of_driven: ClassVar[tuple[str, ...]]
+    of_sensed: ClassVar[tuple[str, ...]]
+
     def terminations(self, driven: int, sensed: int) -> Terminations:
         """Return the ends of the lines of a panel with so many driven and sensed lines."""
-
-    @property
-    def nominal_lines(self) -> tuple[int, int]:
-        """Numbers of driven and sensed lines that its lists tell, otherwise NOMINAL_LINES."""
 
 
 @lru_cache(maxsize=256)
 def nominal_terminations(circuit: CircuitOfLines) -> Terminations:
     """Return the ends of a circuit's lines on a panel of its nominal size.
 
-    Potentials do not depend on the number of lines, so that they hold for any panel.
+    Each side has as many lines as lists and groups tell, otherwise NOMINAL_LINES. Potentials do not
+    depend on the number of lines, so that they hold for any panel.
     """
-    return circuit.terminations(*circuit.nominal_lines)
+    counts = []
+    for keys, groups in (
+        (circuit.of_driven, "driven_groups"),
+        ((*circuit.of_sensed, "offset_volt"), "groups"),
+    ):
+        values = [getattr(circuit, key, None) for key in keys]
+        listed = [len(value) for value in values if isinstance(value, tuple)]
+        grouped = [line + 1 for line in listed_lines(getattr(circuit, groups, None) or ())]
+        counts.append(max([*listed, *grouped], default=NOMINAL_LINES))
+    return circuit.terminations(*counts)

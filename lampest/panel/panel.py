@@ -168,11 +168,9 @@ class Panel(Configuration):
         check_positive_fields(self, "pitch_mm")
         # a transistor's width, a street's length
         check_ranges(self, 1e-3, MAX_PITCH_MM, "pitch_mm")
-        if self.cells is not None:
-            self._check_cells(self.cells)
-
-    def _check_cells(self, cells: tuple[CellPlace, ...]) -> None:
-        """Raise ValueError unless the list has cells of the panel, each crossing and place once."""
+        cells = self.cells
+        if cells is None:
+            return
         for row, column, *place in cells:
             if not (0 <= row < self.rows and 0 <= column < self.columns):
                 raise ValueError(f"cells: there is no crossing [{row}, {column}]")

@@ -346,6 +346,6 @@ def recorded_of_sums(scene: Scene, sums: NDArray[Any], readings: int) -> Array:
     for module, numbers in scene.alike:
         assert module.readout is not None
         own = parts[..., numbers, :, :]
-        values = module.readout.recorded_from_sums(own, readings)
+        values = module.readout.recorded_from_volt(module.readout.volt_from_code(own / readings))
         recorded[..., numbers, :, :] = np.where(own == NO_SUM, np.nan, values)
     return layout.joined(recorded)

@@ -332,7 +332,7 @@ def good_recordings(folder: Path) -> tuple[bytes, bytes]:
     scene = Scene(Panel(3, 4), readout, 140.0)
     Recording(
         scene,
-        readout.recorded_from_sums(codes, 20),
+        readout.recorded_from_volt(readout.volt_from_code(codes / 20)),
         count * 1.0,
         (count > 0).astype(np.uint8),
         sigma=np.full((3, 4), 5.0),

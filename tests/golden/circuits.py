@@ -210,7 +210,7 @@ def readout_row(scene: lp.Scene) -> dict[str, Any]:
         "series": largest_series_ohm(circuit, value[None], sigma[None]),
         "codes": circuit.code_from_volt(volt),
         "volt": circuit.volt_from_code(np.array([0.0, 12.25, 900.0])),
-        "sums": circuit.recorded_from_sums(np.array([[4000, 9000]]), 20),
+        "sums": circuit.recorded_from_volt(circuit.volt_from_code(np.array([[4000, 9000]]) / 20)),
         "noise": noise_volt(circuit),
         "sigma of codes": sigma_code(circuit),
         "averaged": averaged_variance(circuit, 0.4),

@@ -135,7 +135,8 @@ def test_shorts_keep_their_digits_where_lines_are_held() -> None:
     cells[1, 2] = 0.01
     cells[3, 4] = 0.01
     step = np.random.default_rng(4).standard_normal(cells.shape)
-    network = readout.solved_network(cells, readout.ties(cells))
+    network = readout.network(cells, readout.ties(cells))
+    assert isinstance(network, SolvedNetwork)
     differences = network.potential_differences
     summed = (differences * (step / cells).ravel()) @ differences.T
     expected = network.read_change(network.entries(summed))
@@ -197,7 +198,7 @@ def test_addresses_of_multiplexers_are_one_network(ends: Any, groups: Any) -> No
     equation = equation_of(readout, *cells.shape)
     excited = equation.excitations(ties)
     alone = [
-        readout.solved_network(cells, tie, None, None if excited is None else excited[number])
+        SolvedNetwork.tied(cells, tie, readout, None if excited is None else excited[number])
         for number, tie in enumerate(ties)
     ]
     leak = np.zeros((11, 1))

@@ -237,7 +237,7 @@ def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
         volt = readout.volt_from_recorded(readout.to_recorded(readout.exact_reading(cells), scene))
         noise = readout.lsb_volt * rng.standard_normal((readout.readings, *volt.shape))
         codes = readout.code_from_volt(volt + noise).sum(axis=0)
-        readings = readout.recorded_from_sums(codes, readout.readings)
+        readings = readout.recorded_from_volt(readout.volt_from_code(codes / readout.readings))
         recording = recording_of(scene, readings, 1, truth_cell_resistance=cells)
         terms = (Misfit(weighting="noise"), Gradient(weight="auto"))
         estimate = reconstruct(recording, Estimator(terms, formulation="reduced"))

@@ -492,7 +492,9 @@ def log_normal_cells(rows: int, columns: int) -> Array:
 
 
 def network_of(cells: Array, lines: Lines, ties: Array) -> SolvedNetwork:
-    return TwoPointReadout().solved_network(cells, ties, Wiring(lines))
+    network = TwoPointReadout().network(cells, ties, Wiring(lines))
+    assert isinstance(network, SolvedNetwork)
+    return network
 
 
 def badcrossbar_of(cells: Array, row_ohm: float, column_ohm: float) -> Any:

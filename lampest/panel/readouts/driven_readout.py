@@ -116,7 +116,19 @@ class DrivenReadout(Readout):
 
     def __post_init__(self) -> None:
         if self.idle_stays:
-            self._check_stays()
+            ohm = as_tuple(self.idle_ohm) or (inf,)
+            if max(ohm) == inf:
+                raise ValueError("idle_stays: idle_ohm names no resistor that could stay")
+            if min(ohm) == 0:
+                raise ValueError(
+                    "idle_stays: a line that 0 ohm hold cannot be driven; see idle_ohm"
+                )
+            if self.idle_volt == FOLLOWS:
+                raise ValueError("idle_stays has no place with idle_volt: follows")
+            if self.diode is not None:
+                raise ValueError(
+                    "idle_stays: a diode beside resistors that stay is not in this model"
+                )
         super().__post_init__()
         if self.polarity == "down" and (
             self.drive_volt is not None or self.converter_volt is not None
@@ -149,18 +161,6 @@ class DrivenReadout(Readout):
                 "drive_ohm, idle_ohm, load_ohm and idle_load_ohm name no resistor: "
                 "readings then depend on ratios of cells alone"
             )
-
-    def _check_stays(self) -> None:
-        """Raise ValueError if the resistors that stay contradict the circuit."""
-        ohm = as_tuple(self.idle_ohm) or (inf,)
-        if max(ohm) == inf:
-            raise ValueError("idle_stays: idle_ohm names no resistor that could stay")
-        if min(ohm) == 0:
-            raise ValueError("idle_stays: a line that 0 ohm hold cannot be driven; see idle_ohm")
-        if self.idle_volt == FOLLOWS:
-            raise ValueError("idle_stays has no place with idle_volt: follows")
-        if self.diode is not None:
-            raise ValueError("idle_stays: a diode beside resistors that stay is not in this model")
 
     def description(self) -> str:
         diode = "" if self.diode is None else f", {self.diode.description()}"

@@ -219,14 +219,7 @@ def largest_series_ohm(circuit: CircuitOfLines, measured: Array, sigma: Array) -
     equation = equation_of(circuit, *measured.shape[-2:])
     if equation.terminations.as_resistance:
         return float(measured[np.isfinite(sigma)].min(initial=np.inf))
-    return _largest_drive_ohm(equation, measured, sigma)
-
-
-def _largest_drive_ohm(equation: Equation, measured: Array, sigma: Array) -> float:
-    """Return the upper bound of Rd, min_i (U − V_d − max_j v_ij)/Σ_j v_ij/Rs_j, ohm.
-
-    The sum is over simultaneous loads; with one load at a time each reading is taken alone.
-    """
+    # min_i (U − V_d − max_j v_ij)/Σ_j v_ij/Rs_j; the sum is over simultaneous loads
     if not equation.plain:
         return 0.0
     volt = np.where(np.isfinite(sigma), measured, 0.0) / equation.gain

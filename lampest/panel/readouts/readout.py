@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import counted
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Completed, check_range, check_ranges
-from lampest.panel.circuit import NOMINAL_LINES, Terminations, nominal_terminations
+from lampest.panel.circuit import Terminations, nominal_terminations
 from lampest.panel.equation import equation_of
 from lampest.panel.lines import (
     PerLine,
@@ -28,7 +28,6 @@ from lampest.panel.lines import (
     as_tuple,
     check_lines,
     lines_text,
-    listed_lines,
     of_side,
     opposite,
     per_line,
@@ -156,12 +155,6 @@ class Readout(Completed, ABC):
     def __post_init__(self) -> None:
         own_volts = [name for name in ("drive_volt", "converter_volt") if hasattr(self, name)]
         check_ranges(self, MIN_VOLT, MAX_VOLT, *own_volts)
-        self._check_converter()
-        super().__post_init__()
-        check_keys(self)
-
-    def _check_converter(self) -> None:
-        """Raise ValueError if a number of the converter is out of range, or contradicts another."""
         check_range("supply_volt", self.supply_volt, MIN_VOLT, MAX_VOLT, " V")
         check_ranges(self, 1, 32, "adc_bits")
         bits = self._stated.numbers.adc_bits
@@ -183,14 +176,16 @@ class Readout(Completed, ABC):
             raise ValueError(f"converter.curve: codes lie between {lowest} and {highest + 1}")
         if self._ends[0] == self._ends[1]:
             raise ValueError(f"converter: code 0 stands at the end of the range, {self._ends[0]} V")
-        if isinstance(self.passes_volt, str | None):
-            return
-        least, most = self.range_volt
-        lower, upper = self.passes_volt
-        if not least <= lower < upper <= most:
-            raise ValueError(
-                f"passes_volt must be two voltages from {least:g} to {most:g}, the lower one first"
-            )
+        if not isinstance(self.passes_volt, str | None):
+            least, most = self.range_volt
+            lower, upper = self.passes_volt
+            if not least <= lower < upper <= most:
+                raise ValueError(
+                    f"passes_volt must be two voltages from {least:g} to {most:g}, "
+                    "the lower one first"
+                )
+        super().__post_init__()
+        check_keys(self)
 
     @abstractmethod
     def terminations(self, driven: int, sensed: int) -> Terminations:
@@ -200,29 +195,6 @@ class Readout(Completed, ABC):
     def series_name(self) -> str:
         """Scene's key of a resistance in series with the panel; '' without one."""
         return "series_resistance_ohm" if self.unit == "ohm" else self.channels[0]
-
-    @property
-    def nominal_lines(self) -> tuple[int, int]:
-        """Numbers of driven and of sensed lines that lists and groups tell, otherwise two."""
-        sides = (
-            (self.of_driven, entry(self, "driven_groups")),
-            ((*self.of_sensed, "offset_volt"), entry(self, "groups")),
-        )
-        driven, sensed = (
-            max(
-                [
-                    *(
-                        len(value)
-                        for key in keys
-                        if isinstance(value := vars(self).get(key), tuple)
-                    ),
-                    *([] if groups is None else [max(listed_lines(groups)) + 1]),
-                ],
-                default=NOMINAL_LINES,
-            )
-            for keys, groups in sides
-        )
-        return driven, sensed
 
     def check(self, scene: Surroundings) -> None:
         """Raise ValueError if the scene does not fit the readout, or lists do not fit its panel.
@@ -275,24 +247,24 @@ class Readout(Completed, ABC):
         The ties are those of `ties`. Raises numpy.linalg.LinAlgError if a line is not connected.
         """
         if self.two_point:
-            return self.solved_network(cell_resistance, ties, wiring)
+            return self._solved_network(cell_resistance, ties, wiring)
         equation = equation_of(self, *cell_resistance.shape)
-        excited = equation.excitations(np.atleast_2d(ties))
-        if ties.ndim == 1:
-            sources = None if excited is None else excited[0]
-            return self.solved_network(cell_resistance, ties, wiring, sources)
+        ties = np.atleast_2d(ties)
+        excited = equation.excitations(ties)
+
+        def of_bases(bases: Any, cells: Array = cell_resistance) -> SolvedNetwork:
+            sources = None if excited is None else excited[bases]
+            return self._solved_network(cells, ties[bases], wiring, sources)
+
+        if len(ties) == 1:
+            return of_bases(0)
         from lampest.panel.joined_network import JoinedNetwork  # for several bases
 
         if (wiring is None or wiring.at_terminals) and not np.isinf(ties).any():
             cells = np.broadcast_to(cell_resistance, equation.read_at.shape)
-            networks: list[Network] = [self.solved_network(cells, ties, wiring, excited)]
+            networks = [of_bases(slice(None), cells)]
         else:
-            networks = [
-                self.solved_network(
-                    cell_resistance, tie, wiring, None if excited is None else excited[number]
-                )
-                for number, tie in enumerate(ties)
-            ]
+            networks = [of_bases(number) for number in range(len(ties))]
         return JoinedNetwork.of(cell_resistance, networks, equation.read_at > 0)
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
@@ -315,7 +287,7 @@ class Readout(Completed, ABC):
         with np.errstate(divide="ignore"):
             return self.network(cell_resistance, ties, wiring).reading()
 
-    def solved_network(
+    def _solved_network(
         self,
         cell_resistance: Array,
         ties: Array,
@@ -384,18 +356,12 @@ class Readout(Completed, ABC):
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
         """Return the network's readings of recorded values, (…, rows, columns)."""
         ends = nominal_terminations(self)
-        level = self._level(recorded.shape)
-        if ends.sign > 0 and not np.any(level):
-            return recorded
-        return np.asarray(ends.sign * (recorded - level))
+        return np.asarray(ends.sign * (recorded - self._level(recorded.shape)))
 
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
         """Return the recorded values of the network's readings, (…, rows, columns)."""
         ends = nominal_terminations(self)
-        level = self._level(reading.shape)
-        if ends.sign > 0 and not np.any(level):
-            return reading
-        return np.asarray(level + ends.sign * reading)
+        return np.asarray(self._level(reading.shape) + ends.sign * reading)
 
     def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
         """Return the σ of the network's readings y, σ·|∂y/∂(recorded)|.
@@ -545,10 +511,6 @@ class Readout(Completed, ABC):
             return np.asarray(self.zero_volt + self.code_sign * self.lsb_volt * code)
         volt, codes = self.characteristic.points
         return np.asarray(np.interp(code, codes, volt))
-
-    def recorded_from_sums(self, sums: NDArray[np.integer[Any]], readings: int) -> Array:
-        """Return recorded values of sums of `readings` codes."""
-        return self.recorded_from_volt(self.volt_from_code(sums / readings))
 
     def sigma(self, recorded: Array) -> Array:
         """Return σ of recorded readings, the same shape and unit."""

@@ -73,17 +73,12 @@ def _unseen(circuit: SolvableCircuit, rows: int, columns: int) -> tuple[Scale, .
         "rows": [(row == line) * 1.0 for line in range(rows)],
         "columns": [(column == line) * 1.0 for line in range(columns)],
     }
-    return tuple(
-        name
-        for name, directions in scales.items()
-        if all(_share_within(null, direction) > WITHIN for direction in directions)
-    )
 
+    def within(direction: Array) -> bool:
+        flat = direction.ravel()
+        return bool(np.sum((null @ flat) ** 2) > WITHIN * np.sum(flat**2))
 
-def _share_within(null: Array, direction: Array) -> float:
-    """Return the share of a direction's square that lies in a space."""
-    flat = direction.ravel()
-    return float(np.sum((null @ flat) ** 2) / np.sum(flat**2))
+    return tuple(name for name, directions in scales.items() if all(map(within, directions)))
 
 
 def unseen_sentence(scales: tuple[str, ...]) -> str:

@@ -210,7 +210,9 @@ def measured(
         volt = with_memory(actual, scene.known_memory, volt)
     volt = _disturbed(actual, volt, unmodelled, seed, period_s)
     sums = sums_of_codes(actual, volt, unmodelled, seed, on_frame)
-    return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
+    return scene.readout.recorded_from_volt(
+        scene.readout.volt_from_code(sums / scene.readout.readings)
+    ), sums
 
 
 def _of_scan(readout: Readout, passes: Array) -> Array:

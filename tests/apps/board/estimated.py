@@ -114,7 +114,7 @@ def sums_of(scene, cells, seed=1):
 def recording_of(scene, sums, unloaded=3):
     """Return the recording of sums."""
     readout = scene.circuit
-    values = readout.recorded_from_sums(sums.astype(int), readout.readings)
+    values = readout.recorded_from_volt(readout.volt_from_code(sums.astype(int) / readout.readings))
     return lampest.Recording.from_array(values, unit=readout.unit, baseline=unloaded, scene=scene)
 
 

@@ -936,7 +936,7 @@ def test_noise_is_estimated_from_pairs_of_consecutive_unloaded_codes() -> None:
     def first(count: int) -> Recording:
         return Recording(
             Scene(Panel(2, 3), readout),
-            readout.recorded_from_sums(sums[:count], readings),
+            readout.recorded_from_volt(readout.volt_from_code(sums[:count] / readings)),
             numbers[:count] * 1.0,
             np.where(numbers < 50, UNLOADED, MEASURED).astype(np.uint8)[:count],
             raw_sums=sums[:count],

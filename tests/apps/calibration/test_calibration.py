@@ -118,7 +118,9 @@ def recording(
     )
     codes = np.clip(np.floor(draws + 0.5), 0, 2**readout.adc_bits - 1).astype(int)
     return recording_of(
-        scene, readout.recorded_from_sums(codes.sum(axis=0), readout.readings), name="r"
+        scene,
+        readout.recorded_from_volt(readout.volt_from_code(codes.sum(axis=0) / readout.readings)),
+        name="r",
     )
 
 

@@ -200,7 +200,7 @@ def exported(scene: Scene, resting: Array, rng: np.random.Generator) -> Constant
     readout = scene.circuit
     board = _nominal(scene, rng)
     sums = np.array([board.sums(resting, rng) for _ in range(3)])
-    values = readout.recorded_from_sums(sums.astype(int), readout.readings)
+    values = readout.recorded_from_volt(readout.volt_from_code(sums.astype(int) / readout.readings))
     recording = lampest.Recording.from_array(values, unit=readout.unit, baseline=2, scene=scene)
     terms = [
         lampest.Misfit(weighting="noise"),
