@@ -73,7 +73,7 @@ def both(readout: lampest.Readout, cells: Array) -> tuple[SolvedNetwork, Differe
     ties = readout.ties(cells)
     return (
         SolvedNetwork.tied(cells, ties, readout),
-        DifferenceNetwork.held(cells, ties, readout),
+        DifferenceNetwork.of(cells, ties, readout),
     )
 
 

@@ -53,7 +53,7 @@ BREAKS = {
         "panel/readouts/readout.py", "Readout.lsb_volt", "return 0.5 * result"
     ),
     "a_range_that_is_not_stated_is_told": Break(
-        "panel/readouts/readout.py", "Readout.range_assumed", "return False"
+        "panel/readouts/converter.py", "range_assumed", "return False"
     ),
     "wrong_small_cells_are_never_verified": Break(
         "solvers/certificate.py", "Certificate.settled", "return True"

@@ -101,7 +101,7 @@ class Audit:
             with suppress(InputError):
                 prepared = named(prepared, finding)
         noise = prepared.frame_noise
-        if scene.readout.noise_specified and noise.sigma_factor != 1:
+        if scene.readout.noise_lsb == scene.readout.assumed_noise and noise.sigma_factor != 1:
             evidence = (
                 "readings at rest scatter "
                 f"{noise.factor:.3g} +- {noise.factor_error:.1g} times as specified"

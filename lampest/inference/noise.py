@@ -298,7 +298,8 @@ def estimate_noise(
     precision = np.sqrt(2 * parts.own_freedom)  # of a standard deviation, over its error
     factor = 1.0
     message = ""
-    specified = readout is None or recording.sigma is not None or readout.noise_specified
+    of_scene = readout is None or readout.noise_lsb == readout.assumed_noise
+    specified = of_scene or recording.sigma is not None
     enough_frames = MIN_REQUESTED_FRAMES if requested else MIN_UNLOADED_FRAMES
     if specified and not excludes_model_error(scene):
         factor = _contradicting_factor(recording, parts)

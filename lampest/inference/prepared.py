@@ -220,7 +220,7 @@ class Prepared:
         if OF_NOISE in noise.estimated:
             return 1.0
         of_recording = self.recording.sigma is not None or scene.readout is None
-        if not of_recording and not scene.circuit.noise_specified:
+        if not of_recording and scene.circuit.noise_lsb != scene.circuit.assumed_noise:
             return 1.0
         return noise.sigma_factor if effects_of_frames(scene) else self.question.widening
 

@@ -139,7 +139,7 @@ def _scatter(recording: Recording, noise: NoiseEstimate) -> str:
     """Return a warning of noise that no converter of the scene's kind has; ''."""
     readout = recording.scene.readout
     unlikely = noise.factor > MAX_NOISE_FACTOR or noise.factor * MAX_NOISE_FACTOR < 1
-    if readout is None or not readout.noise_specified or not unlikely:
+    if readout is None or readout.noise_lsb != readout.assumed_noise or not unlikely:
         return ""
     return (
         f"readings at rest scatter {noise.factor:.2g} times as much as the scene's converter does: "

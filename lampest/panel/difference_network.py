@@ -5,8 +5,10 @@ not exist. The potential differences do. Where lines have wire, the differences 
 those between terminals. `DifferenceNetwork` has the equations.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +18,7 @@ from lampest.panel.kirchhoff import NormalByLines, laplacian
 from lampest.panel.law import Entries, Loading
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array
-from lampest.panel.readouts.ladder import Wire
+from lampest.panel.readouts.ladder import Wire, into_lines
 from lampest.panel.readouts.wiring import Wiring
 
 
@@ -52,47 +54,35 @@ class DifferenceNetwork(SolvedNetwork):
     wire: Wire | None = None
 
     @classmethod
-    def held(
+    def of(
         cls,
         cell_resistance: Array,
         ties: Array,
         circuit: CircuitOfLines | None,
         sources: Array | None = None,
-        leaks: Array | None = None,
+        wiring: Wiring | None = None,
     ) -> "DifferenceNetwork":
-        """Return the network of cells (rows, columns) ohm, some of whose lines are held at ground.
-
-        `leaks` are the admittance of conductances between lines, (lines, lines) siemens. Raises
-        numpy.linalg.LinAlgError if a line is not connected.
-        """
-        admittance = laplacian(1 / cell_resistance)
-        entries, potentials = excitations(admittance if leaks is None else admittance + leaks, ties)
-        return cls(cell_resistance, entries, circuit, ties, potentials, sources=sources)
-
-    @classmethod
-    def wired(
-        cls,
-        cell_resistance: Array,
-        ties: Array,
-        circuit: CircuitOfLines | None,
-        wiring: Wiring,
-        sources: Array | None = None,
-    ) -> "DifferenceNetwork":
-        """Return the network of cells (rows, columns) ohm with wiring between them and terminals.
+        """Return the network of cells (rows, columns) ohm, with wiring between them and terminals.
 
         The currents of the terminals at potentials p are BC·p, and Z = (BC + diag t)⁻¹ with
         touching lines as one node. Raises numpy.linalg.LinAlgError if a line is not connected.
         """
-        wire = Wire.of(cell_resistance, wiring)
+        wiring = wiring or Wiring()
+        wire = None if wiring.at_terminals else Wire.of(cell_resistance, wiring)
+        admittance = laplacian(1 / cell_resistance) if wire is None else wire.admittance
         leaks = wiring.leak_admittance(cell_resistance.shape)
-        admittance = wire.admittance if leaks is None else wire.admittance + leaks
-        nodes = wiring.nodes(len(admittance))
-        # Touching lines are one node, with the sum of their ties: E (Eᵀ (BC + diag t) E)⁻¹ Eᵀ
-        node_ties = np.where(nodes > 0, ties[:, None], 0.0).sum(axis=0)
-        entries, potentials = (
-            nodes @ part @ nodes.T for part in excitations(nodes.T @ admittance @ nodes, node_ties)
-        )
-        return cls(cell_resistance, entries, circuit, ties, potentials, wire, sources=sources)
+        if leaks is not None:
+            admittance = admittance + leaks
+        parts: Sequence[Any]
+        if wiring.joined:
+            # Touching lines are one node, with the sum of their ties: E (Eᵀ (BC + diag t) E)⁻¹ Eᵀ
+            nodes = wiring.nodes(len(ties))
+            node_ties = np.where(nodes > 0, ties[:, None], 0.0).sum(axis=0)
+            of_nodes = excitations(nodes.T @ admittance @ nodes, node_ties)
+            parts = [nodes @ part @ nodes.T for part in of_nodes]
+        else:
+            parts = excitations(admittance, ties)
+        return cls(cell_resistance, parts[0], circuit, ties, parts[1], wire, sources=sources)
 
     @property
     def of_free(self) -> NDArray[np.bool_]:
@@ -112,8 +102,7 @@ class DifferenceNetwork(SolvedNetwork):
         """Return B·i, (lines, patterns), for currents i driven through the cells, in ampere."""
         if self.wire is not None:
             return self.wire.entering(currents)
-        through = currents.reshape(*self.shape, -1)
-        return np.concatenate([through.sum(axis=1), -through.sum(axis=0)])
+        return into_lines(currents.reshape(*self.shape, -1))
 
     def driven(self, currents: Array, potentials: Array) -> Array:
         """Return X·i, (cells, patterns) volt, for currents i driven through the cells, in ampere.

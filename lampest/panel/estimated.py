@@ -62,18 +62,10 @@ def _line(key: str, number: float, deviation: float) -> str:
     unit = unit_of_key(name) or "(relative)"
     if not 0 < deviation < inf:
         return f"{key}: {number:.2g} ± {deviation:.2g} {unit}"
+    # Negative numbers of decimals are tens, hundreds and so on: '1230', or '2e-07' below 0.0001
     decimals = 1 - floor(log10(deviation))
-    value, error = (_with_decimals(part, decimals) for part in (number, deviation))
-    return f"{key}: {value} ± {error} {unit}"
-
-
-def _with_decimals(value: float, decimals: int) -> str:
-    """Return a value rounded to decimals, such as '1230', or '2e-07' below 0.0001.
-
-    Negative numbers of decimals are tens, hundreds and so on.
-    """
-    rounded = round(value, decimals)
-    if rounded == 0:
-        return "0"
-    exponent = floor(log10(abs(rounded)))
-    return f"{rounded:.{max(exponent + decimals, exponent, 0) + 1}g}"
+    texts = []
+    for rounded in (round(number, decimals), round(deviation, decimals)):
+        exponent = floor(log10(abs(rounded))) if rounded else 0
+        texts.append(f"{rounded:.{max(exponent + decimals, exponent, 0) + 1}g}" if rounded else "0")
+    return f"{key}: {' ± '.join(texts)} {unit}"

@@ -173,7 +173,18 @@ class Scene(Configuration):
             self.faults.check(self.panel)
         if self.response is not None:
             self.response.check(self.panel.shape)
-        self._check_modules()
+        places = [module.at for module in self.modules or ()]
+        for module in self.modules or ():
+            where = list(module.at)
+            if not self.panel.has_module(module.at):
+                raise ValueError(f"modules: there is no module {where}")
+            if places.count(module.at) > 1:
+                raise ValueError(f"modules: module {where} is named twice")
+            if module.readout is not None and type(module.readout) is not type(self.readout):
+                raise ValueError(
+                    f"modules: module {where} has a readout of another kind than the scene"
+                )
+        assert self.of_modules  # every scene checks itself
         if self.panel.modules is not None:
             return
         if isinstance(self.series_resistance_ohm, SeriesPerLine):
@@ -194,21 +205,6 @@ class Scene(Configuration):
     def own(self, key: str) -> Any:
         """Return the object that a scene has under the key of an application; None without it."""
         return dict(self.own_keys).get(key)
-
-    def _check_modules(self) -> None:
-        """Raise ValueError if an entry of `modules` is not allowed, or does not fit its scene."""
-        places = [module.at for module in self.modules or ()]
-        for module in self.modules or ():
-            where = list(module.at)
-            if not self.panel.has_module(module.at):
-                raise ValueError(f"modules: there is no module {where}")
-            if places.count(module.at) > 1:
-                raise ValueError(f"modules: module {where} is named twice")
-            if module.readout is not None and type(module.readout) is not type(self.readout):
-                raise ValueError(
-                    f"modules: module {where} has a readout of another kind than the scene"
-                )
-        assert self.of_modules  # every scene checks itself
 
     @cached_property
     def of_modules(self) -> tuple["Scene", ...]:

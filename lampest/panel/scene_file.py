@@ -8,6 +8,7 @@ from typing import Any
 from lampest.files.document import read_document
 from lampest.files.typed import members_of, typed
 from lampest.panel.readouts import AnyReadout
+from lampest.panel.readouts.converter import range_assumed
 from lampest.panel.scene import CHOSEN_RANGE, Scene, validated_scene
 
 # Frames tell them: the check of the circuit names the other one where it fits better.
@@ -46,7 +47,7 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
             stated = entry.name in specified[name] | CHECKED_DEFAULTS
             if not stated and getattr(part, entry.name):
                 left_open.append(f"{name}.{entry.name}")
-    if scene.readout is not None and scene.readout.range_assumed:
+    if scene.readout is not None and range_assumed(scene.readout):
         left_open.append(CHOSEN_RANGE)
     return replace(scene, assumed=scene.assumed or tuple(left_open))
 

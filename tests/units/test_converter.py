@@ -195,7 +195,7 @@ def test_a_name_states_the_steps_of_a_chip(
 
 def test_the_noise_of_a_chip_is_assumed_until_frames_show_it() -> None:
     board = GroundedReadout(supply_volt=3.3, converter="ADS1115")
-    assert board.assumed_noise == 1.0 and not board.noise_specified
+    assert board.assumed_noise == 1.0 and board.noise_lsb != board.assumed_noise
     assert GroundedReadout(converter="MCP3008").assumed_noise == GroundedReadout().assumed_noise
     assert replace(board, noise_lsb=0.3).assumed_noise == 0.3
 

@@ -151,6 +151,13 @@ class Characteristic(Configuration):
         return f"{start} {self.zero_volt:.6g} V{end}"
 
 
+def range_assumed(readout: Any) -> bool:
+    """Return whether the range is one of several of a named chip, that after power-up."""
+    named = readout.converter
+    stated = named if isinstance(named, Characteristic) else Characteristic(name=named)
+    return bool(stated.numbers.ranges) and stated.full_volt is None
+
+
 def relative_step(readout: Any, volt: Array) -> Array:
     """Return the converter's step at voltages, in units of `lsb_volt`; any shape."""
     if readout.characteristic.curve is None:
@@ -180,8 +187,9 @@ def sigma_code(
     σ² = (noise² + 1/12 − b²)/readings + b², with the variance b² of `_rounding_variance`. None:
     the converter's own noise, or number of readings.
     """
-    noise = np.array(readout.assumed_noise if noise_lsb is None else noise_lsb)
-    bias = _rounding_variance(noise)
+    noise_lsb = readout.assumed_noise if noise_lsb is None else noise_lsb
+    noise = np.array(noise_lsb)
+    bias = _rounding_variance(noise_lsb)
     return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / (readings or readout.readings) + bias))
 
 
@@ -190,18 +198,9 @@ def constant_share(readout: Any, noise_lsb: PerLine | None = None) -> Array:
 
     None: that of the converter's own noise.
     """
-    if noise_lsb is None:
-        return _own_constant_share(readout)
-    rounding = _rounding_variance(np.array(noise_lsb))
-    share = np.sqrt(rounding) / sigma_code(readout, noise_lsb)
+    noise = readout.assumed_noise if noise_lsb is None else noise_lsb
+    share = np.sqrt(_rounding_variance(noise)) / sigma_code(readout, noise)
     return np.asarray(along(readout.noisy_side, share) if share.ndim else share)
-
-
-@lru_cache(maxsize=64)
-def _own_constant_share(readout: Any) -> Array:
-    """Return the share of a converter's own noise."""
-    share: Array = read_only(constant_share(readout, readout.assumed_noise))
-    return share
 
 
 def rails_reached(readout: Any, recorded: Array) -> str:
@@ -215,7 +214,8 @@ def rails_reached(readout: Any, recorded: Array) -> str:
     return f"the converter's {rails} of {' and '.join(reached)} {readout.unit}"
 
 
-def _rounding_variance(noise: Array) -> Array:
+@lru_cache(maxsize=64)
+def _rounding_variance(noise_lsb: PerLine) -> Array:
     """Return the part b² of the quantisation error that averaging cannot remove, LSB².
 
     b² = Σ_h exp(−4π²h²·noise²)/(2π²h²), because without noise all readings agree. Without noise
@@ -224,16 +224,18 @@ def _rounding_variance(noise: Array) -> Array:
 
     Parameters
     ----------
-    noise : array
-        Standard deviation of one reading before quantisation, LSB.
+    noise_lsb : PerLine
+        Standard deviation of one reading before quantisation.
     """
+    noise = np.array(noise_lsb)
     # Terms of b², one for each harmonic h of the quantisation error: noise (…, 1), harmonic
     # (HARMONICS,)
     harmonic = np.arange(1, HARMONICS + 1, dtype=float)
     damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2))
     damped = damped / (2 * np.pi**2 * harmonic**2)
     bias = np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12))
-    return np.asarray(bias)
+    variance: Array = read_only(bias)
+    return variance
 
 
 def averaged_variance(readout: Any, noise_lsb: PerLine) -> Array:

@@ -129,8 +129,7 @@ class Wire:
     @property
     def admittance(self) -> Array:
         """BC (lines, lines): currents of every terminal for a unit potential at each, siemens."""
-        through = self.currents.reshape(*self.cells.shape, -1)
-        return np.concatenate([through.sum(axis=1), -through.sum(axis=0)])
+        return into_lines(self.currents.reshape(*self.cells.shape, -1))
 
     @cached_property
     def _resistance(self) -> Array:
@@ -150,6 +149,11 @@ class Wire:
         pushed = self._resistance * currents
         drawn = self.ladder.solve(pushed.reshape(*self.cells.shape, -1)).reshape(pushed.shape)
         return np.asarray(pushed - self._resistance * drawn)
+
+
+def into_lines(currents: Array) -> Array:
+    """Return B·i, (lines, patterns), for currents i (rows, columns, patterns) through the cells."""
+    return np.concatenate([currents.sum(axis=1), -currents.sum(axis=0)])
 
 
 def incidence(rows: int, columns: int) -> Array:

@@ -301,15 +301,12 @@ class Readout(Completed, ABC):
         held lines.
         """
         circuit = None if self.two_point else self
-        leaks = None if wiring is None else wiring.leak_admittance(cell_resistance.shape[-2:])
-        at_terminals = wiring is None or wiring.at_terminals
-        if at_terminals and not np.isinf(ties).any():
+        if (wiring is None or wiring.at_terminals) and not np.isinf(ties).any():
+            leaks = None if wiring is None else wiring.leak_admittance(cell_resistance.shape[-2:])
             return SolvedNetwork.tied(cell_resistance, ties, circuit, sources, leaks)
         from lampest.panel.difference_network import DifferenceNetwork  # for wire and held lines
 
-        if wiring is None or at_terminals:
-            return DifferenceNetwork.held(cell_resistance, ties, circuit, sources, leaks)
-        return DifferenceNetwork.wired(cell_resistance, ties, circuit, wiring, sources)
+        return DifferenceNetwork.of(cell_resistance, ties, circuit, sources, wiring)
 
     # Cells at which solves begin, and their bounds.
 
@@ -397,11 +394,6 @@ class Readout(Completed, ABC):
         return self._stated.within(self.full_scale_volt)
 
     @property
-    def range_assumed(self) -> bool:
-        """Whether the range is one of several of a named chip, that after power-up."""
-        return bool(self._stated.numbers.ranges) and self._stated.full_volt is None
-
-    @property
     def codes(self) -> tuple[int, int]:
         """Lowest and highest code: 0 and 2^bits − 1, or −2^(bits−1) and 2^(bits−1) − 1."""
         lowest = -(2 ** (self.adc_bits - 1)) if self.characteristic.signed else 0
@@ -443,11 +435,6 @@ class Readout(Completed, ABC):
         return 1.0 if self._ends[0] < self._ends[1] else -1.0
 
     @property
-    def noise_specified(self) -> bool:
-        """Whether the noise is specified; otherwise frames determine it."""
-        return self.noise_lsb not in (None, "estimated")
-
-    @property
     def assumed_noise(self) -> PerLine:
         """`noise_lsb` if it is specified, otherwise that of the named converter or the usual one.
 
@@ -462,7 +449,7 @@ class Readout(Completed, ABC):
         """Return the converter's numbers in words."""
         noise = (
             lines_text(self.assumed_noise, "LSB")
-            if self.noise_specified
+            if self.noise_lsb == self.assumed_noise
             else "as the unloaded frames show it"
         )
         floor = f", codes above {self.floor_code}" if self.floor_code else ""
