@@ -108,7 +108,8 @@ def run(
         screen.warn(f"{name}: {text} assumed; the scene does not say")
     executor = cases.executor
     if jobs or executor is None:
-        executor = local(jobs, sum(case.segments for case in cases.cases), separate=limited)
+        tasks = sum(case.segments for case in cases.cases) if jobs else cases.tasks
+        executor = local(jobs, tasks, separate=limited)
     with screen.progress("frames", counted=True) as on_frames:
         report = run_batch(
             cases,

@@ -167,12 +167,16 @@ class Case:
     cells: int = 0
 
     @property
+    def seconds(self) -> float:
+        """Approximate processor time of all frames, s."""
+        return self.frames * self.cells * SECONDS_A_CELL
+
+    @property
     def segments(self) -> int:
         """Number of segments that may be solved in any order, each worth a task of its own."""
         estimator = self.estimator
         whole = self.stored is not None or estimator.method.needs_all_frames
-        brief = self.frames * self.cells * SECONDS_A_CELL < MIN_DIVIDED_SECONDS
-        if whole or brief or estimator.uses_previous:
+        if whole or self.seconds < MIN_DIVIDED_SECONDS or estimator.uses_previous:
             return 1
         return segment_count(self.frames)
 
@@ -200,6 +204,13 @@ class Run:
     executor: Executor | None = None
     assumed: tuple[tuple[str, str], ...] = ()
     check: Literal["all", "none"] = "all"
+
+    @property
+    def tasks(self) -> int:
+        """Number of tasks; at most 1 where all end before further processes have started."""
+        if sum(case.seconds for case in self.cases) < MIN_DIVIDED_SECONDS:
+            return min(len(self.cases), 1)
+        return sum(case.segments for case in self.cases)
 
 
 # Key → why no sweep varies it.

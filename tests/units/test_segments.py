@@ -123,6 +123,15 @@ def test_a_case_is_divided_where_frames_are_independent_and_take_long(
     assert case.segments == count
 
 
+@pytest.mark.parametrize(("seconds", "count"), [(0.0, 6), (2.0, 1)])
+def test_cases_that_end_before_processes_have_started_are_one_task(
+    seconds: float, count: int, long: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(config, "MIN_DIVIDED_SECONDS", seconds)
+    twice = SMOOTH.replace("}}}}", "}}}, again: {terms: {misfit: {}, log_gradient: {}}}}")
+    assert long_run(long, twice).tasks == count
+
+
 @promise("howto/batches: 200 frames of 10 × 10")
 def test_200_frames_of_10_by_10_are_divided(long: SimpleNamespace) -> None:
     [case] = long_run(long).cases
