@@ -17,6 +17,9 @@ from lampest.solvers.solution import Outcome, Status
 from lampest.solvers.steps import STEPS
 
 MIN_GAP_SHARE = 0.5  # of the tolerance: gap of the finest smoothing
+# Gap of a smoothing over the gradient with the duals, both relative to the cost's scale: conjugate
+# gradients make short steps between narrower corners (test_absolute_losses.py).
+GRADIENT_SHARE = 0.03
 MIN_LAST_STEP = MILLIONTH / 1000  # of log r: a shorter step improves no digit of an estimate
 
 
@@ -121,9 +124,10 @@ class Iterate:
         """Return the same point with the smoothing of the next step.
 
         μ is a share of the mean complementarity: MAX_SHARE, or the root of the gap over the cost if
-        that is less and the gradient with the duals is not behind the gap. The smoothing stays once
-        its gap is half of `tolerance` of the cost: slopes of narrower corners have no digits where
-        heavy weights hold residuals at 0.
+        that is less and the gradient with the duals is not behind the gap. On large panels the gap
+        of the smoothing stays above GRADIENT_SHARE of that gradient until the gradient is a
+        millionth. The smoothing stays once its gap is half of `tolerance` of the cost: slopes of
+        narrower corners have no digits where heavy weights hold residuals at 0.
         """
         smoothing = self.hessian.smoothing
         if not len(smoothing.dual):
@@ -135,7 +139,10 @@ class Iterate:
         share = MAX_SHARE
         if gap < MAX_SHARE**2 * cost and self.dual_residual <= gap / self.at.cost_scale:
             share = float(np.sqrt(gap / cost))
-        least = MIN_GAP_SHARE * tolerance * cost / max(level, np.finfo(float).tiny)
+        least = MIN_GAP_SHARE * tolerance * cost
+        if not self.hessian.dense and self.dual_residual > MILLIONTH:
+            least = max(least, GRADIENT_SHARE * self.dual_residual * self.at.cost_scale)
+        least /= max(level, np.finfo(float).tiny)
         narrowed = smoothing.narrowed(share * complementarity, least)
         if narrowed is smoothing:
             return self

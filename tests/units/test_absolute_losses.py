@@ -25,6 +25,7 @@ from lampest.solvers.steps import STEPS
 SIDE = 10
 # Steps of a first frame under each of TERMS; with μ a tenth of the gap alone 10, 6 and 24.
 MOST_STEPS = (8, 8, 25)
+MOST_LARGE_STEPS = 120
 SAME_COST = 1e-9  # relative: optima of absolute losses
 PENALTIES = (lampest.TotalVariation(weight=1e-3), lampest.CellResistance(weight=1e-6))
 ABSOLUTE = tuple(replace(term, loss=lampest.Absolute()) for term in PENALTIES)
@@ -141,3 +142,18 @@ def test_squares_of_sparse_rows_are_products_of_matrices(dense: bool) -> None:
     full = rows.toarray()
     assert_allclose(squares(rows, weight), full.T @ np.diag(weight) @ full, atol=1e-12)
     assert_allclose(quadratic_forms(rows, middle), np.diag(full @ middle @ full.T), atol=1e-12)
+
+
+@pytest.mark.slow
+def test_steps_of_a_large_panel_do_not_shrink_between_corners() -> None:
+    """Once 179 steps, as corners outran the gradient: each step then moved cells by a millionth."""
+    readout = lampest.TwoPointReadout(adc_bits=10, readings=1, noise_lsb=1.0)
+    scene = lampest.Scene(lampest.Panel(32, 32), readout, 140.0)
+    mouth = lampest.OralDisc(
+        centre_mm=(154, 156), diameter_mm=112, rim_width_mm=19, pressure_kpa=-12
+    )
+    simulation = lampest.Simulation(1, 1, scene, baseline_frames=3, frames=3, loads=(mouth,))
+    terms = (lampest.Misfit(weighting="noise"), lampest.LogRatio(weight=0.17))
+    found = lampest.reconstruct(lampest.simulate(simulation), terms, error_bars=False)
+    steps = [step.solution.iterations for step in found.steps]
+    assert max(steps) <= MOST_LARGE_STEPS, steps
