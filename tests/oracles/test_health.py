@@ -19,7 +19,9 @@ from lampest import Faults, Panel, Recording, Scene
 from lampest.audit.health import ROOMS, WELL, Health
 from lampest.inference.prepared import Prepared
 from lampest.inference.readings.order import (
+    LENGTHS,
     Order,
+    _smooth_modes,
     cell_changes,
     exchanged_lines,
     load_images,
@@ -214,6 +216,18 @@ def test_a_bar_that_sweeps_tells_no_order_of_the_lines_that_it_crosses(seed: int
     """Rows had odds of 10⁵ and 10⁶ by the film, which the bar shows in every place."""
     recording = drawn(seed, of_load("sweep")).recording()
     assert "order" not in {finding.room for finding in Health.of(recording).findings}
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_smooth_parts_of_lines_are_without_their_mean(length: float) -> None:
+    """Modes of long lengths have variances of rounding, as the mean has, and are none of it.
+
+    Once one of them was left out in place of the mean, another one on other processors.
+    """
+    for count in (4, 16, 40):
+        _, modes = _smooth_modes(count, length, 1)
+        together = np.column_stack([np.full(count, count**-0.5), modes])
+        np.testing.assert_allclose(together.T @ together, np.eye(count), atol=1e-12)
 
 
 @pytest.mark.slow

@@ -39,6 +39,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import helmert
 
 from lampest.files.errors import BROKEN
 from lampest.files.levels import NOISE_REACH
@@ -509,13 +510,13 @@ def smooth_costs(images: Array, steps: tuple[int, int] = (1, 1)) -> Array:
 
 @lru_cache(maxsize=64)
 def _smooth_modes(count: int, length: float, step: int) -> tuple[Array, Array]:
-    """Return the eigenvalues and eigenvectors of K on lines, without the mean.
+    """Return the eigenvalues and eigenvectors of K on lines, orthogonal to the mean.
 
     Only lines whose distance is a multiple of the step are alike.
     """
     lines = np.arange(count)
-    centring = np.eye(count) - 1 / count
+    differences = helmert(count)  # rows are orthonormal, and orthogonal to the mean
     distance = (lines[:, None] - lines) / step
     kernel = np.where(distance % 1 == 0, np.exp(-(distance**2) / (2 * length**2)), 0.0)
-    values, vectors = np.linalg.eigh(centring @ kernel @ centring)
-    return np.maximum(values[1:], 0.0), vectors[:, 1:]
+    values, vectors = np.linalg.eigh(differences @ kernel @ differences.T)
+    return np.maximum(values, 0.0), differences.T @ vectors
