@@ -39,7 +39,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import helmert
 
 from lampest.files.errors import BROKEN
 from lampest.files.levels import NOISE_REACH
@@ -515,7 +514,8 @@ def _smooth_modes(count: int, length: float, step: int) -> tuple[Array, Array]:
     Only lines whose distance is a multiple of the step are alike.
     """
     lines = np.arange(count)
-    differences = helmert(count)  # rows are orthonormal, and orthogonal to the mean
+    # Its rows are orthonormal, and orthogonal to the mean.
+    differences = np.linalg.svd(np.ones((1, count)))[2][1:]
     distance = (lines[:, None] - lines) / step
     kernel = np.where(distance % 1 == 0, np.exp(-(distance**2) / (2 * length**2)), 0.0)
     values, vectors = np.linalg.eigh(differences @ kernel @ differences.T)
