@@ -99,6 +99,16 @@ def test_the_density_is_that_of_the_joint_distribution(changed: str) -> None:
     assert computed == pytest.approx(joint_cost(pair, covariance), abs=1.0)
 
 
+def test_changed_cells_are_selected_about_the_most_probable_ones() -> None:
+    """Whatever set the selection begins with, the cell that changed is in it, and no other."""
+    density = LoadedDensity(pair_of_frames(2e-3))
+    changed = np.zeros(COUNT, dtype=bool)
+    changed[13] = True
+    cost = density._cost_of_cells(changed)
+    for begin in (np.zeros_like(changed), ~changed):
+        assert density._cost_of_cells(begin) == pytest.approx(cost, abs=0.1)
+
+
 def test_fields_are_tried_with_all_deviations_distances_and_shares() -> None:
     place = np.argwhere(np.ones((2, 3), dtype=bool))
     fields = covariances_of_field(place)

@@ -16,7 +16,6 @@ where A is the change of the readings by channels of one standard deviation, les
 channels change by way of m. Channels that are alike, A = 0, are equally probable.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -33,6 +32,7 @@ from lampest.inference.evidence import (
     covariances_of_field,
     mostly_still,
     outline,
+    select_changed,
     usual_starts,
 )
 from lampest.inference.pair import FittedPair
@@ -40,7 +40,7 @@ from lampest.inference.unloaded_cells import AtRest, most_probable_cells
 from lampest.panel.panel import Array
 from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.scene import Scene
-from lampest.posterior.linear import misfit_and_volume
+from lampest.posterior.linear import inverse_and_volume, misfit_and_volume
 
 MAX_ROUNDS = 3  # of linearisations, each with the changes that are likeliest then
 
@@ -62,27 +62,41 @@ class LoadedDensity:
 
         Raises one of BROKEN where arithmetic fails.
         """
-        cells = min(map(self._cost_of_cells, self._changed_sets()))
+        changes = self.pair.with_columns(self.pair.columns(()))
+        ends = [changes.selected([start])[1] for start in usual_starts(changes.change)]
+        distinct = {end.tobytes(): end for end in (self.pair.evidence.moved, *ends)}
+        cells = min(map(self._cost_of_cells, distinct.values()))
         field = self._cost_of(covariances_of_field(self.pair.place))
         return _of_either(cells, field)
 
-    def _changed_sets(self) -> Sequence[Chosen]:
-        """Return the sets of changed cells at which searches from different starts end."""
-        changes = self.pair.with_columns(self.pair.columns(()))
-        ends = [changes.selected([start])[1] for start in usual_starts(changes.change)]
-        return list({end.tobytes(): end for end in (self.pair.evidence.moved, *ends)}.values())
-
     def _cost_of_cells(self, changed: Chosen) -> float:
+        """Return the least −2 ln density of changed cells, beginning at these.
+
+        Cells are added and removed by the readings, linearised at the most probable cells of the
+        set before.
+        """
+        cost = np.inf
+        for _ in range(MAX_ROUNDS):
+            near = self._linearised(np.diag(changed.astype(float)), self._at_rest.cells)
+            further = self._cost_of_set(changed, near)
+            if not further < cost:
+                break
+            cost = further
+            changed = near.selected(changed)
+        return cost
+
+    def _cost_of_set(self, changed: Chosen, near: "_Linearised") -> float:
         """Return −2 ln density where these cells changed, as single ones or as a load."""
         count = int(changed.sum())
-        single = MOVED_COST * count + self._cost_of(Mixtures.one(np.diag(changed.astype(float))))
+        single = Mixtures.one(np.diag(changed.astype(float)))
+        as_cells = MOVED_COST * count + _mean_cost(near.costs(single))
         if not (count and mostly_still(changed)):
-            return single
+            return as_cells
         place = self.pair.place
         covariance = np.zeros((len(place), len(place)))
         covariance[np.ix_(changed, changed)] = covariance_of_load(place[changed])
-        load = OUTLINE_COST * outline(place, changed) + self._cost_of(Mixtures.one(covariance))
-        return _of_either(single, load)
+        as_load = OUTLINE_COST * outline(place, changed) + self._cost_of(Mixtures.one(covariance))
+        return _of_either(as_cells, as_load)
 
     @cached_property
     def _at_rest(self) -> AtRest:
@@ -114,42 +128,95 @@ class LoadedDensity:
 
     def _cost_of(self, changes: Mixtures) -> float:
         """Return −2 ln of the mean density over covariances S of the changes."""
-        frame = self.pair.frames[1]
-        readings = frame.measured
-        data = data_of_cells(frame.scene, readings)
-        plain = readings.plain.ravel()
-        weight = 1 / readings.known_sigma.ravel()[plain, None]
-        deviation = np.where(readings.plain, readings.known_sigma, np.inf)
-        mean = near = self._at_rest.cells
+        mean = self._at_rest.cells
         likeliest = len(changes.shares) // 2
         for _ in range(MAX_ROUNDS):
             taken = likeliest
-            covariance = self._unchanged + changes.covariance(taken)
-            root = np.linalg.inv(np.linalg.cholesky(covariance))
-            near, given, jacobian = most_probable_cells(
-                data, readings.value, deviation, (root, mean), near, frame.with_effects
-            )
-            missed = (readings.value - given).ravel() + jacobian @ (near - mean).ravel()
-            channels = self._by_channels(frame.scene, near) - jacobian @ self._by_channels_at_rest
-            jacobian = weight * jacobian[plain]
-            channels = weight * channels[plain]
-            errors = weight[:, 0] * missed[plain]
-            alike = np.eye(len(weight)) + jacobian @ self._unchanged @ jacobian.T
-            costs = np.array(
-                [
-                    [
-                        sum(misfit_and_volume(known + change, errors))
-                        for change in changes.through(jacobian)
-                    ]
-                    for known in (alike, alike + channels @ channels.T)
-                ]
-            )
+            near = self._linearised(changes.covariance(taken), mean)
+            costs = near.costs(changes)
             likeliest = int(costs.min(axis=0).argmin())
             if likeliest == taken:
                 break
-        return -2 * float(np.logaddexp.reduce(-costs / 2, axis=None) - np.log(costs.size))
+            mean = near.cells
+        return _mean_cost(costs)
+
+    def _linearised(self, change: Array, start: Array) -> "_Linearised":
+        """Return the readings at the most probable cells where changes have this covariance.
+
+        Parameters
+        ----------
+        change : array, shape (cells, cells)
+            S.
+        start : array, shape (rows, columns)
+            Log cells at which the search begins.
+        """
+        frame = self.pair.frames[1]
+        readings = frame.measured
+        plain = readings.plain.ravel()
+        mean = self._at_rest.cells
+        root = np.linalg.inv(np.linalg.cholesky(self._unchanged + change))
+        cells, given, jacobian = most_probable_cells(
+            data_of_cells(frame.scene, readings),
+            readings.value,
+            np.where(readings.plain, readings.known_sigma, np.inf),
+            (root, mean),
+            start,
+            frame.with_effects,
+        )
+        missed = (readings.value - given).ravel() + jacobian @ (cells - mean).ravel()
+        channels = self._by_channels(frame.scene, cells) - jacobian @ self._by_channels_at_rest
+        weight = 1 / readings.known_sigma.ravel()[plain, None]
+        jacobian = weight * jacobian[plain]
+        channels = weight * channels[plain]
+        alike = np.eye(len(weight)) + jacobian @ self._unchanged @ jacobian.T
+        unchanged = (alike, alike + channels @ channels.T)
+        return _Linearised(cells, jacobian, weight[:, 0] * missed[plain], unchanged)
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """Readings of a loaded frame in units of their noise, linearised at its log cells.
+
+    Attributes
+    ----------
+    cells : array, shape (rows, columns)
+        u.
+    jacobian : array, shape (readings, cells)
+        J/σ.
+    errors : array, shape (readings,)
+        e.
+    unchanged : tuple of array
+        V without changes, with channels that are alike and with differing ones.
+    """
+
+    cells: Array
+    jacobian: Array
+    errors: Array
+    unchanged: tuple[Array, Array]
+
+    def costs(self, changes: Mixtures) -> Array:
+        """Return −2 ln density with each V and each covariance S, (2, covariances)."""
+        through = list(changes.through(self.jacobian))
+        return np.array(
+            [
+                [sum(misfit_and_volume(known + change, self.errors)) for change in through]
+                for known in self.unchanged
+            ]
+        )
+
+    def selected(self, changed: Chosen) -> Chosen:
+        """Return the changed cells with the largest evidence, beginning at these."""
+        costs = self.costs(Mixtures.one(np.diag(changed.astype(float))))[:, 0]
+        precision = inverse_and_volume(self.unchanged[int(costs.argmin())])[0]
+        weighted = self.jacobian.T @ precision
+        return select_changed(weighted @ self.errors, weighted @ self.jacobian, [changed])[1]
+
+
+def _mean_cost(costs: Array) -> float:
+    """Return −2 ln of the mean density, from −2 ln of each."""
+    return -2 * float(np.logaddexp.reduce(-costs / 2, axis=None) - np.log(costs.size))
 
 
 def _of_either(first: float, second: float) -> float:
     """Return −2 ln density where two models are equally probable, from that of each."""
-    return -2 * float(np.logaddexp(-first / 2, -second / 2) - np.log(2))
+    return _mean_cost(np.array([first, second]))

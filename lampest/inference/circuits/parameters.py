@@ -126,7 +126,7 @@ def _best_beside(explanation: Explanation, frames: ComparedFrames, most: float) 
     """Return the best explanation with one of SERIES_POINTS resistances, or with the given one.
 
     The resistances next to the given one come first. Smaller and larger ones follow while they are
-    no worse than the best by more than DOUBTFUL_GAIN: the score has one minimum.
+    no worse than the best by more than DOUBTFUL_GAIN: the evidence has one maximum.
 
     Parameters
     ----------
@@ -143,10 +143,10 @@ def _best_beside(explanation: Explanation, frames: ComparedFrames, most: float) 
         for ohm in outwards:
             tried = replace(alternative.with_series(ohm), at_limit=ohm in (0.0, most))
             further = None if broken_law(tried, frames) else Explanation.of(tried, frames, near)
-            if further is None or further.score > best.score + DOUBTFUL_GAIN:
+            if further is None or further.linear_evidence > best.linear_evidence + DOUBTFUL_GAIN:
                 break
             near = further
-            best = min(best, further, key=attrgetter("score"))
+            best = min(best, further, key=attrgetter("linear_evidence"))
     return best
 
 
@@ -192,8 +192,8 @@ class _ParameterSearch:
         explanation = Explanation.of(self.alternative_of(float(value)), self.frames, self.best)
         if explanation is None:
             return np.inf
-        self.best = min(self.best, explanation, key=attrgetter("score"))
-        return explanation.score
+        self.best = min(self.best, explanation, key=attrgetter("linear_evidence"))
+        return explanation.linear_evidence
 
     def between(self, lower: float, upper: float, accuracy: float) -> None:
         """Search between two values by golden sections, until these are nearer than `accuracy`."""
