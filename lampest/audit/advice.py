@@ -16,6 +16,7 @@ from lampest.audit.verdict import verdict
 from lampest.files.errors import InputError
 from lampest.inference.circuits.model_check import ModelCheck
 from lampest.inference.prepared import Prepared
+from lampest.panel.readouts.converter import states_noise
 from lampest.panel.sizes import ESTIMATED
 
 # Where neither another circuit nor an effect explains the readings.
@@ -101,7 +102,7 @@ class Audit:
             with suppress(InputError):
                 prepared = named(prepared, finding)
         noise = prepared.frame_noise
-        if scene.readout.noise_lsb == scene.readout.assumed_noise and noise.sigma_factor != 1:
+        if states_noise(scene.readout) and noise.sigma_factor != 1:
             evidence = (
                 "readings at rest scatter "
                 f"{noise.factor:.3g} +- {noise.factor_error:.1g} times as specified"

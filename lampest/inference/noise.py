@@ -30,6 +30,7 @@ from lampest.panel.readouts.converter import (
     constant_share,
     noise_of_variance,
     sigma_code,
+    states_noise,
 )
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
@@ -298,7 +299,7 @@ def estimate_noise(
     precision = np.sqrt(2 * parts.own_freedom)  # of a standard deviation, over its error
     factor = 1.0
     message = ""
-    of_scene = readout is None or readout.noise_lsb == readout.assumed_noise
+    of_scene = readout is None or states_noise(readout)
     specified = of_scene or recording.sigma is not None
     enough_frames = MIN_REQUESTED_FRAMES if requested else MIN_UNLOADED_FRAMES
     if specified and not excludes_model_error(scene):

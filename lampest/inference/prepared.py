@@ -27,6 +27,7 @@ from lampest.inference.resolve import (
 )
 from lampest.panel.effects import own_errors, unobservable_numbers
 from lampest.panel.panel import Array, Modules
+from lampest.panel.readouts.converter import states_noise
 from lampest.panel.readouts.starts import several_panels
 from lampest.recording.recording import Recording
 
@@ -220,7 +221,7 @@ class Prepared:
         if OF_NOISE in noise.estimated:
             return 1.0
         of_recording = self.recording.sigma is not None or scene.readout is None
-        if not of_recording and scene.circuit.noise_lsb != scene.circuit.assumed_noise:
+        if not of_recording and not states_noise(scene.circuit):
             return 1.0
         return noise.sigma_factor if effects_of_frames(scene) else self.question.widening
 

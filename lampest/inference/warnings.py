@@ -10,6 +10,7 @@ from lampest.inference.circuits.kinds import choices
 from lampest.inference.circuits.model_check import ModelCheck, module_factors
 from lampest.inference.module_noise import named_modules
 from lampest.inference.noise import NoiseEstimate
+from lampest.panel.readouts.converter import states_noise
 from lampest.recording.readings import Readings
 from lampest.recording.recording import TOUCHED, UNEVENLY, UNLOADED, UNREFERENCED, Recording
 
@@ -139,7 +140,7 @@ def _scatter(recording: Recording, noise: NoiseEstimate) -> str:
     """Return a warning of noise that no converter of the scene's kind has; ''."""
     readout = recording.scene.readout
     unlikely = noise.factor > MAX_NOISE_FACTOR or noise.factor * MAX_NOISE_FACTOR < 1
-    if readout is None or readout.noise_lsb != readout.assumed_noise or not unlikely:
+    if readout is None or not (states_noise(readout) and unlikely):
         return ""
     return (
         f"readings at rest scatter {noise.factor:.2g} times as much as the scene's converter does: "

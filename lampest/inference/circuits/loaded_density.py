@@ -85,7 +85,7 @@ class LoadedDensity:
             changed = near.selected(changed)
         return cost
 
-    def _cost_of_set(self, changed: Chosen, near: "_Linearised") -> float:
+    def _cost_of_set(self, changed: Chosen, near: "_LinearReadings") -> float:
         """Return −2 ln density where these cells changed, as single ones or as a load."""
         count = int(changed.sum())
         single = Mixtures.one(np.diag(changed.astype(float)))
@@ -140,7 +140,7 @@ class LoadedDensity:
             mean = near.cells
         return _mean_cost(costs)
 
-    def _linearised(self, change: Array, start: Array) -> "_Linearised":
+    def _linearised(self, change: Array, start: Array) -> "_LinearReadings":
         """Return the readings at the most probable cells where changes have this covariance.
 
         Parameters
@@ -170,11 +170,11 @@ class LoadedDensity:
         channels = weight * channels[plain]
         alike = np.eye(len(weight)) + jacobian @ self._unchanged @ jacobian.T
         unchanged = (alike, alike + channels @ channels.T)
-        return _Linearised(cells, jacobian, weight[:, 0] * missed[plain], unchanged)
+        return _LinearReadings(cells, jacobian, weight[:, 0] * missed[plain], unchanged)
 
 
 @dataclass(frozen=True, eq=False)
-class _Linearised:
+class _LinearReadings:
     """Readings of a loaded frame in units of their noise, linearised at its log cells.
 
     Attributes

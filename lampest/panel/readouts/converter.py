@@ -168,6 +168,11 @@ def relative_step(readout: Any, volt: Array) -> Array:
     return np.asarray(steps[np.clip(piece, 0, len(steps) - 1)])
 
 
+def states_noise(readout: Any) -> bool:
+    """Return whether the scene states the noise as a number, or one for each line."""
+    return bool(readout.noise_lsb == readout.assumed_noise)
+
+
 def noise_volt(readout: Any, codes: Array | None = None) -> Array:
     """Return the noise of one reading in volt, or that of `codes` in LSB.
 

@@ -43,6 +43,7 @@ from lampest.panel.readouts.converter import (
     noise_volt,
     relative_step,
     sigma_code,
+    states_noise,
 )
 from lampest.panel.readouts.floating import grounding, two_point_resistance
 from lampest.panel.readouts.keys import check_keys, check_on_panel, entry
@@ -449,7 +450,7 @@ class Readout(Completed, ABC):
         """Return the converter's numbers in words."""
         noise = (
             lines_text(self.assumed_noise, "LSB")
-            if self.noise_lsb == self.assumed_noise
+            if states_noise(self)
             else "as the unloaded frames show it"
         )
         floor = f", codes above {self.floor_code}" if self.floor_code else ""
