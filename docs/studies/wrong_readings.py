@@ -1,6 +1,6 @@
 """Which readings are called wrong, on right recordings and on wrong ones.
 
-Run it with: python -m docs.studies.wrong_readings [--recordings 60] [--seed 0]
+Run it with: python -m docs.studies.wrong_readings [--recordings 60] [--seed 0] [--each 7]
 
 Recordings have the circuits of `tests.panels`, films that scatter by 0 to 30 %, converters of 8, 10
 and 12 bits, noise of 0.3 to 3 LSB, three to eight unloaded frames and six to nineteen measured
@@ -12,14 +12,19 @@ each other, or pairs of swapped columns under loads in many places.
 import argparse
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from lampest import Panel
 from lampest.audit.health import Health
+from lampest.files.document import read_document, validated
 from lampest.inference.readings.garbled import garbled_lines
 from lampest.inference.readings.judge import Cleaned
 from lampest.panel.panel import Array
+from lampest.recording.simulation import Simulation
+from lampest.runs.starter import SIMULATION, circuits, write_starter
 from tests.panels import Plan, recorded
 
 LOADS = ("tap", "keys", "sweep", "palm", "feet", "sway")
@@ -90,9 +95,20 @@ def of_load(name: str) -> Callable[[np.random.Generator, int, Array], Array]:
     return picture
 
 
-def right(seed: int, load: str) -> tuple[bool, bool]:
+def with_starter(plan: Shown, word: str) -> Shown:
+    """Return the plan with a circuit of `lampest init`, and its own converter."""
+    with TemporaryDirectory() as folder:
+        write_starter(Path(folder), word, *plan.cells.shape)
+        simulation: Simulation = validated(read_document(Path(folder) / SIMULATION), Simulation)
+    converter = {key: getattr(plan.scene.circuit, key) for key in ("adc_bits", "noise_lsb")}
+    readout = simulation.scene.readout
+    assert readout is not None
+    return replace(plan, scene=replace(simulation.scene, readout=replace(readout, **converter)))
+
+
+def right(plan: Shown) -> tuple[bool, bool]:
     """Return whether anything is found in a right recording, and whether a reading is missing."""
-    recording = drawn(seed, of_load(load)).recording()
+    recording = plan.recording()
     found = [finding for finding in Health.of(recording).findings if finding.room != "readings"]
     return bool(found), bool((Cleaned.of(recording).readings.seen == 0).any())
 
@@ -146,11 +162,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--recordings", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--each", type=int, default=7, help="of each load and circuit of init")
     options = parser.parse_args()
     seeds = range(options.seed, options.seed + options.recordings)
     for load in LOADS:
-        found, missing = np.sum([right(seed, load) for seed in seeds], axis=0)
+        found, missing = np.sum([right(drawn(seed, of_load(load))) for seed in seeds], axis=0)
         print(f"right, {load:6} {found} of {len(seeds)} doubted, {missing} with a reading left out")
+    for word in circuits():
+        plans = [drawn(seed, of_load(load)) for load in LOADS for seed in seeds[: options.each]]
+        found, missing = np.sum([right(with_starter(plan, word)) for plan in plans], axis=0)
+        print(f"right, {word} {found} of {len(plans)} doubted, {missing} with a reading left out")
     for count in COUNTS:
         print(
             f"{count} garbled frames: {sum(garbled(seed, count) for seed in seeds)} of {len(seeds)}"

@@ -64,11 +64,9 @@ def _equal(one: CaseResult, other: CaseResult, name: str) -> bool:
 
 
 @pytest.mark.slow
+@pytest.mark.exact
 @promise("howto/batches: Segments are solved by several workers")
-@pytest.mark.parametrize(
-    "executor",
-    [Processes(2), pytest.param(Dask(workers=2), marks=pytest.mark.exact)],
-)
+@pytest.mark.parametrize("executor", [Processes(2), Dask(workers=2)])
 def test_workers_that_share_a_recording_change_no_number(
     executor: Executor, long: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
