@@ -7,7 +7,6 @@ another line, or of cells further along the scan. A load that is present for one
 it changes a patch of cells, which is as smooth in one frame as in the others.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -139,7 +138,8 @@ def _garbled_among(
     ends = (0.0,)
     if readout is not None:
         ends = tuple(readout.volt_from_recorded(np.array(readout.rails())).tolist())
-    rows = Along(values, expected, deviates, scale, ends)
+    film = median(values[role == UNLOADED] if np.any(role == UNLOADED) else values)[0]
+    rows = Along(values, expected, film, deviates, scale, ends)
     garbled = dict[int, GarbledLines]()
     for name, along in (("row", rows), ("column", rows.transposed)):
         for frame in suspicious:
@@ -206,6 +206,8 @@ class Along:
     ----------
     values, expected : array, shape (frames, lines, cells)
         Voltages at the converter, and those that the neighbouring frames predict.
+    film : array, shape (lines, cells)
+        Median of the unloaded frames, or of all without any.
     deviates : boolean array, same shape
         Whether a reading deviates from the neighbouring frames.
     scale : float
@@ -216,6 +218,7 @@ class Along:
 
     values: Array
     expected: Array
+    film: Array
     deviates: NDArray[np.bool_]
     scale: float
     ends: tuple[float, ...]
@@ -224,7 +227,8 @@ class Along:
     def transposed(self) -> "Along":
         """The lines of the other side."""
         values, expected = (part.swapaxes(1, 2) for part in (self.values, self.expected))
-        return Along(values, expected, self.deviates.swapaxes(1, 2), self.scale, self.ends)
+        deviates = self.deviates.swapaxes(1, 2)
+        return Along(values, expected, self.film.T, deviates, self.scale, self.ends)
 
     @property
     def _short(self) -> bool:
@@ -291,39 +295,43 @@ class Along:
         displaced = unlikely & (np.prod(chance[unlikely]) < MAX_CHANCE)
         return np.flatnonzero(clear | displaced)
 
-    @cached_property
-    def _film(self) -> Array:
-        """Median of all frames, (lines, cells)."""
-        return np.asarray(median(self.values)[0])
-
     def _chance_elsewhere(self, frame: int, line: int) -> float:
         """Return the probability that a line of one frame agrees with other cells by chance.
 
-        These are the cells of another line, or those further along the scan, as the neighbours in
-        time predict them. Of n readings that deviate from their own prediction, k agree with those
-        of other cells by chance with the probability C(n, k) pᵏ, p = reach of the noise / contrast.
-        The contrast is that of the film, which no load changes, and at most that of the predicted
-        readings, which a rail hides.
+        These are the cells of another line, or those further along the scan. Either the readings
+        are those of other cells, or of the line's own cells, which a load elsewhere has changed by
+        one amount. With the deviations e of readings under both, the odds of the former are
+        exp(Σ (e² of the latter − e² of the former)/2), over the number of places. A load may also
+        have changed a reading to that of any other cell: the film's contrast is the deviation of
+        such readings. Only places count at which no load is predicted: a load moves from line to
+        line, and the film does not.
         """
-        own = self.expected[frame]
         first = min(max(frame - 1, 0), len(self.values) - 3)
         before, after = (self.values[at] for at in range(first, first + 3) if at != frame)
-        film = _elsewhere(self._film, line) - self._film[line]
-        reach = NOISE_REACH * self.scale
+        images = [self.expected[frame], (before + after) / 2]
+        noise = np.sqrt(2) * self.scale
+        film = _elsewhere(self.film, line)
         current = self.values[frame, line]
-        moved = np.abs(current - own[line]) > 2 * reach
+        contrast = MAD_TO_SIGMA * median(np.abs(film - self.film[line]), 1) / np.sqrt(2)
+        # −2 ln of the density of a load's readings, over that of a reading without deviation
+        of_load = 2 * np.log(np.maximum(contrast / noise, 1.0))
         chances = [1.0]
-        for image in (own, (before + after) / 2):
+        for image in images:
             predicted = _elsewhere(image, line)
-            second = [np.abs(np.diff(part, 2, axis=1)) for part in (film, predicted)]
-            size = np.nan_to_num(np.min([median(part, 1)[:, 0] for part in second], axis=0))
-            # The variance of a second difference is 6 times that of a reading.
-            contrast = np.maximum(MAD_TO_SIGMA / np.sqrt(6) * size, np.finfo(float).tiny)
-            # The density of a normal distribution is at most 1/(√(2π)·deviation).
-            chance = np.minimum(2 * reach / (np.sqrt(2 * np.pi) * contrast), 1.0)
-            agree = np.sum(moved & (np.abs(current - predicted) < reach), axis=1)
-            ways = [math.comb(int(moved.sum()), count) for count in agree.tolist()]
-            chances.append(float(np.min(2 * len(ways) * np.array(ways) * chance**agree)))
+            unloaded = np.abs(predicted - film) < NOISE_REACH * noise
+
+            def misfit(errors: Array, counted: NDArray[np.bool_] = unloaded) -> Array:
+                """Return Σ e² of each place, without unknown deviations."""
+                squares = np.nan_to_num(np.minimum(np.square(errors / noise), of_load))
+                return np.asarray(np.where(counted, squares, 0.0).sum(axis=1))
+
+            stays = np.full(len(film), np.inf)
+            for own in (*images, self.film):
+                errors = current - own[line]
+                middles = median(np.where(unloaded, errors, np.nan), 1)
+                stays = np.minimum(stays, np.minimum(misfit(errors), misfit(errors - middles)))
+            gain = float(np.max(stays - misfit(current - predicted)))
+            chances.append(len(images) * len(film) * float(np.exp(-gain / 2)))
         return min(chances)
 
 
