@@ -312,7 +312,10 @@ class Along:
         noise = np.sqrt(2) * self.scale
         film = _elsewhere(self.film, line)
         current = self.values[frame, line]
-        contrast = MAD_TO_SIGMA * median(np.abs(film - self.film[line]), 1) / np.sqrt(2)
+        # The variance of a second difference, which smooth loads do not have, is 6 times that of a
+        # reading, and here of two.
+        rough = np.abs(np.diff(film - self.film[line], 2, axis=1))
+        contrast = MAD_TO_SIGMA * median(rough, 1) / np.sqrt(12)
         # −2 ln of the density of a load's readings, over that of a reading without deviation
         of_load = 2 * np.log(np.maximum(contrast / noise, 1.0))
         chances = [1.0]
