@@ -10,7 +10,8 @@ each other, or pairs of swapped columns under loads in many places.
 """
 
 import argparse
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,6 +21,7 @@ import numpy as np
 from lampest import Panel
 from lampest.audit.health import Health
 from lampest.files.document import read_document, validated
+from lampest.files.errors import InputError
 from lampest.inference.readings.garbled import garbled_lines
 from lampest.inference.readings.judge import Cleaned
 from lampest.panel.panel import Array
@@ -28,6 +30,7 @@ from lampest.runs.starter import SIMULATION, circuits, write_starter
 from tests.panels import Plan, recorded
 
 LOADS = ("tap", "keys", "sweep", "palm", "feet", "sway")
+SAID = ("doubted", "with a reading left out", "refused")
 COUNTS = (1, 2, 3, 4, 5)
 
 
@@ -106,11 +109,22 @@ def with_starter(plan: Shown, word: str) -> Shown:
     return replace(plan, scene=replace(simulation.scene, readout=replace(readout, **converter)))
 
 
-def right(plan: Shown) -> tuple[bool, bool]:
-    """Return whether anything is found in a right recording, and whether a reading is missing."""
-    recording = plan.recording()
+def right(plan: Shown) -> Counter[str]:
+    """Return what is said of a right recording: 'doubted', 'with a reading left out', 'refused'."""
+    try:
+        recording = plan.recording()
+    except InputError:
+        return Counter({"refused": 1})
     found = [finding for finding in Health.of(recording).findings if finding.room != "readings"]
-    return bool(found), bool((Cleaned.of(recording).readings.seen == 0).any())
+    missing = (Cleaned.of(recording).readings.seen == 0).any()
+    return Counter({"doubted": bool(found), "with a reading left out": bool(missing)})
+
+
+def print_right(name: str, plans: Sequence[Shown]) -> None:
+    """Print how many right recordings are doubted, lose a reading, or are refused."""
+    said = sum(map(right, plans), Counter[str]())
+    counts = ", ".join(f"{said[word]} {word}" for word in SAID)
+    print(f"right, {name:6} of {len(plans)}: {counts}", flush=True)
 
 
 def garbled(seed: int, count: int) -> bool:
@@ -166,12 +180,10 @@ def main() -> None:
     options = parser.parse_args()
     seeds = range(options.seed, options.seed + options.recordings)
     for load in LOADS:
-        found, missing = np.sum([right(drawn(seed, of_load(load))) for seed in seeds], axis=0)
-        print(f"right, {load:6} {found} of {len(seeds)} doubted, {missing} with a reading left out")
+        print_right(load, [drawn(seed, of_load(load)) for seed in seeds])
     for word in circuits():
         plans = [drawn(seed, of_load(load)) for load in LOADS for seed in seeds[: options.each]]
-        found, missing = np.sum([right(with_starter(plan, word)) for plan in plans], axis=0)
-        print(f"right, {word} {found} of {len(plans)} doubted, {missing} with a reading left out")
+        print_right(word, [with_starter(plan, word) for plan in plans])
     for count in COUNTS:
         print(
             f"{count} garbled frames: {sum(garbled(seed, count) for seed in seeds)} of {len(seeds)}"
