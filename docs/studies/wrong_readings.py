@@ -159,16 +159,34 @@ def of_columns(seed: int, count: int, *, swapped: bool) -> bool:
     return ("order" if swapped else "lines") in rooms
 
 
-def swapped_rows(seed: int, load: str) -> bool:
-    """Return whether two neighbouring rows that are swapped in one frame are named."""
+def with_swapped_rows(rng: np.random.Generator, frame: Array) -> tuple[int, ...]:
+    """Swap two neighbouring rows of a frame, and return their numbers."""
+    row = int(rng.integers(len(frame) - 1))
+    frame[[row, row + 1]] = frame[[row + 1, row]]
+    return row, row + 1
+
+
+def with_lost_reading(rng: np.random.Generator, frame: Array) -> tuple[int, ...]:
+    """Lose one reading, after which all others move up, and return the rows of those."""
+    lost = int(rng.integers(frame.size // 2))
+    frame[:] = np.delete(np.append(frame.ravel(), frame[0, 0]), lost).reshape(frame.shape)
+    return tuple(range(-(-lost // frame.shape[1]), len(frame)))
+
+
+def of_frame(
+    seed: int, load: str, disturbed: Callable[[np.random.Generator, Array], tuple[int, ...]]
+) -> bool:
+    """Return whether the rows that are disturbed in one frame are named, but for a part of one."""
     plan = drawn(seed, of_load(load))
     rng = np.random.default_rng([seed, 99])
     plan = replace(plan, cells=3000 * np.exp(0.15 * rng.standard_normal(plan.cells.shape)))
     codes = plan.codes()
-    frame, row = int(rng.integers(len(codes))), int(rng.integers(codes.shape[1] - 1))
-    codes[frame, [row, row + 1]] = codes[frame, [row + 1, row]]
+    frame = int(rng.integers(len(codes)))
+    rows = disturbed(rng, codes[frame])
     lines = garbled_lines(recorded(plan.scene, codes, plan.unloaded))
-    return [(line.frame, line.numbers) for line in lines] == [(frame, (row, row + 1))]
+    if [(line.frame, line.name) for line in lines] != [(frame, "row")]:
+        return False
+    return set(rows) <= set(lines[0].numbers) <= {rows[0] - 1, *rows}
 
 
 def main() -> None:
@@ -188,9 +206,10 @@ def main() -> None:
         print(
             f"{count} garbled frames: {sum(garbled(seed, count) for seed in seeds)} of {len(seeds)}"
         )
-    for load in LOADS:
-        named = sum(swapped_rows(seed, load) for seed in seeds)
-        print(f"two rows of a frame swapped, {load:6} {named} of {len(seeds)}")
+    for disturbed in (with_swapped_rows, with_lost_reading):
+        for load in LOADS:
+            named = sum(of_frame(seed, load, disturbed) for seed in seeds)
+            print(f"{disturbed.__name__}, {load:6} {named} of {len(seeds)}")
     for count in COUNTS[:-1]:
         for words, swapped in (("repeated", False), ("swapped", True)):
             named = sum(of_columns(seed, count, swapped=swapped) for seed in seeds)
