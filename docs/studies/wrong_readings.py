@@ -10,7 +10,8 @@ each other, or pairs of swapped columns under loads in many places.
 """
 
 import argparse
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,6 +21,7 @@ import numpy as np
 from lampest import Panel
 from lampest.audit.health import Health
 from lampest.files.document import read_document, validated
+from lampest.files.errors import InputError
 from lampest.inference.readings.garbled import garbled_lines
 from lampest.inference.readings.judge import Cleaned
 from lampest.panel.panel import Array
@@ -28,6 +30,7 @@ from lampest.runs.starter import SIMULATION, circuits, write_starter
 from tests.panels import Plan, recorded
 
 LOADS = ("tap", "keys", "sweep", "palm", "feet", "sway")
+SAID = ("doubted", "with a reading left out", "refused")
 COUNTS = (1, 2, 3, 4, 5)
 
 
@@ -106,11 +109,22 @@ def with_starter(plan: Shown, word: str) -> Shown:
     return replace(plan, scene=replace(simulation.scene, readout=replace(readout, **converter)))
 
 
-def right(plan: Shown) -> tuple[bool, bool]:
-    """Return whether anything is found in a right recording, and whether a reading is missing."""
-    recording = plan.recording()
+def right(plan: Shown) -> Counter[str]:
+    """Return what is said of a right recording: 'doubted', 'with a reading left out', 'refused'."""
+    try:
+        recording = plan.recording()
+    except InputError:
+        return Counter({"refused": 1})
     found = [finding for finding in Health.of(recording).findings if finding.room != "readings"]
-    return bool(found), bool((Cleaned.of(recording).readings.seen == 0).any())
+    missing = (Cleaned.of(recording).readings.seen == 0).any()
+    return Counter({"doubted": bool(found), "with a reading left out": bool(missing)})
+
+
+def print_right(name: str, plans: Sequence[Shown]) -> None:
+    """Print how many right recordings are doubted, lose a reading, or are refused."""
+    said = sum(map(right, plans), Counter[str]())
+    counts = ", ".join(f"{said[word]} {word}" for word in SAID)
+    print(f"right, {name:6} of {len(plans)}: {counts}", flush=True)
 
 
 def garbled(seed: int, count: int) -> bool:
@@ -145,16 +159,34 @@ def of_columns(seed: int, count: int, *, swapped: bool) -> bool:
     return ("order" if swapped else "lines") in rooms
 
 
-def swapped_rows(seed: int, load: str) -> bool:
-    """Return whether two neighbouring rows that are swapped in one frame are named."""
+def with_swapped_rows(rng: np.random.Generator, frame: Array) -> tuple[int, ...]:
+    """Swap two neighbouring rows of a frame, and return their numbers."""
+    row = int(rng.integers(len(frame) - 1))
+    frame[[row, row + 1]] = frame[[row + 1, row]]
+    return row, row + 1
+
+
+def with_lost_reading(rng: np.random.Generator, frame: Array) -> tuple[int, ...]:
+    """Lose one reading, after which all others move up, and return the rows of those."""
+    lost = int(rng.integers(frame.size // 2))
+    frame[:] = np.delete(np.append(frame.ravel(), frame[0, 0]), lost).reshape(frame.shape)
+    return tuple(range(-(-lost // frame.shape[1]), len(frame)))
+
+
+def of_frame(
+    seed: int, load: str, disturbed: Callable[[np.random.Generator, Array], tuple[int, ...]]
+) -> bool:
+    """Return whether the rows that are disturbed in one frame are named, but for a part of one."""
     plan = drawn(seed, of_load(load))
     rng = np.random.default_rng([seed, 99])
     plan = replace(plan, cells=3000 * np.exp(0.15 * rng.standard_normal(plan.cells.shape)))
     codes = plan.codes()
-    frame, row = int(rng.integers(len(codes))), int(rng.integers(codes.shape[1] - 1))
-    codes[frame, [row, row + 1]] = codes[frame, [row + 1, row]]
+    frame = int(rng.integers(len(codes)))
+    rows = disturbed(rng, codes[frame])
     lines = garbled_lines(recorded(plan.scene, codes, plan.unloaded))
-    return [(line.frame, line.numbers) for line in lines] == [(frame, (row, row + 1))]
+    if [(line.frame, line.name) for line in lines] != [(frame, "row")]:
+        return False
+    return set(rows) <= set(lines[0].numbers) <= {rows[0] - 1, *rows}
 
 
 def main() -> None:
@@ -166,19 +198,18 @@ def main() -> None:
     options = parser.parse_args()
     seeds = range(options.seed, options.seed + options.recordings)
     for load in LOADS:
-        found, missing = np.sum([right(drawn(seed, of_load(load))) for seed in seeds], axis=0)
-        print(f"right, {load:6} {found} of {len(seeds)} doubted, {missing} with a reading left out")
+        print_right(load, [drawn(seed, of_load(load)) for seed in seeds])
     for word in circuits():
         plans = [drawn(seed, of_load(load)) for load in LOADS for seed in seeds[: options.each]]
-        found, missing = np.sum([right(with_starter(plan, word)) for plan in plans], axis=0)
-        print(f"right, {word} {found} of {len(plans)} doubted, {missing} with a reading left out")
+        print_right(word, [with_starter(plan, word) for plan in plans])
     for count in COUNTS:
         print(
             f"{count} garbled frames: {sum(garbled(seed, count) for seed in seeds)} of {len(seeds)}"
         )
-    for load in LOADS:
-        named = sum(swapped_rows(seed, load) for seed in seeds)
-        print(f"two rows of a frame swapped, {load:6} {named} of {len(seeds)}")
+    for disturbed in (with_swapped_rows, with_lost_reading):
+        for load in LOADS:
+            named = sum(of_frame(seed, load, disturbed) for seed in seeds)
+            print(f"{disturbed.__name__}, {load:6} {named} of {len(seeds)}")
     for count in COUNTS[:-1]:
         for words, swapped in (("repeated", False), ("swapped", True)):
             named = sum(of_columns(seed, count, swapped=swapped) for seed in seeds)

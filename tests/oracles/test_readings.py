@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from promises import promise
 
 import lampest
+from docs.studies.wrong_readings import drawn, of_load
 from lampest.files.errors import InputError
 from lampest.inference.prepared import Prepared
 from lampest.inference.readings.judge import Cleaned
@@ -64,6 +65,12 @@ def test_a_tap_of_one_frame_stays(kind: str) -> None:
         cleaned = Cleaned.of(plan.tapped())
         assert (cleaned.readings.seen == 1).all()
         np.testing.assert_array_equal(cleaned.readings.value, plan.tapped().readings().value)
+
+
+def test_the_summit_of_a_load_that_sways_stays() -> None:
+    """Two frames of one cell were deleted, whose neighbours changed by a third of its change."""
+    cleaned = Cleaned.of(drawn(156, of_load("sway")).recording())
+    assert (cleaned.readings.seen == 1).all()
 
 
 @promise("howto/readings: **An impossible reading is missing.**")

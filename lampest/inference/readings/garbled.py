@@ -289,14 +289,25 @@ class Along:
                 return np.flatnonzero(inside)
         clear = (shares > MIN_SHARE) & ((roughness > CLEARLY * least) | self._lost[frame])
         chance = np.ones(len(shares))
-        for line in np.flatnonzero(inside).tolist():
-            chance[line] = self._chance_elsewhere(frame, line)
+        if inside.any():
+            gains = self._gains_elsewhere(frame)
+            places = gains.shape[0] * gains.shape[2]
+            gain = np.maximum(gains.max(axis=(0, 2)), 0.0)
+            chance = np.where(inside, places * np.exp(-gain / 2), 1.0)
+            # A scan that lost readings, or has some twice, displaces all lines from one on.
+            alike = gains[:, ::-1, len(shares) - 1 :].cumsum(axis=1)[:, ::-1]
+            gain_from = np.maximum(alike.max(axis=(0, 2)), 0.0)
+            chance_from = alike.size * np.exp(-gain_from / 2)
+            first = int(chance_from.argmin())
+            if chance_from[first] < MAX_CHANCE:
+                clear[first:] = True
+                return np.flatnonzero(clear)
         unlikely = chance < MAX_CHANCE_OF_LINE
         displaced = unlikely & (np.prod(chance[unlikely]) < MAX_CHANCE)
         return np.flatnonzero(clear | displaced)
 
-    def _chance_elsewhere(self, frame: int, line: int) -> float:
-        """Return the probability that a line of one frame agrees with other cells by chance.
+    def _gains_elsewhere(self, frame: int) -> Array:
+        """Return twice the ln likelihood ratio of other cells to a line's own.
 
         These are the cells of another line, or those further along the scan. Either the readings
         are those of other cells, or of the line's own cells, which a load elsewhere has changed by
@@ -305,44 +316,53 @@ class Along:
         have changed a reading to that of any other cell: the film's contrast is the deviation of
         such readings. Only places count at which no load is predicted: a load moves from line to
         line, and the film does not.
+
+        Returns
+        -------
+        array, shape (images, lines, places)
+            Images are those that other frames predict; places those of `_elsewhere`.
         """
         first = min(max(frame - 1, 0), len(self.values) - 3)
         before, after = (self.values[at] for at in range(first, first + 3) if at != frame)
         images = [self.expected[frame], (before + after) / 2]
         noise = np.sqrt(2) * self.scale
-        film = _elsewhere(self.film, line)
-        current = self.values[frame, line]
+        film = _elsewhere(self.film)
+        current = self.values[frame, :, None]
         # The variance of a second difference, which smooth loads do not have, is 6 times that of a
         # reading, and here of two.
-        rough = np.abs(np.diff(film - self.film[line], 2, axis=1))
-        contrast = MAD_TO_SIGMA * median(rough, 1) / np.sqrt(12)
+        rough = np.abs(np.diff(film - self.film[:, None], 2, axis=2))
+        contrast = MAD_TO_SIGMA * median(rough, 2) / np.sqrt(12)
         # −2 ln of the density of a load's readings, over that of a reading without deviation
         of_load = 2 * np.log(np.maximum(contrast / noise, 1.0))
-        chances = [1.0]
+        gains: list[Array] = []
         for image in images:
-            predicted = _elsewhere(image, line)
+            predicted = _elsewhere(image)
             unloaded = np.abs(predicted - film) < NOISE_REACH * noise
 
             def misfit(errors: Array, counted: NDArray[np.bool_] = unloaded) -> Array:
-                """Return Σ e² of each place, without unknown deviations."""
+                """Return Σ e² of each line and place, without unknown deviations."""
                 squares = np.nan_to_num(np.minimum(np.square(errors / noise), of_load))
-                return np.asarray(np.where(counted, squares, 0.0).sum(axis=1))
+                return np.asarray(np.where(counted, squares, 0.0).sum(axis=2))
 
-            stays = np.full(len(film), np.inf)
+            stays = np.full(film.shape[:2], np.inf)
             for own in (*images, self.film):
-                errors = current - own[line]
-                middles = median(np.where(unloaded, errors, np.nan), 1)
+                errors = current - own[:, None]
+                middles = median(np.where(unloaded, errors, np.nan), 2)
                 stays = np.minimum(stays, np.minimum(misfit(errors), misfit(errors - middles)))
-            gain = float(np.max(stays - misfit(current - predicted)))
-            chances.append(len(images) * len(film) * float(np.exp(-gain / 2)))
-        return min(chances)
+            gains.append(stays - misfit(current - predicted))
+        return np.array(gains)
 
 
-def _elsewhere(image: Array, line: int) -> Array:
-    """Return the other lines of an image, and a line displaced along the scan, (places, cells)."""
+def _elsewhere(image: Array) -> Array:
+    """Return the cells of other places, for each line, (lines, places, cells).
+
+    First come the other lines, then the line's readings further along the scan.
+    """
+    lines = np.arange(len(image))
+    others = np.array([np.delete(lines, line) for line in lines])
     displacements = (*range(-MAX_DISPLACEMENT, 0), *range(1, MAX_DISPLACEMENT + 1))
-    along = [displaced(image, *how)[line] for how in product(displacements, ORDERS)]
-    return np.stack([*np.delete(image, line, axis=0), *along])
+    along = [displaced(image, *how) for how in product(displacements, ORDERS)]
+    return np.concatenate([image[others], np.stack(along, axis=1)], axis=1)
 
 
 def _roughness(values: Array, sigma: Array) -> Array:

@@ -43,6 +43,8 @@ MIN_RATIO_TO_LINES = 6.0
 # Of a frame's readings, and of twice the unloaded rate: a frame with more was touched.
 MAX_SHARE = 0.05
 ABSENT_OHM = 1e12  # a place without a cell
+LOAD_REACH = 2.0  # cells, standard deviation of a wide load
+TINY = 1e-30
 MIN_FRAMES = 3  # with fewer, the deviating frame cannot be identified
 
 
@@ -218,13 +220,14 @@ def no_cell_moves(
     expected: Array,
     scale: Array,
 ) -> NDArray[np.bool_]:
-    """Return outliers of one frame that no change of their own cell explains.
+    """Return outliers of one frame that no load on their cell explains.
 
-    A change of one cell that moves its reading by d moves the others of its row and column by c d,
-    c by the circuit's derivative at the cells of the frame. With residuals e of these readings and
-    their standard deviations s, the reading stands alone if Σ [(e − c d)² − e²]/s² exceeds
-    MIN_EVIDENCE_GAIN. Where a cell moves its own reading alone, c is 0, and none does. Where
-    another reading of these lines deviates, other cells change as well, and none is judged.
+    A load that moves a reading by d moves the others of its row and column by c d, c by the
+    circuit's derivative at the cells of the frame. The load is on the one cell, on a wide place
+    around it, or in part on each, as the others' residuals e fit best. With their standard
+    deviations s, the reading stands alone if Σ [(e − c d)² − e²]/s² exceeds MIN_EVIDENCE_GAIN.
+    Where a cell moves its own reading alone, c of the one cell is 0, and none does. Where another
+    reading of these lines deviates, other cells change as well, and none is judged.
 
     Parameters
     ----------
@@ -245,17 +248,24 @@ def no_cell_moves(
         return alone
     residual = value - expected
     usable = np.isfinite(residual) & ~outlying & (scale > 0)
+    down, across = np.indices(outlying.shape)
     for row, column in np.argwhere(outlying):
-        step = np.zeros(outlying.shape)
-        step[row, column] = 1.0
-        moved = network.forward(step)
-        moved = moved * (residual[row, column] / moved[row, column])
         beside = np.zeros(outlying.shape, dtype=bool)
         beside[row] = beside[:, column] = True
-        beside &= usable & np.isfinite(moved)
-        apart, expected_apart = (part[beside] / scale[beside] for part in (residual, moved))
+        beside &= usable
+        apart = residual[beside] / scale[beside]
+        distance = np.hypot(down - row, across - column)
+        loads = (np.where(distance == 0, 1.0, 0.0), np.exp(-0.5 * (distance / LOAD_REACH) ** 2))
+        moved = [network.forward(load) for load in loads]
+        of_cell, of_wide = (
+            residual[row, column] * part[beside] / (part[row, column] * scale[beside])
+            for part in moved
+        )
+        wider = of_wide - of_cell
+        share = np.clip(wider @ (apart - of_cell) / max(float(wider @ wider), TINY), 0, 1)
+        by_load = of_cell + share * wider
+        gain = np.sum((apart - by_load) ** 2 - apart**2)
         still = np.abs(apart).max(initial=0.0) < UNUSUAL
-        gain = np.sum((apart - expected_apart) ** 2 - apart**2)
         alone[row, column] = still and gain > MIN_EVIDENCE_GAIN
     return alone
 
