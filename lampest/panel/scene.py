@@ -360,23 +360,31 @@ class Scene(Configuration):
             return lines_text(series)
         return f"rows {lines_text(series.rows)}, columns {lines_text(series.columns)}"
 
+    @property
+    def series_name(self) -> str:
+        """Key of a resistance in series with the panel, of the scene or of its readout.
+
+        '' if the readout's kind has none.
+        """
+        return "series_resistance_ohm" if self.circuit.unit == "ohm" else self.circuit.channels[0]
+
     def with_series(self, ohm: float) -> "Scene":
         """Return the scene with a resistance in ohm in series with all driven lines.
 
-        Returns the scene itself if the readout's kind has none; see `Readout.series_name`.
+        Returns the scene itself if the readout's kind has none; see `series_name`.
         """
-        changes: dict[str, Any] = {self.circuit.series_name: ohm}
+        changes: dict[str, Any] = {self.series_name: ohm}
         if self.circuit.unit == "ohm":
             return replace(self, **changes)
         circuit = self.circuit
-        return replace(self, readout=replace(circuit, **changes)) if circuit.series_name else self
+        return replace(self, readout=replace(circuit, **changes)) if self.series_name else self
 
     @property
     def specified_in_series(self) -> float:
         """Specified resistance in series in ohm; the mean if lines differ."""
         if self.circuit.unit == "ohm":
             return float(np.mean(self.series_ohm))
-        return float(np.mean(as_tuple(getattr(self.circuit, self.circuit.series_name, 0.0))))
+        return float(np.mean(as_tuple(getattr(self.circuit, self.series_name, 0.0))))
 
     @property
     def known_memory(self) -> float | None:

@@ -29,6 +29,7 @@ from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts import AnyReadout, channel_memory, wired_network
 from lampest.panel.readouts.converter import (
     averaged_variance,
+    converter_in_words,
     noise_of_variance,
     noise_volt,
     rails_reached,
@@ -222,7 +223,7 @@ def readout_row(scene: lp.Scene) -> dict[str, Any]:
         "texts": [
             circuit.description(),
             rails_reached(circuit, recorded),
-            circuit.converter_description(),
+            converter_in_words(circuit),
             scene_text(scene),
         ],
         "tests": [

@@ -4,7 +4,7 @@ A kind that joins the union, or that an installed package names, is seen here wi
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import casadi
@@ -55,6 +55,8 @@ MAX_CURVATURE = (
 )
 MAX_DIFFERENCE_ERROR = 1e-6  # of the largest entry: central differences, h²; measured 1.2e-7
 MAX_STAND_IN = 0.05  # of the smallest value that is positive: a voltage that is all but zero
+
+MAX_PUBLIC_NAMES = 39  # of a readout, beside its keys
 
 
 def fits(scene: tuple[Any, ...]) -> Scene | None:
@@ -119,6 +121,13 @@ def network_of(scene: Scene, logarithm: Array, ties: Array | None = None) -> Net
 
 def size(values: Array) -> float:
     return float(np.abs(values).max())
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_a_readout_has_few_public_names_beside_its_keys(kind: Any) -> None:
+    keys = {field.name for field in fields(kind)}
+    names = {name for name in dir(kind) if not name.startswith("_")} - keys
+    assert len(names) <= MAX_PUBLIC_NAMES, sorted(names)
 
 
 @every_scene

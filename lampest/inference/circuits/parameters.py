@@ -267,7 +267,7 @@ def most_in_series(alternative: Alternative, frames: ComparedFrames) -> float:
 
     The result is 0 where no such resistance is possible or known.
     """
-    if not alternative.scene.circuit.series_name or len(frames.standing) == 0:
+    if not alternative.scene.series_name or len(frames.standing) == 0:
         return 0.0
     without = without_series(alternative)
     try:
@@ -287,6 +287,6 @@ def without_series(alternative: Alternative) -> Alternative:
     """Return the alternative without resistance in series; the same where it has none."""
     return (
         alternative.with_series(0.0)
-        if alternative.scene.circuit.series_name and alternative.ohm
+        if alternative.scene.series_name and alternative.ohm
         else alternative
     )

@@ -319,7 +319,7 @@ def prior_size(scene: Scene, setting: str) -> float | None:
 
     The error of the model has none, and a resistance in series where the circuit has no such part.
     """
-    if setting == "model_error" or (setting == SERIES and not scene.circuit.series_name):
+    if setting == "model_error" or (setting == SERIES and not scene.series_name):
         return None
     return shared_effect_of(setting).prior
 

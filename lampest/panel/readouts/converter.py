@@ -14,8 +14,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from lampest.files.errors import counted
 from lampest.files.typed import Configuration, read_only
-from lampest.panel.lines import PerLine, along
+from lampest.panel.lines import PerLine, along, lines_text
 from lampest.panel.panel import Array
 from lampest.panel.readouts.known_converters import KNOWN_CONVERTERS, Known, KnownConverter
 
@@ -151,10 +152,29 @@ class Characteristic(Configuration):
         return f"{start} {self.zero_volt:.6g} V{end}"
 
 
+def stated_characteristic(readout: Any) -> Characteristic:
+    """Return the voltages that the codes stand for, as the scene states them."""
+    named = readout.converter
+    return named if isinstance(named, Characteristic) else Characteristic(name=named)
+
+
+def converter_in_words(readout: Any) -> str:
+    """Return the bits, readings, noise, floor and range of a readout's converter in words."""
+    noise = (
+        lines_text(readout.assumed_noise, "LSB")
+        if states_noise(readout)
+        else "as the unloaded frames show it"
+    )
+    floor = f", codes above {readout.floor_code}" if readout.floor_code else ""
+    named = readout.converter is not None
+    ends = f", {stated_characteristic(readout).description()}" if named else ""
+    readings = counted(readout.readings, "reading")
+    return f"{readout.adc_bits} bits, {readings}, noise {noise}{floor}{ends}"
+
+
 def range_assumed(readout: Any) -> bool:
     """Return whether the range is one of several of a named chip, that after power-up."""
-    named = readout.converter
-    stated = named if isinstance(named, Characteristic) else Characteristic(name=named)
+    stated = stated_characteristic(readout)
     return bool(stated.numbers.ranges) and stated.full_volt is None
 
 
@@ -182,6 +202,11 @@ def noise_volt(readout: Any, codes: Array | None = None) -> Array:
     return np.asarray(
         (along(readout.noisy_side, codes) if codes.ndim else codes) * readout.lsb_volt
     )
+
+
+def mean_sigma(readout: Any) -> Array:
+    """Return σ of the mean of `readings` codes in volt, to be broadcast to (rows, columns)."""
+    return noise_volt(readout, sigma_code(readout))
 
 
 def sigma_code(

@@ -23,7 +23,7 @@ from lampest.panel.lines import (
     per_line,
 )
 from lampest.panel.panel import Array, check_line_memory
-from lampest.panel.readouts.converter import MAX_VOLT
+from lampest.panel.readouts.converter import MAX_VOLT, converter_in_words
 
 MAX_OFFSET_VOLT = 0.1  # amplifiers without trimming: 15 mV (data sheet of the LM324)
 
@@ -203,4 +203,4 @@ def ends_in_words(readout: Any) -> str:
         text += f", amplifiers off by {lines_text(readout.offset_volt, 'V')}"
     if entry(readout, "input_ohm") is not None:
         text += f", converter input {readout.input_ohm:g} ohm"
-    return f"{text}, {readout.converter_description()}"
+    return f"{text}, {converter_in_words(readout)}"

@@ -13,7 +13,7 @@ from lampest.panel.circuit import Ends, Terminations, scanned
 from lampest.panel.lines import Groups, PerLine, parallel, per_line
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array, EachModule, Modules
-from lampest.panel.readouts.converter import relative_step
+from lampest.panel.readouts.converter import converter_in_words, mean_sigma, relative_step
 from lampest.panel.readouts.floating import convex_start, grounding, uniform_factor
 from lampest.panel.readouts.readout import Readout, Surroundings
 from lampest.panel.readouts.starts import SHORT_SHARE
@@ -85,7 +85,7 @@ class TwoPointReadout(Readout):
         converter += "" if self.groups is None else f", {len(self.groups)} columns read in parallel"
         return (
             f"two-point, {self.supply_volt:g} V, reference {self.reference_ohm:g} ohm, "
-            f"measured across the {self.measured_across}{converter}, {self.converter_description()}"
+            f"measured across the {self.measured_across}{converter}, {converter_in_words(self)}"
         )
 
     def terminations(self, driven: int, sensed: int) -> Terminations:
@@ -168,7 +168,7 @@ class TwoPointReadout(Readout):
         R includes the series resistance.
         """
         total = np.asarray(recorded, dtype=float) + self.reference_ohm
-        sigma = self.sigma_volt() * relative_step(self, self.volt_from_recorded(recorded))
+        sigma = mean_sigma(self) * relative_step(self, self.volt_from_recorded(recorded))
         return np.asarray(total**2 * (sigma / (self.reference_ohm * self.supply_volt)))
 
 
