@@ -20,6 +20,7 @@ from lampest import (
     LoadedColumnsReadout,
     Panel,
     Readings,
+    Readout,
     Scene,
     SeriesPerLine,
     TwoPointReadout,
@@ -31,6 +32,7 @@ from lampest.panel.equation import equation_of
 from lampest.panel.network import Network
 from lampest.panel.readouts import AnyReadout
 from lampest.panel.readouts.tolerances import simulated
+from lampest.panel.readouts.two_point import ModulesReadout, ParallelDividers
 from lampest.panel.readouts.wired_network import contact_responses
 from lampest.panel.readouts.wiring import Lines, NeighbourLeaks
 from tests.laws.samples import examples
@@ -128,6 +130,16 @@ def test_a_readout_has_few_public_names_beside_its_keys(kind: Any) -> None:
     keys = {field.name for field in fields(kind)}
     names = {name for name in dir(kind) if not name.startswith("_")} - keys
     assert len(names) <= MAX_PUBLIC_NAMES, sorted(names)
+
+
+def derived(kind: type) -> list[type]:
+    return [deeper for each in kind.__subclasses__() for deeper in (each, *derived(each))]
+
+
+def test_every_readout_of_the_package_derives_from_the_base_itself() -> None:
+    of_package = [kind for kind in derived(Readout) if kind.__module__.startswith("lampest.")]
+    assert {ModulesReadout, ParallelDividers, TwoPointReadout} <= {*of_package}
+    assert {kind.__bases__ for kind in of_package} == {(Readout,)}
 
 
 @every_scene
