@@ -24,8 +24,7 @@ from lampest.formulation.circuit import Circuit, ConductanceSymbols
 from lampest.panel.compiled import guarded
 from lampest.panel.equation import equation_of
 from lampest.panel.law import ENTRY_NAMES
-from lampest.panel.network import Numbers
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 from lampest.panel.readouts import Readout
 
 Voltages = dict[str, Array]

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lampest.panel.panel import Array, check_line_memory
+from lampest.panel.panel import Array, Mask, check_line_memory
 
 # Smallest diagonal of the stencil, relative to R², for cells whose own response is due to their
 # lines alone.
@@ -46,14 +45,6 @@ def laplacian(conductance: Array) -> Array:
     rows, columns = conductance.shape[-2:]
     check_line_memory(rows, columns)
     return bipartite_matrix(line_sums(conductance), -conductance)
-
-
-def injected(conductance: Array, potentials: Array) -> Array:
-    """Return L·V, the current balance of potentials V (…, lines, patterns).
-
-    Rows are before columns; it has the same shape.
-    """
-    return bipartite(line_sums(conductance), -conductance, potentials)
 
 
 def bipartite_matrix(diagonal: Array, between: Array) -> Array:
@@ -262,9 +253,7 @@ class Stencil:
     inner: Callable[[Array], Array]
 
     @classmethod
-    def of(
-        cls, conductance: Array, two_point_resistance: Array, free: NDArray[np.bool_]
-    ) -> "Stencil":
+    def of(cls, conductance: Array, two_point_resistance: Array, free: Mask) -> "Stencil":
         """Return the stencil over the free cells of a network.
 
         All arrays are (rows, columns), siemens and ohm.

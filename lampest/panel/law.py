@@ -89,7 +89,7 @@ def equation_derivatives(
 def across(entries: Entries) -> Array:
     """Return bᵀ K b = K_jj + K_kk − 2 K_jk of every cell, (…, rows, columns)."""
     row, column, mutual, *_ = entries
-    return np.asarray(row + column - 2 * mutual)
+    return row + column - 2 * mutual
 
 
 def loading_of(row: Array, column: Array, mutual: Array, *of_sources: Array) -> Loading:

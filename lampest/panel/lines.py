@@ -197,6 +197,4 @@ class SeriesPerLine(Configuration):
         Raises ValueError if a list has another length.
         """
         row = per_line("series_resistance_ohm.rows", self.rows, panel.rows)
-        return np.asarray(
-            row[:, None] + per_line("series_resistance_ohm.columns", self.columns, panel.columns)
-        )
+        return row[:, None] + per_line("series_resistance_ohm.columns", self.columns, panel.columns)

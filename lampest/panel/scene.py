@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.applications import applications, loaded
 from lampest.files.document import INLINE, Document, to_yaml, validated
@@ -23,7 +22,7 @@ from lampest.panel.lines import (
     lines_text,
     per_line,
 )
-from lampest.panel.panel import Array, Modules, Panel, connected_parts
+from lampest.panel.panel import Array, Mask, Modules, Numbers, Panel, connected_parts
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.wiring import Contacts, Lines, NeighbourLeaks, Wiring
 from lampest.panel.response import AnyResponse, Film
@@ -258,12 +257,12 @@ class Scene(Configuration):
         return tuple(sorted({row * self.panel.layout.columns + column for row, column in places}))
 
     @cached_property
-    def blind(self) -> NDArray[np.bool_]:
+    def blind(self) -> Mask:
         """Whether faults leave no reading, boolean (rows, columns)."""
         return self._of_faults(Faults.blind)
 
     @cached_property
-    def requested(self) -> NDArray[np.bool_]:
+    def requested(self) -> Mask:
         """Whether a frame should have a reading, boolean (rows, columns).
 
         A frame may have further readings, of places without a cell.
@@ -271,7 +270,7 @@ class Scene(Configuration):
         return self.panel.present & ~self.blind
 
     @cached_property
-    def open_cells(self) -> NDArray[np.bool_]:
+    def open_cells(self) -> Mask:
         """Whether a crossing does not conduct, boolean (rows, columns).
 
         Such crossings have no cell, or a cell that is open by a fault.
@@ -279,12 +278,12 @@ class Scene(Configuration):
         return ~self.panel.present | self._of_faults(Faults.open_cells)
 
     @cached_property
-    def shorted_cells(self) -> NDArray[np.bool_]:
+    def shorted_cells(self) -> Mask:
         """Whether a cell shorts its lines, boolean (rows, columns)."""
         return self._of_faults(Faults.shorted_cells)
 
     @cached_property
-    def broken(self) -> NDArray[np.bool_]:
+    def broken(self) -> Mask:
         """Whether a crossing has no cell to be estimated, boolean (rows, columns)."""
         return self.open_cells | self.shorted_cells
 
@@ -293,7 +292,7 @@ class Scene(Configuration):
         """Whether every crossing has an intact cell."""
         return self.faults is None and self.panel.cells is None
 
-    def _of_faults(self, mask: Callable[[Faults, Panel], NDArray[np.bool_]]) -> NDArray[np.bool_]:
+    def _of_faults(self, mask: Callable[[Faults, Panel], Mask]) -> Mask:
         """Return a mask of the faults, (rows, columns); true for all cells of dead modules."""
         parts = np.stack([mask(scene.faults or Faults(), scene.panel) for scene in self.of_modules])
         parts[list(self.dead_modules)] = True
@@ -416,7 +415,7 @@ class Scene(Configuration):
         return self.contacts if isinstance(self.contacts, Contacts) else None
 
     @cached_property
-    def parts(self) -> NDArray[np.intp] | None:
+    def parts(self) -> Numbers | None:
         """Number of the connected part of each line, (lines,); None if cells connect all lines."""
         if self.whole:
             return None

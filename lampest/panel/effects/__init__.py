@@ -146,7 +146,7 @@ class SharedEffect(ABC):
             The same state for every frame.
         """
         columns = self.columns(network, measured, scene, size)
-        return np.asarray(measured + np.tensordot(random.standard_normal(len(columns)), columns, 1))
+        return measured + np.tensordot(random.standard_normal(len(columns)), columns, 1)
 
 
 class ReadoutNumber(SharedEffect):
@@ -248,13 +248,13 @@ def recorded_share(measured: Array, scene: Scene) -> Array:
     Central differences approximate the derivative.
     """
     above, below = (recorded_times(measured, scene, np.exp(step)) for step in (LOG_STEP, -LOG_STEP))
-    return np.asarray((above - below) / (2 * LOG_STEP))
+    return (above - below) / (2 * LOG_STEP)
 
 
 def recorded_times(measured: Array, scene: Scene, factor: Array | float) -> Array:
     """Return the readings, (..., rows, columns), that times as large recorded values would give."""
     recorded = scene.circuit.to_recorded(measured, scene)
-    return np.asarray(scene.circuit.from_recorded(recorded * factor, scene))
+    return scene.circuit.from_recorded(recorded * factor, scene)
 
 
 def own_errors(measured: Array, scene: Scene, size: float) -> Array:

@@ -220,7 +220,7 @@ def sigma_code(
     noise_lsb = readout.assumed_noise if noise_lsb is None else noise_lsb
     noise = np.array(noise_lsb)
     bias = _rounding_variance(noise_lsb)
-    return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / (readings or readout.readings) + bias))
+    return np.sqrt((noise**2 + 1 / 12 - bias) / (readings or readout.readings) + bias)
 
 
 def constant_share(readout: Any, noise_lsb: PerLine | None = None) -> Array:
@@ -230,7 +230,7 @@ def constant_share(readout: Any, noise_lsb: PerLine | None = None) -> Array:
     """
     noise = readout.assumed_noise if noise_lsb is None else noise_lsb
     share = np.sqrt(_rounding_variance(noise)) / sigma_code(readout, noise)
-    return np.asarray(along(readout.noisy_side, share) if share.ndim else share)
+    return along(readout.noisy_side, share) if share.ndim else share
 
 
 def rails_reached(readout: Any, recorded: Array) -> str:
@@ -271,7 +271,7 @@ def _rounding_variance(noise_lsb: PerLine) -> Array:
 def averaged_variance(readout: Any, noise_lsb: PerLine) -> Array:
     """Return the variance that averaging removes, σ²(readings) − σ²(ENDLESS readings), LSB²."""
     lasting = sigma_code(readout, noise_lsb, ENDLESS)
-    return np.asarray(sigma_code(readout, noise_lsb) ** 2 - lasting**2)
+    return sigma_code(readout, noise_lsb) ** 2 - lasting**2
 
 
 def noise_of_variance(readout: Any, variance: float) -> float:

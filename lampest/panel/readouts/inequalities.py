@@ -77,7 +77,7 @@ def _least_by_currents(equation: Equation, measured: Array, sigma: Array | None)
     current = equation.sum_together(volt * by_volt)
     current = current + NOISE_REACH * np.sqrt(equation.sum_together((noise * by_volt) ** 2))
     driven = np.maximum(equation.driven_volt(current, equation.drive), 0)
-    return np.asarray(driven / current - equation.load)
+    return driven / current - equation.load
 
 
 def resolution(circuit: SolvableCircuit, measured: Array, sigma: Array) -> Array:
@@ -93,16 +93,16 @@ def resolution(circuit: SolvableCircuit, measured: Array, sigma: Array) -> Array
     if unseen_scales(circuit, rows, columns):
         return np.full(measured.shape, LARGEST_OHM)
     if by_uniform_panels(circuit, measured):
-        return np.asarray(uniform_responses(circuit, rows, columns) / sigma)
+        return uniform_responses(circuit, rows, columns) / sigma
     start = circuit.uniform_start(measured)
     if nominal_terminations(circuit).two_point:
-        return np.asarray(np.maximum(measured**2 / sigma, 2 * start))
+        return np.maximum(measured**2 / sigma, 2 * start)
     if measured.ndim > 2:
         frames = zip(measured, sigma, strict=True)
         return np.stack([resolution(circuit, *frame) for frame in frames])
     response = circuit.network(start, circuit.ties(measured)).own_response()
     # |∂y_c/∂g_c|/σ = |J_cc|/(g σ) = |J_cc|·r/σ
-    return np.asarray(np.maximum(np.abs(response) * start / sigma, 2 * start))
+    return np.maximum(np.abs(response) * start / sigma, 2 * start)
 
 
 def free_tests(circuit: CircuitOfLines, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:

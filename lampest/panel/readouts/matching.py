@@ -47,7 +47,7 @@ def matching_cells(
     upper = np.log(most)
     start = np.clip(np.log(first), lower, upper)
     solve = _by_matrix if measured.size <= MAX_DENSE else _by_products
-    return np.asarray(np.exp(solve(network, measured, start, lower, upper)))
+    return np.exp(solve(network, measured, start, lower, upper))
 
 
 def _by_matrix(

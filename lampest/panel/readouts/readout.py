@@ -31,7 +31,7 @@ from lampest.panel.lines import (
     per_line,
 )
 from lampest.panel.network import Network, SolvedNetwork
-from lampest.panel.panel import Array, Panel, connected_parts
+from lampest.panel.panel import Array, Numbers, Panel, connected_parts
 from lampest.panel.readouts import starts
 from lampest.panel.readouts.converter import (
     MAX_VOLT,
@@ -223,7 +223,7 @@ class Readout(Completed, ABC):
 
     # Readings of cells.
 
-    def ties(self, measured: Array, parts: NDArray[np.intp] | None = None) -> Array:
+    def ties(self, measured: Array, parts: Numbers | None = None) -> Array:
         """Return the ties to ground of the bases, (lines,) siemens, or (addresses, lines).
 
         Lines that 0 ohm hold have infinite ties. `parts`, (lines,), is the number of each line's
@@ -347,12 +347,12 @@ class Readout(Completed, ABC):
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
         """Return the network's readings of recorded values, (…, rows, columns)."""
         ends = nominal_terminations(self)
-        return np.asarray(ends.sign * (recorded - self._level(recorded.shape)))
+        return ends.sign * (recorded - self._level(recorded.shape))
 
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
         """Return the recorded values of the network's readings, (…, rows, columns)."""
         ends = nominal_terminations(self)
-        return np.asarray(self._level(reading.shape) + ends.sign * reading)
+        return self._level(reading.shape) + ends.sign * reading
 
     def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
         """Return the σ of the network's readings y, σ·|∂y/∂(recorded)|.
@@ -476,7 +476,7 @@ class Readout(Completed, ABC):
     def sigma(self, recorded: Array) -> Array:
         """Return σ of recorded readings, the same shape and unit."""
         volt = self.volt_from_recorded(recorded)
-        return np.asarray(np.broadcast_to(mean_sigma(self), volt.shape) * relative_step(self, volt))
+        return np.broadcast_to(mean_sigma(self), volt.shape) * relative_step(self, volt)
 
     def rails(self) -> tuple[float, float]:
         """Return the range of recorded values that are no bounds.

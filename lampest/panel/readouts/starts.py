@@ -53,7 +53,7 @@ def apparent_resistance(circuit: SolvableCircuit, measured: Array) -> Array:
     volt = np.maximum(measured, OPEN_SHARE * equation.source) / equation.gain
     # (U − V_d)/I with the current I = V/(c·Rs): the sum of cell, load and drive
     total = load * (equation.source - equation.lost(volt / load)) / volt
-    return np.asarray(np.maximum(total - load - equation.drive, MIN_LOAD_SHARE * total))
+    return np.maximum(total - load - equation.drive, MIN_LOAD_SHARE * total)
 
 
 def uniform_start(circuit: SolvableCircuit, measured: Array) -> Array:
@@ -68,7 +68,7 @@ def uniform_start(circuit: SolvableCircuit, measured: Array) -> Array:
         return _of_uniform_panels(circuit, measured)
     if equation.floating:
         factor = uniform_factor(*measured.shape[-2:])
-        return np.asarray(apparent_resistance(circuit, measured) / factor)
+        return apparent_resistance(circuit, measured) / factor
     if not equation.grounded:
         apparent = apparent_resistance(circuit, measured)
         if np.mean(equation.driving.base.ohm) > np.median(apparent):
@@ -127,7 +127,7 @@ def start(
         alternated = alternation.cells(volt, uniform_start(circuit, measured), near)
         cells = np.minimum(alternated, upper)
         if misfit(circuit.network(cells, circuit.ties(measured)), positive) < MAX_MISFIT:
-            return np.asarray(cells)
+            return cells
         firsts.append(cells)
     panels = _panels_from(circuit, positive, firsts, upper)
     return panels[0][1] if panels else np.minimum(uniform_start(circuit, measured), upper)

@@ -7,12 +7,11 @@ from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.panel.circuit import Ends, Terminations, scanned
 from lampest.panel.lines import Groups, PerLine, parallel, per_line
 from lampest.panel.network import Network, SolvedNetwork
-from lampest.panel.panel import Array, Modules
+from lampest.panel.panel import Array, Modules, Numbers
 from lampest.panel.readouts.converter import converter_in_words, mean_sigma, relative_step
 from lampest.panel.readouts.floating import convex_start, grounding, uniform_factor
 from lampest.panel.readouts.readout import Readout, Surroundings
@@ -71,7 +70,7 @@ def divider_recorded(readout: Any, reading: Array, scene: Surroundings) -> Array
 
     The converter's input resistance distorts the value.
     """
-    total = np.asarray(reading + scene.series_ohm)
+    total = reading + scene.series_ohm
     if readout.input_ohm is None:
         return total
     if readout.measured_across == "sensor":
@@ -82,7 +81,7 @@ def divider_recorded(readout: Any, reading: Array, scene: Surroundings) -> Array
 
 def divider_reading(readout: Any, recorded: Array, scene: Surroundings) -> Array:
     """Return the resistance R of the panel alone, (…, rows, columns) ohm."""
-    return np.asarray(_without_input(readout, recorded) - scene.series_ohm)
+    return _without_input(readout, recorded) - scene.series_ohm
 
 
 def divider_reading_sigma(readout: Any, recorded: Array, sigma: Array) -> Array:
@@ -90,7 +89,7 @@ def divider_reading_sigma(readout: Any, recorded: Array, sigma: Array) -> Array:
     if readout.input_ohm is None:
         return sigma
     slope = _without_input(readout, recorded) / recorded
-    return np.asarray(sigma * slope ** (2 if readout.measured_across == "sensor" else 1))
+    return sigma * slope ** (2 if readout.measured_across == "sensor" else 1)
 
 
 def _without_input(readout: Any, recorded: Array) -> Array:
@@ -261,7 +260,7 @@ class ModulesReadout(Readout):
         """Return the ends of two-point resistances."""
         return TwoPointReadout().terminations(driven, sensed)
 
-    def ties(self, measured: Array, parts: NDArray[np.intp] | None = None) -> Array:
+    def ties(self, measured: Array, parts: Numbers | None = None) -> Array:
         return grounding(self.layout.split(measured))
 
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
@@ -272,14 +271,10 @@ class ModulesReadout(Readout):
 
     def uniform_start(self, measured: Array) -> Array:
         """Return the uniform start of each module; see `uniform_factor`."""
-        return np.asarray(
-            measured / uniform_factor(self.layout.each.rows, self.layout.each.columns)
-        )
+        return measured / uniform_factor(self.layout.each.rows, self.layout.each.columns)
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Return cells that reproduce attainable readings, module by module; see `convex_start`."""
         nears = [None] * self.layout.count if near is None else self.layout.split(near)
         modules = zip(self.layout.split(measured), self.layout.split(upper), nears, strict=True)
-        return np.asarray(
-            self.layout.joined(np.stack([convex_start(*module) for module in modules]))
-        )
+        return self.layout.joined(np.stack([convex_start(*module) for module in modules]))
