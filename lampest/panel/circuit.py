@@ -80,6 +80,10 @@ class Ends(Validated):
         chosen = np.isfinite(self.ohm) & (named if own else ~named)
         return self.volt[chosen]
 
+    def of_at_least(self, ohm: float) -> Self:
+        """Return the ends with resistances of at least so many ohm."""
+        return replace(self, ohm=np.maximum(self.ohm, ohm))
+
     def behind(self, ohm: Array) -> Self:
         """Return the ends behind resistances in series."""
         return replace(self, ohm=self.ohm + ohm)

@@ -4,9 +4,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import ClassVar, Literal
 
-import numpy as np
-
-from lampest.panel.circuit import FOLLOWS, Terminations, scanned
+from lampest.panel.circuit import FOLLOWS, Terminations
 from lampest.panel.diode import Diode
 from lampest.panel.lines import (
     Groups,
@@ -17,13 +15,7 @@ from lampest.panel.lines import (
     opposite,
     per_line,
 )
-from lampest.panel.readouts.keys import (
-    driven_ends,
-    ends_in_words,
-    idle_ends,
-    idle_load_ends,
-    load_ends,
-)
+from lampest.panel.readouts.keys import driven_ends, ends_in_words, ends_with_loads, idle_ends
 from lampest.panel.readouts.readout import Readout
 
 
@@ -189,19 +181,8 @@ class DrivenReadout(Readout):
         if self.idle_stays:
             drive = drive.beside(idle)
             together = together.beside(idle)
-        load = load_ends(self, sensed)
-        total = load.behind(per_line("sense_ohm", self.sense_ohm, sensed))
-        stays = self.idle_load_ohm is None and self.groups is None
-        idle_load = total if stays else idle_load_ends(self, sensed)
-        with np.errstate(invalid="ignore"):
-            gain = np.where(np.isinf(load.ohm), 1.0, load.ohm / total.ohm)
-        return Terminations(
-            self.driven,
-            scanned(drive, idle, self.driven_groups, together),
-            scanned(total, idle_load, self.groups),
-            gain,
-            diode=self.diode,
-        )
+        stay = self.idle_load_ohm is None and self.groups is None
+        return ends_with_loads(self, drive, idle, together, sensed, loads_stay=stay)
 
 
 def _state(ohm: PerLine) -> str:

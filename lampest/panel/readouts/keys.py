@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lampest.panel.circuit import FOLLOWS, Ends, nominal_terminations
+from lampest.panel.circuit import FOLLOWS, Ends, Terminations, nominal_terminations, scanned
 from lampest.panel.equation import equation_of
 from lampest.panel.lines import (
     as_tuple,
@@ -68,6 +68,38 @@ def idle_load_ends(readout: Any, count: int) -> Ends:
     return Ends.of(
         per_line("idle_load_ohm", inf if ohm is None else ohm, count),
         _load_volt(readout) if volt is None else volt,
+    )
+
+
+def ends_with_loads(
+    readout: Any, drive: Ends, idle: Ends, together: Ends, sensed: int, *, loads_stay: bool
+) -> Terminations:
+    """Return the ends of all lines, where sensed ones have loads behind their channels.
+
+    The gain is the share Rs/(Rc + Rs) of the voltage of the line that is read, 1 without a load.
+
+    Parameters
+    ----------
+    readout : Readout
+    drive, idle, together : Ends, shape (driven,)
+        Of driven lines while they are driven, idle, and selected with a driven one of another group
+        of `driven_groups`.
+    sensed : int
+        Number of sensed lines.
+    loads_stay : bool
+        Whether idle sensed lines keep their loads, or else end as `idle_load_ends`.
+    """
+    load = load_ends(readout, sensed)
+    total = load.behind(per_line("sense_ohm", entry(readout, "sense_ohm") or 0.0, sensed))
+    idle_load = total if loads_stay else idle_load_ends(readout, sensed)
+    with np.errstate(invalid="ignore"):
+        gain = np.where(np.isinf(load.ohm), 1.0, load.ohm / total.ohm)
+    return Terminations(
+        readout.driven,
+        scanned(drive, idle, entry(readout, "driven_groups"), together),
+        scanned(total, idle_load, entry(readout, "groups")),
+        gain,
+        diode=entry(readout, "diode"),
     )
 
 

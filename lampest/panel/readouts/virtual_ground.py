@@ -94,8 +94,7 @@ class VirtualGroundReadout(Readout):
 
         The gain is Rf/Rc.
         """
-        drive = driven_ends(self, driven)
-        drive = Ends.of(np.maximum(drive.ohm, MIN_OHM), drive.volt)
+        drive = driven_ends(self, driven).of_at_least(MIN_OHM)
         channel = np.maximum(per_line("sense_ohm", self.sense_ohm, sensed), MIN_OHM)
         feedback = per_line("feedback_ohm", self.feedback_ohm, sensed)
         offset = per_line("offset_volt", self.offset_volt or 0.0, sensed)
