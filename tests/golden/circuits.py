@@ -18,7 +18,10 @@ from lampest.apps.film.pressure import (
 )
 from lampest.apps.film.tare import TareWatch
 from lampest.apps.recognition import candidates
+from lampest.apps.recognition.bent_suction import BentSuction
 from lampest.files.typed import members_of
+from lampest.inference.readings.free_tests import free_tests, largest_series_ohm
+from lampest.inference.unobservable import unobservable_numbers
 from lampest.panel import effects
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.conditions import water_pressure
@@ -36,15 +39,10 @@ from lampest.panel.readouts.converter import (
     sigma_code,
 )
 from lampest.panel.readouts.floating import common_step
-from lampest.panel.readouts.inequalities import (
-    free_tests,
-    largest_series_ohm,
-    least_cells,
-    resolution,
-)
+from lampest.panel.readouts.inequalities import least_cells, resolution
 from lampest.panel.readouts.starts import nearly_shorted
 from lampest.panel.readouts.tolerances import line_numbers, off_by, simulated, tolerance_errors
-from lampest.panel.response import BentSuction, ratio_from_pressure
+from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import OwnOfModule
 from lampest.panel.scene_file import scene_text
 from lampest.recording.readings import Readings
@@ -263,7 +261,7 @@ def scene_row(scene: lp.Scene) -> dict[str, Any]:
     }
     return row | {
         "alike": [numbers for _, numbers in scene.alike],
-        "unobservable": effects.unobservable_numbers(scene),
+        "unobservable": unobservable_numbers(scene),
         "dead": scene.dead_modules,
         "with series": scene_text(scene.with_series(33.0)),
         "centres": panel.centres_mm(),

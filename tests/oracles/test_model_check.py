@@ -31,10 +31,10 @@ from lampest.files.levels import SIGNIFICANCE
 from lampest.files.typed import members_of
 from lampest.inference.cells_fit import fitted
 from lampest.inference.prepared import Prepared
+from lampest.inference.readings.free_tests import free_tests, largest_series_ohm
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.converter import mean_sigma, noise_volt
-from lampest.panel.readouts.inequalities import free_tests, largest_series_ohm
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.simulation.measure import measured
 from tests.estimates import recording_of

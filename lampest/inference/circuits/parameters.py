@@ -17,9 +17,9 @@ from lampest.inference.circuits.alternatives import Alternative
 from lampest.inference.circuits.compared_frames import ComparedFrames, broken_law
 from lampest.inference.circuits.explanation import FAR, Explanation, alternative_fits
 from lampest.inference.evidence import PARAMETER_COST
+from lampest.inference.readings.free_tests import largest_series_ohm
 from lampest.panel.effects.converter_memory import KeptShare
 from lampest.panel.panel import Array
-from lampest.panel.readouts.inequalities import largest_series_ohm
 
 # −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
 # with the right circuit nearly all gain less (docs/theory/model_check.md).
