@@ -20,7 +20,6 @@ from lampest.panel.lines import (
     as_tuple,
     check_resistors,
     lines_text,
-    per_line,
 )
 from lampest.panel.panel import Array, Mask, Modules, Numbers, Panel, connected_parts
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
@@ -344,12 +343,11 @@ class Scene(Configuration):
         rows, columns : arrays, shapes (rows,) and (columns,)
             In ohm.
         """
-        rows, columns = self.panel.network.shape
+        panel = self.panel.network
         series = self.series_resistance_ohm
-        if not isinstance(series, SeriesPerLine):
-            return np.full(rows, series / 2), np.full(columns, series / 2)
-        row, column = (f"series_resistance_ohm.{side}" for side in ("rows", "columns"))
-        return per_line(row, series.rows, rows), per_line(column, series.columns, columns)
+        if isinstance(series, SeriesPerLine):
+            return series.of_lines(panel)
+        return np.full(panel.rows, series / 2), np.full(panel.columns, series / 2)
 
     @property
     def series_text(self) -> str:
@@ -372,11 +370,12 @@ class Scene(Configuration):
 
         Returns the scene itself if the readout's kind has none; see `series_name`.
         """
+        if not self.series_name:
+            return self
         changes: dict[str, Any] = {self.series_name: ohm}
-        if self.circuit.unit == "ohm":
-            return replace(self, **changes)
-        circuit = self.circuit
-        return replace(self, readout=replace(circuit, **changes)) if self.series_name else self
+        if self.circuit.unit != "ohm":
+            changes = {"readout": replace(self.circuit, **changes)}
+        return replace(self, **changes)
 
     @property
     def specified_in_series(self) -> float:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import inf
-from typing import ClassVar, Literal
+from typing import Literal
 
 from lampest.panel.circuit import FOLLOWS, Terminations
 from lampest.panel.diode import Diode
@@ -81,11 +81,11 @@ class DrivenReadout(Readout):
     'volt'
     """
 
-    of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm", "sense_ohm", "idle_load_ohm")
-    of_driven: ClassVar[tuple[str, ...]] = ("drive_ohm", "idle_ohm")
-    may_be_zero: ClassVar[tuple[str, ...]] = ("drive_ohm", "sense_ohm", "idle_ohm", "idle_load_ohm")
-    may_be_infinite: ClassVar[tuple[str, ...]] = ("load_ohm", "idle_ohm", "idle_load_ohm")
-    channels: ClassVar[tuple[str, str]] = ("drive_ohm", "sense_ohm")
+    of_sensed = ("load_ohm", "sense_ohm", "idle_load_ohm")
+    of_driven = ("drive_ohm", "idle_ohm")
+    may_be_zero = ("drive_ohm", "sense_ohm", "idle_ohm", "idle_load_ohm")
+    may_be_infinite = ("load_ohm", "idle_ohm", "idle_load_ohm")
+    channels = ("drive_ohm", "sense_ohm")
     kind: Literal["driven"] = "driven"
     driven: Side = "rows"
     polarity: Literal["up", "down"] = "up"

@@ -227,13 +227,17 @@ def two_point_resistance(cell_resistance: Array) -> Array:
     """
     if cell_resistance.ndim == 3:
         return np.stack([two_point_resistance(frame) for frame in cell_resistance])
-    if not np.all(cell_resistance >= 0):
-        raise ValueError("cell resistances must be zero or positive, and numbers")
+    _check_cells(cell_resistance)
     with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
         network = SolvedNetwork.floating(1 / cell_resistance, grounding(cell_resistance))
         if condition(network) <= SAFE_CONDITION:
             return network.reading()
     return exact_two_point_resistance(cell_resistance)
+
+
+def _check_cells(cell_resistance: Array) -> None:
+    if not np.all(cell_resistance >= 0):
+        raise ValueError("cell resistances must be zero or positive, and numbers")
 
 
 def condition(network: SolvedNetwork) -> float:
@@ -260,8 +264,7 @@ def exact_two_point_resistance(cell_resistance: Array) -> Array:
     Source: Alfa, Xue, Ye, Mathematics of Computation 71 (2002), after Grassmann, Taksar, Heyman
     (1985).
     """
-    if not np.all(cell_resistance >= 0):
-        raise ValueError("cell resistances must be zero or positive, and numbers")
+    _check_cells(cell_resistance)
     if cell_resistance.ndim == 3:
         return np.stack([exact_two_point_resistance(frame) for frame in cell_resistance])
     rows, columns = cell_resistance.shape

@@ -1,7 +1,7 @@
 """Grounded lines: a line is driven, the other ones of its side are held at ground."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 from lampest.panel.circuit import Terminations
 from lampest.panel.lines import MIN_OHM, Groups, PerLine, Side, lines_text, opposite
@@ -61,10 +61,10 @@ class GroundedReadout(Readout):
     'volt'
     """
 
-    of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm", "sense_ohm", "idle_load_ohm")
-    may_be_zero: ClassVar[tuple[str, ...]] = ("drive_ohm", "sense_ohm", "idle_load_ohm")
-    may_be_infinite: ClassVar[tuple[str, ...]] = ("idle_load_ohm",)
-    channels: ClassVar[tuple[str, str]] = ("drive_ohm", "sense_ohm")
+    of_sensed = ("load_ohm", "sense_ohm", "idle_load_ohm")
+    may_be_zero = ("drive_ohm", "sense_ohm", "idle_load_ohm")
+    may_be_infinite = ("idle_load_ohm",)
+    channels = ("drive_ohm", "sense_ohm")
     kind: Literal["grounded"] = "grounded"
     driven: Side = "rows"
     sense: Literal["all", "one"] = "all"

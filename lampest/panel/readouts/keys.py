@@ -56,7 +56,7 @@ def load_ends(readout: Any, count: int) -> Ends:
     A load at load_volt and the converter's input to ground are beside each other.
     """
     key = readout.of_sensed[0]
-    load = Ends.of(per_line(key, getattr(readout, key), count), _load_volt(readout))
+    load = Ends.of(per_line(key, getattr(readout, key), count), load_volts(readout)[0])
     input_ohm = entry(readout, "input_ohm")
     return load if input_ohm is None else load.beside(Ends.of(np.full(count, input_ohm)))
 
@@ -64,11 +64,8 @@ def load_ends(readout: Any, count: int) -> Ends:
 def idle_load_ends(readout: Any, count: int) -> Ends:
     """Return the ends of idle sensed lines that have one of their own, else floating ones."""
     ohm = entry(readout, "idle_load_ohm")
-    volt = entry(readout, "idle_load_volt")
-    return Ends.of(
-        per_line("idle_load_ohm", inf if ohm is None else ohm, count),
-        _load_volt(readout) if volt is None else volt,
-    )
+    _, volt = load_volts(readout)
+    return Ends.of(per_line("idle_load_ohm", inf if ohm is None else ohm, count), volt)
 
 
 def ends_with_loads(
@@ -103,10 +100,12 @@ def ends_with_loads(
     )
 
 
-def _load_volt(readout: Any) -> float:
-    """Return the potential in which loads end, in volt."""
+def load_volts(readout: Any) -> tuple[float, float]:
+    """Return the potentials in which loads, and idle sensed lines end, in volt."""
     volt = entry(readout, "load_volt")
-    return _ground(readout) if volt is None else float(volt)
+    idle = entry(readout, "idle_load_volt")
+    volt = _ground(readout) if volt is None else float(volt)
+    return volt, volt if idle is None else idle
 
 
 def _ground(readout: Any) -> float:

@@ -1,7 +1,7 @@
 """Loaded columns: a line is driven, the other ones float, and every sensed line has a load."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 from lampest.panel.circuit import Ends, Terminations
 from lampest.panel.diode import Diode
@@ -56,7 +56,7 @@ class LoadedColumnsReadout(Readout):
     'volt'
     """
 
-    channels: ClassVar[tuple[str, str]] = ("drive_ohm", "")
+    channels = ("drive_ohm", "")
     kind: Literal["loaded_columns"] = "loaded_columns"
     driven: Side = "rows"
     polarity: Literal["up", "down"] = "up"

@@ -4,7 +4,7 @@ A divider with a reference resistor measures the resistance.
 """
 
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -152,11 +152,11 @@ class TwoPointReadout(Readout):
     'ohm'
     """
 
-    unit: ClassVar[str] = "ohm"
-    signal: ClassVar[str] = "resistance"
-    signal_name: ClassVar[str] = "two-point resistance, divider equation"
-    of_driven: ClassVar[tuple[str, ...]] = ()
-    of_sensed: ClassVar[tuple[str, ...]] = ("reference_ohm",)
+    unit = "ohm"
+    signal = "resistance"
+    signal_name = "two-point resistance, divider equation"
+    of_driven = ()
+    of_sensed = ("reference_ohm",)
     kind: Literal["two_point"] = "two_point"
     reference_ohm: float = 1000.0
     measured_across: Literal["reference", "sensor"] = "reference"
@@ -211,11 +211,11 @@ class ParallelDividers(Readout):
         See `TwoPointReadout`.
     """
 
-    unit: ClassVar[str] = "ohm"
-    of_driven: ClassVar[tuple[str, ...]] = ("row_ohm",)
-    of_sensed: ClassVar[tuple[str, ...]] = ("reference_ohm", "column_ohm")
-    may_be_zero: ClassVar[tuple[str, ...]] = ("row_ohm", "column_ohm")
-    channels: ClassVar[tuple[str, str]] = ("row_ohm", "column_ohm")
+    unit = "ohm"
+    of_driven = ("row_ohm",)
+    of_sensed = ("reference_ohm", "column_ohm")
+    may_be_zero = ("row_ohm", "column_ohm")
+    channels = ("row_ohm", "column_ohm")
     kind: Literal["two_point"] = "two_point"
     reference_ohm: float
     measured_across: Literal["reference", "sensor"]
@@ -249,7 +249,7 @@ class ModulesReadout(Readout):
         Arrangement of the modules.
     """
 
-    unit: ClassVar[str] = "ohm"
+    unit = "ohm"
     kind: Literal["two_point"] = "two_point"
     layout: Modules
 
