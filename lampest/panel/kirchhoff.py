@@ -70,12 +70,13 @@ def bipartite(diagonal: Array, between: Array, values: Array) -> Array:
     return product
 
 
-def line_sums(values: Array) -> Array:
+def line_sums(values: Array, of_columns: Array | None = None) -> Array:
     """Return the sums of values (…, rows, columns) over every row, then over every column.
 
-    Shape (…, rows + columns).
+    Columns may have values of their own. Shape (…, rows + columns).
     """
-    return np.concatenate([np.add.reduce(values, -1), np.add.reduce(values, -2)], axis=-1)
+    of_columns = values if of_columns is None else of_columns
+    return np.concatenate([np.add.reduce(values, -1), np.add.reduce(of_columns, -2)], axis=-1)
 
 
 def inverse_of(conductance: Array, ties: Array) -> Array:

@@ -163,6 +163,14 @@ def matrix_vector(matrix: Array, vector: Array) -> Array:
     return (matrix @ vector[..., None])[..., 0]
 
 
+def _filled(parts: Entries, shape: tuple[int, ...]) -> Array:
+    """Return entries of the readings as one array, (entries, *shape)."""
+    every = np.empty((len(parts), *shape))
+    for number, part in enumerate(parts):
+        every[number] = part
+    return every
+
+
 @dataclass(frozen=True, eq=False)
 class SolvedNetwork(Network):
     """Solved network of lines that end in ties to ground.
@@ -279,9 +287,7 @@ class SolvedNetwork(Network):
     def _derivatives(self, order: int) -> Array:
         """Return all derivatives of h of an order, (derivatives, …, rows, columns)."""
         assert self.circuit is not None
-        entries = np.empty((len(self._entries), *self.shape))
-        for number, entry in enumerate(self._entries):
-            entries[number] = entry
+        entries = _filled(self._entries, self.shape)
         function = equation_derivatives(self.circuit, *self.shape[-2:], len(entries), order)
         if entries.ndim == 3:
             return function(entries).reshape(-1, *self.shape)
@@ -402,8 +408,8 @@ class SolvedNetwork(Network):
 
     def across_cells(self, values: Array) -> Array:
         """Return V·B (…, cells) for values V (…, lines)."""
-        differences = values[..., : self.rows, None] - values[..., None, self.rows :]
-        return differences.reshape(*values.shape[:-1], -1)
+        row, column = self._parts(values)
+        return (row - column).reshape(*values.shape[:-1], -1)
 
     def own_differences(self) -> tuple[Array, Array]:
         """Return (D_jc, D_kc) of every cell c at its own row j and column k, (rows, columns)."""
@@ -499,18 +505,13 @@ class SolvedNetwork(Network):
 
     def entries(self, matrix: Array) -> Entries:
         """Return (K_jj, K_kk, K_jk) of K (…, lines, lines), with sources also both parts of K·x."""
-        diagonal = matrix.diagonal(axis1=-2, axis2=-1)
-        rows = self.rows
-        entries = (
-            diagonal[..., :rows, None],
-            diagonal[..., None, rows:],
-            matrix[..., :rows, rows:],
-        )
+        diagonal = self._parts(matrix.diagonal(axis1=-2, axis2=-1))
+        entries = (*diagonal, matrix[..., : self.rows, self.rows :])
         if self.sources is None:
             return entries
         return *entries, *self._parts(matrix_vector(matrix, self.sources))
 
-    def _parts(self, potentials: Array) -> Entries:
+    def _parts(self, potentials: Array) -> tuple[Array, Array]:
         """Return potentials (…, lines) of rows, (…, rows, 1), and of columns, (…, 1, columns)."""
         return potentials[..., : self.rows, None], potentials[..., None, self.rows :]
 
@@ -526,7 +527,7 @@ class SolvedNetwork(Network):
         mutual = left[..., :rows, :] @ right[..., rows:]
         if not symmetric:
             mutual = (mutual + (left[..., rows:, :] @ right[..., :rows]).swapaxes(-1, -2)) / 2
-        entries = (diagonal[..., :rows, None], diagonal[..., None, rows:], mutual)
+        entries = (*self._parts(diagonal), mutual)
         if self.sources is None or not with_sources:
             return entries
         return *entries, *self._parts(matrix_vector(left, matrix_vector(right, self.sources)))
@@ -572,11 +573,7 @@ class SolvedSecondOrder(SecondOrder):
         weighted = self._weighted_curvatures
         shape = np.broadcast_shapes(*(part.shape for part in change))
         if shape == self.weights.shape:
-            every = np.empty((len(change), *shape))
-            for number, part in enumerate(change):
-                every[number] = part
-            summed: Array = (weighted * every).sum(axis=1)
-            return [summed[number] for number in range(len(change))]
+            return list((weighted * _filled(change, shape)).sum(axis=1))
         changes: list[Array] = [np.zeros(shape) for _ in change]
         for of, by in np.argwhere(weighted.any(axis=(-2, -1))):
             curvature = weighted[of, by]

@@ -186,7 +186,7 @@ def shared_effects() -> tuple[SharedEffect, ...]:
             further.append(kind())
         elif not issubclass(kind, loaded("lampest.panel.effects.line_effect:LineEffect")):
             raise InputError(f"{named} is no effect, SharedEffect or LineEffect")
-    return (*map(_shipped, SHARED), *further)
+    return (*map(shared_effect_of, SHARED), *further)
 
 
 @cache
@@ -207,17 +207,12 @@ def shared_effect_of(setting: str) -> SharedEffect:
     Raises ValueError if there is none.
     """
     if setting in SHARED:
-        return _shipped(setting)
+        shipped: SharedEffect = loaded(SHARED[setting])()
+        return shipped
     for error in shared_effects()[len(SHARED) :]:
         if error.setting == setting:
             return error
     raise ValueError(f"{setting}: no installed effect has this key")
-
-
-@cache
-def _shipped(setting: str) -> SharedEffect:
-    error: SharedEffect = loaded(SHARED[setting])()
-    return error
 
 
 def error_columns(
