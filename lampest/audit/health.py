@@ -22,6 +22,7 @@ from lampest.inference.readings.repeated import frozen_readings, repeat_each_oth
 from lampest.inference.readings.unloaded import loaded_frames
 from lampest.panel.faults import Faults
 from lampest.panel.panel import Array
+from lampest.panel.readouts.converter import mean_sigma
 from lampest.panel.readouts.starts import several_panels
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_median, chi_square_tail
@@ -155,7 +156,7 @@ class _View:
     def noise(self) -> float:
         """Deviation of a voltage that noise and rounding never exceed, volt."""
         circuit = self.scene.circuit
-        return circuit.lsb_volt + OUTLIER_THRESHOLD * float(np.mean(circuit.sigma_volt()))
+        return circuit.lsb_volt + OUTLIER_THRESHOLD * float(np.mean(mean_sigma(circuit)))
 
     def volts_of(self, cells: Array, faults: Faults | None = None) -> Array:
         """Return the voltages of cells (…, rows, columns) ohm under the scene's circuit.

@@ -17,16 +17,13 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.csgraph
 import scipy.sparse.linalg
-from numpy.typing import NDArray
 
 from lampest.files.typed import ReadOnlyArrays
 from lampest.panel.equation import equation_of
 from lampest.panel.kirchhoff import current_balance
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
-
-Nodes = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,12 +75,12 @@ class Circuit(ReadOnlyArrays):
 
     shape: tuple[int, int]
     count: int
-    terminals: Nodes
-    cell_ends: Nodes
-    wire_ends: Nodes
+    terminals: Numbers
+    cell_ends: Numbers
+    wire_ends: Numbers
     wire_siemens: Array
-    held: NDArray[np.bool_]
-    read: NDArray[np.bool_]
+    held: Mask
+    read: Mask
     ends: Array | None = None
 
     @classmethod
@@ -146,27 +143,28 @@ class Circuit(ReadOnlyArrays):
         return own_nodes and not len(self.wire_siemens) and not self.held.any()
 
     @cached_property
-    def free(self) -> Nodes:
+    def free(self) -> Numbers:
         """Nodes that are not held at ground."""
         return np.setdiff1d(np.arange(self.count), self.terminals[self.held])
 
-    def potentials(self, lines: Nodes) -> Array:
+    def potentials(self, lines: Numbers) -> Array:
         """Return the given potentials of excited lines, (nodes, patterns).
 
         An excited line that is held has 1 V, all other nodes have 0.
         """
-        volt = np.zeros((self.count, len(lines)))
-        volt[self.terminals[lines], np.arange(len(lines))] = self.held[lines]
-        return volt
+        return self._at_nodes(lines, self.held)
 
-    def currents(self, lines: Nodes) -> Array:
+    def currents(self, lines: Numbers) -> Array:
         """Return the given currents of excited lines, (nodes, patterns).
 
         An excited line that is not held has 1 A, all other nodes have 0.
         """
-        into = np.zeros((self.count, len(lines)))
-        into[self.terminals[lines], np.arange(len(lines))] = ~self.held[lines]
-        return into
+        return self._at_nodes(lines, ~self.held)
+
+    def _at_nodes(self, lines: Numbers, of_lines: Mask) -> Array:
+        values = np.zeros((self.count, len(lines)))
+        values[self.terminals[lines], np.arange(len(lines))] = of_lines[lines]
+        return values
 
     @cached_property
     def held_potentials(self) -> Array:
@@ -261,7 +259,7 @@ class Circuit(ReadOnlyArrays):
         return volt
 
 
-def _wire(wiring: Wiring, on_row: Nodes, on_column: Nodes) -> tuple[Nodes, Array]:
+def _wire(wiring: Wiring, on_row: Numbers, on_column: Numbers) -> tuple[Numbers, Array]:
     """Return the ends and resistances of contacts and of the segments between crossings.
 
     The ends have shape (2, pieces), the resistances (pieces,) ohm.
@@ -285,7 +283,7 @@ def _wire(wiring: Wiring, on_row: Nodes, on_column: Nodes) -> tuple[Nodes, Array
     return np.array(ends, dtype=np.intp).T, np.array(ohm)
 
 
-def _incidence(nodes: int, ends: Nodes) -> scipy.sparse.csc_array:
+def _incidence(nodes: int, ends: Numbers) -> scipy.sparse.csc_array:
     """Return the incidence matrix of branches, sparse (nodes, branches); 1 and −1 at the ends."""
     branch = np.arange(ends.shape[1])
     entries = np.repeat([1.0, -1.0], len(branch))

@@ -24,8 +24,7 @@ from lampest.formulation.circuit import Circuit, ConductanceSymbols
 from lampest.panel.compiled import guarded
 from lampest.panel.equation import equation_of
 from lampest.panel.law import ENTRY_NAMES
-from lampest.panel.network import Numbers
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 from lampest.panel.readouts import Readout
 
 Voltages = dict[str, Array]
@@ -330,14 +329,9 @@ def _at_ends(
     if circuit.ends is None:
         return None, casadi.SX(0, 1)
     # In volt, where all other voltages are for unit currents in the unit of resistances
-    voltage = casadi.SX(casadi.DM(circuit.held_potentials))
-    voltage[circuit.free.tolist(), :] = unknowns.new(END_VOLTAGE, len(circuit.free))
-    out = circuit.balance(symbols, voltage) - circuit.end_currents(symbols.tie)
-    entries = voltage[circuit.terminals.tolist(), :]
-    held = np.flatnonzero(circuit.held)
-    if len(held):
-        entries[held.tolist(), :] = -out[circuit.terminals[held].tolist(), :] / symbols.scale
-    return entries, casadi.vec(out[circuit.free.tolist(), :])
+    into = circuit.end_currents(symbols.tie)
+    given = circuit.held_potentials
+    return _solved(unknowns, END_VOLTAGE, circuit, given, into, symbols, symbols.scale)
 
 
 def _end_voltages(circuit: Circuit, response: Array) -> Voltages:
@@ -359,14 +353,33 @@ def _excited(
     The current balance is returned, too. K is the voltage of a line, or the current that a line at
     ground takes; see `DifferenceNetwork`.
     """
-    voltage = casadi.SX(casadi.DM(circuit.potentials(lines)))
-    voltage[circuit.free.tolist(), :] = unknowns.new(name, len(circuit.free), len(lines))
-    out = circuit.balance(symbols, voltage) - casadi.DM(circuit.currents(lines))
+    into = casadi.DM(circuit.currents(lines))
+    return _solved(unknowns, name, circuit, circuit.potentials(lines), into, symbols)
+
+
+def _solved(
+    unknowns: _Unknowns,
+    name: str,
+    circuit: Circuit,
+    given: Array,
+    into: casadi.SX | casadi.DM,
+    symbols: ConductanceSymbols,
+    unit: casadi.SX | float = 1.0,
+) -> tuple[casadi.SX, casadi.SX]:
+    """Return the voltages of lines, or the currents of held ones in `unit`, and the balance.
+
+    The nodes that are free have unknown voltages, `given` (nodes, patterns) are those of the
+    others. The currents `into` the nodes have the same shape.
+    """
+    free = circuit.free.tolist()
+    voltage = casadi.SX(casadi.DM(given))
+    voltage[free, :] = unknowns.new(name, *given[circuit.free].shape)
+    out = circuit.balance(symbols, voltage) - into
     entries = voltage[circuit.terminals.tolist(), :]
     held = np.flatnonzero(circuit.held)
     if len(held):
-        entries[held.tolist(), :] = -out[circuit.terminals[held].tolist(), :]
-    return entries, casadi.vec(out[circuit.free.tolist(), :])
+        entries[held.tolist(), :] = -out[circuit.terminals[held].tolist(), :] / unit
+    return entries, casadi.vec(out[free, :])
 
 
 def _unit(circuit: Circuit, first: Numbers, second: Numbers, scale: casadi.SX) -> casadi.SX:

@@ -25,7 +25,7 @@ from lampest.inference.resolve import (
     resolved,
     resolved_scene,
 )
-from lampest.panel.effects import own_errors, unobservable_numbers
+from lampest.panel.effects import own_errors
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts.converter import states_noise
 from lampest.panel.readouts.starts import several_panels
@@ -163,6 +163,8 @@ class Prepared:
         check = self._check
         if not check.explains:
             return check
+        from lampest.inference.unobservable import unobservable_numbers  # for its sentence alone
+
         unobservable = unobservable_numbers(self.recording.scene, self._scale_error)
         if not unobservable:
             return check
@@ -241,7 +243,7 @@ class Prepared:
         if question.fault:
             return check
         from lampest.inference.circuits.model_check import EXPLAINED
-        from lampest.panel.estimated import estimated_lines
+        from lampest.inference.estimated import estimated_lines
 
         keys = keys_in_sigma(self.recording.scene)
         sizes = {key: size for key, size in self.noise.estimated.items() if key in keys}

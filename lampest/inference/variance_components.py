@@ -27,6 +27,7 @@ from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
 from lampest.inference.readings.repeated import QUIET_SHARE
 from lampest.panel.conditions import motion_patterns
 from lampest.panel.panel import Array
+from lampest.panel.readouts.converter import mean_sigma
 from lampest.panel.readouts.scan_order import in_scan_lines
 from lampest.posterior.interval import chi_square_tail, variance_ratio_tail
 from lampest.recording.readings import Readings
@@ -118,7 +119,7 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
         loudness = middle / np.exp(np.log(resting.known_sigma).mean(axis=0))
     else:
         volt = circuit.volt_from_recorded(circuit.to_recorded(middle, scene))
-        loudness = np.asarray(volt / np.broadcast_to(scene.readout.sigma_volt(), volt.shape))
+        loudness = np.asarray(volt / np.broadcast_to(mean_sigma(scene.readout), volt.shape))
     deviation = in_scan_lines(circuit, deviation)
     loudness = in_scan_lines(circuit, loudness)
     patterns = None

@@ -69,7 +69,7 @@ class Ends(Validated):
     def siemens(self) -> Array:
         """Conductances of the ends, infinite where a line is held."""
         with np.errstate(divide="ignore"):
-            return np.asarray(1 / self.ohm)
+            return 1 / self.ohm
 
     def connected(self, *, own: bool) -> Array:
         """Return the potentials of connected lines of a table (lines, lines), in volt.
@@ -78,7 +78,11 @@ class Ends(Validated):
         """
         named = np.eye(len(self.ohm), dtype=bool)
         chosen = np.isfinite(self.ohm) & (named if own else ~named)
-        return np.asarray(self.volt[chosen])
+        return self.volt[chosen]
+
+    def of_at_least(self, ohm: float) -> Self:
+        """Return the ends with resistances of at least so many ohm."""
+        return replace(self, ohm=np.maximum(self.ohm, ohm))
 
     def behind(self, ohm: Array) -> Self:
         """Return the ends behind resistances in series."""
@@ -191,7 +195,7 @@ class Terminations(Validated):
 
     def relative(self, volt: Array) -> Array:
         """Return potentials taken from the reference, positive towards the source."""
-        return np.asarray(self.sign * (volt - self.reference))
+        return self.sign * (volt - self.reference)
 
 
 @typed

@@ -21,10 +21,9 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from lampest.files.typed import ReadOnlyArrays
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 
 if TYPE_CHECKING:
     import casadi
@@ -189,7 +188,7 @@ class Compiled(CasadiOwner):
         )
 
     @cached_property
-    def pattern(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def pattern(self) -> tuple[Numbers, Numbers]:
         """Places of the nonzeros, column by column.
 
         Returns

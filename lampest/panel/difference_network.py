@@ -11,13 +11,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.panel.circuit import CircuitOfLines
 from lampest.panel.kirchhoff import NormalByLines, laplacian
 from lampest.panel.law import Entries, Loading
 from lampest.panel.network import Network, SolvedNetwork
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.readouts.ladder import Wire, into_lines
 from lampest.panel.readouts.wiring import Wiring
 
@@ -85,7 +84,7 @@ class DifferenceNetwork(SolvedNetwork):
         return cls(cell_resistance, parts[0], circuit, ties, parts[1], wire, sources=sources)
 
     @property
-    def of_free(self) -> NDArray[np.bool_]:
+    def of_free(self) -> Mask:
         """Whether a line is not held at ground, (lines, 1)."""
         return ~np.isinf(self.ties)[:, None]
 
@@ -154,7 +153,7 @@ class DifferenceNetwork(SolvedNetwork):
 
     def between_cells(self, weighed: Array) -> Array:
         """Return DᵀWD from `weighed`, (cells, cells)."""
-        return np.asarray(self.potential_differences.T @ weighed)
+        return self.potential_differences.T @ weighed
 
     def moved(self, weighed: Array, step: Array) -> tuple[Entries, Array]:
         currents = self._currents(step)

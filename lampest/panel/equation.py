@@ -31,12 +31,11 @@ from itertools import product
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.panel.circuit import CircuitOfLines, Ends, Terminations, nominal_terminations
 from lampest.panel.diode import Diode
 from lampest.panel.lines import along, of_side, opposite
-from lampest.panel.panel import Array, check_line_memory
+from lampest.panel.panel import Array, Mask, Numbers, check_line_memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +55,7 @@ class LineChange:
     own: Ends
     base: Ends
     bases: Ends
-    of_base: NDArray[np.bool_]
+    of_base: Mask
 
     @classmethod
     def of(cls, table: Ends, alone: Ends | None) -> Self:
@@ -71,9 +70,9 @@ class LineChange:
         states = np.stack([table.ohm, table.volt])
         waiting = np.ones(count, dtype=bool)
         bases = list[Array]()
-        of_base = list[NDArray[np.bool_]]()
+        of_base = list[Mask]()
 
-        def sharing(base: Array, but_for: list[int]) -> NDArray[np.bool_]:
+        def sharing(base: Array, but_for: list[int]) -> Mask:
             """Return the waiting addresses that differ from a base in their own line alone.
 
             The ends of the lines `but_for` do not count.
@@ -111,13 +110,13 @@ class LineChange:
         )
 
     @property
-    def stays(self) -> NDArray[np.bool_]:
+    def stays(self) -> Mask:
         """Whether a line ends in the base as it does while it is used, (lines,)."""
         same_volt = (self.own.volt == self.base.volt) & (not self.base.follows)
         return np.asarray((self.own.ohm == self.base.ohm) & same_volt)
 
     @property
-    def held(self) -> NDArray[np.bool_]:
+    def held(self) -> Mask:
         """Whether 0 ohm hold a line in its base, but not while it is used, (lines,)."""
         return np.asarray((self.base.ohm == 0) & ~self.stays)
 
@@ -171,7 +170,7 @@ class PotentialTerms:
 
     of_drive: Array
     of_load: Array
-    held: NDArray[np.bool_]
+    held: Mask
     held_volt: Array
     load_volt: Array
     level: Array
@@ -344,7 +343,7 @@ class Equation:
         """Return the voltages at the converter of readings (…, rows, columns)."""
         if not self.terminations.as_resistance:
             return reading
-        return np.asarray(self._current_volt / (reading + self.drive + self.load))
+        return self._current_volt / (reading + self.drive + self.load)
 
     def volt_sigma(self, reading: Array, sigma: Array) -> Array:
         """Return σ of the voltages at the converter for σ of the readings, (…, rows, columns)."""
@@ -360,7 +359,7 @@ class Equation:
 
     def driven_volt(self, current: Array, drive: Array | float) -> Array:
         """Return the potential U − Rd I − V_d(I) of a driven line with the current I, volt."""
-        return np.asarray(self.source - drive * current - self.lost(current))
+        return self.source - drive * current - self.lost(current)
 
     def sum_together(self, values: Array) -> Array:
         """Return sums of values (…, rows, columns) over the sensed lines with simultaneous loads.
@@ -371,9 +370,9 @@ class Equation:
         if self.together is None:
             total = values.sum(axis=-1 if by_rows else -2, keepdims=True)
             return np.broadcast_to(total, values.shape)
-        return np.asarray(values @ self.together if by_rows else self.together @ values)
+        return values @ self.together if by_rows else self.together @ values
 
-    def ties_of_parts(self, parts: NDArray[np.intp] | None, cells: Callable[[], Array]) -> Array:
+    def ties_of_parts(self, parts: Numbers | None, cells: Callable[[], Array]) -> Array:
         """Return the ties (addresses, lines) of a panel that open cells may divide into parts.
 
         In a part that has none, a single line gets one: it carries no current, and its size has no
@@ -401,7 +400,7 @@ class Equation:
         terms = self.potentials
         if terms is None or not terms.sourced:
             return None
-        return np.asarray(np.where(np.isinf(ties), 1.0, ties) * terms.ends)
+        return np.where(np.isinf(ties), 1.0, ties) * terms.ends
 
 
 @lru_cache(maxsize=256)

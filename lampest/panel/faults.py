@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.typed import Configuration
-from lampest.panel.panel import Modules, Panel
+from lampest.panel.panel import Mask, Modules, Panel
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class Faults(Configuration):
     joined_columns: tuple[tuple[int, ...], ...] = ()
     dead_modules: tuple[tuple[int, int], ...] = ()
 
-    def open_cells(self, panel: Panel) -> NDArray[np.bool_]:
+    def open_cells(self, panel: Panel) -> Mask:
         """Return whether a cell carries no current, boolean (rows, columns)."""
         cells = np.zeros(panel.shape, dtype=bool)
         for row, column in self.open:
@@ -52,11 +51,11 @@ class Faults(Configuration):
         cells[:, list(self.dead_columns)] = True
         return cells
 
-    def shorted_cells(self, panel: Panel) -> NDArray[np.bool_]:
+    def shorted_cells(self, panel: Panel) -> Mask:
         """Return whether a cell shorts its lines, boolean (rows, columns)."""
         return Faults(open=self.shorted).open_cells(panel)
 
-    def blind(self, panel: Panel) -> NDArray[np.bool_]:
+    def blind(self, panel: Panel) -> Mask:
         """Return whether a reading is missing because of a fault, boolean (rows, columns)."""
         return replace(self, open=self.shorted).open_cells(panel)
 

@@ -11,10 +11,9 @@ from functools import cached_property, lru_cache
 from itertools import repeat
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lampest.panel.network import Network, Numbers, SecondOrder, SolvedNetwork
-from lampest.panel.panel import Array, Modules
+from lampest.panel.network import Network, SecondOrder, SolvedNetwork
+from lampest.panel.panel import Array, Mask, Modules, Numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +33,7 @@ class NetworkPart:
 
     network: Network
     cells: Numbers
-    read: NDArray[np.bool_] | None = None
+    read: Mask | None = None
 
     @property
     def addresses(self) -> "list[NetworkPart]":
@@ -51,6 +50,12 @@ class NetworkPart:
     def given(self) -> Numbers:
         """Numbers of the readings that the network gives."""
         return self.cells if self.read is None else self.cells[self.read]
+
+    @property
+    def square(self) -> tuple[Numbers, Numbers]:
+        """Places of a matrix over its cells in that over all, (…, cells, 1) and (…, 1, cells)."""
+        cells = self.cells.reshape(*self.cells.shape[:-2], 1, -1)
+        return cells.swapaxes(-1, -2), cells
 
     def give(self, readings: Array) -> Array:
         """Return the readings that the network gives, (…, rows, columns, …) of all."""
@@ -80,7 +85,7 @@ class JoinedNetwork(Network):
         cls,
         cell_resistance: Array,
         networks: Sequence[Network],
-        places: Modules | NDArray[np.bool_],
+        places: Modules | Mask,
     ) -> "JoinedNetwork":
         """Return the network of cells (rows, columns) ohm of all modules, or of all addresses.
 
@@ -116,17 +121,13 @@ class JoinedNetwork(Network):
     def sensitivity(self) -> Array:
         sensitivity = np.zeros((self.cell_resistance.size, self.cell_resistance.size))
         for part in self._addresses:
-            *leading, rows, columns = part.cells.shape
-            cells = part.cells.reshape(*leading, 1, rows * columns)
             if part.read is None:
-                given = cells.swapaxes(-1, -2)
-                sensitivity[given, cells] = part.network.sensitivity()
+                sensitivity[part.square] = part.network.sensitivity()
             else:
-                sensitivity[part.given[:, None], cells] = part.network.sensitivity_of(part.read)
+                assert isinstance(part.network, SolvedNetwork)
+                response = part.network.sensitivity_of(part.read)
+                sensitivity[part.given[:, None], part.square[1]] = response
         return sensitivity
-
-    def sensitivity_of(self, read: NDArray[np.bool_]) -> Array:
-        return np.asarray(self.sensitivity()[read.ravel()])
 
     def own_response(self) -> Array:
         return self._readings([part.network.own_response() for part in self.parts])
@@ -198,10 +199,8 @@ class JoinedSecondOrder(SecondOrder):
         size = self.weights.size
         matrix = np.zeros((size, size))
         for part in self.network._addresses:
-            *leading, rows, columns = part.cells.shape
-            cells = part.cells.reshape(*leading, 1, rows * columns)
             order = part.network.second_order(part.weights(self.weights))
-            matrix[cells.swapaxes(-1, -2), cells] += order.matrix()
+            matrix[part.square] += order.matrix()
         return matrix
 
 

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lampest.panel.panel import Array, check_line_memory
+from lampest.panel.panel import Array, Mask, check_line_memory
 
 # Smallest diagonal of the stencil, relative to R², for cells whose own response is due to their
 # lines alone.
@@ -48,14 +47,6 @@ def laplacian(conductance: Array) -> Array:
     return bipartite_matrix(line_sums(conductance), -conductance)
 
 
-def injected(conductance: Array, potentials: Array) -> Array:
-    """Return L·V, the current balance of potentials V (…, lines, patterns).
-
-    Rows are before columns; it has the same shape.
-    """
-    return bipartite(line_sums(conductance), -conductance, potentials)
-
-
 def bipartite_matrix(diagonal: Array, between: Array) -> Array:
     """Return diag(d) + [[0, A], [Aᵀ, 0]], (…, lines, lines).
 
@@ -79,12 +70,13 @@ def bipartite(diagonal: Array, between: Array, values: Array) -> Array:
     return product
 
 
-def line_sums(values: Array) -> Array:
+def line_sums(values: Array, of_columns: Array | None = None) -> Array:
     """Return the sums of values (…, rows, columns) over every row, then over every column.
 
-    Shape (…, rows + columns).
+    Columns may have values of their own. Shape (…, rows + columns).
     """
-    return np.concatenate([np.add.reduce(values, -1), np.add.reduce(values, -2)], axis=-1)
+    of_columns = values if of_columns is None else of_columns
+    return np.concatenate([np.add.reduce(values, -1), np.add.reduce(of_columns, -2)], axis=-1)
 
 
 def inverse_of(conductance: Array, ties: Array) -> Array:
@@ -262,9 +254,7 @@ class Stencil:
     inner: Callable[[Array], Array]
 
     @classmethod
-    def of(
-        cls, conductance: Array, two_point_resistance: Array, free: NDArray[np.bool_]
-    ) -> "Stencil":
+    def of(cls, conductance: Array, two_point_resistance: Array, free: Mask) -> "Stencil":
         """Return the stencil over the free cells of a network.
 
         All arrays are (rows, columns), siemens and ohm.

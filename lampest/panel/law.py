@@ -21,6 +21,7 @@ import numpy as np
 from lampest.panel.circuit import CircuitOfLines
 from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.equation import equation_of
+from lampest.panel.kirchhoff import line_sums
 from lampest.panel.panel import Array
 
 ENTRY_NAMES = "pqtef"
@@ -89,7 +90,7 @@ def equation_derivatives(
 def across(entries: Entries) -> Array:
     """Return bᵀ K b = K_jj + K_kk − 2 K_jk of every cell, (…, rows, columns)."""
     row, column, mutual, *_ = entries
-    return np.asarray(row + column - 2 * mutual)
+    return row + column - 2 * mutual
 
 
 def loading_of(row: Array, column: Array, mutual: Array, *of_sources: Array) -> Loading:
@@ -97,9 +98,5 @@ def loading_of(row: Array, column: Array, mutual: Array, *of_sources: Array) -> 
 
     With potentials those of v_j and v_k follow.
     """
-    return Loading(_sums(row, column), mutual / 2, _sums(*of_sources) if of_sources else None)
-
-
-def _sums(row: Array, column: Array) -> Array:
-    """Return the sums of weights of rows, and of columns, over the readings of every line."""
-    return np.concatenate([row.sum(axis=-1), column.sum(axis=-2)], axis=-1)
+    potentials = line_sums(*of_sources) if of_sources else None
+    return Loading(line_sums(row, column), mutual / 2, potentials)

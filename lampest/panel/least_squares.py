@@ -11,9 +11,8 @@ from functools import cached_property
 from typing import Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 
 LEAST_DAMPING = 1e-6  # μ that good steps reach; smaller ones change nothing
 FIRST_DAMPING = 1e-3  # least μ after a failed step
@@ -47,14 +46,14 @@ class SumOfSquares:
     @cached_property
     def gradient(self) -> Array:
         """Gradient Jᵀ f, (unknowns,)."""
-        return np.asarray(self.jacobian.T @ self.residual)
+        return self.jacobian.T @ self.residual
 
     @cached_property
     def normal(self) -> Array:
         """Normal matrix JᵀJ + ridge·1, (unknowns, unknowns)."""
         normal = self.jacobian.T @ self.jacobian
         normal[np.diag_indices(len(normal))] += self.ridge
-        return np.asarray(normal)
+        return normal
 
 
 class Linearised(Protocol):
@@ -165,9 +164,7 @@ class LevenbergMarquardt:
         return position, point
 
 
-def _damped_step(
-    point: Linearised, free: NDArray[np.bool_], damping: float, longest: Array | float
-) -> Array:
+def _damped_step(point: Linearised, free: Mask, damping: float, longest: Array | float) -> Array:
     """Return −(JᵀJ + μ diag(JᵀJ))⁻¹ Jᵀf of the free unknowns, shortened to `longest`."""
     from scipy.linalg import lapack  # not by readouts, which a recording loads
 

@@ -196,7 +196,10 @@ class SeriesPerLine(Configuration):
 
         Raises ValueError if a list has another length.
         """
+        row, column = self.of_lines(panel)
+        return row[:, None] + column
+
+    def of_lines(self, panel: Panel) -> tuple[Array, Array]:
+        """Return the resistances of all rows, (rows,), and of all columns, (columns,) ohm."""
         row = per_line("series_resistance_ohm.rows", self.rows, panel.rows)
-        return np.asarray(
-            row[:, None] + per_line("series_resistance_ohm.columns", self.columns, panel.columns)
-        )
+        return row, per_line("series_resistance_ohm.columns", self.columns, panel.columns)

@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.panel.circuit import CircuitOfLines
 from lampest.panel.equation import equation_of
@@ -21,7 +20,6 @@ from lampest.panel.kirchhoff import (
     LineBlocks,
     NormalByLines,
     bipartite,
-    injected,
     inverse_of,
     laplacian,
     line_sums,
@@ -35,9 +33,8 @@ from lampest.panel.law import (
     equation_derivatives,
     loading_of,
 )
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 
-Numbers = NDArray[np.intp]
 # Indices of rows and columns that give (rows, columns, …) for all readings.
 EVERY_ROW = (slice(None), None)
 EVERY_COLUMN = (None, slice(None))
@@ -58,7 +55,7 @@ class Network(ABC):
     @cached_property
     def conductance(self) -> Array:
         """Conductances g = 1/r, (…, rows, columns) siemens."""
-        return np.asarray(1 / self.cell_resistance)
+        return 1 / self.cell_resistance
 
     @abstractmethod
     def reading(self) -> Array:
@@ -75,10 +72,6 @@ class Network(ABC):
     @abstractmethod
     def sensitivity(self) -> Array:
         """Return J, (readings, cells)."""
-
-    @abstractmethod
-    def sensitivity_of(self, read: NDArray[np.bool_]) -> Array:
-        """Return the rows of J of the readings that are True in `read` (rows, columns)."""
 
     @abstractmethod
     def own_response(self) -> Array:
@@ -115,7 +108,7 @@ class Network(ABC):
         `lampest.panel.readouts.branches`.
         """
         grown = self.forward(np.ones(self.cell_resistance.shape))
-        return np.asarray(np.sign(np.median(grown, axis=(-2, -1))))
+        return np.sign(np.median(grown, axis=(-2, -1)))
 
     def normal_by_lines(self, weight: Array) -> NormalByLines:
         """Return an approximation of JᵀWJ for weights w ≥ 0 of the readings (rows, columns).
@@ -167,7 +160,15 @@ class SecondOrder(ABC):
 
 def matrix_vector(matrix: Array, vector: Array) -> Array:
     """Return A·x, (…, lines), of matrices (…, lines, lines) and vectors (…, lines)."""
-    return np.asarray((matrix @ vector[..., None])[..., 0])
+    return (matrix @ vector[..., None])[..., 0]
+
+
+def _filled(parts: Entries, shape: tuple[int, ...]) -> Array:
+    """Return entries of the readings as one array, (entries, *shape)."""
+    every = np.empty((len(parts), *shape))
+    for number, part in enumerate(parts):
+        every[number] = part
+    return every
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,9 +287,7 @@ class SolvedNetwork(Network):
     def _derivatives(self, order: int) -> Array:
         """Return all derivatives of h of an order, (derivatives, …, rows, columns)."""
         assert self.circuit is not None
-        entries = np.empty((len(self._entries), *self.shape))
-        for number, entry in enumerate(self._entries):
-            entries[number] = entry
+        entries = _filled(self._entries, self.shape)
         function = equation_derivatives(self.circuit, *self.shape[-2:], len(entries), order)
         if entries.ndim == 3:
             return function(entries).reshape(-1, *self.shape)
@@ -302,7 +301,7 @@ class SolvedNetwork(Network):
         row, column, *others = (
             slope * part for slope, part in zip(self.slopes, change, strict=True)
         )
-        return np.asarray(sum(others, row + column))
+        return sum(others, row + column)
 
     def forward(self, step: Array) -> Array:
         """Return J·p = ∂y/∂u·p for a step p of u = log r, (rows, columns)."""
@@ -310,7 +309,7 @@ class SolvedNetwork(Network):
 
     def adjoint(self, weights: Array) -> Array:
         """Return Jᵀ·w = g·bᵀ(Z W Z)b for weights w of the readings, (rows, columns)."""
-        return np.asarray(self.drawn(self.loading(weights)) / self.cell_resistance)
+        return self.drawn(self.loading(weights)) / self.cell_resistance
 
     def loading(self, weights: Array) -> Loading:
         """Return W of weights (rows, columns) of the readings.
@@ -356,7 +355,7 @@ class SolvedNetwork(Network):
 
     def currents(self, step: Array) -> Array:
         """Return B·diag(s)·Dᵀ = L_s Z, (…, lines, lines), for steps s = g·p, (rows, columns)."""
-        return injected(step, self._impedance)
+        return bipartite(line_sums(step), -step, self._impedance)
 
     def changes(self, step: Array) -> Entries:
         """Return the entries of D·diag(s)·Dᵀ = P·B·diag(s)·Dᵀ for steps s = g·p."""
@@ -409,8 +408,8 @@ class SolvedNetwork(Network):
 
     def across_cells(self, values: Array) -> Array:
         """Return V·B (…, cells) for values V (…, lines)."""
-        differences = values[..., : self.rows, None] - values[..., None, self.rows :]
-        return differences.reshape(*values.shape[:-1], -1)
+        row, column = self._parts(values)
+        return (row - column).reshape(*values.shape[:-1], -1)
 
     def own_differences(self) -> tuple[Array, Array]:
         """Return (D_jc, D_kc) of every cell c at its own row j and column k, (rows, columns)."""
@@ -452,9 +451,10 @@ class SolvedNetwork(Network):
         response = self._sensitivity(EVERY_ROW, EVERY_COLUMN, self.slopes)
         return response.reshape(-1, response.shape[-1])
 
-    def sensitivity_of(self, read: NDArray[np.bool_]) -> Array:
+    def sensitivity_of(self, read: Mask) -> Array:
+        """Return the rows of J of the readings that are True in `read` (rows, columns)."""
         if self.circuit is None:
-            return np.asarray(self.sensitivity()[read.ravel()])
+            return self.sensitivity()[read.ravel()]
         j, k = np.nonzero(read)
         return self._sensitivity(j, k, tuple(slope[read] for slope in self.slopes))
 
@@ -474,11 +474,11 @@ class SolvedNetwork(Network):
     def own_response(self) -> Array:
         row, column = self.own_differences()
         if self.circuit is None:
-            return np.asarray((row - column) ** 2 / self.cell_resistance)
+            return (row - column) ** 2 / self.cell_resistance
         change: Entries = (row**2, column**2, row * column)
         if self.sources is not None:
             change = (*change, row * self.source_differences, column * self.source_differences)
-        return np.asarray(self.conductance * self.read_change(change))
+        return self.conductance * self.read_change(change)
 
     def response_of(self, response: "Callable[[SolvedNetwork], Array]") -> Array:
         return response(self)
@@ -492,7 +492,7 @@ class SolvedNetwork(Network):
             return super().normal_by_lines(weight)
         return square_by_lines(self.conductance, self.reading(), weight)
 
-    def leaking(self, across: Array, siemens: float) -> Network:
+    def leaking(self, across: Array, siemens: float) -> Self:
         """Return the network with conductances between lines; see `Network.leaking`.
 
         By Woodbury's formula Z becomes Z − Z B (1/G + BᵀZB)⁻¹ BᵀZ.
@@ -505,18 +505,13 @@ class SolvedNetwork(Network):
 
     def entries(self, matrix: Array) -> Entries:
         """Return (K_jj, K_kk, K_jk) of K (…, lines, lines), with sources also both parts of K·x."""
-        diagonal = matrix.diagonal(axis1=-2, axis2=-1)
-        rows = self.rows
-        entries = (
-            diagonal[..., :rows, None],
-            diagonal[..., None, rows:],
-            matrix[..., :rows, rows:],
-        )
+        diagonal = self._parts(matrix.diagonal(axis1=-2, axis2=-1))
+        entries = (*diagonal, matrix[..., : self.rows, self.rows :])
         if self.sources is None:
             return entries
         return *entries, *self._parts(matrix_vector(matrix, self.sources))
 
-    def _parts(self, potentials: Array) -> Entries:
+    def _parts(self, potentials: Array) -> tuple[Array, Array]:
         """Return potentials (…, lines) of rows, (…, rows, 1), and of columns, (…, 1, columns)."""
         return potentials[..., : self.rows, None], potentials[..., None, self.rows :]
 
@@ -532,7 +527,7 @@ class SolvedNetwork(Network):
         mutual = left[..., :rows, :] @ right[..., rows:]
         if not symmetric:
             mutual = (mutual + (left[..., rows:, :] @ right[..., :rows]).swapaxes(-1, -2)) / 2
-        entries = (diagonal[..., :rows, None], diagonal[..., None, rows:], mutual)
+        entries = (*self._parts(diagonal), mutual)
         if self.sources is None or not with_sources:
             return entries
         return *entries, *self._parts(matrix_vector(left, matrix_vector(right, self.sources)))
@@ -557,7 +552,7 @@ class SolvedSecondOrder(SecondOrder):
 
     def adjoint(self) -> Array:
         """Return Jᵀ·w = g·diag(DᵀWD), (rows, columns)."""
-        return np.asarray(self.network.drawn_of(self._weighed) / self.network.cell_resistance)
+        return self.network.drawn_of(self._weighed) / self.network.cell_resistance
 
     def products(self, step: Array) -> tuple[Array, Array]:
         """Return J·p and H·p = g·(2 diag(DᵀW dD) + diag(DᵀW'D)).
@@ -578,11 +573,7 @@ class SolvedSecondOrder(SecondOrder):
         weighted = self._weighted_curvatures
         shape = np.broadcast_shapes(*(part.shape for part in change))
         if shape == self.weights.shape:
-            every = np.empty((len(change), *shape))
-            for number, part in enumerate(change):
-                every[number] = part
-            summed: Array = (weighted * every).sum(axis=1)
-            return [summed[number] for number in range(len(change))]
+            return list((weighted * _filled(change, shape)).sum(axis=1))
         changes: list[Array] = [np.zeros(shape) for _ in change]
         for of, by in np.argwhere(weighted.any(axis=(-2, -1))):
             curvature = weighted[of, by]
@@ -595,7 +586,7 @@ class SolvedSecondOrder(SecondOrder):
     def _weighted_curvatures(self) -> Array:
         """w·h″, (entries, entries, rows, columns)."""
         assert self.network.curvatures is not None
-        return np.asarray(self.weights * self.network.curvatures)
+        return self.weights * self.network.curvatures
 
     def matrix(self) -> Array:
         """Return H = 2 g (X ∘ DᵀWD) g plus the curvature of h, (…, cells, cells)."""

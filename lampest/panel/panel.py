@@ -12,6 +12,8 @@ from lampest.files.process import check_memory
 from lampest.files.typed import Configuration, check_positive_fields, check_ranges
 
 Array = NDArray[np.floating[Any]]
+Mask = NDArray[np.bool_]
+Numbers = NDArray[np.intp]
 MAX_PITCH_MM = 1e6  # mm: a kilometre, beyond any panel
 MAX_CELLS = 1_000_000  # of a panel, or of the image of its modules (tests/units/test_claims.py)
 # lines: matrices over fewer lines fit into 100 MB, and memory is not checked
@@ -198,7 +200,7 @@ class Panel(Configuration):
         return self.rows * self.columns
 
     @cached_property
-    def present(self) -> NDArray[np.bool_]:
+    def present(self) -> Mask:
         """Whether a crossing has a cell, boolean (rows, columns)."""
         present = np.full(self.shape, self.cells is None)
         for row, column, *_ in self.cells or ():
@@ -295,7 +297,7 @@ class Panel(Configuration):
         return heights
 
     @cached_property
-    def neighbours(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    def neighbours(self) -> tuple[Numbers, Numbers, Array]:
         """Pairs of neighbouring cells.
 
         Full rectangle: pairs along columns, then pairs along rows. Listed cells: pairs without
@@ -326,7 +328,7 @@ class Panel(Configuration):
         return cells[first], cells[second], distance
 
 
-def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
+def circle_neighbours(places: Array, number: int) -> Numbers:
     """Return the cells with larger numbers that are neighbours of a cell in the Gabriel graph.
 
     Relative to the cell `number`, c lies in the circle or sphere with the diameter from 0 to b if
@@ -346,7 +348,7 @@ def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
     return after[after > number]
 
 
-def connected_parts(conducting: NDArray[np.bool_]) -> NDArray[np.intp] | None:
+def connected_parts(conducting: Mask) -> Numbers | None:
     """Return the number of the connected part of each line, (lines,).
 
     The result is None if the cells connect all lines. `conducting`, (rows, columns), states which
@@ -370,7 +372,7 @@ def connected_parts(conducting: NDArray[np.bool_]) -> NDArray[np.intp] | None:
     return None if len(first) == 1 else np.asarray(parts, dtype=np.intp)
 
 
-def beyond_any_panel(values: Array) -> NDArray[np.bool_]:
+def beyond_any_panel(values: Array) -> Mask:
     """Return whether numbers are outside the range of physical quantities.
 
     Zero, infinity and NaN are not.

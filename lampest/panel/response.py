@@ -309,25 +309,6 @@ def _level(logarithm: ArrayLike) -> Array:
 CURVE_LEVEL = _level(np.log(CURVE_RATIO))
 
 
-@dataclass(frozen=True, kw_only=True)
-class BentSuction(PublishedResponse):
-    """Published curve with a power law for suction through the one published point.
-
-    ln f = 2.02·(p/−10)^exponent. A straight line of r through that point corresponds to exponents
-    of ½ at −5 kPa and ⅓ at −30 kPa, a threshold of 2 kPa to one of about 2.
-    """
-
-    exponent: float
-
-    def logarithm(self, pressure: ArrayLike) -> Array:
-        """Return ln f(p) for pressures in kPa, any shape."""
-        pressure = np.asarray(pressure, dtype=float)
-        # ln f = ln 7.54·(p/−10)^exponent for suction
-        share = np.minimum(pressure, 0.0) / CURVE_KPA[0]
-        rise = np.log(CURVE_RATIO[0]) * share**self.exponent
-        return np.asarray(super().logarithm(np.maximum(pressure, 0.0)) + rise)
-
-
 AnyResponse = Annotated[TableResponse | PowerResponse | PublishedResponse, ByKind()]
 
 

@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.applications import applications, loaded
 from lampest.files.document import INLINE, Document, to_yaml, validated
@@ -21,9 +20,8 @@ from lampest.panel.lines import (
     as_tuple,
     check_resistors,
     lines_text,
-    per_line,
 )
-from lampest.panel.panel import Array, Modules, Panel, connected_parts
+from lampest.panel.panel import Array, Mask, Modules, Numbers, Panel, connected_parts
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.wiring import Contacts, Lines, NeighbourLeaks, Wiring
 from lampest.panel.response import AnyResponse, Film
@@ -258,12 +256,12 @@ class Scene(Configuration):
         return tuple(sorted({row * self.panel.layout.columns + column for row, column in places}))
 
     @cached_property
-    def blind(self) -> NDArray[np.bool_]:
+    def blind(self) -> Mask:
         """Whether faults leave no reading, boolean (rows, columns)."""
         return self._of_faults(Faults.blind)
 
     @cached_property
-    def requested(self) -> NDArray[np.bool_]:
+    def requested(self) -> Mask:
         """Whether a frame should have a reading, boolean (rows, columns).
 
         A frame may have further readings, of places without a cell.
@@ -271,7 +269,7 @@ class Scene(Configuration):
         return self.panel.present & ~self.blind
 
     @cached_property
-    def open_cells(self) -> NDArray[np.bool_]:
+    def open_cells(self) -> Mask:
         """Whether a crossing does not conduct, boolean (rows, columns).
 
         Such crossings have no cell, or a cell that is open by a fault.
@@ -279,12 +277,12 @@ class Scene(Configuration):
         return ~self.panel.present | self._of_faults(Faults.open_cells)
 
     @cached_property
-    def shorted_cells(self) -> NDArray[np.bool_]:
+    def shorted_cells(self) -> Mask:
         """Whether a cell shorts its lines, boolean (rows, columns)."""
         return self._of_faults(Faults.shorted_cells)
 
     @cached_property
-    def broken(self) -> NDArray[np.bool_]:
+    def broken(self) -> Mask:
         """Whether a crossing has no cell to be estimated, boolean (rows, columns)."""
         return self.open_cells | self.shorted_cells
 
@@ -293,7 +291,7 @@ class Scene(Configuration):
         """Whether every crossing has an intact cell."""
         return self.faults is None and self.panel.cells is None
 
-    def _of_faults(self, mask: Callable[[Faults, Panel], NDArray[np.bool_]]) -> NDArray[np.bool_]:
+    def _of_faults(self, mask: Callable[[Faults, Panel], Mask]) -> Mask:
         """Return a mask of the faults, (rows, columns); true for all cells of dead modules."""
         parts = np.stack([mask(scene.faults or Faults(), scene.panel) for scene in self.of_modules])
         parts[list(self.dead_modules)] = True
@@ -345,12 +343,11 @@ class Scene(Configuration):
         rows, columns : arrays, shapes (rows,) and (columns,)
             In ohm.
         """
-        rows, columns = self.panel.network.shape
+        panel = self.panel.network
         series = self.series_resistance_ohm
-        if not isinstance(series, SeriesPerLine):
-            return np.full(rows, series / 2), np.full(columns, series / 2)
-        row, column = (f"series_resistance_ohm.{side}" for side in ("rows", "columns"))
-        return per_line(row, series.rows, rows), per_line(column, series.columns, columns)
+        if isinstance(series, SeriesPerLine):
+            return series.of_lines(panel)
+        return np.full(panel.rows, series / 2), np.full(panel.columns, series / 2)
 
     @property
     def series_text(self) -> str:
@@ -360,23 +357,32 @@ class Scene(Configuration):
             return lines_text(series)
         return f"rows {lines_text(series.rows)}, columns {lines_text(series.columns)}"
 
+    @property
+    def series_name(self) -> str:
+        """Key of a resistance in series with the panel, of the scene or of its readout.
+
+        '' if the readout's kind has none.
+        """
+        return "series_resistance_ohm" if self.circuit.unit == "ohm" else self.circuit.channels[0]
+
     def with_series(self, ohm: float) -> "Scene":
         """Return the scene with a resistance in ohm in series with all driven lines.
 
-        Returns the scene itself if the readout's kind has none; see `Readout.series_name`.
+        Returns the scene itself if the readout's kind has none; see `series_name`.
         """
-        changes: dict[str, Any] = {self.circuit.series_name: ohm}
-        if self.circuit.unit == "ohm":
-            return replace(self, **changes)
-        circuit = self.circuit
-        return replace(self, readout=replace(circuit, **changes)) if circuit.series_name else self
+        if not self.series_name:
+            return self
+        changes: dict[str, Any] = {self.series_name: ohm}
+        if self.circuit.unit != "ohm":
+            changes = {"readout": replace(self.circuit, **changes)}
+        return replace(self, **changes)
 
     @property
     def specified_in_series(self) -> float:
         """Specified resistance in series in ohm; the mean if lines differ."""
         if self.circuit.unit == "ohm":
             return float(np.mean(self.series_ohm))
-        return float(np.mean(as_tuple(getattr(self.circuit, self.circuit.series_name, 0.0))))
+        return float(np.mean(as_tuple(getattr(self.circuit, self.series_name, 0.0))))
 
     @property
     def known_memory(self) -> float | None:
@@ -408,7 +414,7 @@ class Scene(Configuration):
         return self.contacts if isinstance(self.contacts, Contacts) else None
 
     @cached_property
-    def parts(self) -> NDArray[np.intp] | None:
+    def parts(self) -> Numbers | None:
         """Number of the connected part of each line, (lines,); None if cells connect all lines."""
         if self.whole:
             return None

@@ -78,6 +78,15 @@ LIMITS = {
     "model_error": (0.0, 1e6),
 }
 
+# End of a key of a scene → unit; other numbers are relative. Files of effects have their own.
+UNITS = {
+    "_lsb": "LSB",
+    "_volt": "volt",
+    "_ohm": "ohm",
+    "_ohm_per_cell": "ohm a cell",
+    "model_error": "times the noise",
+}
+
 
 @dataclass(frozen=True)
 class Systematic(Extensible):
@@ -201,3 +210,12 @@ def nearest_allowed(key: str, number: float) -> float:
         number = min(max(number, low), high)
         return 0.0 if abs(number) < MIN_NUMBER else number
     return float(as_panels_have(np.asarray(number)))
+
+
+def unit_of_key(key: str) -> str:
+    """Return the unit of a number by its key; '' for a relative one."""
+    for effect in (*EFFECTS, *LINE_EFFECTS):
+        if key == effect.key:
+            effect_unit: str = loaded(effect.path).unit
+            return effect_unit
+    return next((unit for end, unit in UNITS.items() if key.endswith(end)), "")

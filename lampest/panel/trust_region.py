@@ -11,9 +11,8 @@ from math import inf, isfinite
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 
 Linear = Callable[[Array], Array]
 T = TypeVar("T")
@@ -192,7 +191,7 @@ def backtracked(trial: Callable[[float], T | None], lengths: int) -> T | None:
     return None
 
 
-def restricted(product: Linear, chosen: NDArray[np.intp], size: int) -> Linear:
+def restricted(product: Linear, chosen: Numbers, size: int) -> Linear:
     """Return the restriction of a product over `size` unknowns to the chosen ones (numbers).
 
     All others are zero.

@@ -29,9 +29,9 @@ from scipy import sparse
 from scipy.special import gammainc
 
 from lampest.panel.panel import Array
-from lampest.panel.sparse_rows import quadratic_forms, squares
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel, Sites, positive_inverse
+from lampest.solvers.sparse_rows import quadratic_forms, squares
 
 SHAPES = 0.5 ** np.arange(6)  # κ, each half of the one before
 SCALES = 30  # of V, in equal steps of ln V

@@ -16,7 +16,7 @@ from lampest.files.applications import applications
 from lampest.files.document import plain_content
 from lampest.files.errors import InputError, first_and_more
 from lampest.files.whole import own
-from lampest.panel.estimated import estimated_lines
+from lampest.inference.estimated import estimated_lines
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.processed import processing_of

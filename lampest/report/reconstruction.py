@@ -116,7 +116,7 @@ class Reconstruction(Estimates):
         >>> print(estimate.fit_report().splitlines()[0])
         [[Model]]
         """
-        from lampest.panel.estimated import estimated_lines
+        from lampest.inference.estimated import estimated_lines
         from lampest.report.compare import data_error
         from lampest.report.strongest import strongest_index
         from lampest.report.words import digits, spanned

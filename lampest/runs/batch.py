@@ -27,7 +27,7 @@ from lampest.files.whole import (
     remove_own,
     sparing,
 )
-from lampest.panel.estimated import about_recordings
+from lampest.inference.estimated import about_recordings
 from lampest.runs.case import StoredCase
 from lampest.runs.checks import (
     CASES,

@@ -18,12 +18,12 @@ from scipy import linalg, sparse
 
 from lampest.cost.problem import Evaluation, Part, residuals
 from lampest.panel.compiled import with_entries
-from lampest.panel.network import Numbers, SecondOrder
-from lampest.panel.panel import Array
-from lampest.panel.sparse_rows import squares
+from lampest.panel.network import SecondOrder
+from lampest.panel.panel import Array, Numbers
 from lampest.panel.trust_region import DENSE_CELLS, MATRIX_CELLS
 from lampest.solvers.bounds import free_cells
 from lampest.solvers.smoothing import Smoothing
+from lampest.solvers.sparse_rows import squares
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,7 +55,6 @@ DOORS: dict[str, tuple[str, ...]] = {
         "files.process",
         "panel.compiled",
         "panel.least_squares",
-        "panel.sparse_rows",
         "panel.readouts",
         "panel.response",
         "apps.recognition",

@@ -18,7 +18,10 @@ from lampest.apps.film.pressure import (
 )
 from lampest.apps.film.tare import TareWatch
 from lampest.apps.recognition import candidates
+from lampest.apps.recognition.bent_suction import BentSuction
 from lampest.files.typed import members_of
+from lampest.inference.readings.free_tests import free_tests, largest_series_ohm
+from lampest.inference.unobservable import unobservable_numbers
 from lampest.panel import effects
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.conditions import water_pressure
@@ -29,21 +32,17 @@ from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts import AnyReadout, channel_memory, wired_network
 from lampest.panel.readouts.converter import (
     averaged_variance,
+    converter_in_words,
     noise_of_variance,
     noise_volt,
     rails_reached,
     sigma_code,
 )
 from lampest.panel.readouts.floating import common_step
-from lampest.panel.readouts.inequalities import (
-    free_tests,
-    largest_series_ohm,
-    least_cells,
-    resolution,
-)
+from lampest.panel.readouts.inequalities import least_cells, resolution
 from lampest.panel.readouts.starts import nearly_shorted
 from lampest.panel.readouts.tolerances import line_numbers, off_by, simulated, tolerance_errors
-from lampest.panel.response import BentSuction, ratio_from_pressure
+from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import OwnOfModule
 from lampest.panel.scene_file import scene_text
 from lampest.recording.readings import Readings
@@ -222,7 +221,7 @@ def readout_row(scene: lp.Scene) -> dict[str, Any]:
         "texts": [
             circuit.description(),
             rails_reached(circuit, recorded),
-            circuit.converter_description(),
+            converter_in_words(circuit),
             scene_text(scene),
         ],
         "tests": [
@@ -262,7 +261,7 @@ def scene_row(scene: lp.Scene) -> dict[str, Any]:
     }
     return row | {
         "alike": [numbers for _, numbers in scene.alike],
-        "unobservable": effects.unobservable_numbers(scene),
+        "unobservable": unobservable_numbers(scene),
         "dead": scene.dead_modules,
         "with series": scene_text(scene.with_series(33.0)),
         "centres": panel.centres_mm(),

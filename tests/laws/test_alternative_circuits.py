@@ -13,8 +13,8 @@ from lampest.inference.circuits import better_alternative, explanation, paramete
 from lampest.inference.circuits.alternatives import Alternative, alternatives_of
 from lampest.inference.circuits.compared_frames import broken_law
 from lampest.inference.prepared import Prepared
+from lampest.inference.readings.free_tests import free_tests
 from lampest.panel.effects.loose_contact import LooseContact
-from lampest.panel.readouts.inequalities import free_tests
 from lampest.panel.readouts.readout import Readout
 from lampest.panel.readouts.starts import UNIFORM_KNOTS, several_panels, uniform_readings
 from lampest.panel.readouts.tolerances import channel_errors, simulated

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 import lampest
 from lampest.files.applications import loaded
+from lampest.inference.estimated import estimated_lines
 from lampest.panel.effects import (
     SharedEffect,
     error_columns,
@@ -15,7 +16,6 @@ from lampest.panel.effects import (
 )
 from lampest.panel.effects.line_effect import LineEffect, effect_on_readings, line_effects
 from lampest.panel.effects.loose_contact import LooseContact
-from lampest.panel.estimated import estimated_lines
 from lampest.panel.sizes import EFFECTS, SIZED, limits_of
 
 OF_FRAMES = [(each.of_frames, each.path) for each in EFFECTS if each.of_frames]

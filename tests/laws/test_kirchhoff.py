@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lampest import Array, two_point_resistance
 from lampest.formulation.circuit import Circuit
-from lampest.panel.kirchhoff import current_balance, injected, inverse_of, laplacian
+from lampest.panel.kirchhoff import bipartite, current_balance, inverse_of, laplacian, line_sums
 from lampest.panel.network import SolvedNetwork
 from lampest.panel.panel import as_panels_have
 from lampest.panel.readouts.floating import (
@@ -74,7 +74,8 @@ def test_current_is_conserved_in_all_forms_of_the_law(cells: Array) -> None:
     assert_allclose(balance[:, 0], 0, atol=size)
     matrix = laplacian(conductance)
     assert_array_equal(matrix, matrix.T)
-    assert_allclose(injected(conductance, potentials), balance, atol=size)
+    injected = bipartite(line_sums(conductance), -conductance, potentials)
+    assert_allclose(injected, balance, atol=size)
     assert_allclose(matrix @ potentials, balance, atol=size)
 
 

@@ -4,7 +4,7 @@ A kind that joins the union, or that an installed package names, is seen here wi
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import casadi
@@ -20,6 +20,7 @@ from lampest import (
     LoadedColumnsReadout,
     Panel,
     Readings,
+    Readout,
     Scene,
     SeriesPerLine,
     TwoPointReadout,
@@ -28,9 +29,11 @@ from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.typed import members_of
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.equation import equation_of
-from lampest.panel.network import Network
+from lampest.panel.joined_network import JoinedNetwork
+from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.readouts import AnyReadout
 from lampest.panel.readouts.tolerances import simulated
+from lampest.panel.readouts.two_point import ModulesReadout, ParallelDividers
 from lampest.panel.readouts.wired_network import contact_responses
 from lampest.panel.readouts.wiring import Lines, NeighbourLeaks
 from tests.laws.samples import examples
@@ -55,6 +58,8 @@ MAX_CURVATURE = (
 )
 MAX_DIFFERENCE_ERROR = 1e-6  # of the largest entry: central differences, h²; measured 1.2e-7
 MAX_STAND_IN = 0.05  # of the smallest value that is positive: a voltage that is all but zero
+
+MAX_PUBLIC_NAMES = 39  # of a readout, beside its keys
 
 
 def fits(scene: tuple[Any, ...]) -> Scene | None:
@@ -119,6 +124,23 @@ def network_of(scene: Scene, logarithm: Array, ties: Array | None = None) -> Net
 
 def size(values: Array) -> float:
     return float(np.abs(values).max())
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_a_readout_has_few_public_names_beside_its_keys(kind: Any) -> None:
+    keys = {field.name for field in fields(kind)}
+    names = {name for name in dir(kind) if not name.startswith("_")} - keys
+    assert len(names) <= MAX_PUBLIC_NAMES, sorted(names)
+
+
+def derived(kind: type) -> list[type]:
+    return [deeper for each in kind.__subclasses__() for deeper in (each, *derived(each))]
+
+
+def test_every_readout_of_the_package_derives_from_the_base_itself() -> None:
+    of_package = [kind for kind in derived(Readout) if kind.__module__.startswith("lampest.")]
+    assert {ModulesReadout, ParallelDividers, TwoPointReadout} <= {*of_package}
+    assert {kind.__bases__ for kind in of_package} == {(Readout,)}
 
 
 @every_scene
@@ -208,7 +230,11 @@ def test_the_sensitivity_is_the_matrix_of_the_forward_product(scene: Scene) -> N
 def test_the_sensitivity_of_some_readings_is_that_part_of_the_whole(scene: Scene) -> None:
     network = network_of(scene, cells_of(scene))
     some = np.random.default_rng(8).random(scene.panel.shape) < 0.4
-    for solved in (network, *getattr(network, "networks", ())):
+    solved_ones = [network]
+    if isinstance(network, JoinedNetwork):
+        solved_ones = [address.network for part in network.parts for address in part.addresses]
+    for solved in solved_ones:
+        assert isinstance(solved, SolvedNetwork)
         assert_allclose(solved.sensitivity_of(some), solved.sensitivity()[some.ravel()], rtol=1e-9)
 
 

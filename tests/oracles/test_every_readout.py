@@ -37,6 +37,7 @@ from lampest.files.levels import Witness
 from lampest.inference.prepared import Prepared
 from lampest.panel.lines import SeriesPerLine
 from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts.converter import mean_sigma
 from lampest.panel.readouts.driven_readout import DrivenReadout
 from lampest.panel.readouts.starts import uniform_branches
 from lampest.panel.readouts.tolerances import off_by, simulated
@@ -478,7 +479,7 @@ def test_two_point_readings_exclude_the_series_resistance_of_each_line(
         reconstruct(recording, Estimator(LSM, "reduced")).cell_resistance[0], cells, rtol=1e-5
     )
     # σ is that of the converter: what one σ of volt does to the network's resistance.
-    step = 1e-3 * readout.sigma_volt()
+    step = 1e-3 * mean_sigma(readout)
     ends = [
         readout.from_recorded(readout.recorded_from_volt(volt + sign * step), scene)
         for sign in (1, -1)

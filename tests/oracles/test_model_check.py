@@ -31,10 +31,10 @@ from lampest.files.levels import SIGNIFICANCE
 from lampest.files.typed import members_of
 from lampest.inference.cells_fit import fitted
 from lampest.inference.prepared import Prepared
+from lampest.inference.readings.free_tests import free_tests, largest_series_ohm
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
-from lampest.panel.readouts.converter import noise_volt
-from lampest.panel.readouts.inequalities import free_tests, largest_series_ohm
+from lampest.panel.readouts.converter import mean_sigma, noise_volt
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.simulation.measure import measured
 from tests.estimates import recording_of
@@ -213,7 +213,7 @@ def test_a_short_behind_a_large_drive_resistor_is_explained() -> None:
     cells = 3000 * np.exp(0.2 * np.random.default_rng(4).standard_normal((6, 8)))
     cells[2, 6] = 0.5
     exact = np.repeat(circuit.exact_reading(cells)[None], 4, axis=0)
-    noisy = exact + circuit.sigma_volt() * np.random.default_rng(5).standard_normal(exact.shape)
+    noisy = exact + mean_sigma(circuit) * np.random.default_rng(5).standard_normal(exact.shape)
     check = Prepared(recording_of(Scene(lampest.Panel(6, 8, 10.0), circuit), noisy, 3)).check
     assert check.explains, check.sentence
 

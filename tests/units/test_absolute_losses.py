@@ -11,7 +11,6 @@ from scipy import sparse
 import lampest
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
-from lampest.panel.sparse_rows import quadratic_forms, squares
 from lampest.panel.trust_region import SubproblemStep
 from lampest.solvers.direction import QuadraticModel, hold_beyond_bounds, newton_direction
 from lampest.solvers.hessian import Hessian
@@ -20,6 +19,7 @@ from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.projected_newton import NewtonParts, ProjectedNewton, trust_region_step
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings
+from lampest.solvers.sparse_rows import quadratic_forms, squares
 from lampest.solvers.steps import STEPS
 
 SIDE = 10

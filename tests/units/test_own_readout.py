@@ -12,7 +12,7 @@ from lampest.apps.microcontroller.constants import CircuitLines
 from lampest.inference.prepared import Prepared
 from lampest.panel.circuit import Ends, Terminations, scanned
 from lampest.panel.lines import PerLine, Side, per_line
-from lampest.panel.readouts.keys import driven_ends, idle_ends, load_ends
+from lampest.panel.readouts.keys import driven_ends, ends_in_words, idle_ends, load_ends
 from lampest.panel.readouts.tolerances import behind_channels
 
 SHAPE = (6, 5)
@@ -34,7 +34,7 @@ class BleederReadout(lampest.Readout):
     bleeder_ohm: PerLine = 3000.0
 
     def description(self) -> str:
-        return f"columns with pull-downs and a bleeder, {self.converter_description()}"
+        return f"columns with pull-downs and a bleeder{ends_in_words(self)}"
 
     def terminations(self, driven: int, sensed: int) -> Terminations:
         load = load_ends(self, sensed)

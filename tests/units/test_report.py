@@ -18,7 +18,7 @@ from lampest.apps.page.compared import Batch
 from lampest.apps.page.page import report, write_report
 from lampest.apps.recognition.detect.pressed import pressed_of
 from lampest.cli.screen import print_table
-from lampest.panel.estimated import estimated_lines
+from lampest.inference.estimated import estimated_lines
 from lampest.report.compare import Table
 
 SHAPE = (3, 10, 10)

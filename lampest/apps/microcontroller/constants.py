@@ -16,6 +16,7 @@ from lampest.panel.lines import Side
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.inequalities import resolution
+from lampest.panel.readouts.keys import entry
 from lampest.panel.readouts.unseen import unseen_scales
 from lampest.panel.scene import Scene
 from lampest.runs.case import CaseResult
@@ -407,8 +408,8 @@ class Constants:
     def rises(self) -> bool:
         """Whether a reading of the network grows with its sum."""
         readout = self.scene.circuit
-        if isinstance(readout, TwoPointReadout):
-            rises = readout.measured_across == "sensor"
+        if readout.unit == "ohm":
+            rises = bool(entry(readout, "measured_across") == "sensor")
         else:
             rises = nominal_terminations(readout).sign > 0
         return rises == (readout.code_sign > 0)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
+from lampest.apps.recognition.bent_suction import BentSuction
 from lampest.apps.recognition.candidates import (
     FIELD,
     FULL_KPA,
@@ -44,7 +45,7 @@ from lampest.apps.recognition.verdict import (
 )
 from lampest.files.levels import MAX_MEAN_SQUARE, SIGNIFICANT
 from lampest.panel.panel import Array, Panel
-from lampest.panel.response import BentSuction, PublishedResponse
+from lampest.panel.response import PublishedResponse
 from lampest.posterior.gaussian import Conditioned
 from lampest.recording.shapes.disc import Disc
 from lampest.recording.shapes.shape import Candidate

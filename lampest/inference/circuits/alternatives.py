@@ -89,7 +89,7 @@ class Alternative:
         """
         if self.in_series is None or self.at_limit:
             return self.kind
-        series = f"{self.scene.circuit.series_name} near {float(f'{self.in_series:.2g}'):g}"
+        series = f"{self.scene.series_name} near {float(f'{self.in_series:.2g}'):g}"
         return f"{self.kind}, {series}" if self.kind else series
 
     @property
@@ -103,7 +103,7 @@ class Alternative:
         entries = dict(self.entries)
         circuit = self.scene.circuit
         if self.in_series is not None and not self.at_limit:
-            series: dict[str, Any] = {circuit.series_name: float(f"{self.in_series:.2g}")}
+            series: dict[str, Any] = {self.scene.series_name: float(f"{self.in_series:.2g}")}
             entries |= (
                 series
                 if circuit.unit == "ohm"

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from lampest.files.levels import SIGNIFICANCE
 from lampest.inference.circuits.alike import PanelChoice
 from lampest.inference.circuits.alternatives import Alternative, standing_frames
+from lampest.inference.readings.free_tests import free_tests
 from lampest.inference.variance_components import noted_excess
 from lampest.panel.panel import Array
-from lampest.panel.readouts.inequalities import free_tests
 from lampest.panel.readouts.starts import several_panels
 from lampest.posterior.interval import largest_of
 from lampest.recording.readings import Readings, strongest_frame

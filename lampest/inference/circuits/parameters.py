@@ -17,9 +17,9 @@ from lampest.inference.circuits.alternatives import Alternative
 from lampest.inference.circuits.compared_frames import ComparedFrames, broken_law
 from lampest.inference.circuits.explanation import FAR, Explanation, alternative_fits
 from lampest.inference.evidence import PARAMETER_COST
+from lampest.inference.readings.free_tests import largest_series_ohm
 from lampest.panel.effects.converter_memory import KeptShare
 from lampest.panel.panel import Array
-from lampest.panel.readouts.inequalities import largest_series_ohm
 
 # −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
 # with the right circuit nearly all gain less (docs/theory/model_check.md).
@@ -267,7 +267,7 @@ def most_in_series(alternative: Alternative, frames: ComparedFrames) -> float:
 
     The result is 0 where no such resistance is possible or known.
     """
-    if not alternative.scene.circuit.series_name or len(frames.standing) == 0:
+    if not alternative.scene.series_name or len(frames.standing) == 0:
         return 0.0
     without = without_series(alternative)
     try:
@@ -287,6 +287,6 @@ def without_series(alternative: Alternative) -> Alternative:
     """Return the alternative without resistance in series; the same where it has none."""
     return (
         alternative.with_series(0.0)
-        if alternative.scene.circuit.series_name and alternative.ohm
+        if alternative.scene.series_name and alternative.ohm
         else alternative
     )

@@ -28,7 +28,7 @@ from lampest.inference.effects.effect import (
 from lampest.inference.noise import NoiseEstimate
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array
-from lampest.panel.readouts.converter import MAX_VOLT, Characteristic
+from lampest.panel.readouts.converter import MAX_VOLT, Characteristic, mean_sigma
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED
 from lampest.posterior.interval import binomial_tail
@@ -108,7 +108,7 @@ def saturated(recording: Recording) -> Saturated | None:
         or not unloaded.any()
     ):
         return None
-    width = NOISE_REACH * readout.sigma_volt()
+    width = NOISE_REACH * mean_sigma(readout)
     volts = scene.circuit.volt_from_recorded(recording.recorded)
     plain = Readings.of(scene, recording.recorded, recording.sigma).plain
     plain &= _differ(volts, float(np.mean(width)))

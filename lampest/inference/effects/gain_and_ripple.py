@@ -15,6 +15,7 @@ from lampest.inference.noise import MIN_REQUESTED_FRAMES, NoiseEstimate
 from lampest.inference.variance_components import Scatter, unloaded_scatter
 from lampest.panel.effects.gain import Gain
 from lampest.panel.effects.ripple import Ripple
+from lampest.panel.readouts.converter import mean_sigma
 from lampest.panel.readouts.scan_order import by_columns
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, plain_size
@@ -99,7 +100,7 @@ def _with_estimated(noise: NoiseEstimate, recording: Recording, parts: Scatter) 
     for key in [key for key in requested if not deviations[key]]:
         noise = noise.undetermined(key, "the panel has too few lines to tell it from noise")
         requested.remove(key)
-    volt = float(np.mean(scene.readout.sigma_volt()))
+    volt = float(np.mean(mean_sigma(scene.readout)))
     frame = noise.frame or FrameNoise(
         scene, unloaded, 0.0, parts.common_ripple[:, :0], parts.line_ripple[:, :0]
     )

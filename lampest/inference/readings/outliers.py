@@ -20,6 +20,7 @@ from lampest.files.levels import (
     OUTLIER_THRESHOLD,
     UNUSUAL,
 )
+from lampest.inference.readings.free_tests import free_tests, largest_possible
 from lampest.inference.readings.neighbours import (
     MIN_RATIO_TO_SCATTER,
     WINDOW,
@@ -31,7 +32,6 @@ from lampest.inference.readings.neighbours import (
 )
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.inequalities import free_tests, largest_possible
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import largest_normal, largest_of
 from lampest.recording.readings import Readings, Sidedness, median, stand_in

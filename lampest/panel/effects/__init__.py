@@ -26,10 +26,10 @@ from lampest.files.errors import InputError
 from lampest.files.typed import installed
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
-from lampest.panel.readouts.tolerances import line_numbers, tolerance_errors
+from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.response import TYPICAL_RESPONSE_SD
 from lampest.panel.scene import Scene
-from lampest.panel.sizes import ESTIMATED, Systematic
+from lampest.panel.sizes import ESTIMATED, Systematic, unit_of_key
 
 GROUP = "lampest.effects"  # of entry points, for effects of installed packages
 # Field of `Systematic` with its size → class of the error, in the order of columns.
@@ -54,7 +54,7 @@ class SharedEffect(ABC):
     ----------
     setting : str
         Key of `systematic` with its size, one standard deviation; without a value there is no such
-        error. The end of the key is its unit, as `lampest.panel.estimated` lists them.
+        error. The end of the key is its unit, as `unit_of_key` reads it.
     name : str
         Name in sentences.
     limits : (float, float)
@@ -119,8 +119,6 @@ class SharedEffect(ABC):
     @property
     def unit(self) -> str:
         """Unit of the size; '' for a relative one."""
-        from lampest.panel.estimated import unit_of_key  # for sentences alone
-
         return unit_of_key(self.setting)
 
     def sentence(self, size: float, deviation: float) -> str:
@@ -146,7 +144,7 @@ class SharedEffect(ABC):
             The same state for every frame.
         """
         columns = self.columns(network, measured, scene, size)
-        return np.asarray(measured + np.tensordot(random.standard_normal(len(columns)), columns, 1))
+        return measured + np.tensordot(random.standard_normal(len(columns)), columns, 1)
 
 
 class ReadoutNumber(SharedEffect):
@@ -188,7 +186,7 @@ def shared_effects() -> tuple[SharedEffect, ...]:
             further.append(kind())
         elif not issubclass(kind, loaded("lampest.panel.effects.line_effect:LineEffect")):
             raise InputError(f"{named} is no effect, SharedEffect or LineEffect")
-    return (*map(_shipped, SHARED), *further)
+    return (*map(shared_effect_of, SHARED), *further)
 
 
 @cache
@@ -209,17 +207,12 @@ def shared_effect_of(setting: str) -> SharedEffect:
     Raises ValueError if there is none.
     """
     if setting in SHARED:
-        return _shipped(setting)
+        shipped: SharedEffect = loaded(SHARED[setting])()
+        return shipped
     for error in shared_effects()[len(SHARED) :]:
         if error.setting == setting:
             return error
     raise ValueError(f"{setting}: no installed effect has this key")
-
-
-@cache
-def _shipped(setting: str) -> SharedEffect:
-    error: SharedEffect = loaded(SHARED[setting])()
-    return error
 
 
 def error_columns(
@@ -248,13 +241,13 @@ def recorded_share(measured: Array, scene: Scene) -> Array:
     Central differences approximate the derivative.
     """
     above, below = (recorded_times(measured, scene, np.exp(step)) for step in (LOG_STEP, -LOG_STEP))
-    return np.asarray((above - below) / (2 * LOG_STEP))
+    return (above - below) / (2 * LOG_STEP)
 
 
 def recorded_times(measured: Array, scene: Scene, factor: Array | float) -> Array:
     """Return the readings, (..., rows, columns), that times as large recorded values would give."""
     recorded = scene.circuit.to_recorded(measured, scene)
-    return np.asarray(scene.circuit.from_recorded(recorded * factor, scene))
+    return scene.circuit.from_recorded(recorded * factor, scene)
 
 
 def own_errors(measured: Array, scene: Scene, size: float) -> Array:
@@ -319,7 +312,7 @@ def prior_size(scene: Scene, setting: str) -> float | None:
 
     The error of the model has none, and a resistance in series where the circuit has no such part.
     """
-    if setting == "model_error" or (setting == SERIES and not scene.circuit.series_name):
+    if setting == "model_error" or (setting == SERIES and not scene.series_name):
         return None
     return shared_effect_of(setting).prior
 
@@ -333,46 +326,6 @@ def estimated_errors(scene: Scene) -> tuple[str, ...]:
         scene.systematic.own
     )
     return tuple(name for name, size in entries.items() if size == ESTIMATED)
-
-
-def unobservable_numbers(scene: Scene, of_changes: float | None = None) -> str:
-    """Return a sentence on the numbers of a circuit that frames cannot determine.
-
-    The sentence states the numbers with their assumed tolerances, in ASCII. It is '' for a scene
-    without a readout, and for a readout that states no such numbers.
-
-    Parameters
-    ----------
-    scene : Scene
-    of_changes : float or None
-        Median error of the changes ln(r/r0) of loaded cells by numbers at the ends of their
-        tolerances; None where it is unknown.
-    """
-    if scene.readout is None:
-        return ""
-    sizes = systematic_of(scene) or Systematic()
-    reference = float(sizes.reference_tolerance or 0.0)
-    series = float(sizes.series_tolerance_ohm or 0.0)
-    within = (
-        f"within {100 * reference:.3g} %" if reference else "exact",
-        f"within {series:.3g} ohm" if series else "exact",
-    )
-    tolerances = {number.name: within[number.channel] for number in line_numbers(scene.circuit)}
-    further = {"reference_ohm": within[0], "drive_volt": "exact", "converter_volt": "exact"}
-    tolerances |= {name: size for name, size in further.items() if hasattr(scene.readout, name)}
-    if not tolerances:
-        return ""
-    named = ", ".join(f"{name} ({size})" for name, size in tolerances.items())
-    remaining = ""
-    if of_changes is not None:
-        remaining = (
-            "; at these ends changes of loaded cells "
-            f"are off by {100 * of_changes:.2g} % in the median"
-        )
-    return (
-        f"no frame shows the numbers with which all cells scale, assumed {named}{remaining}; "
-        "lampest calibrate measures them"
-    )
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ class ConverterCurve(SharedEffect):
         )
         above = circuit.from_recorded(circuit.recorded_from_volt(volt + 0.5 * waves), scene)
         below = circuit.from_recorded(circuit.recorded_from_volt(volt - 0.5 * waves), scene)
-        return np.asarray(above - below)
+        return above - below
 
     def disturbed(
         self,
@@ -64,6 +64,6 @@ def drawn_curve(share: Array, random: np.random.Generator) -> Array:
 
     def sines(at: Array) -> Array:
         waves = (weight * np.sin(np.pi * number * at) for number, weight in enumerate(weights, 1))
-        return np.asarray(sum(waves, np.zeros_like(at)))
+        return sum(waves, np.zeros_like(at))
 
     return np.asarray(sines(share) / np.abs(sines(np.linspace(0, 1, 1001))).max())

@@ -7,7 +7,7 @@ import numpy as np
 from lampest.panel.effects.sized_effect import SizedEffect
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import Readout
-from lampest.panel.readouts.scan_order import in_panel_order, in_scan_order
+from lampest.panel.readouts.scan_order import of_previous_channel
 from lampest.panel.sizes import BELOW_ONE
 
 
@@ -32,6 +32,4 @@ class KeptShare(SizedEffect):
     def columns(self, circuit: Readout, values: Array, *sizes: Any) -> Array:
         """Return the column of the share: each channel's difference from the one before."""
         (deviation,) = sizes
-        channels = in_scan_order(circuit, values)
-        before = in_panel_order(circuit, np.roll(channels, 1, axis=-1), values.shape)
-        return np.asarray(deviation * (values - before)[None])
+        return np.asarray(deviation * (values - of_previous_channel(circuit, values))[None])

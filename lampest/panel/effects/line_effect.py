@@ -119,4 +119,4 @@ def with_effects(
 def effect_on_readings(effects: Sequence[LineEffect], scene: Scene, network: Network) -> Array:
     """Return the change of a network's readings by effects, (rows, columns)."""
     leaking, added = with_effects(effects, scene, network)
-    return np.asarray(leaking.reading() - network.reading() + added)
+    return leaking.reading() - network.reading() + added

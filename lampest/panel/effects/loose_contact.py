@@ -34,4 +34,4 @@ class LooseContact(LineEffect):
         more = self.size * np.isin(np.arange(rows + columns), self.lines)
         circuit = scene.circuit
         recorded = simulated(circuit, network.cell_resistance, scene, more[:rows], more[rows:])
-        return np.asarray(circuit.from_recorded(recorded, scene) - network.reading())
+        return circuit.from_recorded(recorded, scene) - network.reading()

@@ -2,8 +2,6 @@
 
 from typing import Any
 
-import numpy as np
-
 from lampest.panel.conditions import motion_patterns
 from lampest.panel.effects.sized_effect import SizedEffect
 from lampest.panel.panel import Array
@@ -25,4 +23,4 @@ class MovingWater(SizedEffect):
 
 def moved_by_water(measured: Array, motion: Array) -> Array:
     """Return the changes of readings (rows, columns) by motion of 3 sizes, (3, rows, columns)."""
-    return np.asarray(motion[:, None, None] * motion_patterns(measured.shape) * measured)
+    return motion[:, None, None] * motion_patterns(measured.shape) * measured

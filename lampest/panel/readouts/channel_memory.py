@@ -4,7 +4,7 @@ import numpy as np
 
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import Readout
-from lampest.panel.readouts.scan_order import in_panel_order, in_scan_order
+from lampest.panel.readouts.scan_order import in_panel_order, in_scan_order, of_previous_channel
 
 STEP_LSB = 1e-3  # of a voltage, for central differences
 
@@ -58,11 +58,6 @@ def without_memory(
     """
     least, most = readout.range_volt
 
-    def of_previous_channel(values: Array) -> Array:
-        """Return for every channel the value of the previous one in scan order."""
-        shifted = np.roll(in_scan_order(readout, values), 1, axis=-1)
-        return in_panel_order(readout, shifted, values.shape)
-
     def slope(volt: Array) -> Array:
         """Return |∂recorded/∂V| by central differences.
 
@@ -76,8 +71,8 @@ def without_memory(
     # U_n = (V_n − m·V_(n−1))/(1 − m), with σ propagated to volt, through the difference, and back.
     volt = readout.volt_from_recorded(recorded)
     noise = sigma / slope(volt)
-    previous = of_previous_channel(volt)
-    previous_noise = of_previous_channel(noise)
+    previous = of_previous_channel(readout, volt)
+    previous_noise = of_previous_channel(readout, noise)
     unknown = ~np.isfinite(previous)
     previous = np.where(unknown, volt, previous)
     previous_noise = np.where(unknown, (most - least) / np.sqrt(12), previous_noise)

@@ -14,8 +14,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from lampest.files.errors import counted
 from lampest.files.typed import Configuration, read_only
-from lampest.panel.lines import PerLine, along
+from lampest.panel.lines import PerLine, along, lines_text
 from lampest.panel.panel import Array
 from lampest.panel.readouts.known_converters import KNOWN_CONVERTERS, Known, KnownConverter
 
@@ -151,10 +152,29 @@ class Characteristic(Configuration):
         return f"{start} {self.zero_volt:.6g} V{end}"
 
 
+def stated_characteristic(readout: Any) -> Characteristic:
+    """Return the voltages that the codes stand for, as the scene states them."""
+    named = readout.converter
+    return named if isinstance(named, Characteristic) else Characteristic(name=named)
+
+
+def converter_in_words(readout: Any) -> str:
+    """Return the bits, readings, noise, floor and range of a readout's converter in words."""
+    noise = (
+        lines_text(readout.assumed_noise, "LSB")
+        if states_noise(readout)
+        else "as the unloaded frames show it"
+    )
+    floor = f", codes above {readout.floor_code}" if readout.floor_code else ""
+    named = readout.converter is not None
+    ends = f", {stated_characteristic(readout).description()}" if named else ""
+    readings = counted(readout.readings, "reading")
+    return f"{readout.adc_bits} bits, {readings}, noise {noise}{floor}{ends}"
+
+
 def range_assumed(readout: Any) -> bool:
     """Return whether the range is one of several of a named chip, that after power-up."""
-    named = readout.converter
-    stated = named if isinstance(named, Characteristic) else Characteristic(name=named)
+    stated = stated_characteristic(readout)
     return bool(stated.numbers.ranges) and stated.full_volt is None
 
 
@@ -184,6 +204,11 @@ def noise_volt(readout: Any, codes: Array | None = None) -> Array:
     )
 
 
+def mean_sigma(readout: Any) -> Array:
+    """Return σ of the mean of `readings` codes in volt, to be broadcast to (rows, columns)."""
+    return noise_volt(readout, sigma_code(readout))
+
+
 def sigma_code(
     readout: Any, noise_lsb: PerLine | None = None, readings: int | None = None
 ) -> Array:
@@ -195,7 +220,7 @@ def sigma_code(
     noise_lsb = readout.assumed_noise if noise_lsb is None else noise_lsb
     noise = np.array(noise_lsb)
     bias = _rounding_variance(noise_lsb)
-    return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / (readings or readout.readings) + bias))
+    return np.sqrt((noise**2 + 1 / 12 - bias) / (readings or readout.readings) + bias)
 
 
 def constant_share(readout: Any, noise_lsb: PerLine | None = None) -> Array:
@@ -205,7 +230,7 @@ def constant_share(readout: Any, noise_lsb: PerLine | None = None) -> Array:
     """
     noise = readout.assumed_noise if noise_lsb is None else noise_lsb
     share = np.sqrt(_rounding_variance(noise)) / sigma_code(readout, noise)
-    return np.asarray(along(readout.noisy_side, share) if share.ndim else share)
+    return along(readout.noisy_side, share) if share.ndim else share
 
 
 def rails_reached(readout: Any, recorded: Array) -> str:
@@ -246,7 +271,7 @@ def _rounding_variance(noise_lsb: PerLine) -> Array:
 def averaged_variance(readout: Any, noise_lsb: PerLine) -> Array:
     """Return the variance that averaging removes, σ²(readings) − σ²(ENDLESS readings), LSB²."""
     lasting = sigma_code(readout, noise_lsb, ENDLESS)
-    return np.asarray(sigma_code(readout, noise_lsb) ** 2 - lasting**2)
+    return sigma_code(readout, noise_lsb) ** 2 - lasting**2
 
 
 def noise_of_variance(readout: Any, variance: float) -> float:

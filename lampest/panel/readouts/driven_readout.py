@@ -2,11 +2,9 @@
 
 from dataclasses import dataclass
 from math import inf
-from typing import ClassVar, Literal
+from typing import Literal
 
-import numpy as np
-
-from lampest.panel.circuit import FOLLOWS, Terminations, scanned
+from lampest.panel.circuit import FOLLOWS, Terminations
 from lampest.panel.diode import Diode
 from lampest.panel.lines import (
     Groups,
@@ -17,13 +15,7 @@ from lampest.panel.lines import (
     opposite,
     per_line,
 )
-from lampest.panel.readouts.keys import (
-    driven_ends,
-    ends_in_words,
-    idle_ends,
-    idle_load_ends,
-    load_ends,
-)
+from lampest.panel.readouts.keys import driven_ends, ends_in_words, ends_with_loads, idle_ends
 from lampest.panel.readouts.readout import Readout
 
 
@@ -89,11 +81,11 @@ class DrivenReadout(Readout):
     'volt'
     """
 
-    of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm", "sense_ohm", "idle_load_ohm")
-    of_driven: ClassVar[tuple[str, ...]] = ("drive_ohm", "idle_ohm")
-    may_be_zero: ClassVar[tuple[str, ...]] = ("drive_ohm", "sense_ohm", "idle_ohm", "idle_load_ohm")
-    may_be_infinite: ClassVar[tuple[str, ...]] = ("load_ohm", "idle_ohm", "idle_load_ohm")
-    channels: ClassVar[tuple[str, str]] = ("drive_ohm", "sense_ohm")
+    of_sensed = ("load_ohm", "sense_ohm", "idle_load_ohm")
+    of_driven = ("drive_ohm", "idle_ohm")
+    may_be_zero = ("drive_ohm", "sense_ohm", "idle_ohm", "idle_load_ohm")
+    may_be_infinite = ("load_ohm", "idle_ohm", "idle_load_ohm")
+    channels = ("drive_ohm", "sense_ohm")
     kind: Literal["driven"] = "driven"
     driven: Side = "rows"
     polarity: Literal["up", "down"] = "up"
@@ -189,19 +181,8 @@ class DrivenReadout(Readout):
         if self.idle_stays:
             drive = drive.beside(idle)
             together = together.beside(idle)
-        load = load_ends(self, sensed)
-        total = load.behind(per_line("sense_ohm", self.sense_ohm, sensed))
-        stays = self.idle_load_ohm is None and self.groups is None
-        idle_load = total if stays else idle_load_ends(self, sensed)
-        with np.errstate(invalid="ignore"):
-            gain = np.where(np.isinf(load.ohm), 1.0, load.ohm / total.ohm)
-        return Terminations(
-            self.driven,
-            scanned(drive, idle, self.driven_groups, together),
-            scanned(total, idle_load, self.groups),
-            gain,
-            diode=self.diode,
-        )
+        stay = self.idle_load_ohm is None and self.groups is None
+        return ends_with_loads(self, drive, idle, together, sensed, loads_stay=stay)
 
 
 def _state(ohm: PerLine) -> str:

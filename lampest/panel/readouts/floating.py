@@ -11,12 +11,11 @@ from functools import cached_property
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from lampest.files.typed import typed
 from lampest.panel.kirchhoff import Stencil, line_sums, log_determinant
-from lampest.panel.network import Numbers, SolvedNetwork
-from lampest.panel.panel import Array
+from lampest.panel.network import SolvedNetwork
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, backtracked, steihaug
 
 MAX_ITERATIONS = 30  # 6 suffice from the uniform start at 10 × 10 to 32 × 32 without noise
@@ -81,7 +80,7 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Ar
         if following is None:
             break
         point = following
-    return np.asarray(1 / point.conductance)
+    return 1 / point.conductance
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,13 +122,13 @@ class _ConvexPoint:
     @cached_property
     def gradient(self) -> Array:
         """∇ = R_m − R, (rows, columns)."""
-        return np.asarray(self.measured - self.network.reading())
+        return self.measured - self.network.reading()
 
     @cached_property
-    def free(self) -> NDArray[np.bool_]:
+    def free(self) -> Mask:
         """Whether a cell is free to follow −∇, boolean (rows, columns)."""
         inside = self.network.conductance > self.least * (1 + BOUND_ROUNDING)
-        return np.asarray(inside | (self.gradient < 0))
+        return inside | (self.gradient < 0)
 
     @cached_property
     def misfit(self) -> float:
@@ -159,9 +158,7 @@ def _lower_point(point: _ConvexPoint) -> _ConvexPoint | None:
     return backtracked(accepted, MAX_LENGTHS)
 
 
-def _step(
-    network: SolvedNetwork, gradient: Array, free: NDArray[np.bool_], accuracy: float
-) -> Array:
+def _step(network: SolvedNetwork, gradient: Array, free: Mask, accuracy: float) -> Array:
     """Return the Newton step −(D∘D)⁻¹ ∇ over the free cells, (rows, columns) siemens.
 
     (D∘D)·p = −(∂R/∂g)·p. `accuracy` is that of the step of a large panel, relative to the gradient.
@@ -209,7 +206,6 @@ def common_step(measured: Array, expected: Array) -> float:
     return float(np.exp(steps[first : first + half].mean()))
 
 
-Index = NDArray[np.intp]
 # Amplification of rounding that leaves 11 digits; usual panels have about 3·(rows + columns).
 SAFE_CONDITION = 1e4
 
@@ -231,13 +227,17 @@ def two_point_resistance(cell_resistance: Array) -> Array:
     """
     if cell_resistance.ndim == 3:
         return np.stack([two_point_resistance(frame) for frame in cell_resistance])
-    if not np.all(cell_resistance >= 0):
-        raise ValueError("cell resistances must be zero or positive, and numbers")
+    _check_cells(cell_resistance)
     with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
         network = SolvedNetwork.floating(1 / cell_resistance, grounding(cell_resistance))
         if condition(network) <= SAFE_CONDITION:
             return network.reading()
     return exact_two_point_resistance(cell_resistance)
+
+
+def _check_cells(cell_resistance: Array) -> None:
+    if not np.all(cell_resistance >= 0):
+        raise ValueError("cell resistances must be zero or positive, and numbers")
 
 
 def condition(network: SolvedNetwork) -> float:
@@ -264,8 +264,7 @@ def exact_two_point_resistance(cell_resistance: Array) -> Array:
     Source: Alfa, Xue, Ye, Mathematics of Computation 71 (2002), after Grassmann, Taksar, Heyman
     (1985).
     """
-    if not np.all(cell_resistance >= 0):
-        raise ValueError("cell resistances must be zero or positive, and numbers")
+    _check_cells(cell_resistance)
     if cell_resistance.ndim == 3:
         return np.stack([exact_two_point_resistance(frame) for frame in cell_resistance])
     rows, columns = cell_resistance.shape
@@ -279,7 +278,7 @@ def exact_two_point_resistance(cell_resistance: Array) -> Array:
     return resistance
 
 
-def _all_pairs(weights: Array, rows: int) -> tuple[Array, Index, Index]:
+def _all_pairs(weights: Array, rows: int) -> tuple[Array, Numbers, Numbers]:
     """Return the conductances between every row and every column, all other lines eliminated.
 
     Parameters

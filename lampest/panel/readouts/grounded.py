@@ -1,27 +1,11 @@
 """Grounded lines: a line is driven, the other ones of its side are held at ground."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
-import numpy as np
-
-from lampest.panel.circuit import Ends, Terminations, scanned
-from lampest.panel.lines import (
-    MIN_OHM,
-    Groups,
-    PerLine,
-    Side,
-    lines_text,
-    opposite,
-    per_line,
-)
-from lampest.panel.readouts.keys import (
-    driven_ends,
-    ends_in_words,
-    idle_ends,
-    idle_load_ends,
-    load_ends,
-)
+from lampest.panel.circuit import Terminations
+from lampest.panel.lines import MIN_OHM, Groups, PerLine, Side, lines_text, opposite
+from lampest.panel.readouts.keys import driven_ends, ends_in_words, ends_with_loads, idle_ends
 from lampest.panel.readouts.readout import Readout
 
 
@@ -77,10 +61,10 @@ class GroundedReadout(Readout):
     'volt'
     """
 
-    of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm", "sense_ohm", "idle_load_ohm")
-    may_be_zero: ClassVar[tuple[str, ...]] = ("drive_ohm", "sense_ohm", "idle_load_ohm")
-    may_be_infinite: ClassVar[tuple[str, ...]] = ("idle_load_ohm",)
-    channels: ClassVar[tuple[str, str]] = ("drive_ohm", "sense_ohm")
+    of_sensed = ("load_ohm", "sense_ohm", "idle_load_ohm")
+    may_be_zero = ("drive_ohm", "sense_ohm", "idle_load_ohm")
+    may_be_infinite = ("idle_load_ohm",)
+    channels = ("drive_ohm", "sense_ohm")
     kind: Literal["grounded"] = "grounded"
     driven: Side = "rows"
     sense: Literal["all", "one"] = "all"
@@ -126,14 +110,6 @@ class GroundedReadout(Readout):
 
         Idle sensed lines are loaded or floating.
         """
-        drive = driven_ends(self, driven)
-        drive = Ends.of(np.maximum(drive.ohm, MIN_OHM), drive.volt)
-        load = load_ends(self, sensed)
-        total = load.behind(per_line("sense_ohm", self.sense_ohm, sensed))
-        idle_load = total if self._all_loaded else idle_load_ends(self, sensed)
-        return Terminations(
-            self.driven,
-            scanned(drive, idle_ends(self, drive.ohm)),
-            scanned(total, idle_load, self.groups),
-            gain=load.ohm / total.ohm,
-        )
+        drive = driven_ends(self, driven).of_at_least(MIN_OHM)
+        idle = idle_ends(self, drive.ohm)
+        return ends_with_loads(self, drive, idle, idle, sensed, loads_stay=self._all_loaded)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lampest.panel.circuit import FOLLOWS, Ends, nominal_terminations
+from lampest.panel.circuit import FOLLOWS, Ends, Terminations, nominal_terminations, scanned
 from lampest.panel.equation import equation_of
 from lampest.panel.lines import (
     as_tuple,
@@ -23,7 +23,7 @@ from lampest.panel.lines import (
     per_line,
 )
 from lampest.panel.panel import Array, check_line_memory
-from lampest.panel.readouts.converter import MAX_VOLT
+from lampest.panel.readouts.converter import MAX_VOLT, converter_in_words
 
 MAX_OFFSET_VOLT = 0.1  # amplifiers without trimming: 15 mV (data sheet of the LM324)
 
@@ -56,7 +56,7 @@ def load_ends(readout: Any, count: int) -> Ends:
     A load at load_volt and the converter's input to ground are beside each other.
     """
     key = readout.of_sensed[0]
-    load = Ends.of(per_line(key, getattr(readout, key), count), _load_volt(readout))
+    load = Ends.of(per_line(key, getattr(readout, key), count), load_volts(readout)[0])
     input_ohm = entry(readout, "input_ohm")
     return load if input_ohm is None else load.beside(Ends.of(np.full(count, input_ohm)))
 
@@ -64,17 +64,48 @@ def load_ends(readout: Any, count: int) -> Ends:
 def idle_load_ends(readout: Any, count: int) -> Ends:
     """Return the ends of idle sensed lines that have one of their own, else floating ones."""
     ohm = entry(readout, "idle_load_ohm")
-    volt = entry(readout, "idle_load_volt")
-    return Ends.of(
-        per_line("idle_load_ohm", inf if ohm is None else ohm, count),
-        _load_volt(readout) if volt is None else volt,
+    _, volt = load_volts(readout)
+    return Ends.of(per_line("idle_load_ohm", inf if ohm is None else ohm, count), volt)
+
+
+def ends_with_loads(
+    readout: Any, drive: Ends, idle: Ends, together: Ends, sensed: int, *, loads_stay: bool
+) -> Terminations:
+    """Return the ends of all lines, where sensed ones have loads behind their channels.
+
+    The gain is the share Rs/(Rc + Rs) of the voltage of the line that is read, 1 without a load.
+
+    Parameters
+    ----------
+    readout : Readout
+    drive, idle, together : Ends, shape (driven,)
+        Of driven lines while they are driven, idle, and selected with a driven one of another group
+        of `driven_groups`.
+    sensed : int
+        Number of sensed lines.
+    loads_stay : bool
+        Whether idle sensed lines keep their loads, or else end as `idle_load_ends`.
+    """
+    load = load_ends(readout, sensed)
+    total = load.behind(per_line("sense_ohm", entry(readout, "sense_ohm") or 0.0, sensed))
+    idle_load = total if loads_stay else idle_load_ends(readout, sensed)
+    with np.errstate(invalid="ignore"):
+        gain = np.where(np.isinf(load.ohm), 1.0, load.ohm / total.ohm)
+    return Terminations(
+        readout.driven,
+        scanned(drive, idle, entry(readout, "driven_groups"), together),
+        scanned(total, idle_load, entry(readout, "groups")),
+        gain,
+        diode=entry(readout, "diode"),
     )
 
 
-def _load_volt(readout: Any) -> float:
-    """Return the potential in which loads end, in volt."""
+def load_volts(readout: Any) -> tuple[float, float]:
+    """Return the potentials in which loads, and idle sensed lines end, in volt."""
     volt = entry(readout, "load_volt")
-    return _ground(readout) if volt is None else float(volt)
+    idle = entry(readout, "idle_load_volt")
+    volt = _ground(readout) if volt is None else float(volt)
+    return volt, volt if idle is None else idle
 
 
 def _ground(readout: Any) -> float:
@@ -203,4 +234,4 @@ def ends_in_words(readout: Any) -> str:
         text += f", amplifiers off by {lines_text(readout.offset_volt, 'V')}"
     if entry(readout, "input_ohm") is not None:
         text += f", converter input {readout.input_ohm:g} ohm"
-    return f"{text}, {readout.converter_description()}"
+    return f"{text}, {converter_in_words(readout)}"

@@ -94,7 +94,7 @@ class Ladder:
             current = source[number] - self.shown[number] @ rail
             rail = rail + self.segment_ohm[number, :, None] * current
             potential[number] = rail
-        return np.asarray((driven - self.rung @ potential)[self.outer, self.inner])
+        return (driven - self.rung @ potential)[self.outer, self.inner]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,13 +142,13 @@ class Wire:
 
     def entering(self, currents: Array) -> Array:
         """Return Cᵀ·r·i, (lines, patterns), for currents i driven through the cells."""
-        return np.asarray(self.currents.T @ (self._resistance * currents))
+        return self.currents.T @ (self._resistance * currents)
 
     def within(self, currents: Array) -> Array:
         """Return X₀·i, (cells, patterns) volt, for currents i driven through the cells."""
         pushed = self._resistance * currents
         drawn = self.ladder.solve(pushed.reshape(*self.cells.shape, -1)).reshape(pushed.shape)
-        return np.asarray(pushed - self._resistance * drawn)
+        return pushed - self._resistance * drawn
 
 
 def into_lines(currents: Array) -> Array:

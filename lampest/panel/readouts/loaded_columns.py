@@ -1,14 +1,12 @@
 """Loaded columns: a line is driven, the other ones float, and every sensed line has a load."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
-import numpy as np
-
-from lampest.panel.circuit import Ends, Terminations, scanned
+from lampest.panel.circuit import Ends, Terminations
 from lampest.panel.diode import Diode
 from lampest.panel.lines import Groups, PerLine, Side, lines_text, opposite
-from lampest.panel.readouts.keys import driven_ends, ends_in_words, idle_ends, load_ends
+from lampest.panel.readouts.keys import driven_ends, ends_in_words, ends_with_loads, idle_ends
 from lampest.panel.readouts.readout import Readout
 
 
@@ -58,7 +56,7 @@ class LoadedColumnsReadout(Readout):
     'volt'
     """
 
-    channels: ClassVar[tuple[str, str]] = ("drive_ohm", "")
+    channels = ("drive_ohm", "")
     kind: Literal["loaded_columns"] = "loaded_columns"
     driven: Side = "rows"
     polarity: Literal["up", "down"] = "up"
@@ -85,13 +83,7 @@ class LoadedColumnsReadout(Readout):
         Groups have their loads behind the multiplexers.
         """
         drive = driven_ends(self, driven)
-        load = load_ends(self, sensed)
-        idle_load = load if self.groups is None else Ends.floating(sensed)
+        together = idle_ends(self, drive.ohm)
+        stay = self.groups is None
         floating = Ends.floating(driven)
-        return Terminations(
-            self.driven,
-            scanned(drive, floating, self.driven_groups, idle_ends(self, drive.ohm)),
-            scanned(load, idle_load, self.groups),
-            gain=np.ones(sensed),
-            diode=self.diode,
-        )
+        return ends_with_loads(self, drive, floating, together, sensed, loads_stay=stay)

@@ -16,7 +16,6 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import counted
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Completed, check_range, check_ranges
 from lampest.panel.circuit import Terminations, nominal_terminations
@@ -27,23 +26,21 @@ from lampest.panel.lines import (
     along,
     as_tuple,
     check_lines,
-    lines_text,
     of_side,
     opposite,
     per_line,
 )
 from lampest.panel.network import Network, SolvedNetwork
-from lampest.panel.panel import Array, Panel, connected_parts
+from lampest.panel.panel import Array, Numbers, Panel, connected_parts
 from lampest.panel.readouts import starts
 from lampest.panel.readouts.converter import (
     MAX_VOLT,
     MIN_VOLT,
     USUAL_NOISE_LSB,
     Characteristic,
-    noise_volt,
+    mean_sigma,
     relative_step,
-    sigma_code,
-    states_noise,
+    stated_characteristic,
 )
 from lampest.panel.readouts.floating import grounding, two_point_resistance
 from lampest.panel.readouts.keys import check_keys, check_on_panel, entry
@@ -158,10 +155,11 @@ class Readout(Completed, ABC):
         check_ranges(self, MIN_VOLT, MAX_VOLT, *own_volts)
         check_range("supply_volt", self.supply_volt, MIN_VOLT, MAX_VOLT, " V")
         check_ranges(self, 1, 32, "adc_bits")
-        bits = self._stated.numbers.adc_bits
+        stated = stated_characteristic(self)
+        bits = stated.numbers.adc_bits
         if bits not in (None, self.adc_bits):
             raise ValueError(
-                f"adc_bits: {self.adc_bits} contradicts the converter {self._stated.name}, "
+                f"adc_bits: {self.adc_bits} contradicts the converter {stated.name}, "
                 f"which has {bits} bits"
             )
         check_ranges(self, 1, 65535, "readings")
@@ -191,11 +189,6 @@ class Readout(Completed, ABC):
     @abstractmethod
     def terminations(self, driven: int, sensed: int) -> Terminations:
         """Return the ends of the lines of a panel with so many driven and sensed lines."""
-
-    @property
-    def series_name(self) -> str:
-        """Scene's key of a resistance in series with the panel; '' without one."""
-        return "series_resistance_ohm" if self.unit == "ohm" else self.channels[0]
 
     def check(self, scene: Surroundings) -> None:
         """Raise ValueError if the scene does not fit the readout, or lists do not fit its panel.
@@ -230,7 +223,7 @@ class Readout(Completed, ABC):
 
     # Readings of cells.
 
-    def ties(self, measured: Array, parts: NDArray[np.intp] | None = None) -> Array:
+    def ties(self, measured: Array, parts: Numbers | None = None) -> Array:
         """Return the ties to ground of the bases, (lines,) siemens, or (addresses, lines).
 
         Lines that 0 ohm hold have infinite ties. `parts`, (lines,), is the number of each line's
@@ -354,12 +347,12 @@ class Readout(Completed, ABC):
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
         """Return the network's readings of recorded values, (…, rows, columns)."""
         ends = nominal_terminations(self)
-        return np.asarray(ends.sign * (recorded - self._level(recorded.shape)))
+        return ends.sign * (recorded - self._level(recorded.shape))
 
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
         """Return the recorded values of the network's readings, (…, rows, columns)."""
         ends = nominal_terminations(self)
-        return np.asarray(self._level(reading.shape) + ends.sign * reading)
+        return self._level(reading.shape) + ends.sign * reading
 
     def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
         """Return the σ of the network's readings y, σ·|∂y/∂(recorded)|.
@@ -382,17 +375,10 @@ class Readout(Completed, ABC):
         side: Side = getattr(self, "driven", "rows")
         return side
 
-    @property
-    def _stated(self) -> Characteristic:
-        """Voltages that the codes stand for, as the scene states them."""
-        if isinstance(self.converter, Characteristic):
-            return self.converter
-        return Characteristic(name=self.converter)
-
     @cached_property
     def characteristic(self) -> Characteristic:
         """Voltages that the codes stand for, in numbers."""
-        return self._stated.within(self.full_scale_volt)
+        return stated_characteristic(self).within(self.full_scale_volt)
 
     @property
     def codes(self) -> tuple[int, int]:
@@ -442,22 +428,9 @@ class Readout(Completed, ABC):
         The latter is the assumption until frames determine it.
         """
         if self.noise_lsb is None or self.noise_lsb == "estimated":
-            noise = self._stated.numbers.noise_lsb
+            noise = stated_characteristic(self).numbers.noise_lsb
             return USUAL_NOISE_LSB if noise is None else noise
         return self.noise_lsb
-
-    def converter_description(self) -> str:
-        """Return the converter's numbers in words."""
-        noise = (
-            lines_text(self.assumed_noise, "LSB")
-            if states_noise(self)
-            else "as the unloaded frames show it"
-        )
-        floor = f", codes above {self.floor_code}" if self.floor_code else ""
-        ends = "" if self.converter is None else f", {self._stated.description()}"
-        return (
-            f"{self.adc_bits} bits, {counted(self.readings, 'reading')}, noise {noise}{floor}{ends}"
-        )
 
     def recorded_from_volt(self, volt: Array) -> Array:
         """Return recorded readings of voltages at the converter, any shape."""
@@ -503,13 +476,7 @@ class Readout(Completed, ABC):
     def sigma(self, recorded: Array) -> Array:
         """Return σ of recorded readings, the same shape and unit."""
         volt = self.volt_from_recorded(recorded)
-        return np.asarray(
-            np.broadcast_to(self.sigma_volt(), volt.shape) * relative_step(self, volt)
-        )
-
-    def sigma_volt(self) -> Array:
-        """Return σ of the mean of `readings` codes in volt, to be broadcast to (rows, columns)."""
-        return noise_volt(self, sigma_code(self))
+        return np.broadcast_to(mean_sigma(self), volt.shape) * relative_step(self, volt)
 
     def rails(self) -> tuple[float, float]:
         """Return the range of recorded values that are no bounds.
@@ -530,7 +497,7 @@ class Readout(Completed, ABC):
         if not isinstance(self.passes_volt, str | None):
             within = np.add(
                 self.passes_volt,
-                np.array([1, -1]) * NOISE_REACH * float(np.mean(self.sigma_volt())),
+                np.array([1, -1]) * NOISE_REACH * float(np.mean(mean_sigma(self))),
             )
             edges = np.array([max(edges[0], within[0]), min(edges[1], within[1])])
         ends = self.recorded_from_volt(edges)

@@ -3,9 +3,8 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Numbers, Panel
 
 
 def by_columns(readout: Any) -> bool:
@@ -14,7 +13,7 @@ def by_columns(readout: Any) -> bool:
     return bool(order == "columns")
 
 
-def scan_places(readout: Any, rows: int, columns: int) -> NDArray[np.intp]:
+def scan_places(readout: Any, rows: int, columns: int) -> Numbers:
     """Return the numbers of the readings, rows first, in scan order, (rows · columns,).
 
     Readings that a list leaves out are the last ones.
@@ -50,7 +49,7 @@ def check_scan_order(readout: Any, panel: Panel) -> None:
 def in_scan_order(readout: Any, values: Array) -> Array:
     """Return values (…, rows, columns) in scan order, (…, channels)."""
     flat = values.reshape(*values.shape[:-2], -1)
-    return np.asarray(flat[..., scan_places(readout, *values.shape[-2:])])
+    return flat[..., scan_places(readout, *values.shape[-2:])]
 
 
 def in_scan_lines(readout: Any, values: Array) -> Array:
@@ -58,6 +57,12 @@ def in_scan_lines(readout: Any, values: Array) -> Array:
     rows, columns = values.shape[-2:]
     lines, channels = (columns, rows) if by_columns(readout) else (rows, columns)
     return in_scan_order(readout, values).reshape(*values.shape[:-2], lines, channels)
+
+
+def of_previous_channel(readout: Any, values: Array) -> Array:
+    """Return for every channel the value (…, rows, columns) of the previous one in scan order."""
+    shifted = np.roll(in_scan_order(readout, values), 1, axis=-1)
+    return in_panel_order(readout, shifted, values.shape)
 
 
 def in_panel_order(readout: Any, channels: Array, shape: tuple[int, ...]) -> Array:

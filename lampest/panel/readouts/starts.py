@@ -12,7 +12,7 @@ from lampest.panel.circuit import CircuitOfLines, nominal_terminations
 from lampest.panel.equation import Equation, equation_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import branches
-from lampest.panel.readouts.alternation import Alternation
+from lampest.panel.readouts.alternation import alternated_cells
 from lampest.panel.readouts.branches import LEVELS, MAX_CELLS, MAX_MISFIT, MIN_FOLD, misfit
 from lampest.panel.readouts.floating import convex_start, uniform_factor
 from lampest.panel.readouts.unseen import SolvableCircuit, unseen_scales
@@ -53,7 +53,7 @@ def apparent_resistance(circuit: SolvableCircuit, measured: Array) -> Array:
     volt = np.maximum(measured, OPEN_SHARE * equation.source) / equation.gain
     # (U − V_d)/I with the current I = V/(c·Rs): the sum of cell, load and drive
     total = load * (equation.source - equation.lost(volt / load)) / volt
-    return np.asarray(np.maximum(total - load - equation.drive, MIN_LOAD_SHARE * total))
+    return np.maximum(total - load - equation.drive, MIN_LOAD_SHARE * total)
 
 
 def uniform_start(circuit: SolvableCircuit, measured: Array) -> Array:
@@ -68,7 +68,7 @@ def uniform_start(circuit: SolvableCircuit, measured: Array) -> Array:
         return _of_uniform_panels(circuit, measured)
     if equation.floating:
         factor = uniform_factor(*measured.shape[-2:])
-        return np.asarray(apparent_resistance(circuit, measured) / factor)
+        return apparent_resistance(circuit, measured) / factor
     if not equation.grounded:
         apparent = apparent_resistance(circuit, measured)
         if np.mean(equation.driving.base.ohm) > np.median(apparent):
@@ -106,10 +106,10 @@ def start(
 ) -> Array:
     """Return cells that reproduce the readings, (rows, columns) ohm.
 
-    The search alternates between potentials and cells (`Alternation`). Where this moves away or
-    several panels give the same readings, Newton's method starts from uniform panels. Without loads
-    the equations of floating lines determine ratios of cells alone, and the start is the uniform
-    one.
+    The search alternates between potentials and cells (`alternated_cells`). Where this moves away
+    or several panels give the same readings, Newton's method starts from uniform panels. Without
+    loads the equations of floating lines determine ratios of cells alone, and the start is the
+    uniform one.
     """
     equation = _equation(circuit, measured)
     if equation.floating:
@@ -122,12 +122,12 @@ def start(
     else:
         firsts = branches.uniform_panels(log_medians(circuit, *measured.shape), positive)
     if len(firsts) == 1 and equation.plain and np.isfinite(equation.load).all():
-        alternation = Alternation(equation, circuit.ties(measured))
-        volt = equation.volt(measured)
-        alternated = alternation.cells(volt, uniform_start(circuit, measured), near)
+        ties = circuit.ties(measured)
+        uniform = uniform_start(circuit, measured)
+        alternated = alternated_cells(equation, ties, equation.volt(measured), uniform, near)
         cells = np.minimum(alternated, upper)
-        if misfit(circuit.network(cells, circuit.ties(measured)), positive) < MAX_MISFIT:
-            return np.asarray(cells)
+        if misfit(circuit.network(cells, ties), positive) < MAX_MISFIT:
+            return cells
         firsts.append(cells)
     panels = _panels_from(circuit, positive, firsts, upper)
     return panels[0][1] if panels else np.minimum(uniform_start(circuit, measured), upper)

@@ -39,7 +39,7 @@ def behind_channels(circuit: Circuit, row_ohm: Array, column_ohm: Array) -> Circ
     additional = {of_driven: driven} if of_driven else {}
     if entry(circuit, of_sensed):
         additional[of_sensed] = sensed
-    named = circuit.series_name if circuit.unit == "ohm" else ""
+    named = "series_resistance_ohm" if circuit.unit == "ohm" else ""
     changes: dict[str, Any] = {
         key: with_channels(named or key, getattr(circuit, key), ohm)
         for key, ohm in additional.items()
@@ -151,11 +151,14 @@ def line_numbers(circuit: Readout) -> tuple[LineNumber, ...]:
     A kind without channels has none.
     """
     if circuit.unit == "ohm":
-        return (LineNumber(circuit.series_name, ("rows", "columns"), channel=True, in_scene=True),)
-    if not circuit.series_name:
+        return (
+            LineNumber("series_resistance_ohm", ("rows", "columns"), channel=True, in_scene=True),
+        )
+    drive = circuit.channels[0]
+    if not drive:
         return ()
     ends = nominal_terminations(circuit)
-    numbers = [LineNumber(circuit.series_name, (ends.driven,), channel=True)]
+    numbers = [LineNumber(drive, (ends.driven,), channel=True)]
     name = circuit.of_sensed[0]
     if hasattr(circuit, name) and max(as_tuple(getattr(circuit, name))) < inf:
         numbers.append(LineNumber(name, (opposite(ends.driven),)))

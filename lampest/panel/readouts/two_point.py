@@ -3,21 +3,122 @@
 A divider with a reference resistor measures the resistance.
 """
 
-from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, Literal
+from dataclasses import dataclass, fields
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.panel.circuit import Ends, Terminations, scanned
 from lampest.panel.lines import Groups, PerLine, parallel, per_line
 from lampest.panel.network import Network, SolvedNetwork
-from lampest.panel.panel import Array, EachModule, Modules
-from lampest.panel.readouts.converter import relative_step
+from lampest.panel.panel import Array, Modules, Numbers
+from lampest.panel.readouts.converter import converter_in_words, mean_sigma, relative_step
 from lampest.panel.readouts.floating import convex_start, grounding, uniform_factor
 from lampest.panel.readouts.readout import Readout, Surroundings
 from lampest.panel.readouts.starts import SHORT_SHARE
 from lampest.panel.readouts.wiring import Wiring
+
+
+def divider_in_words(readout: Any) -> str:
+    """Return the circuit of dividers and its numbers with their units, in words."""
+    converter = "" if readout.input_ohm is None else f", converter input {readout.input_ohm:g} ohm"
+    if readout.groups is not None:
+        converter += f", {len(readout.groups)} columns read in parallel"
+    return (
+        f"two-point, {readout.supply_volt:g} V, reference {readout.reference_ohm:g} ohm, "
+        f"measured across the {readout.measured_across}{converter}, {converter_in_words(readout)}"
+    )
+
+
+def divider_resistance(readout: Any, volt: Array) -> Array:
+    """Return R of voltages V at the converter: 0 or infinite at the rails.
+
+    R = (Vcc − V)/V·Rref across the reference, R = V/(Vcc − V)·Rref across the sensor.
+    """
+    volt = np.asarray(volt, dtype=float)
+    ends = readout.supply_volt - volt, volt
+    upper, lower = ends if readout.measured_across == "reference" else ends[::-1]
+    with np.errstate(divide="ignore"):
+        return np.asarray(upper / lower * readout.reference_ohm)
+
+
+def divider_volt(readout: Any, recorded: Array) -> Array:
+    """Return V across the reference, or across the sensor; any shape.
+
+    V = Vcc·Rref/(R + Rref) across the reference, V = Vcc·R/(R + Rref) across the sensor.
+    """
+    with np.errstate(divide="ignore"):
+        ratio = np.asarray(recorded, dtype=float) / readout.reference_ohm
+        return np.asarray(
+            readout.supply_volt
+            / (1 + (ratio if readout.measured_across == "reference" else 1 / ratio))
+        )
+
+
+def divider_sigma(readout: Any, recorded: Array) -> Array:
+    """Return σ_R = (R + Rref)²/Rref · σ_V/Vcc (delta method); any shape, ohm.
+
+    R includes the series resistance.
+    """
+    total = np.asarray(recorded, dtype=float) + readout.reference_ohm
+    sigma = mean_sigma(readout) * relative_step(readout, divider_volt(readout, recorded))
+    return np.asarray(total**2 * (sigma / (readout.reference_ohm * readout.supply_volt)))
+
+
+def divider_recorded(readout: Any, reading: Array, scene: Surroundings) -> Array:
+    """Return R + R_series as recorded, (…, rows, columns) ohm.
+
+    The converter's input resistance distorts the value.
+    """
+    total = reading + scene.series_ohm
+    if readout.input_ohm is None:
+        return total
+    if readout.measured_across == "sensor":
+        with np.errstate(divide="ignore"):
+            return np.asarray(1 / (1 / total + 1 / readout.input_ohm))
+    return np.asarray(total * (1 + readout.reference_ohm / readout.input_ohm))
+
+
+def divider_reading(readout: Any, recorded: Array, scene: Surroundings) -> Array:
+    """Return the resistance R of the panel alone, (…, rows, columns) ohm."""
+    return _without_input(readout, recorded) - scene.series_ohm
+
+
+def divider_reading_sigma(readout: Any, recorded: Array, sigma: Array) -> Array:
+    """Return σ of the readings: σ of the recorded values times ∂R/∂(recorded)."""
+    if readout.input_ohm is None:
+        return sigma
+    slope = _without_input(readout, recorded) / recorded
+    return sigma * slope ** (2 if readout.measured_across == "sensor" else 1)
+
+
+def _without_input(readout: Any, recorded: Array) -> Array:
+    """Return the resistance of lines and panel without the converter's input resistance.
+
+    Across the sensor, a recorded value above the input resistance becomes nearly open.
+    """
+    if readout.input_ohm is None:
+        return recorded
+    if readout.measured_across == "sensor":
+        return np.asarray(
+            1 / np.maximum(1 / recorded - 1 / readout.input_ohm, SHORT_SHARE / readout.input_ohm)
+        )
+    return np.asarray(recorded / (1 + readout.reference_ohm / readout.input_ohm))
+
+
+def divider_ends(readout: Any, rows: Array, columns: Array) -> Terminations:
+    """Return the ends: the supply at the driven row, the reference at the columns read.
+
+    All other lines float. The lines have channels, (rows,) and (columns,) ohm.
+    """
+    reference = parallel(np.full(len(columns), readout.reference_ohm), readout.input_ohm)
+    return Terminations(
+        "rows",
+        scanned(Ends.of(rows, readout.supply_volt), Ends.floating(len(rows))),
+        scanned(Ends.of(reference + columns), Ends.floating(len(columns)), readout.groups),
+        gain=reference / (reference + columns),
+        as_resistance=True,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,11 +152,11 @@ class TwoPointReadout(Readout):
     'ohm'
     """
 
-    unit: ClassVar[str] = "ohm"
-    signal: ClassVar[str] = "resistance"
-    signal_name: ClassVar[str] = "two-point resistance, divider equation"
-    of_driven: ClassVar[tuple[str, ...]] = ()
-    of_sensed: ClassVar[tuple[str, ...]] = ("reference_ohm",)
+    unit = "ohm"
+    signal = "resistance"
+    signal_name = "two-point resistance, divider equation"
+    of_driven = ()
+    of_sensed = ("reference_ohm",)
     kind: Literal["two_point"] = "two_point"
     reference_ohm: float = 1000.0
     measured_across: Literal["reference", "sensor"] = "reference"
@@ -80,100 +181,21 @@ class TwoPointReadout(Readout):
         rows, columns = scene.series_lines
         return ParallelDividers(**numbers, row_ohm=tuple(rows), column_ohm=tuple(columns))
 
-    def description(self) -> str:
-        converter = "" if self.input_ohm is None else f", converter input {self.input_ohm:g} ohm"
-        converter += "" if self.groups is None else f", {len(self.groups)} columns read in parallel"
-        return (
-            f"two-point, {self.supply_volt:g} V, reference {self.reference_ohm:g} ohm, "
-            f"measured across the {self.measured_across}{converter}, {self.converter_description()}"
-        )
-
     def terminations(self, driven: int, sensed: int) -> Terminations:
-        """Return the ends: the supply at the driven row, the reference at the columns read.
+        """Return the ends of dividers; see `divider_ends`."""
+        return divider_ends(self, np.zeros(driven), np.zeros(sensed))
 
-        All other lines float.
-        """
-        supply = Ends.of(np.zeros(driven), self.supply_volt)
-        reference = Ends.of(parallel(np.full(sensed, self.reference_ohm), self.input_ohm))
-        return Terminations(
-            "rows",
-            scanned(supply, Ends.floating(driven)),
-            scanned(reference, Ends.floating(sensed), self.groups),
-            gain=np.ones(sensed),
-            as_resistance=True,
-        )
-
-    def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
-        return np.asarray(self._between_lines(recorded) - scene.series_ohm)
-
-    def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
-        """Return R + R_series as recorded, (…, rows, columns) ohm.
-
-        The converter's input resistance distorts the value.
-        """
-        total = np.asarray(reading + scene.series_ohm)
-        if self.input_ohm is None:
-            return total
-        if self.measured_across == "sensor":
-            with np.errstate(divide="ignore"):
-                return np.asarray(1 / (1 / total + 1 / self.input_ohm))
-        return np.asarray(total * (1 + self.reference_ohm / self.input_ohm))
-
-    def _between_lines(self, recorded: Array) -> Array:
-        """Return the resistance of lines and panel without the converter's input resistance.
-
-        Across the sensor, a recorded value above the input resistance becomes nearly open.
-        """
-        if self.input_ohm is None:
-            return recorded
-        if self.measured_across == "sensor":
-            return np.asarray(
-                1 / np.maximum(1 / recorded - 1 / self.input_ohm, SHORT_SHARE / self.input_ohm)
-            )
-        return np.asarray(recorded / (1 + self.reference_ohm / self.input_ohm))
-
-    def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
-        """Return σ of the readings: σ of the recorded values times ∂R/∂(recorded)."""
-        if self.input_ohm is None:
-            return sigma
-        slope = self._between_lines(recorded) / recorded
-        return np.asarray(sigma * slope ** (2 if self.measured_across == "sensor" else 1))
-
-    def recorded_from_volt(self, volt: Array) -> Array:
-        """Return R of voltages V at the converter: 0 or infinite at the rails.
-
-        R = (Vcc − V)/V·Rref across the reference, R = V/(Vcc − V)·Rref across the sensor.
-        """
-        volt = np.asarray(volt, dtype=float)
-        ends = self.supply_volt - volt, volt
-        upper, lower = ends if self.measured_across == "reference" else ends[::-1]
-        with np.errstate(divide="ignore"):
-            return np.asarray(upper / lower * self.reference_ohm)
-
-    def volt_from_recorded(self, recorded: Array) -> Array:
-        """Return V across the reference, or across the sensor; any shape.
-
-        V = Vcc·Rref/(R + Rref) across the reference, V = Vcc·R/(R + Rref) across the sensor.
-        """
-        with np.errstate(divide="ignore"):
-            ratio = np.asarray(recorded, dtype=float) / self.reference_ohm
-            return np.asarray(
-                self.supply_volt
-                / (1 + (ratio if self.measured_across == "reference" else 1 / ratio))
-            )
-
-    def sigma(self, recorded: Array) -> Array:
-        """Return σ_R = (R + Rref)²/Rref · σ_V/Vcc (delta method); any shape, ohm.
-
-        R includes the series resistance.
-        """
-        total = np.asarray(recorded, dtype=float) + self.reference_ohm
-        sigma = self.sigma_volt() * relative_step(self, self.volt_from_recorded(recorded))
-        return np.asarray(total**2 * (sigma / (self.reference_ohm * self.supply_volt)))
+    description = divider_in_words
+    recorded_from_volt = divider_resistance
+    volt_from_recorded = divider_volt
+    sigma = divider_sigma
+    to_recorded = divider_recorded
+    from_recorded = divider_reading
+    sigma_of_reading = divider_reading_sigma
 
 
 @dataclass(frozen=True, kw_only=True)
-class ParallelDividers(TwoPointReadout):
+class ParallelDividers(Readout):
     """Circuit of a two-point readout with several groups of columns in its scene.
 
     A reading is the resistance R = (Vcc/V − 1)·Rref that the divider equation gives, less the
@@ -183,35 +205,42 @@ class ParallelDividers(TwoPointReadout):
 
     Attributes
     ----------
-    row_ohm, column_ohm : PerLine
+    row_ohm, column_ohm : tuple of float
         Resistance of the channels in ohm.
-    reference_ohm, input_ohm, groups, supply_volt, adc_bits, readings, noise_lsb
+    reference_ohm, measured_across, input_ohm, groups, supply_volt, adc_bits, readings, noise_lsb
         See `TwoPointReadout`.
     """
 
-    of_driven: ClassVar[tuple[str, ...]] = ("row_ohm",)
-    of_sensed: ClassVar[tuple[str, ...]] = ("reference_ohm", "column_ohm")
-    may_be_zero: ClassVar[tuple[str, ...]] = ("row_ohm", "column_ohm")
-    channels: ClassVar[tuple[str, str]] = ("row_ohm", "column_ohm")
-    row_ohm: PerLine = 0.0
-    column_ohm: PerLine = 0.0
+    unit = "ohm"
+    of_driven = ("row_ohm",)
+    of_sensed = ("reference_ohm", "column_ohm")
+    may_be_zero = ("row_ohm", "column_ohm")
+    channels = ("row_ohm", "column_ohm")
+    kind: Literal["two_point"] = "two_point"
+    reference_ohm: float
+    measured_across: Literal["reference", "sensor"]
+    input_ohm: float | None
+    groups: Groups | None
+    row_ohm: PerLine
+    column_ohm: PerLine
 
     def terminations(self, driven: int, sensed: int) -> Terminations:
-        """Return the ends of a two-point readout, behind the channels of their lines."""
-        ends = super().terminations(driven, sensed)
+        """Return the ends of dividers behind the channels of their lines; see `divider_ends`."""
         row = per_line("series_resistance_ohm.rows", self.row_ohm, driven)
         column = per_line("series_resistance_ohm.columns", self.column_ohm, sensed)
-        reference = ends.sensing.ohm.diagonal()
-        return replace(
-            ends,
-            driving=ends.driving.behind(row),
-            sensing=ends.sensing.behind(column),
-            gain=reference / (reference + column),
-        )
+        return divider_ends(self, row, column)
+
+    description = divider_in_words
+    recorded_from_volt = divider_resistance
+    volt_from_recorded = divider_volt
+    sigma = divider_sigma
+    to_recorded = divider_recorded
+    from_recorded = divider_reading
+    sigma_of_reading = divider_reading_sigma
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModulesReadout(TwoPointReadout):
+class ModulesReadout(Readout):
     """Two-point readings R_jk of each module alone, as readings of the whole image.
 
     Attributes
@@ -220,9 +249,18 @@ class ModulesReadout(TwoPointReadout):
         Arrangement of the modules.
     """
 
-    layout: Modules = Modules(1, 1, EachModule(1, 1))
+    unit = "ohm"
+    kind: Literal["two_point"] = "two_point"
+    layout: Modules
 
-    def ties(self, measured: Array, parts: NDArray[np.intp] | None = None) -> Array:
+    def description(self) -> str:
+        return f"two-point resistances of {self.layout.count} modules"
+
+    def terminations(self, driven: int, sensed: int) -> Terminations:
+        """Return the ends of two-point resistances."""
+        return TwoPointReadout().terminations(driven, sensed)
+
+    def ties(self, measured: Array, parts: Numbers | None = None) -> Array:
         return grounding(self.layout.split(measured))
 
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
@@ -232,15 +270,11 @@ class ModulesReadout(TwoPointReadout):
         return JoinedNetwork.of(cell_resistance, [modules], self.layout)
 
     def uniform_start(self, measured: Array) -> Array:
-        """Return the uniform start of each module; see `TwoPointReadout.uniform_start`."""
-        return np.asarray(
-            measured / uniform_factor(self.layout.each.rows, self.layout.each.columns)
-        )
+        """Return the uniform start of each module; see `uniform_factor`."""
+        return measured / uniform_factor(self.layout.each.rows, self.layout.each.columns)
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Return cells that reproduce attainable readings, module by module; see `convex_start`."""
         nears = [None] * self.layout.count if near is None else self.layout.split(near)
         modules = zip(self.layout.split(measured), self.layout.split(upper), nears, strict=True)
-        return np.asarray(
-            self.layout.joined(np.stack([convex_start(*module) for module in modules]))
-        )
+        return self.layout.joined(np.stack([convex_start(*module) for module in modules]))

@@ -1,13 +1,13 @@
 """Virtual ground: amplifiers hold every sensed line and measure its current."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
 from lampest.panel.circuit import Ends, Terminations, nominal_terminations, scanned
 from lampest.panel.lines import MIN_OHM, PerLine, Side, as_tuple, lines_text, per_line
-from lampest.panel.readouts.keys import driven_ends, ends_in_words, idle_ends
+from lampest.panel.readouts.keys import driven_ends, ends_in_words, idle_ends, load_volts
 from lampest.panel.readouts.readout import Readout
 
 
@@ -55,9 +55,9 @@ class VirtualGroundReadout(Readout):
     'volt'
     """
 
-    of_sensed: ClassVar[tuple[str, ...]] = ("feedback_ohm", "sense_ohm")
-    signal_name: ClassVar[str] = "output of the amplifier below its reference"
-    channels: ClassVar[tuple[str, str]] = ("drive_ohm", "sense_ohm")
+    of_sensed = ("feedback_ohm", "sense_ohm")
+    signal_name = "output of the amplifier below its reference"
+    channels = ("drive_ohm", "sense_ohm")
     kind: Literal["virtual_ground"] = "virtual_ground"
     driven: Side = "rows"
     drive_ohm: PerLine = 50.0
@@ -94,13 +94,11 @@ class VirtualGroundReadout(Readout):
 
         The gain is Rf/Rc.
         """
-        drive = driven_ends(self, driven)
-        drive = Ends.of(np.maximum(drive.ohm, MIN_OHM), drive.volt)
+        drive = driven_ends(self, driven).of_at_least(MIN_OHM)
         channel = np.maximum(per_line("sense_ohm", self.sense_ohm, sensed), MIN_OHM)
         feedback = per_line("feedback_ohm", self.feedback_ohm, sensed)
         offset = per_line("offset_volt", self.offset_volt or 0.0, sensed)
-        volt = 0.0 if self.load_volt is None else self.load_volt
-        idle_volt = volt if self.idle_load_volt is None else self.idle_load_volt
+        volt, idle_volt = load_volts(self)
         return Terminations(
             self.driven,
             scanned(drive, idle_ends(self, drive.ohm)),

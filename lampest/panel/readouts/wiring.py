@@ -11,12 +11,11 @@ from math import inf
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration
 from lampest.panel.lines import PerLine, as_tuple, check_lines, check_resistors, per_line
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 
 
 @dataclass(frozen=True)
@@ -162,7 +161,7 @@ class NeighbourLeaks(Configuration):
                     f"{lines - 1} gaps"
                 )
 
-    def between(self, shape: tuple[int, ...]) -> tuple[NDArray[np.intp], Array]:
+    def between(self, shape: tuple[int, ...]) -> tuple[Numbers, Array]:
         """Return the lines and the conductances of all leaks, (2, leaks) and (leaks,) siemens."""
         rows, columns = shape
         first = np.delete(np.arange(rows + columns - 1), rows - 1)
@@ -212,7 +211,7 @@ class Wiring:
         np.einsum("ii->i", admittance)[:] = -admittance.sum(axis=1)
         return admittance
 
-    def connecting(self, conducting: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def connecting(self, conducting: Mask) -> Mask:
         """Return the crossings (rows, columns) that connect a row and a column, leaks included.
 
         `conducting` are the crossings whose cells do. Lines count as one where all gaps of their
@@ -242,9 +241,9 @@ class Wiring:
         down = down[::-1] if self.lines.columns_leave == "bottom" else down
         wire = self.lines.row_ohm_per_cell * along + self.lines.column_ohm_per_cell * down[:, None]
         if self.contacts is None:
-            return np.asarray(wire)
+            return wire
         most = self.contacts.mean(shape) + NOISE_REACH * self.contacts.deviation(shape)
-        return np.asarray(wire + most[:rows, None] + most[rows:])
+        return wire + most[:rows, None] + most[rows:]
 
     def nodes(self, count: int) -> Array:
         """Return E, (lines, nodes), 1 where a line belongs to a node.

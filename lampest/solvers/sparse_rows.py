@@ -1,12 +1,9 @@
 """Squares of sparse rows B of few entries each: BᵀDB and diag(B M Bᵀ), without sparse products."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
-from lampest.panel.panel import Array
-
-Numbers = NDArray[np.intp]
+from lampest.panel.panel import Array, Numbers
 
 
 def squares(rows: sparse.csr_array, weight: Array) -> Array:

@@ -3,17 +3,8 @@
 from collections.abc import Iterable, Mapping
 from math import floor, inf, log10
 
-from lampest.files.applications import loaded
-from lampest.panel.sizes import EFFECTS, LINE_EFFECTS
+from lampest.panel.sizes import unit_of_key
 
-# End of a key of a scene → unit; other numbers are relative. Files of effects have their own.
-UNITS = {
-    "_lsb": "LSB",
-    "_volt": "volt",
-    "_ohm": "ohm",
-    "_ohm_per_cell": "ohm a cell",
-    "model_error": "times the noise",
-}
 RANGES = ("readout.passes_volt",)  # keys of which the pair is a range in volt
 MAX_LINES = 12  # a panel of many modules has numbers of each
 
@@ -43,15 +34,6 @@ def about_recordings(
     for name, estimated in scenes:
         lines += [f"{name}: {line}" for line in estimated_lines(estimated)]
     return tuple(dict.fromkeys(lines))
-
-
-def unit_of_key(key: str) -> str:
-    """Return the unit of a number by its key; '' for a relative one."""
-    for effect in (*EFFECTS, *LINE_EFFECTS):
-        if key == effect.key:
-            effect_unit: str = loaded(effect.path).unit
-            return effect_unit
-    return next((unit for end, unit in UNITS.items() if key.endswith(end)), "")
 
 
 def _line(key: str, number: float, deviation: float) -> str:
