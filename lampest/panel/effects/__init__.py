@@ -29,11 +29,11 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.tolerances import line_numbers, tolerance_errors
 from lampest.panel.response import TYPICAL_RESPONSE_SD
 from lampest.panel.scene import Scene
-from lampest.panel.sizes import ESTIMATED, Systematic
+from lampest.panel.sizes import ESTIMATED, SIZED, Systematic, has_file
 
 GROUP = "lampest.effects"  # of entry points, for effects of installed packages
 # Field of `Systematic` with its size → class of the error, in the order of columns.
-SHARED = {
+LISTED_SHARED = {
     "reference_tolerance": "lampest.panel.effects.reference:ReferenceTolerance",
     "channel_spread_ohm": "lampest.panel.effects.channels:ChannelSpread",
     "series_tolerance_ohm": "lampest.panel.effects.series:SeriesTolerance",
@@ -42,8 +42,12 @@ SHARED = {
     "load_tolerance": "lampest.panel.effects.loads:LoadTolerance",
     "reading_error": "lampest.panel.effects.reading_error:ReadingError",
 }
+SHARED = {setting: path for setting, path in LISTED_SHARED.items() if has_file(path)}
 REFERENCE = "reference_tolerance"
+CHANNELS = "channel_spread_ohm"
+READINGS = "reading_error"
 SERIES = "series_tolerance_ohm"
+E24_TOLERANCE = 0.05  # of ordinary resistors, uniformly distributed
 LOG_STEP = 1e-6  # of the logarithm of a recorded value, for central differences
 
 
@@ -111,10 +115,6 @@ class SharedEffect(ABC):
         array, shape (n, ..., rows, columns)
             U.
         """
-
-    def size(self, sizes: Systematic) -> float:
-        """Return the size of this error; 0 if it has none."""
-        return float(sizes.entry(self.setting) or 0.0)
 
     @property
     def unit(self) -> str:
@@ -233,7 +233,7 @@ def error_columns(
 
     U is in the readings' unit. `measured` are the readings of the network, (…, rows, columns).
     """
-    sized = [(error, error.size(sizes)) for error in errors]
+    sized = [(error, sizes.size(error.setting)) for error in errors]
     parts = [
         error.columns(network, measured, scene, size)
         for error, size in sized
@@ -301,7 +301,8 @@ def systematic_of(scene: Scene) -> Systematic | None:
     if scene.systematic is None or scene.systematic == "none":
         return None
     if scene.systematic == "typical":
-        return replace(usual_sizes(), series_tolerance_ohm=prior_size(scene, SERIES))
+        usual = usual_sizes()
+        return usual if scene.circuit.series_name else replace(usual, series_tolerance_ohm=None)
     return scene.systematic.with_entries(
         {setting: prior_size(scene, setting) for setting in estimated_errors(scene)}
     )
@@ -322,6 +323,12 @@ def prior_size(scene: Scene, setting: str) -> float | None:
     if setting == "model_error" or (setting == SERIES and not scene.circuit.series_name):
         return None
     return shared_effect_of(setting).prior
+
+
+def usual_size(setting: str) -> float:
+    """Return the size of an effect in common electronics; 0 for one that is gone."""
+    path = SHARED.get(setting) or SIZED.get(setting)
+    return 0.0 if path is None else float(loaded(path).prior or 0.0)
 
 
 def estimated_errors(scene: Scene) -> tuple[str, ...]:
@@ -351,8 +358,8 @@ def unobservable_numbers(scene: Scene, of_changes: float | None = None) -> str:
     if scene.readout is None:
         return ""
     sizes = systematic_of(scene) or Systematic()
-    reference = float(sizes.reference_tolerance or 0.0)
-    series = float(sizes.series_tolerance_ohm or 0.0)
+    reference = sizes.size(REFERENCE)
+    series = sizes.size(SERIES)
     within = (
         f"within {100 * reference:.3g} %" if reference else "exact",
         f"within {series:.3g} ohm" if series else "exact",
@@ -433,8 +440,8 @@ class Shared:
             return None
         if known is None or known.systematic is None:
             return replace(self, contact_root=None)
-        total = float(self.systematic.reading_error or 0.0)
-        modelled = float(known.systematic.reading_error or 0.0)
+        total = self.systematic.size(READINGS)
+        modelled = known.systematic.size(READINGS)
         if not total > modelled:
             return None
         remaining = float(np.sqrt(total**2 - modelled**2))
