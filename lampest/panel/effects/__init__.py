@@ -171,27 +171,35 @@ class ReadoutNumber(SharedEffect):
         return tolerance_errors(scene.circuit, cells, measured, scene, *sizes)[self.first :]
 
 
-@cache
 def shared_effects() -> tuple[SharedEffect, ...]:
     """Return all errors that frames may share, in the order of their columns.
+
+    Those of a notebook or a script follow those of installed packages; of a class that a cell
+    defines again the last one counts.
 
     Raises InputError if an installed package registers something else than an effect, or a key that
     exists.
     """
     further = list[SharedEffect]()
-    for kind in installed(GROUP, type):
+    in_notebook = {
+        kind.setting: kind
+        for kind in SharedEffect.__subclasses__()
+        if kind.__module__ == "__main__"
+    }
+    for kind in (*installed(GROUP, type), *in_notebook.values()):
         named = f"{GROUP}: {kind.__name__} of an installed package"
+        if kind in in_notebook.values():
+            named = f"{kind.__name__} of this session"
         if issubclass(kind, SharedEffect):
             taken = [*SHARED, *(error.setting for error in further)]
             if kind.setting in taken:
                 raise InputError(f"{named} needs a setting unlike {', '.join(taken)}")
-            further.append(kind())
+            further.append(_made(kind))
         elif not issubclass(kind, loaded("lampest.panel.effects.line_effect:LineEffect")):
             raise InputError(f"{named} is no effect, SharedEffect or LineEffect")
     return (*map(_shipped, SHARED), *further)
 
 
-@cache
 def sized_effects(sizes: Systematic) -> tuple[SharedEffect, ...]:
     """Return the errors with a size, and the reference, in the order of their columns.
 
@@ -202,7 +210,6 @@ def sized_effects(sizes: Systematic) -> tuple[SharedEffect, ...]:
     return tuple(map(shared_effect_of, chosen))
 
 
-@cache
 def shared_effect_of(setting: str) -> SharedEffect:
     """Return the error whose size is the entry `setting` of `Systematic`.
 
@@ -216,10 +223,14 @@ def shared_effect_of(setting: str) -> SharedEffect:
     raise ValueError(f"{setting}: no installed effect has this key")
 
 
-@cache
 def _shipped(setting: str) -> SharedEffect:
-    error: SharedEffect = loaded(SHARED[setting])()
-    return error
+    return _made(loaded(SHARED[setting]))
+
+
+@cache
+def _made(kind: type[SharedEffect]) -> SharedEffect:
+    """Return the one object of a kind."""
+    return kind()
 
 
 def error_columns(
