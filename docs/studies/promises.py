@@ -193,7 +193,9 @@ BREAKS = {
         "inference/readings/order.py", "along_side", "return 0 * result"
     ),
     "advice_has_the_number_of_the_estimate": Break(
-        "panel/effects/__init__.py", "SharedEffect.sentence", "size = 7.0 * size"
+        "inference/effects/effect.py",
+        "Unnamed.of",
+        "stated = sentence; sentence = lambda size, deviation: stated(7.0 * size, deviation)",
     ),
     "two_feet_half_a_panel_apart_are_no_interleaved_lines": Break(
         "inference/readings/order.py", "COINCIDENCE", "1e-300"

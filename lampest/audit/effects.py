@@ -111,6 +111,7 @@ def effects_to_try(scene: Scene) -> tuple[Finding, ...]:
 
     The advice applies where readings have a misfit that nothing else explains.
     """
+    keys = {key for entry in ENTRIES for key in entry.keys}
     return tuple(
         Finding(
             "effects",
@@ -119,5 +120,5 @@ def effects_to_try(scene: Scene) -> tuple[Finding, ...]:
             estimated_entry(effect.if_unexplained_key),
         )
         for effect in searched_effects()
-        if effect.if_unexplained and specified(scene, effect.if_unexplained_key) is None
+        if effect.if_unexplained_key in keys and specified(scene, effect.if_unexplained_key) is None
     )

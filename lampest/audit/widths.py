@@ -119,7 +119,7 @@ def widths_at(
     of_cells = {NOISE: np.diag(loaded.covariance)}
     of_changes = {NOISE: np.diag(resting.covariance) + np.diag(loaded.covariance)}
     for error in sized_effects(sizes):
-        if not error.size(sizes):
+        if not sizes.size(error.setting):
             continue
         before, after = (fit.response_to((error,), sizes) for fit in (resting, loaded))
         of_cells[error.setting] = np.sum(after**2, axis=1)

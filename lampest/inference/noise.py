@@ -22,7 +22,7 @@ from lampest.inference.variance_components import (
     repeated_scatter,
     unloaded_scatter,
 )
-from lampest.panel.effects import Possible, recorded_times, sized_effects
+from lampest.panel.effects import READINGS, Possible, recorded_times, sized_effects
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import (
@@ -150,7 +150,7 @@ class NoiseEstimate(ReadOnlyArrays):
         """
         if self.possible_errors is None:
             return 0.0
-        return float(self.possible_errors.sizes.reading_error or 0.0)
+        return self.possible_errors.sizes.size(READINGS)
 
     @property
     def shared_sizes(self) -> tuple[float, float, float]:
@@ -428,6 +428,6 @@ def unseen_noise(count: float) -> float:
 
 def _sizes_in_words(possible: Possible) -> str:
     """Return the sizes of shared errors, in words."""
-    sized = [(error, error.size(possible.sizes)) for error in sized_effects(possible.sizes)]
+    sized = [(error, possible.sizes.size(error.setting)) for error in sized_effects(possible.sizes)]
     parts = [f"{error.name} {size:.2g} {error.unit}".rstrip() for error, size in sized if size]
     return f"frames share, as standard deviations: {', '.join(parts)}" if parts else ""

@@ -13,17 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.applications import loaded
 from lampest.files.errors import BROKEN
 from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANT, UNUSUAL
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.circuits.loaded_density import LoadedDensity
 from lampest.inference.evidence import PARAMETER_COST, mostly_still
 from lampest.inference.pair import FittedPair, without_late
-from lampest.panel.effects.creep import FilmCreep
 from lampest.panel.effects.line_effect import LineEffect
-from lampest.panel.effects.loose_contact import LooseContact
 from lampest.panel.panel import Array
-from lampest.panel.sizes import ESTIMATED
+from lampest.panel.sizes import ESTIMATED, SIZED
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MIN_CHANGE
 
@@ -33,6 +32,7 @@ MAX_CANDIDATES = 3
 # Fewer moved cells that an effect must bring: a converter's nonlinearity moves one.
 MIN_SPARED_CELLS = 2
 TAKEN_OFF = "taken off the readings"
+WRONG_READING = 100.0  # error of one reading, in its unit: any size that noise does not limit
 MIN_REMAINING = 0.1  # of a reading: the lower limit of a corrected reading
 
 
@@ -155,7 +155,7 @@ def find_effects(
         # detect in time.
         if not (gain > largest_gain and mostly_still(grown.moved)):
             continue
-        off_by_one = pair.scores_with((), LooseContact.prior * pair.frames[1].gain).min()
+        off_by_one = pair.scores_with((), WRONG_READING * pair.frames[1].gain).min()
         if off_by_one < grown.evidence.score + MIN_EVIDENCE_GAIN or pair.gain_apart(grown) <= 0:
             continue
         if not _cost(pair) - _cost(grown) > MIN_EVIDENCE_GAIN:
@@ -244,9 +244,9 @@ def _common_change_in_words(pair: FittedPair) -> str:
     )
     is_change = abs(change) > max(MIN_CHANGE, SIGNIFICANT * sd)
     is_load = abs(change) > UNUSUAL * ASSUMED.common_change
-    if not mostly_still(pair.moved) or not is_change or is_load:
+    if "creep" not in SIZED or not mostly_still(pair.moved) or not is_change or is_load:
         return ""
-    return FilmCreep().sentence(change, sd)
+    return str(loaded(SIZED["creep"])().sentence(change, sd))
 
 
 def without_effects_of(

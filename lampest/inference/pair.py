@@ -27,11 +27,15 @@ from lampest.inference.evidence import (
     touching,
     usual_starts,
 )
-from lampest.panel.effects import systematic_of
-from lampest.panel.effects.channels import CHANNELS
+from lampest.panel.effects import (
+    CHANNELS,
+    REFERENCE,
+    SERIES,
+    sized_effects,
+    systematic_of,
+    usual_size,
+)
 from lampest.panel.effects.line_effect import LineEffect
-from lampest.panel.effects.reference import REFERENCE
-from lampest.panel.effects.series import SERIES
 from lampest.panel.panel import Array
 from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.trust_region import backtracked
@@ -110,7 +114,7 @@ class FittedPair:
     def channel_spread(self) -> float:
         """Standard deviation of the channels, ohm: that of the scene, or of usual multiplexers."""
         sizes = systematic_of(self.frames[1].scene)
-        return float((sizes and sizes.channel_spread_ohm) or CHANNELS.prior)
+        return (sizes and sizes.size(CHANNELS)) or usual_size(CHANNELS)
 
     @property
     def scale_error(self) -> float | None:
@@ -123,11 +127,11 @@ class FittedPair:
         sizes = systematic_of(scene)
         if sizes is None or not self.moved.any():
             return None
-        resting, loaded = (fit.response_to((REFERENCE, SERIES), sizes) for fit in self.frames)
+        errors = [each for each in sized_effects(sizes) if each.setting in (REFERENCE, SERIES)]
+        resting, loaded = (fit.response_to(errors, sizes) for fit in self.frames)
         # columns are of one standard deviation: that of the reference's uniform distribution is its
         # half width over √3
-        ends = np.ones(loaded.shape[1])
-        ends[0] = np.sqrt(3)
+        ends = [np.sqrt(3) if each.setting == REFERENCE else 1.0 for each in errors]
         error = np.abs((loaded - resting) * ends).sum(axis=1)
         return float(np.median(error[self.moved.ravel()]))
 

@@ -22,7 +22,7 @@ from lampest.inference.noise import BROKE_DOWN, NoiseEstimate
 from lampest.panel.effects import SHARED
 from lampest.panel.panel import as_panels_have
 from lampest.panel.scene import Scene, specified
-from lampest.panel.sizes import ESTIMATED, LINE_EFFECTS, nearest_allowed
+from lampest.panel.sizes import ESTIMATED, LINE_EFFECTS, SIZED, nearest_allowed
 from lampest.recording.recording import Recording
 
 if TYPE_CHECKING:
@@ -81,9 +81,14 @@ class Entry:
         return effect
 
 
+def _with_files(*keys: str) -> tuple[str, ...]:
+    """Return the keys of effects whose files are there."""
+    return tuple(key for key in keys if key in SIZED)
+
+
 # Effects in the order in which they are resolved: each sees the readings without those before it.
-# In advice errors of each reading explain most, and come last.
-ENTRIES = (
+# In advice errors of each reading explain most, and come last. An effect without a file has no key.
+_LISTED = (
     Entry(
         ("readout.passes_volt", "readout.converter.zero_volt"),
         "lampest.inference.effects.converter_ends:ConverterEnds",
@@ -91,13 +96,13 @@ ENTRIES = (
         before_readings=True,
     ),
     Entry(
-        ("converter_memory",),
+        _with_files("converter_memory"),
         "lampest.inference.effects.converter_memory:ConverterMemory",
         advised=4,
         before_readings=True,
     ),
     Entry(
-        ("gain", "ripple"),
+        _with_files("gain", "ripple"),
         "lampest.inference.effects.gain_and_ripple:GainAndRipple",
         advised=1,
         of_frames=True,
@@ -108,9 +113,9 @@ ENTRIES = (
         advised=2,
     ),
     Entry(
-        ("motion",),
+        _with_files("motion"),
         "lampest.inference.effects.motion:ScanMotion",
-        ("motion",),
+        _with_files("motion"),
         advised=5,
     ),
     Entry(
@@ -120,8 +125,9 @@ ENTRIES = (
         "systematic",
         advised=6,
     ),
-    Entry(("creep",), "lampest.inference.effects.creep:CommonCreep", advised=3),
+    Entry(_with_files("creep"), "lampest.inference.effects.creep:CommonCreep", advised=3),
 )
+ENTRIES = tuple(entry for entry in _LISTED if entry.keys)
 # Why a recording determines nothing whose readings never change.
 UNCHANGED = (
     "every reading has one value in all frames: record unloaded frames, and press a few cells"

@@ -27,10 +27,15 @@ from lampest.inference.evidence import (
     mostly_still,
 )
 from lampest.inference.number import Number, summed_out
-from lampest.panel.effects import SharedEffect, estimated_errors, recorded_share, sized_effects
-from lampest.panel.effects.channels import CHANNELS
-from lampest.panel.effects.reading_error import READING_ERROR
-from lampest.panel.effects.reference import REFERENCE
+from lampest.panel.effects import (
+    CHANNELS,
+    READINGS,
+    REFERENCE,
+    SharedEffect,
+    estimated_errors,
+    recorded_share,
+    sized_effects,
+)
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
@@ -89,14 +94,14 @@ class SharedChanges:
     @property
     def has_channels(self) -> bool:
         """Whether the spread of the channels is estimated."""
-        return CHANNELS.setting in self.counts
+        return CHANNELS in self.counts
 
     def scales(self, factor: float, columns: int) -> Array:
         """Return the factor on channels, and 1 for other errors, (columns,)."""
         scales = np.ones(columns)
         first = 0
         for setting, count in self.counts.items():
-            if setting == CHANNELS.setting:
+            if setting == CHANNELS:
                 scales[first : first + count] = factor
             first += count
         return scales
@@ -193,12 +198,10 @@ def shared_changes(scene: Scene, frames: SharedFrames, sizes: Systematic) -> Sha
     further = [
         error
         for error in sized_effects(sizes)
-        if error.setting != READING_ERROR.setting and error.size(sizes)
+        if error.setting != READINGS and sizes.size(error.setting)
     ]
     estimated = tuple(
-        error
-        for error in further
-        if error.setting in requested and error.setting != REFERENCE.setting
+        error for error in further if error.setting in requested and error.setting != REFERENCE
     )
     fixed = tuple(error for error in further if error not in estimated)
     groups = (fixed, *((error,) for error in estimated))
@@ -379,7 +382,7 @@ def gain_of(scene: Scene, frames: SharedFrames, sizes: Systematic, setting: str)
     moves = shared_changes(scene, frames, sizes)
     if moves is None or setting not in moves.counts:
         return 0.0
-    size = READING_ERROR.size(sizes)
+    size = sizes.size(READINGS)
     changes = moves.changes(size)
     score, still = _still(changes)
     if not mostly_still(~still):

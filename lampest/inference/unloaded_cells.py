@@ -18,19 +18,18 @@ from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CELL_PRECISION, FIT, CellsFit, data_of_cells
 from lampest.inference.shared_changes import LINEAR_LIMIT
 from lampest.panel.effects import (
+    READINGS,
     Possible,
     error_columns,
     own_errors,
     recorded_share,
     sized_effects,
 )
-from lampest.panel.effects.channels import CHANNELS
-from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
+from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.scene import Scene
-from lampest.panel.sizes import Systematic
 from lampest.posterior.gaussian import forms_over_scales, lower_root
 from lampest.posterior.linear import inverse_and_volume
 from lampest.recording.readings import Readings
@@ -132,7 +131,7 @@ def at_rest(possible: Possible, scene: Scene, resting: Readings, fit: CellsFit |
     data = data_of_cells(scene, resting)
     trend = _trend(data)
     near = np.log(data.uniform_start[0] if fit is None else fit.cells)
-    own = own_errors(resting.value, scene, READING_ERROR.size(possible.sizes))
+    own = own_errors(resting.value, scene, possible.sizes.size(READINGS))
     deviation = np.where(resting.plain, np.hypot(resting.known_sigma, own), np.inf)
     scatter = possible.film_scatter
     cells, _, jacobian = most_probable_cells(
@@ -163,8 +162,8 @@ def at_rest(possible: Possible, scene: Scene, resting: Readings, fit: CellsFit |
     beyond = beyond - basis @ (basis.T @ beyond)
     mean = root @ (beyond[:, :-1].T @ beyond[:, -1])
     covariance = root @ (np.eye(len(root)) - beyond[:, :-1].T @ beyond[:, :-1]) @ root.T
-    own_places = places[READING_ERROR.setting]
-    log_factor = READING_ERROR.size(possible.sizes) * mean[own_places]
+    own_places = places[READINGS]
+    log_factor = possible.sizes.size(READINGS) * mean[own_places]
     mean[own_places] = 0.0
     return replace(
         possible,
@@ -298,8 +297,8 @@ def _of_channels(scene: Scene, resting: Readings, fit: CellsFit | None) -> Array
     """
     if fit is None:
         return np.zeros((int(resting.plain.sum()), 0))
-    unit = Systematic(channel_spread_ohm=1.0)
-    columns = error_columns((CHANNELS,), fit.network, resting.value, scene, unit)
+    circuit, cells = scene.circuit, fit.network.cell_resistance
+    columns = tolerance_errors(circuit, cells, resting.value, scene, 0.0, 1.0)[1:]
     columns -= columns.mean(axis=0)
     return columns.reshape(len(columns), -1).T[resting.plain.ravel()]
 

@@ -1,6 +1,6 @@
 """Numbers of a circuit that no frame shows."""
 
-from lampest.panel.effects import systematic_of
+from lampest.panel.effects import REFERENCE, SERIES, systematic_of
 from lampest.panel.readouts.tolerances import line_numbers
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
@@ -22,8 +22,8 @@ def unobservable_numbers(scene: Scene, of_changes: float | None = None) -> str:
     if scene.readout is None:
         return ""
     sizes = systematic_of(scene) or Systematic()
-    reference = float(sizes.reference_tolerance or 0.0)
-    series = float(sizes.series_tolerance_ohm or 0.0)
+    reference = sizes.size(REFERENCE)
+    series = sizes.size(SERIES)
     within = (
         f"within {100 * reference:.3g} %" if reference else "exact",
         f"within {series:.3g} ohm" if series else "exact",

@@ -57,6 +57,11 @@ def motion_patterns(shape: tuple[int, ...]) -> Array:
     return np.stack([np.ones(shape), *np.broadcast_arrays(columns, rows[:, None])])
 
 
+def moved_by_water(measured: Array, motion: Array) -> Array:
+    """Return the changes of readings (rows, columns) by motion of 3 sizes, (3, rows, columns)."""
+    return np.asarray(motion[:, None, None] * motion_patterns(measured.shape) * measured)
+
+
 @dataclass(frozen=True)
 class Temperature(Configuration):
     """Effect of the film's temperature on every cell between baseline and measurement.

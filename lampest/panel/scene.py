@@ -25,7 +25,14 @@ from lampest.panel.panel import Array, Mask, Modules, Numbers, Panel, connected_
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.wiring import Contacts, Lines, NeighbourLeaks, Wiring
 from lampest.panel.response import AnyResponse, Film
-from lampest.panel.sizes import SIZED, Size, Systematic, check_sizes, plain_size
+from lampest.panel.sizes import (
+    ESTIMATED,
+    LINE_EFFECTS,
+    Size,
+    Systematic,
+    check_sizes,
+    plain_size,
+)
 
 CHOSEN_RANGE = "readout.converter.full_volt"  # of a chip with several ranges
 OF_APPLICATIONS = {"film": "film", "purpose": "recognition"}  # keys that only applications read
@@ -191,7 +198,10 @@ class Scene(Configuration):
             check_resistors("series_resistance_ohm", self.series_resistance_ohm, open_end=False)
         if self.known_memory is not None and not 0 <= self.known_memory < 1:
             raise ValueError("converter_memory must be zero or positive, and below 1")
-        check_sizes(self, *SIZED)
+        check_sizes(self, "converter_memory", "gain", "ripple", "motion", "creep")
+        for key in ("leaks", "contacts"):
+            if getattr(self, key) == ESTIMATED and not any(e.key == key for e in LINE_EFFECTS):
+                raise ValueError(f"{key}: no installed effect has this key")
         if self.contact_prior is not None:
             # Lists of the wrong length raise.
             self.contact_prior.mean(self.panel.shape)

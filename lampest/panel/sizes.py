@@ -5,19 +5,22 @@ they do.
 """
 
 from dataclasses import dataclass, field, fields
+from importlib.machinery import PathFinder
 from math import nextafter
+from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from lampest.files.applications import loaded
 from lampest.files.document import INLINE, MIN_NUMBER
-from lampest.files.typed import Extensible, check_range, check_ranges
+from lampest.files.typed import Extensible, check_range
 from lampest.panel.panel import as_panels_have
 
 ESTIMATED: Final = "estimated"  # in place of a number: the recording determines it
 Size = float | Literal["estimated"]
 BELOW_ONE = nextafter(1.0, 0.0)
+FOLDER = str(Path(__file__).with_name("effects"))
 
 
 @dataclass(frozen=True)
@@ -45,9 +48,15 @@ class Listed:
     at_converter: tuple[str, ...] = ()
 
 
+def has_file(path: str) -> bool:
+    """Return whether the file of an effect, 'module:class', is there: a deleted effect is gone."""
+    name = path.partition(":")[0].rpartition(".")[2]
+    return PathFinder.find_spec(name, [FOLDER]) is not None
+
+
 # In the order in which effects act at a converter, and of columns of a frame's errors: the first
 # has its column at size 0, too.
-EFFECTS = (
+LISTED = (
     Listed("lampest.panel.effects.gain:Gain", "gain", ("gain",), ("gain_spread",)),
     Listed(
         "lampest.panel.effects.ripple:Ripple",
@@ -66,10 +75,13 @@ EFFECTS = (
     Listed("lampest.panel.effects.converter_curve:ConverterCurve", at_converter=("inl_lsb",)),
     Listed("lampest.panel.effects.saturation:Saturation", at_converter=("saturation",)),
 )
-LINE_EFFECTS = (
+LISTED_AT_LINES = (
     Listed("lampest.panel.effects.line_leak:LineLeak", "leaks"),
     Listed("lampest.panel.effects.loose_contact:LooseContact", "contacts"),
 )
+# Those whose files are there.
+EFFECTS = tuple(effect for effect in LISTED if has_file(effect.path))
+LINE_EFFECTS = tuple(effect for effect in LISTED_AT_LINES if has_file(effect.path))
 SIZED = {effect.key: effect.path for effect in EFFECTS if effect.key}
 # Key of a size of no effect -> least and largest number that a scene may state. Those of errors
 # that all readings share are in their files, too.
@@ -150,6 +162,7 @@ class Systematic(Extensible):
             raise ValueError("reference_tolerance must be zero or positive, and below 1")
         check_sizes(
             self,
+            "reference_tolerance",
             "channel_spread_ohm",
             "series_tolerance_ohm",
             "wire_ohm_per_cell",
@@ -161,6 +174,10 @@ class Systematic(Extensible):
         for name, size in self.own:
             if size != ESTIMATED:
                 check_range(name, float(size), *limits_of(name))
+
+    def size(self, setting: str) -> float:
+        """Return the size of an error; 0 if it has none."""
+        return float(self.entry(setting) or 0.0)
 
 
 def added_effects() -> tuple[str, ...]:
@@ -191,11 +208,15 @@ def plain_size(size: Size | None) -> float | None:
 def check_sizes(owner: Any, *names: str) -> None:
     """Raise ValueError unless each named field of an object is valid.
 
-    A field is valid if it is None, 0, 'estimated', or lies within its limits.
+    A field is valid if it is None or 0, or there is its effect and it is 'estimated' or within its
+    limits.
     """
     for name in names:
-        if getattr(owner, name) not in (None, 0, ESTIMATED):
-            check_ranges(owner, *limits_of(name), name)
+        size = getattr(owner, name)
+        if size not in (None, 0):
+            limits = limits_of(name)
+            if size != ESTIMATED:
+                check_range(name, float(size), *limits)
 
 
 def nearest_allowed(key: str, number: float) -> float:

@@ -1,5 +1,7 @@
 """An effect of one file, and everything that follows from it: docs/howto/adding/effect.md."""
 
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -31,6 +33,33 @@ scene:
 baseline_frames: 5
 frames: 3
 loads: [{kind: rod, centre_mm: [30, 20], diameter_mm: 15, mass_g: 2000}]
+"""
+IN_A_NOTEBOOK = """
+from dataclasses import replace
+from lampest.audit.effects import unnamed_effects
+from lampest.inference.prepared import Prepared
+
+[(_, simulation)] = lampest.read_simulations("simulation.yaml")
+off = lampest.simulate(simulation)
+(finding,) = unnamed_effects(Prepared(off))
+assert finding.line == "systematic: {crosstalk: estimated}"
+scene = replace(off.scene, systematic=lampest.Systematic(crosstalk="estimated"))
+named = replace(off, scene=scene)
+size, deviation = Prepared(named).noise.estimated["systematic.crosstalk"]
+assert str(f"{size:.2g} +- {deviation:.1g}") in finding.what
+bars = lampest.reconstruct(named, [lampest.Misfit(weighting="noise")]).sigma_common
+assert np.median(bars) > 0, bars
+
+
+class Crosstalk(Crosstalk.__base__):
+    setting, name, limits, prior = "crosstalk", "another one", (0.0, 0.001), 0.001
+    columns = Crosstalk.columns
+
+
+try:
+    lampest.Systematic(crosstalk=0.3)
+except ValueError as error:
+    print(error)
 """
 
 
@@ -120,6 +149,18 @@ def test_it_is_under_the_law_tests() -> None:
     (own,) = (error for error in shared_effects() if error.setting == "crosstalk")
     assert own.unit == ""
     laws.test_columns_of_a_shared_error_are_proportional_to_its_setting(own)
+
+
+@pytest.mark.slow
+def test_a_class_of_a_notebook_is_an_effect(tmp_path: Path) -> None:
+    simulated_too = f"unmodelled: {{crosstalk: {SIZE}}}\n"
+    (tmp_path / "simulation.yaml").write_text(SIMULATION + simulated_too)
+    (tmp_path / "notebook.py").write_text(MODULE + IN_A_NOTEBOOK)
+    done = subprocess.run(
+        [sys.executable, "notebook.py"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert "crosstalk must lie between 0 and 0.001" in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from lampest.apps.recognition.model_errors import ModelErrors
-from lampest.panel.effects.creep import FilmCreep
+from lampest.inference.assumptions import ASSUMED
 
 # In a fresh process priors have other values before anything reads them.
 CHANGED = """
@@ -25,23 +25,18 @@ channels.ChannelSpread.prior = 7.0
 channels.TYPICAL_OHM, channels.WORST_OHM = 71.0, 171.0
 converter_curve.ConverterCurve.prior = 0.7
 reference.ReferenceTolerance.prior = 0.017
-reference.ReferenceTolerance.sd_of_one_percent = 0.0017
-reference.E24_TOLERANCE = 0.07
+lampest.panel.effects.E24_TOLERANCE = 0.07
 series.SeriesTolerance.prior = 37.0
 wire.WirePerCell.prior = 0.27
 
 from lampest.panel.effects import converter_memory
 converter_memory.KeptShare.prior = 0.037
-from lampest.panel.effects import creep
-creep.FilmCreep.prior, creep.FilmCreep.of_cell = 0.057, 0.0037
-creep.FilmCreep.of_cell_per_decade, creep.FilmCreep.of_cell_at_once = 0.017, 0.0027
 
 import lampest
 from lampest.apps.calibration import channels as of_channels
 from lampest.apps.calibration import circuit_fit, circuit_numbers, resistors
 from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.inference.circuits import parameters
-from lampest.inference.assumptions import ASSUMED
 from lampest.panel.sizes import Systematic
 from lampest.panel.effects import systematic_of
 
@@ -64,13 +59,11 @@ print(json.dumps({
         circuit_numbers.EXPECTED[f"lines.{line}_ohm_per_cell"][1] for line in ("row", "column")
     ],
     "tried memory": parameters.LINEAR_MEMORY,
-    "assumed": [ASSUMED.common_change, ASSUMED.creep],
     "calibrated resistors": [
         circuit_fit.TYPICAL_OHM, circuit_fit.WORST_OHM, resistors.WORST_OHM,
         circuit_fit.E24_TOLERANCE, resistors.E24_TOLERANCE,
     ],
-    "recognition": [ModelErrors().channel_ohm, ModelErrors().reference],
-    "recognised creep": [ModelErrors().drift, ModelErrors().settled],
+    "recognition": ModelErrors().channel_ohm,
 }))
 """
 
@@ -87,12 +80,10 @@ def test_scenes_calibrations_and_recognition_read_priors_from_the_effects_files(
         "calibrated memory": 0.037,
         "calibrated wire": [0.27, 0.27],
         "tried memory": 0.037,
-        "assumed": [0.057, 0.0037],
         "calibrated resistors": [71.0, 171.0, 171.0, 0.07, 0.07],
-        "recognition": [7.0, 0.0017],
-        "recognised creep": [0.017, 0.0027],
+        "recognition": 7.0,
     }
 
 
 def test_the_creep_of_a_cell_is_one_number_for_recognition_and_inference() -> None:
-    assert abs(ModelErrors().resting_sd(seconds=40.0) / FilmCreep.of_cell - 1) < 0.01
+    assert abs(ModelErrors().resting_sd(seconds=40.0) / ASSUMED.creep - 1) < 0.01

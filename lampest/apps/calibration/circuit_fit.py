@@ -27,9 +27,9 @@ from lampest.apps.calibration.circuit_numbers import (
     with_numbers,
 )
 from lampest.apps.calibration.trials import Trial, usable_range, within_rails
+from lampest.panel.effects import E24_TOLERANCE
 from lampest.panel.effects.channels import TYPICAL_OHM, WORST_OHM
 from lampest.panel.effects.converter_curve import ConverterCurve
-from lampest.panel.effects.reference import E24_TOLERANCE
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.lines import MAX_OHM, LineNumber, Side
 from lampest.panel.panel import Array

@@ -26,8 +26,8 @@ from lampest.apps.calibration.circuit_numbers import (
 from lampest.apps.calibration.trials import BELIEF, Trial
 from lampest.files.errors import InputError
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
+from lampest.panel.effects import E24_TOLERANCE
 from lampest.panel.effects.channels import BEST_OHM, TYPICAL_OHM, WORST_OHM
-from lampest.panel.effects.reference import E24_TOLERANCE
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import MIN_REPEATS

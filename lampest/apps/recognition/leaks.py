@@ -25,10 +25,10 @@ from lampest.inference.evidence import (
     mostly_still,
     usual_starts,
 )
-from lampest.panel.effects.line_leak import LineLeak
+from lampest.panel.effects.line_effect import LineEffect, line_effects
 from lampest.panel.panel import Array
 
-Leaks = tuple[LineLeak, ...]
+Leaks = tuple[LineEffect, ...]
 SECANT_STEP = 1e-3  # of the prior's standard deviation of a leak
 # Share of the cells of a line that have fallen where it may leak: a mouth covers up to half of a
 # row of ten, and raises some cells there.
@@ -64,16 +64,16 @@ def leaks_of(frame: Observation) -> Leaks | None:
         return None
     mean, covariance = sizes.posterior(away_from_changed(~moved, frame.panel.shape))
     clear = np.abs(mean) > NOISE_REACH * np.sqrt(np.diag(covariance))
-    steps = np.where(clear, mean, 0.0)[1:] * LineLeak.prior
+    steps = np.where(clear, mean, 0.0)[1:]
     stepped = [
-        replace(leak, size=max(leak.size + float(step), 0.0))
+        replace(leak, size=max(leak.size + float(step) * leak.prior, 0.0))
         for leak, step in zip(best, steps, strict=True)
     ]
     remaining = tuple(leak for leak in stepped if leak.size > 0)
     return None if remaining == known else remaining
 
 
-def _possible(frame: Observation) -> list[LineLeak]:
+def _possible(frame: Observation) -> list[LineEffect]:
     """Return the leaks between lines of which MIN_FALLEN of the cells have fallen."""
     panel = frame.panel
     fallen = panel.present & (frame.free_map < -NOISE_REACH * frame.free_sd)
@@ -82,13 +82,15 @@ def _possible(frame: Observation) -> list[LineLeak]:
     ]
     leaking = np.concatenate(shares) >= MIN_FALLEN
     return [
-        LineLeak(lines)
-        for lines in LineLeak.places(*panel.shape)
+        kind(lines)
+        for kind in line_effects()
+        if kind.key == "leaks"
+        for lines in kind.places(*panel.shape)
         if all(leaking[line] and leaking[line + 1] for line in lines)
     ]
 
 
-def _column(frame: Observation, leak: LineLeak) -> Array:
+def _column(frame: Observation, leak: LineEffect) -> Array:
     """Return a of a leak, (cells,), in units of its prior."""
     network = frame.baseline.network(frame.free_map)
     more = replace(leak, size=SECANT_STEP * leak.prior).changed(network).reading()

@@ -7,10 +7,8 @@ from math import hypot, log10
 import numpy as np
 
 from lampest.apps.recognition.recognition_scene import RecognitionScene
-from lampest.panel.effects import systematic_of
-from lampest.panel.effects.channels import CHANNELS
-from lampest.panel.effects.creep import FilmCreep
-from lampest.panel.effects.reference import REFERENCE
+from lampest.inference.assumptions import CREEP_AT_ONCE, CREEP_PER_DECADE
+from lampest.panel.effects import CHANNELS, REFERENCE, systematic_of, usual_size
 from lampest.panel.panel import Array
 from lampest.panel.response import RESPONSE_SD
 from lampest.panel.scene import Scene
@@ -60,11 +58,11 @@ class ModelErrors:
     edge_mm: float = 3.0
     patch: float = 0.13
     cell_spread: float = 0.4
-    drift: float = FilmCreep.of_cell_per_decade
+    drift: float = CREEP_PER_DECADE
     common_drift: float = 0.02
-    settled: float = FilmCreep.of_cell_at_once
-    channel_ohm: float = CHANNELS.prior
-    reference: float = REFERENCE.sd_of_one_percent
+    settled: float = CREEP_AT_ONCE
+    channel_ohm: float = usual_size(CHANNELS)
+    reference: float = 0.006  # that of a resistor of 1 %: 0.01/√3, rounded
     reading_error: float = 0.0
     swaying: float = 0.1
     residue: float = 0.12
@@ -83,9 +81,9 @@ class ModelErrors:
         # Of a uniform distribution of that half width. E δ is of first order: a larger error, such
         # as that of a pin's pull-ups, scales all cells and hardly their changes, but E δ would
         # explain a light contact by it.
-        tolerance = min(float(sizes.reference_tolerance), REFERENCE.prior)
+        tolerance = min(sizes.size(REFERENCE), usual_size(REFERENCE))
         reference = tolerance / np.sqrt(3)
-        return replace(errors, channel_ohm=float(sizes.channel_spread_ohm), reference=reference)
+        return replace(errors, channel_ohm=sizes.size(CHANNELS), reference=reference)
 
     def in_motion(self, motion: Array) -> "ModelErrors":
         """Return the errors in water that moves cells by fractions `motion`, (n,).

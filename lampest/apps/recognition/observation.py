@@ -18,7 +18,7 @@ from scipy.linalg import blas, cholesky, lapack
 from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.apps.recognition.recognition_scene import RecognitionScene
 from lampest.files.levels import SIGNIFICANT
-from lampest.panel.effects.line_leak import LineLeak
+from lampest.panel.effects.line_effect import LineEffect
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, Response
@@ -54,7 +54,7 @@ def counting(sigma: Array, measured: Array) -> Array:
 
 
 def leaking_network(
-    scene: RecognitionScene, cells: Array, leaks: Sequence[LineLeak] = ()
+    scene: RecognitionScene, cells: Array, leaks: Sequence[LineEffect] = ()
 ) -> Network:
     """Return the solved network of cells (rows, columns) ohm, with leaks between lines."""
     circuit = scene.circuit
@@ -156,7 +156,7 @@ class Baseline:
         Circuit and panel.
     response : Response
         Response of the film; the published one where the scene names none.
-    leaks : tuple of LineLeak
+    leaks : tuple of LineEffect
         Leaks between lines, which are parts of the circuit.
     """
 
@@ -166,7 +166,7 @@ class Baseline:
     model_errors: ModelErrors
     scene: RecognitionScene
     response: Response
-    leaks: tuple[LineLeak, ...] = ()
+    leaks: tuple[LineEffect, ...] = ()
 
     @classmethod
     def of(
@@ -176,7 +176,7 @@ class Baseline:
         scene: RecognitionScene,
         model_errors: ModelErrors,
         common: Array | None = None,
-        leaks: tuple[LineLeak, ...] = (),
+        leaks: tuple[LineEffect, ...] = (),
     ) -> "Baseline":
         """Return argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖².
 
@@ -191,7 +191,7 @@ class Baseline:
         model_errors : ModelErrors
         common : array, shape (cells, n), optional
             Root of the covariance of random errors that the readings share.
-        leaks : tuple of LineLeak
+        leaks : tuple of LineEffect
         """
         circuit = scene.circuit
         cells, offsets = model_errors.offsets(measured, scene).shape

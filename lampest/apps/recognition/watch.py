@@ -93,7 +93,7 @@ class Watch:
         What the unloaded frames show of a load, in words; '' for nothing.
     faults : tuple of (str, float)
         Open lines, such as 'row 3', and the times in s of the first frames in which they were.
-    leaks : tuple of LineLeak
+    leaks : tuple of LineEffect
         Leaks between lines that began after the unloaded frames. `rest` has them, too.
     leaks_since_s : float
         Time of the step, or of the recognition, with which the first of them was seen, s.

@@ -14,8 +14,7 @@ from lampest.apps.recognition.observation import Baseline, Observation, patch_of
 from lampest.apps.recognition.recognition_scene import RecognitionScene
 from lampest.apps.recognition.verdict import Verdict
 from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH
-from lampest.panel.conditions import motion_patterns, water_pressure
-from lampest.panel.effects.water import moved_by_water
+from lampest.panel.conditions import motion_patterns, moved_by_water, water_pressure
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
@@ -150,7 +149,7 @@ class UnloadedPanel:
         Mean of the unloaded readings, and standard deviations of those of one frame.
     frames : float
         Number of frames in the mean.
-    leaks : tuple of LineLeak
+    leaks : tuple of LineEffect
     """
 
     setup: WatchSetup

@@ -18,8 +18,9 @@ from lampest.inference.circuits.compared_frames import ComparedFrames, broken_la
 from lampest.inference.circuits.explanation import FAR, Explanation, alternative_fits
 from lampest.inference.evidence import PARAMETER_COST
 from lampest.inference.readings.free_tests import largest_series_ohm
-from lampest.panel.effects.converter_memory import KeptShare
+from lampest.panel.effects import usual_size
 from lampest.panel.panel import Array
+from lampest.panel.sizes import SIZED
 
 # −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
 # with the right circuit nearly all gain less (docs/theory/model_check.md).
@@ -29,7 +30,7 @@ MAX_SERIES_SHARE = 0.98
 SERIES_POINTS = 5  # resistances in series that are tried, before a search about the best one
 # Fractions of the channel before that a converter may keep.
 MEMORIES = (0.01, 0.02, 0.04, 0.08, 0.16)
-LINEAR_MEMORY = KeptShare.prior
+LINEAR_MEMORY = usual_size("converter_memory")
 # Fractions nearer to the ends of the searched range, half the smallest and twice the largest of
 # MEMORIES, are no finding.
 MIN_MEMORY = MEMORIES[0] / 2 * 1.1
@@ -153,13 +154,13 @@ def _best_beside(explanation: Explanation, frames: ComparedFrames, most: float) 
 def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> Explanation:
     """Return a circuit's explanation with the most probable or the given converter memory.
 
-    A scene that states a memory keeps it. Other memories are searched for where they may gain by
-    linear theory.
+    A scene that states a memory keeps it. Other memories are searched for where there is the effect
+    and they may gain by linear theory.
     """
     alternative = explanation.alternative
     if alternative.scene.converter_memory is not None or alternative.scene.readout is None:
         return explanation
-    if not may_gain_by_memory(explanation, frames):
+    if "converter_memory" not in SIZED or not may_gain_by_memory(explanation, frames):
         return explanation
     search = _ParameterSearch(alternative.with_memory, frames, explanation)
     coarse = min(MEMORIES, key=search.score)

@@ -6,19 +6,19 @@ The unloaded frames determine the sizes of both, with the noise of the frames
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from lampest.files.applications import loaded
 from lampest.files.levels import SIGNIFICANCE
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.noise import MIN_REQUESTED_FRAMES, NoiseEstimate
 from lampest.inference.variance_components import Scatter, unloaded_scatter
-from lampest.panel.effects.gain import Gain
-from lampest.panel.effects.ripple import Ripple
 from lampest.panel.readouts.converter import mean_sigma
 from lampest.panel.readouts.scan_order import by_columns
 from lampest.panel.scene import Scene
-from lampest.panel.sizes import ESTIMATED, plain_size
+from lampest.panel.sizes import ESTIMATED, SIZED, plain_size
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.recording import UNLOADED, Recording
 
@@ -52,16 +52,20 @@ class GainAndRipple(SceneEffect):
             return
         if readings.mostly_rounding:
             return  # single codes that change from frame to frame have no Gaussian scatter
-        estimated = replace(scene, gain=ESTIMATED, ripple=ESTIMATED)
+        keys: dict[str, Any] = {key: ESTIMATED for key in ("gain", "ripple") if key in SIZED}
+        estimated = replace(scene, **keys)
         estimating = replace(evidence.recording, scene=estimated)
         unscaled = replace(readings, sigma=readings.known_sigma / evidence.noise.sigma_factor)
         parts = unloaded_scatter(estimating, unscaled[unloaded])
         if parts is None:
             return
-        if parts.gain_tail < SIGNIFICANCE:
-            yield Unnamed.of(Gain().sentence, "gain")
-        if parts.ripple_tail < SIGNIFICANCE or parts.line_ripple.size:
-            yield Unnamed.of(Ripple().sentence, "ripple")
+        significant = {
+            "gain": parts.gain_tail < SIGNIFICANCE,
+            "ripple": parts.ripple_tail < SIGNIFICANCE or parts.line_ripple.size > 0,
+        }
+        for key in keys:
+            if significant[key]:
+                yield Unnamed.of(loaded(SIZED[key])().sentence, key)
 
 
 def _with_specified(noise: NoiseEstimate, scene: Scene, unloaded: int) -> NoiseEstimate:

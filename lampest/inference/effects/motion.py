@@ -46,9 +46,8 @@ from lampest.inference.noise import NoiseEstimate, Share
 from lampest.inference.nuisances import Besides
 from lampest.inference.pair import FittedPair
 from lampest.inference.variance_components import NO_RIPPLE
-from lampest.panel.effects import estimated_errors, own_errors
+from lampest.panel.effects import READINGS, estimated_errors, own_errors
 from lampest.panel.effects.motion import JITTERS, LoadMotion
-from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array
 from lampest.panel.readouts.scan_order import in_panel_order
@@ -598,7 +597,7 @@ class ScanMotion(SceneEffect):
         if known == 0:
             return noise
         unloaded = recording.role == UNLOADED
-        unknown_errors = READING_ERROR.setting in estimated_errors(scene)
+        unknown_errors = READINGS in estimated_errors(scene)
         size = None
         if unloaded.any():
             size = share_of_motion(

@@ -51,6 +51,8 @@ from lampest.inference.shared_changes import (
 )
 from lampest.inference.unloaded_cells import READING_ERRORS, at_rest, film_scatter, unloaded_costs
 from lampest.panel.effects import (
+    CHANNELS,
+    READINGS,
     Possible,
     SharedEffect,
     estimated_errors,
@@ -58,8 +60,6 @@ from lampest.panel.effects import (
     shared_effects,
     systematic_of,
 )
-from lampest.panel.effects.channels import CHANNELS
-from lampest.panel.effects.reading_error import READING_ERROR
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED, Systematic
@@ -159,7 +159,7 @@ def shared_errors(scene: Scene, frames: SharedFrames) -> SharedErrors:
         return SharedErrors(possible, {}, reason)
     moves = shared_changes(scene, frames, prior)
     own = SharedErrors(possible, {})
-    if READING_ERROR.setting in estimated_errors(scene):
+    if READINGS in estimated_errors(scene):
         if moves is not None and moves.has_channels:
             error = _error_beside_channels(scene, frames, moves)
         else:
@@ -169,23 +169,23 @@ def shared_errors(scene: Scene, frames: SharedFrames) -> SharedErrors:
         possible = Possible(replace(prior, reading_error=float(np.sqrt(error.mean_square))))
         own = SharedErrors(
             possible,
-            {READING_ERROR.setting: (error.mean, error.deviation)},
+            {READINGS: (error.mean, error.deviation)},
             significant=error.gain > MIN_EVIDENCE_GAIN,
             # The largest tried error is no finding: it stands for cells that are unlike.
-            gains={READING_ERROR.setting: error.evidence if error.mean < LARGEST_FOUND else 0.0},
+            gains={READINGS: error.evidence if error.mean < LARGEST_FOUND else 0.0},
         )
     if moves is None:
         reason = "no cells explain the unloaded frames or the loaded ones"
         if frames.loaded is None:
             reason = "no frame is loaded: press a few cells"
         return _undetermined(own, reason, scene)
-    size = READING_ERROR.size(own.possible.sizes)
+    size = own.possible.sizes.size(READINGS)
     if size * moves.reach > LINEAR_LIMIT:
         return _undetermined(own, "errors of the readings are too large", scene)
     spread = Number(np.ones(1), np.ones(1), 0.0)
     if moves.has_channels:
         spread, gain = _channel_spread(scene, frames, moves, size)
-        own = replace(own, gains=own.gains | {CHANNELS.setting: gain})
+        own = replace(own, gains=own.gains | {CHANNELS: gain})
     return _with_common_errors(own, moves, prior, scene, spread)
 
 
@@ -207,13 +207,13 @@ def _known_at_rest(
         Those of the unloaded panel where several panels give its readings, ohm.
     """
     possible = errors.possible
-    size = READING_ERROR.size(possible.sizes)
+    size = possible.sizes.size(READINGS)
     if not size or resting.sigma is None or resting.value.size > MAX_DENSE:
         return possible
     with suppress(*BROKEN):
         small = resting.value.size <= MAX_CELLS
         fit = fitted(scene, resting, cells, patient=True) if small else None
-        scatter = film_scatter(scene, resting, fit, size, CHANNELS.size(possible.sizes))
+        scatter = film_scatter(scene, resting, fit, size, possible.sizes.size(CHANNELS))
         possible = replace(possible, film_scatter=scatter)
         if errors.significant:
             return at_rest(possible, scene, resting, fit)
@@ -223,7 +223,8 @@ def _known_at_rest(
 def _error_beside_channels(scene: Scene, frames: SharedFrames, moves: SharedChanges) -> Number:
     """Return the posterior of e, summed over a few spreads of the channels."""
     every = np.arange(len(READING_ERRORS))
-    spreads = CHANNEL_FACTORS[FEW_FACTORS] * CHANNELS.prior
+    usual = (systematic_of(scene) or Systematic()).size(CHANNELS)
+    spreads = CHANNEL_FACTORS[FEW_FACTORS] * usual
     tried = READING_ERRORS[COARSE]
     coarse = unloaded_costs(scene, frames.resting, frames.fit, tried, spreads)
     unloaded = np.array([np.interp(every, COARSE, of_spread) for of_spread in coarse])
@@ -258,7 +259,7 @@ def _channel_spread(
     """
     factors = np.append(0.0, CHANNEL_FACTORS)
     error = np.array([size])
-    spreads = factors * CHANNELS.prior
+    spreads = factors * (systematic_of(scene) or Systematic()).size(CHANNELS)
     unloaded = unloaded_costs(scene, frames.resting, frames.fit, error, spreads)[:, 0]
     changes = error_costs(scene, moves, error, factors, ASSUMED.slope_cells)[:, 0]
     prior = np.append(0.0, np.exp(LOG_PRIOR_OF_FACTORS))
@@ -284,7 +285,7 @@ def _undetermined(errors: SharedErrors, reason: str, scene: Scene) -> SharedErro
 
     The reason is '' where the scene calls no common error `estimated`.
     """
-    common_requested = bool(set(estimated_errors(scene)) - {READING_ERROR.setting})
+    common_requested = bool(set(estimated_errors(scene)) - {READINGS})
     return replace(errors, undetermined=reason if common_requested else "")
 
 
@@ -308,7 +309,7 @@ def _with_common_errors(
     spread : Number
         Spread of the channels over the usual one.
     """
-    size = READING_ERROR.size(errors.possible.sizes)
+    size = errors.possible.sizes.size(READINGS)
     if moves.has_channels:
         errors = _with_spread(errors, prior, spread)
     posterior = joint_posterior(scene, moves, size, spread)
@@ -320,7 +321,7 @@ def _with_common_errors(
     settings = [error.setting for error in moves.errors]
     # The columns of the root behind those of common errors are the readings' own errors.
     if size:
-        settings.append(READING_ERROR.setting)
+        settings.append(READINGS)
     second = posterior.second
     if moves.has_channels:
         # The root has the errors in the unit of the spread that readers of the scene take.
@@ -336,12 +337,12 @@ def _with_spread(errors: SharedErrors, prior: Systematic, spread: Number) -> Sha
 
     The spread is determined where it is known better than its prior.
     """
-    usual = CHANNELS.size(prior)
+    usual = prior.size(CHANNELS)
     size = usual * float(np.sqrt(spread.mean_square))
     sizes = replace(errors.possible.sizes, channel_spread_ohm=size)
     determined = dict(errors.sizes)
     if spread.log_deviation < MAX_UNTOLD * LOG_SD_OF_FACTORS:
-        determined[CHANNELS.setting] = usual * spread.mean, usual * spread.deviation
+        determined[CHANNELS] = usual * spread.mean, usual * spread.deviation
     return replace(errors, possible=replace(errors.possible, sizes=sizes), sizes=determined)
 
 
@@ -364,12 +365,12 @@ def _determined_sizes(
     first = 0
     for error in moves.errors:
         last = first + moves.counts[error.setting]
-        unit = error.size(prior)
+        unit = prior.size(error.setting)
         second, covariance = (
             float(np.trace(matrix[first:last, first:last])) / (last - first)
             for matrix in (posterior.second, posterior.covariance)
         )
-        if error.setting != CHANNELS.setting and covariance < MAX_UNTOLD**2:
+        if error.setting != CHANNELS and covariance < MAX_UNTOLD**2:
             size = unit * float(np.sqrt(second)), unit * float(np.sqrt(covariance))
             sizes[error.setting] = size
         first = last
@@ -424,7 +425,7 @@ class StaticErrors(SceneEffect):
         requested = tuple(name for name in estimated_errors(scene) if name != "model_error")
         if not requested:
             sizes = systematic_of(scene)
-            size = 0.0 if sizes is None else READING_ERROR.size(sizes)
+            size = 0.0 if sizes is None else sizes.size(READINGS)
             if sizes is None or not size:
                 return noise
             unloaded = np.flatnonzero(recording.role == UNLOADED)
@@ -519,7 +520,7 @@ def _gain_beside(scene: Scene, frames: SharedFrames, error: SharedEffect) -> flo
     """
     if not _is_linear(frames.fit):
         return 0.0
-    if error.setting == READING_ERROR.setting and estimated_errors(scene) == (error.setting,):
+    if error.setting == READINGS and estimated_errors(scene) == (error.setting,):
         prior = systematic_of(scene) or Systematic()
         moves = shared_changes(scene, frames, prior)
         tried = READING_ERRORS[COARSE]

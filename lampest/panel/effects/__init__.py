@@ -29,11 +29,11 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.response import TYPICAL_RESPONSE_SD
 from lampest.panel.scene import Scene
-from lampest.panel.sizes import ESTIMATED, Systematic, unit_of_key
+from lampest.panel.sizes import ESTIMATED, SIZED, Systematic, has_file, unit_of_key
 
 GROUP = "lampest.effects"  # of entry points, for effects of installed packages
 # Field of `Systematic` with its size → class of the error, in the order of columns.
-SHARED = {
+LISTED_SHARED = {
     "reference_tolerance": "lampest.panel.effects.reference:ReferenceTolerance",
     "channel_spread_ohm": "lampest.panel.effects.channels:ChannelSpread",
     "series_tolerance_ohm": "lampest.panel.effects.series:SeriesTolerance",
@@ -42,8 +42,12 @@ SHARED = {
     "load_tolerance": "lampest.panel.effects.loads:LoadTolerance",
     "reading_error": "lampest.panel.effects.reading_error:ReadingError",
 }
+SHARED = {setting: path for setting, path in LISTED_SHARED.items() if has_file(path)}
 REFERENCE = "reference_tolerance"
+CHANNELS = "channel_spread_ohm"
+READINGS = "reading_error"
 SERIES = "series_tolerance_ohm"
+E24_TOLERANCE = 0.05  # of ordinary resistors, uniformly distributed
 LOG_STEP = 1e-6  # of the logarithm of a recorded value, for central differences
 
 
@@ -112,10 +116,6 @@ class SharedEffect(ABC):
             U.
         """
 
-    def size(self, sizes: Systematic) -> float:
-        """Return the size of this error; 0 if it has none."""
-        return float(sizes.entry(self.setting) or 0.0)
-
     @property
     def unit(self) -> str:
         """Unit of the size; '' for a relative one."""
@@ -169,27 +169,35 @@ class ReadoutNumber(SharedEffect):
         return tolerance_errors(scene.circuit, cells, measured, scene, *sizes)[self.first :]
 
 
-@cache
 def shared_effects() -> tuple[SharedEffect, ...]:
     """Return all errors that frames may share, in the order of their columns.
+
+    Those of a notebook or a script follow those of installed packages; of a class that a cell
+    defines again the last one counts.
 
     Raises InputError if an installed package registers something else than an effect, or a key that
     exists.
     """
     further = list[SharedEffect]()
-    for kind in installed(GROUP, type):
+    in_notebook = {
+        kind.setting: kind
+        for kind in SharedEffect.__subclasses__()
+        if kind.__module__ == "__main__"
+    }
+    for kind in (*installed(GROUP, type), *in_notebook.values()):
         named = f"{GROUP}: {kind.__name__} of an installed package"
+        if kind in in_notebook.values():
+            named = f"{kind.__name__} of this session"
         if issubclass(kind, SharedEffect):
             taken = [*SHARED, *(error.setting for error in further)]
             if kind.setting in taken:
                 raise InputError(f"{named} needs a setting unlike {', '.join(taken)}")
-            further.append(kind())
+            further.append(_made(kind))
         elif not issubclass(kind, loaded("lampest.panel.effects.line_effect:LineEffect")):
             raise InputError(f"{named} is no effect, SharedEffect or LineEffect")
     return (*map(shared_effect_of, SHARED), *further)
 
 
-@cache
 def sized_effects(sizes: Systematic) -> tuple[SharedEffect, ...]:
     """Return the errors with a size, and the reference, in the order of their columns.
 
@@ -200,7 +208,6 @@ def sized_effects(sizes: Systematic) -> tuple[SharedEffect, ...]:
     return tuple(map(shared_effect_of, chosen))
 
 
-@cache
 def shared_effect_of(setting: str) -> SharedEffect:
     """Return the error whose size is the entry `setting` of `Systematic`.
 
@@ -215,6 +222,12 @@ def shared_effect_of(setting: str) -> SharedEffect:
     raise ValueError(f"{setting}: no installed effect has this key")
 
 
+@cache
+def _made(kind: type[SharedEffect]) -> SharedEffect:
+    """Return the one object of a kind."""
+    return kind()
+
+
 def error_columns(
     errors: Iterable[SharedEffect],
     network: Network,
@@ -226,7 +239,7 @@ def error_columns(
 
     U is in the readings' unit. `measured` are the readings of the network, (…, rows, columns).
     """
-    sized = [(error, error.size(sizes)) for error in errors]
+    sized = [(error, sizes.size(error.setting)) for error in errors]
     parts = [
         error.columns(network, measured, scene, size)
         for error, size in sized
@@ -294,7 +307,8 @@ def systematic_of(scene: Scene) -> Systematic | None:
     if scene.systematic is None or scene.systematic == "none":
         return None
     if scene.systematic == "typical":
-        return replace(usual_sizes(), series_tolerance_ohm=prior_size(scene, SERIES))
+        usual = usual_sizes()
+        return usual if scene.series_name else replace(usual, series_tolerance_ohm=None)
     return scene.systematic.with_entries(
         {setting: prior_size(scene, setting) for setting in estimated_errors(scene)}
     )
@@ -315,6 +329,12 @@ def prior_size(scene: Scene, setting: str) -> float | None:
     if setting == "model_error" or (setting == SERIES and not scene.series_name):
         return None
     return shared_effect_of(setting).prior
+
+
+def usual_size(setting: str) -> float:
+    """Return the size of an effect in common electronics; 0 for one that is gone."""
+    path = SHARED.get(setting) or SIZED.get(setting)
+    return 0.0 if path is None else float(loaded(path).prior or 0.0)
 
 
 def estimated_errors(scene: Scene) -> tuple[str, ...]:
@@ -386,8 +406,8 @@ class Shared:
             return None
         if known is None or known.systematic is None:
             return replace(self, contact_root=None)
-        total = float(self.systematic.reading_error or 0.0)
-        modelled = float(known.systematic.reading_error or 0.0)
+        total = self.systematic.size(READINGS)
+        modelled = known.systematic.size(READINGS)
         if not total > modelled:
             return None
         remaining = float(np.sqrt(total**2 - modelled**2))

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from lampest.panel.circuit import nominal_terminations
-from lampest.panel.effects import SharedEffect
-from lampest.panel.effects.reference import E24_TOLERANCE, REFERENCE
+from lampest.panel.effects import E24_TOLERANCE, SharedEffect
 from lampest.panel.lines import Side, along, opposite, per_line
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
@@ -38,7 +37,7 @@ class LoadTolerance(SharedEffect):
         cells = network.cell_resistance
         shape = measured.shape[-2:]
         resistors = resistors_of(circuit, shape)
-        deviation = size / REFERENCE.over_reference
+        deviation = size / np.sqrt(3)
         if circuit.unit == "ohm":
             together = tolerance_errors(circuit, cells, measured, scene, deviation, 0.0)[0]
             side = sensed_side(circuit)

@@ -9,8 +9,6 @@ from lampest.panel.readouts import Readout
 from lampest.panel.readouts.tolerances import off_by
 from lampest.panel.sizes import BELOW_ONE
 
-E24_TOLERANCE = 0.05  # of ordinary resistors, uniformly distributed
-
 
 class ReferenceTolerance(ReadoutNumber):
     """Relative error of the reference; `size` is the half width of a uniform distribution."""
@@ -21,8 +19,6 @@ class ReferenceTolerance(ReadoutNumber):
     # Resistors of the series E24 lie within E24_TOLERANCE; intervals of 95 % cover these and
     # resistances in series at once.
     prior: ClassVar[float] = 0.06
-    # That of a resistor of 1 %, in whose readings loads are recognised: 0.01/√3, rounded.
-    sd_of_one_percent = 0.006
     is_typical = True
     is_advised = False
     keeps_column = True

@@ -3,10 +3,10 @@
 import numpy as np
 
 from lampest.panel.effects import SharedEffect
-from lampest.panel.effects.channels import CHANNELS
 from lampest.panel.lines import MAX_OHM, of_side
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
+from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.scene import Scene
 
 
@@ -24,8 +24,10 @@ class SeriesTolerance(SharedEffect):
 
     def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:
         """Return its column."""
-        lines = CHANNELS.columns(network, measured, scene, 1.0)
-        driven, _ = of_side(scene.circuit.noisy_side, *np.split(lines, [measured.shape[-2]]))
+        circuit = scene.circuit
+        cells = network.cell_resistance
+        lines = tolerance_errors(circuit, cells, measured, scene, 0.0, 1.0)[1:]
+        driven, _ = of_side(circuit.noisy_side, *np.split(lines, [measured.shape[-2]]))
         return np.asarray(size * driven.sum(axis=0)[None])
 
 

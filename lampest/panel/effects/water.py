@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from lampest.panel.conditions import motion_patterns
+from lampest.panel.conditions import moved_by_water
 from lampest.panel.effects.sized_effect import SizedEffect
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import Readout
@@ -19,8 +19,3 @@ class MovingWater(SizedEffect):
     def columns(self, circuit: Readout, values: Array, *sizes: Any) -> Array:
         """Return the columns of the patterns."""
         return moved_by_water(values, *sizes)
-
-
-def moved_by_water(measured: Array, motion: Array) -> Array:
-    """Return the changes of readings (rows, columns) by motion of 3 sizes, (3, rows, columns)."""
-    return motion[:, None, None] * motion_patterns(measured.shape) * measured

@@ -20,10 +20,7 @@ from lampest.files.typed import (
     check_range,
     check_ranges,
 )
-from lampest.panel.effects import shared_effect_of
-from lampest.panel.effects.channels import CHANNELS
-from lampest.panel.effects.reading_error import READING_ERROR
-from lampest.panel.effects.reference import REFERENCE
+from lampest.panel.effects import LISTED_SHARED, shared_effect_of
 from lampest.panel.lines import of_side
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
@@ -33,11 +30,16 @@ from lampest.panel.readouts.scan_order import in_panel_order
 from lampest.panel.readouts.tolerances import simulated
 from lampest.panel.readouts.wiring import Contacts
 from lampest.panel.scene import Scene
-from lampest.panel.sizes import EFFECTS, added_effects
+from lampest.panel.sizes import LISTED, added_effects, has_file
 
 # limits of true cells: a strip of copper tape, and the insulation between two lines
 SHORT_OHM = 1e-3
 OPEN_OHM = 1e12
+# Entry of `unmodelled` → its effect, 'module:class'.
+OF_EFFECTS = {
+    **{effect.at_converter[0]: effect.path for effect in LISTED if effect.at_converter},
+    "leak_ohm": "lampest.panel.effects.line_leak:LineLeak",
+}
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,12 @@ class Unmodelled(Extensible):
         return added_effects()
 
     def __post_init__(self) -> None:
-        check_not_negative(self, *(entry.name for entry in fields(self) if entry.name != "own"))
+        names = [entry.name for entry in fields(self) if entry.name != "own"]
+        check_not_negative(self, *names)
+        for name in names:
+            path = LISTED_SHARED.get(name) or OF_EFFECTS.get(name)
+            if path and getattr(self, name) and not has_file(path):
+                raise ValueError(f"{name}: no installed effect has this key")
         for setting, size in self.own:
             check_range(setting, size, *shared_effect_of(setting).limits)
         check_ranges(self, 0, 1, "outlier_probability")
@@ -194,9 +201,12 @@ def measured(
     actual, scene = _true_circuit(scene, unmodelled, seed)
     # Exact readings, line by line for moving loads, with an error of each reading.
     passes = [_read(actual, scene, part, unmodelled, seed, period_s) for part in scanned or [cells]]
-    total = _of_scan(actual, np.stack(passes)) * READING_ERROR.drawn(
-        scene.panel.shape, unmodelled.reading_error or 0.0, random_stream(seed, "readings")
-    )
+    total = _of_scan(actual, np.stack(passes))
+    if unmodelled.reading_error:
+        from lampest.panel.effects.reading_error import READING_ERROR  # for this key alone
+
+        random = random_stream(seed, "readings")
+        total *= READING_ERROR.drawn(scene.panel.shape, unmodelled.reading_error, random)
     if actual.unit == "ohm" and not np.all(total > 0):
         raise ValueError(
             "unmodelled.channel_spread_ohm makes a resistance negative; "
@@ -257,9 +267,12 @@ def _measured_modules(
 
 def _true_circuit(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Readout, Scene]:
     """Return the true circuit, and the scene with the true contacts and wire."""
-    actual = REFERENCE.drawn(
-        scene.circuit, unmodelled.reference_tolerance, random_stream(seed, "reference")
-    )
+    actual = scene.circuit
+    if unmodelled.reference_tolerance:
+        from lampest.panel.effects.reference import REFERENCE  # for this key alone
+
+        random = random_stream(seed, "reference")
+        actual = REFERENCE.drawn(actual, unmodelled.reference_tolerance, random)
     if scene.contact_prior is not None:
         scene = replace(scene, contacts=true_contacts(scene, seed))
     if unmodelled.wire_ohm_per_cell:
@@ -322,8 +335,12 @@ def _channel_errors(
     contact.
     """
     rows, columns = scene.panel.shape
-    spread = unmodelled.channel_spread_ohm
-    channel = CHANNELS.drawn(rows + columns, spread, random_stream(seed, "channels"))
+    channel = np.zeros(rows + columns)
+    if unmodelled.channel_spread_ohm:
+        from lampest.panel.effects.channels import CHANNELS  # for this key alone
+
+        random = random_stream(seed, "channels")
+        channel += CHANNELS.drawn(rows + columns, unmodelled.channel_spread_ohm, random)
     if late and unmodelled.contact_ohm:
         channel[int(random_stream(seed, "contact").integers(rows))] += unmodelled.contact_ohm
     driven, sensed = of_side(scene.circuit.noisy_side, channel[:rows], channel[rows:])
@@ -381,7 +398,7 @@ def _disturbed(
 
     The voltages have the shape (frames, rows, columns), in V.
     """
-    for listed in EFFECTS:
+    for listed in LISTED:
         sizes = [getattr(unmodelled, name) for name in listed.at_converter]
         if sizes and sizes[0]:
             effect = loaded(listed.path)()
