@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lampest.panel.panel import Panel
+    from lampest.runs.batch import Report
     from lampest.runs.config import Case
 
 
@@ -93,7 +94,6 @@ def run(
     no_check
         Leave out whether the circuits explain their readings.
     """
-    from lampest.audit.finding import sentences_and_entries
     from lampest.runs.batch import run_batch
     from lampest.runs.config import read_run
     from lampest.runs.executors import local
@@ -119,6 +119,15 @@ def run(
             on_frames=on_frames,
             on_checks=partial(on_frames, step="checks"),
         )
+    _print_report(report)
+    if report.failed or report.not_run:
+        raise typer.Exit(screen.SOME_FAILED)
+
+
+def _print_report(report: "Report") -> None:
+    """Print the counts of a run, and what it has found, assumed and failed at."""
+    from lampest.audit.finding import sentences_and_entries
+
     counts = (
         f"{counted(report.done, 'case')} solved, {report.skipped} were done before, "
         f"{len(report.failed)} failed"
@@ -140,8 +149,6 @@ def run(
             f"{counted(report.not_run, 'case')} were not run: {report.lost}; "
             "repeat the command to run them"
         )
-    if report.failed or report.not_run:
-        raise typer.Exit(screen.SOME_FAILED)
 
 
 def refuse_large(cases: "Sequence[Case]") -> None:

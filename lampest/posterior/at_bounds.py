@@ -46,18 +46,11 @@ def active_bounds(
     model = errors.model
     free = model.free
     cells = np.flatnonzero(model.at_lower | model.at_upper)
-    # Unknowns: u of cells inside and at a lower bound; conductance over that of a typical cell at
-    # an upper bound.
+    # Unknowns: u of cells inside and at a lower bound, relative conductance at an upper bound.
     resistance = model.at.cell_resistance.ravel()
     typical = np.exp(np.log(resistance)[free].mean()) if len(free) else 1.0
     stretch = np.where(model.at_upper, np.maximum(resistance / typical, 1.0), 1.0)
-    # Whitened rows: A = Xᵀ X with X = (√Ω J; √Ω Z), and their change Y with z; the effect of z is
-    # (Xᵀ X)⁻¹ Xᵀ Y.
-    data = np.sqrt(model.data_curvature)[:, None]
-    penalties = np.sqrt(model.penalty_curvature)[:, None]
-    slopes = np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties])
-    slopes = slopes * stretch
-    changes = np.vstack([rows * data, -model.carried(previous) * penalties])
+    slopes, changes = _whitened(errors, rows, previous, stretch)
     # Each cell at a bound alone: Schur complement, variance v, slope of −log density, and effect a
     # of z.
     of_held = slopes[:, cells]
@@ -81,3 +74,14 @@ def active_bounds(
     below = np.where(model.at_upper[cells], np.log1p(stretch[cells] * reach), 0.0)
     above = np.where(model.at_upper[cells], np.inf, reach)
     return joint[: len(free)], cells, below, above
+
+
+def _whitened(
+    errors: DenseErrors, rows: Array, previous: Array, stretch: Array
+) -> tuple[Array, Array]:
+    """Return X = (√Ω J; √Ω Z) with A = Xᵀ X, and its change Y with z, whose effect is A⁻¹ Xᵀ Y."""
+    model = errors.model
+    data = np.sqrt(model.data_curvature)[:, None]
+    penalties = np.sqrt(model.penalty_curvature)[:, None]
+    slopes = np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties])
+    return slopes * stretch, np.vstack([rows * data, -model.carried(previous) * penalties])

@@ -99,13 +99,10 @@ class Spectrum:
         number = model.penalty_term[0] if number is None else number
         size = np.sqrt(model.data_curvature)
         of_term = model.penalty_term == number
-        # A = R Rᵀ of the data, the other penalties and the prior precision
         jacobian = DenseErrors(model).jacobian * size[:, None]
         rows = model.penalty_jacobian.toarray()[:, model.free]
         curvature = model.penalty_curvature[~of_term]
-        matrix = jacobian.T @ jacobian + (rows[~of_term].T * curvature) @ rows[~of_term]
-        matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
-        factor, _ = cho_factor(matrix, lower=True)
+        factor = _factor_without(model, jacobian, rows[~of_term], curvature)
         # R⁻¹ Zᵀ, with rows of Z weighted by √(½ρ'(x)/x)
         loss = model.at.cost.terms[number].loss
         residual = model.penalty[of_term]
@@ -185,6 +182,14 @@ class Spectrum:
         smallest = -float(np.log(EXTENT_FACTOR * effective.max()))
         largest = float(np.log(EXTENT_FACTOR / effective.min()))
         return smallest, largest
+
+
+def _factor_without(model: LinearModel, jacobian: Array, rows: Array, curvature: Array) -> Array:
+    """Return R with A = R Rᵀ of the data, the other penalties' rows and the prior precision."""
+    matrix = jacobian.T @ jacobian + (rows.T * curvature) @ rows
+    matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
+    factor: Array = cho_factor(matrix, lower=True)[0]
+    return factor
 
 
 def _modes_of(rows: Array) -> tuple[Array, Array]:

@@ -256,6 +256,9 @@ def _processing(recording: Recording) -> str:
 
 def _scene(scene: Scene) -> Iterator[Sentence]:
     """Describe panel, readout and series resistance in words, and other entries by their keys."""
+    # Circuits are loaded for a scene's words alone.
+    from lampest.inference.circuits.open_ends import open_ends
+
     panel = scene.panel
     cells = ""
     if panel.cells is not None:
@@ -275,20 +278,12 @@ def _scene(scene: Scene) -> Iterator[Sentence]:
         "unknown, resistances alone" if scene.readout is None else scene.readout.description(),
     )
     yield "assumed", scene.assumed and f"{scene.assumed_text}: the scene does not say"
-    excluded = _excluded_ends(scene)
+    excluded = "; ".join(f"{end.words} ({end.key})" for end in open_ends(scene))
     yield "excluded", excluded and f"{excluded}; readings seldom show them"
     yield "series", scene.series_text if scene.circuit.unit == "ohm" else ""
     for name, part in plain_content(scene).items():
         if name not in ("panel", "readout", "assumed", "series_resistance_ohm"):
             yield name, _in_words(part) or "none"
-
-
-def _excluded_ends(scene: Scene) -> str:
-    """Return the ends of lines that a scene leaves out, with their keys; '' for none."""
-    # Circuits are loaded for a scene's words alone.
-    from lampest.inference.circuits.open_ends import open_ends
-
-    return "; ".join(f"{end.words} ({end.key})" for end in open_ends(scene))
 
 
 def _in_words(part: Any) -> str:

@@ -1,8 +1,8 @@
 """The pages are true: examples run as a stranger would run them, and the names in them exist.
 
-Every page of docs/howto/adding is played in a copy of the house: a block that begins with a path is
-written to it, a diff is applied, a line after a dollar sign is typed, and its output must stand
-below, with ... for any text.
+Every page of docs/howto/adding is played in a copy of the house. A block that begins with a path is
+written to it. A diff is applied; `...` below its class is the body that stands above. A line after
+a dollar sign is typed, and its output must stand below, with ... for any text.
 
 Text for people is plain: pages, README and CHANGELOG, comments of the shipped YAML, messages and
 docstrings.
@@ -96,7 +96,30 @@ def fences(page: Path) -> tuple[Fence, ...]:
     return tuple(Fence(*block.groups()) for block in blocks)
 
 
-EXAMPLES = {page.stem: fences(page) for page in (*ADDING, DOCS / "howto" / "amplifiers.md")}
+def with_bodies(blocks: tuple[Fence, ...]) -> tuple[Fence, ...]:
+    """Blocks with the body of the page's class in place of the `...` below a diff's class."""
+
+    def with_body(match: re.Match[str]) -> str:
+        head = match[1].removeprefix("+")
+        body = next(
+            text.partition(head)[2]
+            for language, text in blocks
+            if f"\n{head}" in f"\n{text}" and language == "python"
+        )
+        lines = re.match(r"(?:(?: {4}.*)?\n)*", body)
+        assert lines is not None
+        return match[1] + textwrap.indent(lines[0].rstrip() + "\n", "+", lambda line: True)
+
+    written_out = r"^(\+class .*\n)\+    \.\.\.\n"
+    return tuple(
+        Fence(language, re.sub(written_out, with_body, text, flags=re.MULTILINE))
+        for language, text in blocks
+    )
+
+
+EXAMPLES = {
+    page.stem: with_bodies(fences(page)) for page in (*ADDING, DOCS / "howto" / "amplifiers.md")
+}
 
 
 @pytest.fixture

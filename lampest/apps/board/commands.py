@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -67,47 +67,53 @@ def record(
     list_
         List the serial ports, likely ones first, and exit.
     """
-    from lampest.apps.board.port import ports, pressed_keys
+    from lampest.apps.board.port import pressed_keys
     from lampest.apps.board.record import record as record_board
     from lampest.apps.board.sample import LineOptions
 
     if list_:
-        available = ports()
-        for device in available:
-            remark = "  (looks like an Arduino)" if device.likely else ""
-            screen.say(f"{device.url}  {device.description}{remark}")
-        if not available:
-            screen.say("there is no serial port", to=sys.stderr)
+        _list_ports()
         return
     if out is None:
         raise InputError("--out: name the new recording")
     if count is not None and seconds is not None:
         raise InputError("--count and --seconds: give one of them")
-    options: dict[str, Any] = {
-        "frames": count,
-        "seconds": seconds,
-        "baseline": baseline,
-        "period": period,
-        "options": LineOptions(lines, baud, unit),
-    }
     recorded_scene = screen.scene_of(scene, assign)
     with (
         pressed_keys(listens="-" not in (port or ())) as keys,
         screen.progress("waiting for the board") as show,
     ):
-
-        def on_progress(at: "Progress") -> None:
-            time = "" if at.sample is None else f" at {at.sample.time:.1f} s"
-            show(
-                at.frames,
-                count,
-                f"{at.frames} frames{time}, {at.lost} lost{at.state and f'; {at.state}'}",
-            )
-
         done = record_board(
-            port, out, **options, scene=recorded_scene, on_progress=on_progress, keys=keys
+            port,
+            out,
+            frames=count,
+            seconds=seconds,
+            scene=recorded_scene,
+            baseline=baseline,
+            period=period,
+            on_progress=lambda at: show(at.frames, count, _progress_line(at)),
+            keys=keys,
+            options=LineOptions(lines, baud, unit),
         )
     report_recorded(done)
+
+
+def _progress_line(at: "Progress") -> str:
+    """Return the counts of a recording so far, and what its board or disk is waited for."""
+    time = "" if at.sample is None else f" at {at.sample.time:.1f} s"
+    return f"{at.frames} frames{time}, {at.lost} lost{at.state and f'; {at.state}'}"
+
+
+def _list_ports() -> None:
+    """Print the serial ports, likely ones first."""
+    from lampest.apps.board.port import ports
+
+    available = ports()
+    for device in available:
+        remark = "  (looks like an Arduino)" if device.likely else ""
+        screen.say(f"{device.url}  {device.description}{remark}")
+    if not available:
+        screen.say("there is no serial port", to=sys.stderr)
 
 
 def report_recorded(done: "Recorded") -> None:

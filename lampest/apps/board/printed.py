@@ -152,7 +152,8 @@ class Printer:
         samples = tuple[Sample, ...]()
         for piece in pieces:
             if piece.lost:
-                self._lost += ceil(piece.lost / self._lines_per_frame)
+                lines_per_frame = max(self._count / max(self._frames, 1), 1.0)
+                self._lost += ceil(piece.lost / lines_per_frame)
                 self._events = (*self._events, TOO_FAST)
                 self._lines = PrintedLines()
             lines = self._lines.of(piece.data)
@@ -287,11 +288,6 @@ class Printer:
         if frame.seconds is None or self._stamp is None or frame.seconds <= self._stamp:
             return None
         return frame.seconds - self._stamp
-
-    @property
-    def _lines_per_frame(self) -> float:
-        """Usual number of lines of a frame."""
-        return max(self._count / max(self._frames, 1), 1.0)
 
     def _check(self, waited: float, *, may_wait: bool) -> None:
         """Raise InputError if too long no lines are understood, or none come."""

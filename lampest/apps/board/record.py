@@ -9,7 +9,7 @@ import dataclasses
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -226,12 +226,11 @@ def record(  # noqa: PLR0913 # the options of a command
     tally = Tally()
     states = [""]
     with ending_signals(lambda: tally.frames > 0 and not states[-1]) as ended_by:
-        try:
-            with contextlib.ExitStack() as stack:
-                batches = samples_of(
-                    urls, scene, period, states.append, lambda: bool(ended_by()), baseline, options
-                )
-                stack.enter_context(contextlib.closing(batches))
+        with _naming_what_is_kept(tally, out):
+            batches = samples_of(
+                urls, scene, period, states.append, lambda: bool(ended_by()), baseline, options
+            )
+            with contextlib.closing(batches), contextlib.ExitStack() as stack:
                 journal: Journal | None = None
                 for batch in _wanted(batches, frames, seconds, period or 1.0):
                     if batch:
@@ -244,35 +243,50 @@ def record(  # noqa: PLR0913 # the options of a command
                         on_progress(tally.progress(sample, journal.trouble, journal.pending))
                     if not batch and states[-1]:
                         on_progress(tally.progress(None, states[-1]))
-        except KeyboardInterrupt:
-            if not tally.last:
-                raise
-        except UnwrittenError as error:
-            raise InputError(f"{out}: {error}{_end_of(out)}") from error
-        except InputError as error:
-            if not tally.last:
-                raise
-            before = f"the {tally.frames} frames that came before are in {out}{_end_of(out)}"
-            raise InputError(f"{error}; {before}") from error
-        made = finished(out) if tally.last else None
-        if made is None or tally.last is None:
-            raise InputError(f"{out}: ended before the first frame; nothing is written")
         complete = bool(ended_by()) or tally.frames == frames
-        silent = 0.0  # s without frames at the end of the requested duration
-        if seconds is not None and not complete:
-            silent = max(seconds - tally.last.time - tally.last.hello.period, 0.0)
-        scene, _, noise = made
-        settings = tally.last.hello
-        return Recorded(
-            path=out,
-            scene=scene,
-            restarts=tally.last.session,
-            **tally.results(),
-            ended_by=ended_by(),
-            noise_lsb=noise,
-            silent=round(silent, 3),
-            understood=settings.understood if isinstance(settings, Printing) else "",
-        )
+        return _finished(tally, out, ended_by(), None if complete else seconds)
+
+
+@contextlib.contextmanager
+def _naming_what_is_kept(tally: Tally, out: Path) -> Iterator[None]:
+    """Let a key end a recording that has frames, and add to a mistake where its frames are."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if not tally.last:
+            raise
+    except UnwrittenError as error:
+        raise InputError(f"{out}: {error}{_end_of(out)}") from error
+    except InputError as error:
+        if not tally.last:
+            raise
+        before = f"the {tally.frames} frames that came before are in {out}{_end_of(out)}"
+        raise InputError(f"{error}; {before}") from error
+
+
+def _finished(tally: Tally, out: Path, ended_by: str, seconds: float | None) -> Recorded:
+    """Complete the file, and return the recording.
+
+    `seconds` is the requested duration of a recording that nothing ended before.
+    """
+    made = finished(out) if tally.last else None
+    if made is None or tally.last is None:
+        raise InputError(f"{out}: ended before the first frame; nothing is written")
+    silent = 0.0  # s without frames at the end of the requested duration
+    if seconds is not None:
+        silent = max(seconds - tally.last.time - tally.last.hello.period, 0.0)
+    scene, _, noise = made
+    settings = tally.last.hello
+    return Recorded(
+        path=out,
+        scene=scene,
+        restarts=tally.last.session,
+        **tally.results(),
+        ended_by=ended_by,
+        noise_lsb=noise,
+        silent=round(silent, 3),
+        understood=settings.understood if isinstance(settings, Printing) else "",
+    )
 
 
 def _end_of(out: Path) -> str:

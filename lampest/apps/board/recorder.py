@@ -115,9 +115,11 @@ class Recorder:
         """
         journal.append(samples, unloaded)
         refused = f"; {journal.trouble}; it is tried again" if journal.pending else ""
-        self._say(
-            f"recording {self._path}: {journal.frames} frames{refused}", self._journal is not None
-        )
+        self._tell(f"recording {self._path}: {journal.frames} frames{refused}")
+
+    def _tell(self, sentence: str) -> None:
+        """Say a sentence, with whether a recording is running."""
+        self._say(sentence, self._journal is not None)
 
     def _end(self, trouble: str = "") -> None:
         """Close the journal, and rewrite it as a recording in another thread.
@@ -125,7 +127,7 @@ class Recorder:
         Another thread does it because frames continue to arrive.
         """
         if self._journal is None:
-            self._say(f"not recorded: {trouble}", self._journal is not None)
+            self._tell(f"not recorded: {trouble}")
             return
         path = self._path
         frames = self._journal.frames
@@ -134,7 +136,7 @@ class Recorder:
             self._open.close()
         except InputError as error:
             trouble = trouble or str(error)
-        self._say(f"closing {path}", self._journal is not None)
+        self._tell(f"closing {path}")
 
         def finish() -> None:
             try:
@@ -142,7 +144,7 @@ class Recorder:
                 done = f"recorded {frames} frames: {path}" + (f"; {trouble}" if trouble else "")
             except InputError as error:
                 done = str(error)
-            self._say(done, self._journal is not None)
+            self._tell(done)
 
         thread = Thread(target=finish, name="lampest-recorder")
         thread.start()

@@ -246,11 +246,36 @@ def _listeners(
     arrived: Arrived,
     ended: Event,
 ) -> Iterator[None]:
-    """Listen to each board in a thread; end and join the threads on exit."""
-    threads = list[Thread]()
-    for board, (number, port) in enumerate(zip(numbers, ports, strict=True)):
-        arguments = (board, port, scene.of_modules[number], period, options, arrived, ended)
-        threads.append(Thread(target=_listen, args=arguments, daemon=True))
+    """Listen to each board in a thread; end and join the threads on exit.
+
+    A thread queues the samples and states of its board until the end, then None. An error before
+    the first sample ends all boards. After a later error the port is opened again, any number of
+    times: hubs that hang are unplugged and plugged in again.
+    """
+
+    def listen(board: int) -> None:
+        sessions = 0
+        while not ended.is_set():
+            before = sessions
+            try:
+                samples = board_samples(
+                    ports[board],
+                    scene.of_modules[numbers[board]],
+                    period,
+                    lambda sentence: arrived.put((board, sentence)),
+                    ended.is_set,
+                    options=options,
+                )
+                with closing(samples) as batches:
+                    for sample in chain.from_iterable(batches):
+                        sessions = before + sample.session + 1
+                        arrived.put((board, replace(sample, session=sessions - 1)))
+            except InputError as error:
+                arrived.put((board, str(error) if sessions else error))
+                ended.wait(RETRY_SECONDS)
+        arrived.put((board, None))
+
+    threads = [Thread(target=listen, args=(board,), daemon=True) for board in range(len(ports))]
     for thread in threads:
         thread.start()
     try:
@@ -336,39 +361,3 @@ def _settings(layout: Modules, first: Sample) -> AnySettings:
         return first.hello
     rows, columns = layout.shape
     return replace(first.hello, rows=rows, columns=columns, estimates=False)
-
-
-def _listen(
-    board: int,
-    port: str,
-    own: Scene,
-    period: float | None,
-    options: LineOptions,
-    arrived: Arrived,
-    ended: Event,
-) -> None:
-    """Queue a board's samples and states until the end, then None.
-
-    An error before the first sample ends all boards. After a later error the port is opened again,
-    any number of times: hubs that hang are unplugged and plugged in again.
-    """
-    sessions = 0
-    while not ended.is_set():
-        before = sessions
-        try:
-            samples = board_samples(
-                port,
-                own,
-                period,
-                lambda sentence: arrived.put((board, sentence)),
-                ended.is_set,
-                options=options,
-            )
-            with closing(samples) as batches:
-                for sample in chain.from_iterable(batches):
-                    sessions = before + sample.session + 1
-                    arrived.put((board, replace(sample, session=sessions - 1)))
-        except InputError as error:
-            arrived.put((board, str(error) if sessions else error))
-            ended.wait(RETRY_SECONDS)
-    arrived.put((board, None))

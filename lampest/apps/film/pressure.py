@@ -98,15 +98,7 @@ def pressure_of(
         Standard deviation of log ratio of each cell's own error; by default that of the whole
         interval.
     """
-    if ratio.shape[1:] != scene.panel.shape or not ratio.shape == lower.shape == upper.shape:
-        raise ValueError(
-            "ratio, lower and upper must all be frames × rows × columns of the scene's panel"
-        )
-    usable = np.isfinite(ratio) & (ratio > 0) & (lower >= 0) & (lower <= ratio) & (upper >= ratio)
-    if not np.all(usable | (np.isnan(ratio) & np.isnan(lower) & np.isnan(upper))):
-        raise ValueError(
-            "a resistance over its unloaded value must be positive, finite and within its interval"
-        )
+    _check_ratio(ratio, lower, upper, scene.panel.shape)
     track = PressureTrack.begin(scene, known, tare)
     if not track.remembers:
         return track.pressure(ratio, lower, upper, 0.0, own)
@@ -125,6 +117,19 @@ def pressure_of(
         **{name: np.stack([getattr(frame, name) for frame in frames]) for name in maps},
         tared=tuple(tared),
     )
+
+
+def _check_ratio(ratio: Array, lower: Array, upper: Array, shape: tuple[int, int]) -> None:
+    """Raise ValueError unless ratios are positive, within their intervals, and maps of a panel."""
+    if ratio.shape[1:] != shape or not ratio.shape == lower.shape == upper.shape:
+        raise ValueError(
+            "ratio, lower and upper must all be frames × rows × columns of the scene's panel"
+        )
+    usable = np.isfinite(ratio) & (ratio > 0) & (lower >= 0) & (lower <= ratio) & (upper >= ratio)
+    if not np.all(usable | (np.isnan(ratio) & np.isnan(lower) & np.isnan(upper))):
+        raise ValueError(
+            "a resistance over its unloaded value must be positive, finite and within its interval"
+        )
 
 
 @dataclass(frozen=True, eq=False)

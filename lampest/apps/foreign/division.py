@@ -304,12 +304,9 @@ def _divided(
         ]
         notes += [f"skipped between rows: {first_and_more(skipped)}"] if skipped else []
     if marks.ends.ranks and not marks.ends.shared and not marks.ends.marked:
-        notes.append(f"a new frame begins where a {_position_word(arrangement)} comes again")
+        position = "cell" if len(arrangement.cells) == 1 else "row"
+        notes.append(f"a new frame begins where a {position} comes again")
     return groups, notes
-
-
-def _position_word(arrangement: TableLayout) -> str:
-    return "cell" if len(arrangement.cells) == 1 else "row"
 
 
 def _parts_by_readings(

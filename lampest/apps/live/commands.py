@@ -16,6 +16,19 @@ from lampest.apps.board.commands import (
 from lampest.cli import screen
 from lampest.files.errors import InputError
 
+Token = Annotated[
+    str | None,
+    screen.option("Access token of the page; by default one is generated.", envvar="LAMPEST_TOKEN"),
+]
+Publish = Annotated[
+    list[str] | None,
+    screen.option(
+        "lsl, osc, mqtt or websocket, with an optional address: mqtt://localhost:1883/lampest. "
+        "Repeatable.",
+        metavar="WHERE",
+    ),
+]
+
 
 def live(
     port: Port = None,
@@ -25,7 +38,7 @@ def live(
     assign: screen.Assign = None,
     speed: Annotated[float, screen.option(callback=screen.positive)] = 1.0,
     http: str = "127.0.0.1:8137",
-    token: Annotated[str | None, screen.option(envvar="LAMPEST_TOKEN")] = None,
+    token: Token = None,
     count: Frames = None,
     baseline: screen.Count = 3,
     scene: SceneFile = None,
@@ -34,7 +47,7 @@ def live(
     baud: Baud = None,
     unit: Unit = None,
     out: screen.Output = None,
-    publish: Annotated[list[str] | None, screen.option(metavar="WHERE")] = None,
+    publish: Publish = None,
 ) -> None:
     """Reconstruct frames as they arrive and show them in the browser.
 
@@ -50,15 +63,10 @@ def live(
         Speed of the replay relative to the recording, such as 10.
     http
         HOST:PORT of the page; 127.0.0.1 is visible on this computer only.
-    token
-        Access token of the page; by default one is generated.
     baseline
         Number of unloaded frames at the beginning, unless the recording marks them.
     out
         Record the board into this file as well.
-    publish
-        lsl, osc, mqtt or websocket, with an optional address: mqtt://localhost:1883/lampest.
-        Repeatable.
     """
     from lampest.apps.board.sample import LineOptions
     from lampest.apps.live.run import LiveBoard, Outlets, Replay, chosen
@@ -69,26 +77,24 @@ def live(
         raise InputError("--recording: --port, --scene, --period and --out are for a board")
     if assign and config is None:
         raise InputError("--set: overrides entries of a run's file; name one with --config")
-    source: LiveBoard | Replay = LiveBoard(
-        tuple(port or ()),
-        screen.scene_of(scene, None),
-        baseline,
-        period,
-        out,
-        LineOptions(lines, baud, unit),
-    )
+    source: LiveBoard | Replay
     if recording is not None:
         source = Replay(recording, speed, baseline)
-
-    def on_address(url: str) -> None:
-        screen.say(f"{url}  (Ctrl-C ends)" if url.startswith("http") else url)
-
-    def on_note(sentence: str) -> None:
-        screen.say(screen.as_options(sentence))
-
+    else:
+        options = LineOptions(lines, baud, unit)
+        agreed = screen.scene_of(scene, None)
+        source = LiveBoard(tuple(port or ()), agreed, baseline, period, out, options)
     with ending_signals():  # every end of the command sends the board its command to stop
         estimators = chosen(estimator, config, tuple(assign or ()))
         outlets = Outlets(http, token, publish or ())
-        done = run_live(source, estimators, outlets, count, on_address, screen.warn, on_note)
+        done = run_live(source, estimators, outlets, count, _say_address, screen.warn, _say_note)
     if done is not None:
         report_recorded(done)
+
+
+def _say_address(url: str) -> None:
+    screen.say(f"{url}  (Ctrl-C ends)" if url.startswith("http") else url)
+
+
+def _say_note(sentence: str) -> None:
+    screen.say(screen.as_options(sentence))

@@ -154,31 +154,33 @@ def live(
         source = replace(source, ports=(only_port(),))
     port = ", ".join(source.ports) if isinstance(source, LiveBoard) else ""
     ways = [publish_at(where, outlets.token) for where in outlets.publish]
+    title = port if recording is None else recording.name
     with (
-        Engine(
-            port if recording is None else recording.name,
-            name,
-            method,
-            source.baseline,
-            beside=True,
-        ) as engine,
+        Engine(title, name, method, source.baseline, beside=True) as engine,
         publishing(ways, engine.shown, on_trouble) as published,
         recorder_of(source, engine) as (recorder, actions),
         serving(*address(outlets.http), engine.shown, outlets.token, actions) as server,
     ):
         for where in (server.url, *published):
             on_url(where)
-        try:
+        with _saying_how_it_ended(engine):
             done = _pass_frames(engine, source, recording, recorder, frames, on_note)
             engine.finish()
-        except InputError as error:
-            engine.say(f"stopped: {error}")
-            raise
-        if isinstance(source, Replay) and frames is None:
-            engine.say("the recording has ended")
-            Event().wait()
-        engine.say("lampest has ended")
+            if isinstance(source, Replay) and frames is None:
+                engine.say("the recording has ended")
+                Event().wait()
         return done
+
+
+@contextmanager
+def _saying_how_it_ended(engine: Engine) -> Iterator[None]:
+    """Show on the page that frames have ended, or the mistake that stopped them."""
+    try:
+        yield
+    except InputError as error:
+        engine.say(f"stopped: {error}")
+        raise
+    engine.say("lampest has ended")
 
 
 def _pass_frames(

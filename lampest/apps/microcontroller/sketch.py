@@ -180,23 +180,12 @@ def export_sketch(
             f"budget of a frame: {budget.steps} steps × {budget.products} products, "
             f"ends within {budget.within:g} σ",
         )
-        text = header(
-            constants,
-            "panel",
-            (
-                "Constants of an estimator, "
-                f"written by `lampest export --to c` of lampest {version('lampest')}",
-                f"for version {library_version()} of lampest_estimate.",
-                *about,
-            ),
-        )
-        readings = f"#define PANEL_READINGS {constants.scene.circuit.readings}\n\nstatic const"
         # The sketch is the last one that gets its name, and an old one goes before the first does:
         # a folder with a sketch is whole, also where the command is killed meanwhile.
         sketch = f"{folder.name}.ino"
         contents = {
             sketch: SKETCH,
-            "panel_constants.h": text.replace("static const", readings, 1),
+            "panel_constants.h": _panel_header(constants, about),
             "test_vector.h": measured.vector,
         } | {path.name: path.read_text(encoding="utf-8") for path in sources()}
         output_folder(folder)
@@ -206,6 +195,18 @@ def export_sketch(
             files.enter_context(whole_file(path)).write_text(content, encoding="utf-8")
         (folder / sketch).unlink(missing_ok=True)
     return Sketch(written, about, measured.table, budget, measured.notes)
+
+
+def _panel_header(constants: Constants, about: tuple[str, ...]) -> str:
+    """Return the constants as a header in C, with the number of readings in each sum."""
+    head = (
+        "Constants of an estimator, "
+        f"written by `lampest export --to c` of lampest {version('lampest')}",
+        f"for version {library_version()} of lampest_estimate.",
+        *about,
+    )
+    readings = f"#define PANEL_READINGS {constants.scene.circuit.readings}\n\nstatic const"
+    return header(constants, "panel", head).replace("static const", readings, 1)
 
 
 def _case_of(source: Path, recording: str | None, estimator: str | None) -> CaseResult:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, product
 from math import nan
+from operator import attrgetter
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -328,18 +329,10 @@ def _row(group: Sequence[Solve]) -> study.Row:
 
 
 atlas_rows = study.rows_by(  # for each cell of the atlas
-    lambda solve: (
-        solve.case,
-        solve.decades,
-        solve.shape,
-        solve.noise,
-        solve.method,
-        solve.formulation,
-    ),
-    _row,
+    attrgetter("case", "decades", "shape", "noise", "method", "formulation"), _row
 )
 # All methods, sizes and noises together.
-case_rows = study.rows_by(lambda solve: (solve.case, solve.decades), _row)
+case_rows = study.rows_by(attrgetter("case", "decades"), _row)
 SCREEN: Columns = {
     "case": "{case}",
     "decades": lambda row: f"{row.decades:g}" if CASES[row.case].contrasted else "",

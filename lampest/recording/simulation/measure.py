@@ -199,8 +199,26 @@ def measured(
             on_frame()
         return joined
     actual, scene = _true_circuit(scene, unmodelled, seed)
-    # Exact readings, line by line for moving loads, with an error of each reading.
-    passes = [_read(actual, scene, part, unmodelled, seed, period_s) for part in scanned or [cells]]
+    total = _exact_readings(actual, scene, unmodelled, seed, period_s, scanned or [cells])
+    if scene.readout is None:
+        return total, None
+    volt = _at_converter(actual, scene, total, unmodelled, seed, period_s)
+    sums = sums_of_codes(actual, volt, unmodelled, seed, on_frame)
+    return scene.readout.recorded_from_volt(
+        scene.readout.volt_from_code(sums / scene.readout.readings)
+    ), sums
+
+
+def _exact_readings(
+    actual: Readout,
+    scene: Scene,
+    unmodelled: Unmodelled,
+    seed: int,
+    period_s: float,
+    scanned: Sequence[Array],
+) -> Array:
+    """Return readings before the converter, of moving loads line by line, each with its error."""
+    passes = [_read(actual, scene, part, unmodelled, seed, period_s) for part in scanned]
     total = _of_scan(actual, np.stack(passes))
     if unmodelled.reading_error:
         from lampest.panel.effects.reading_error import READING_ERROR  # for this key alone
@@ -212,17 +230,17 @@ def measured(
             "unmodelled.channel_spread_ohm makes a resistance negative; "
             "give a series resistance above it"
         )
-    if scene.readout is None:
-        return total, None
-    # Voltages at the converter: memory of the previous channel, other effects, then codes.
+    return total
+
+
+def _at_converter(
+    actual: Readout, scene: Scene, total: Array, unmodelled: Unmodelled, seed: int, period_s: float
+) -> Array:
+    """Return voltages at the converter, with its memory and all other effects."""
     volt = actual.volt_from_recorded(total)
     if scene.known_memory is not None:
         volt = with_memory(actual, scene.known_memory, volt)
-    volt = _disturbed(actual, volt, unmodelled, seed, period_s)
-    sums = sums_of_codes(actual, volt, unmodelled, seed, on_frame)
-    return scene.readout.recorded_from_volt(
-        scene.readout.volt_from_code(sums / scene.readout.readings)
-    ), sums
+    return _disturbed(actual, volt, unmodelled, seed, period_s)
 
 
 def _of_scan(readout: Readout, passes: Array) -> Array:

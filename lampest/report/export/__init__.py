@@ -53,8 +53,7 @@ def export_results(
     Parameters
     ----------
     results : path
-        The results file, or detections.h5, of which csv, parquet and mat have one row for each
-        visit.
+        Results, or detections.h5, of which csv, parquet and mat have one row for each visit.
     to : str or Export
         ``csv``, ``xlsx``, ``parquet``, ``mat``, ``zarr``, ``nwb``, or an own `Export`.
     out : path, optional
@@ -64,7 +63,7 @@ def export_results(
     start : str, optional
         Date and time at 0 s (ISO 8601) for recordings without one.
     frames : range, optional
-        Frames to export, as in `read_results`.
+        As in `read_results`.
 
     Returns
     -------
@@ -74,15 +73,11 @@ def export_results(
     Raises
     ------
     InputError
-        For damaged results, an unknown recording, results that do not fit the format, a missing
-        library, or a place that cannot be written.
+        For damaged or unfit results, an unknown recording, a missing library, or a bad place.
 
     Examples
     --------
-    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
-    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
-    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
-    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> recording = lampest.datasets.load("rod")
     >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> estimate.save("results.h5", "LSM")
     >>> lampest.export_results("results.h5", "mat")[0].name
@@ -91,8 +86,7 @@ def export_results(
     if hdf5.format_of(Path(results)).startswith("detections/"):
         exported = applications().required("recognition", "visits", str(results))
         return (exported(Path(results), to, out),)
-    known: tuple[Export, ...] = (*EXPORTS, *installed("lampest.exports", Export))
-    export = of_kind(to, "format", known) if isinstance(to, str) else to
+    export = _format_of(to) if isinstance(to, str) else to
     source = Path(results)
     path = source.with_suffix(export.suffix) if out is None else Path(out)
     written = (path, path.with_name(path.name + export.beside)) if export.beside else (path,)
@@ -105,6 +99,11 @@ def export_results(
         unfinished = [files.enter_context(whole_file(file)) for file in written[::-1]]
         export.write(cases, path.name, unfinished[-1], unfinished[0] if export.beside else None)
     return written
+
+
+def _format_of(kind: str) -> Export:
+    known: tuple[Export, ...] = (*EXPORTS, *installed("lampest.exports", Export))
+    return of_kind(kind, "format", known)
 
 
 def _started(cases: Sequence[CaseResult], start: str | None) -> tuple[CaseResult, ...]:

@@ -24,6 +24,7 @@ from lampest.runs.case import CaseResult
 
 CHANGED = 10.0  # percent: cells within the line about the load
 Scales = maps.Scale | list[maps.Scale]  # one for all maps, or several
+Maps = tuple[Scales, list[maps.Tile]]
 MAX_ACROSS = 7  # estimators in a row of maps, an inch each
 
 
@@ -105,9 +106,7 @@ class MapsPlot(Plot):
     """
 
     @abstractmethod
-    def maps(
-        self, cases: Sequence[CaseResult], index: int
-    ) -> tuple[maps.Scale | list[maps.Scale], list[maps.Tile]]:
+    def maps(self, cases: Sequence[CaseResult], index: int) -> Maps:
         """Return the maps of the cases' frame at an index, and their scales.
 
         Returns
@@ -186,7 +185,7 @@ class ChangePlot(MapsPlot):
     kind: ClassVar[str] = "change"
     main: ClassVar[int] = 1
 
-    def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[maps.Scale, list[maps.Tile]]:
+    def maps(self, cases: Sequence[CaseResult], index: int) -> Maps:
         """Return maps of the relative change.
 
         Returns
@@ -280,9 +279,7 @@ class ResistancePlot(MapsPlot):
     main: ClassVar[int] = 1
     about: ClassVar[str] = "bright: low resistance, loaded"
 
-    def maps(
-        self, cases: Sequence[CaseResult], index: int
-    ) -> tuple[list[maps.Scale], list[maps.Tile]]:
+    def maps(self, cases: Sequence[CaseResult], index: int) -> Maps:
         """Return maps of readings and resistances.
 
         Returns
@@ -327,7 +324,7 @@ class ResidualPlot(MapsPlot):
     kind: ClassVar[str] = "residuals"
     about: ClassVar[str] = "grey: no value was read"
 
-    def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[maps.Scale, list[maps.Tile]]:
+    def maps(self, cases: Sequence[CaseResult], index: int) -> Maps:
         """Return maps of the residuals.
 
         Returns
@@ -373,9 +370,7 @@ class CertaintyPlot(MapsPlot):
         "grey: no number (failed frame or open cell); 95 % intervals reach 1.96 sd"
     )
 
-    def maps(
-        self, cases: Sequence[CaseResult], index: int
-    ) -> tuple[list[maps.Scale], list[maps.Tile]]:
+    def maps(self, cases: Sequence[CaseResult], index: int) -> Maps:
         """Return rows of standard deviations, resolutions, and errors.
 
         Returns
@@ -425,9 +420,7 @@ class PressurePlot(MapsPlot):
     )
     about: ClassVar[str] = "grey: no number"
 
-    def maps(
-        self, cases: Sequence[CaseResult], index: int
-    ) -> tuple[list[maps.Scale], list[maps.Tile]]:
+    def maps(self, cases: Sequence[CaseResult], index: int) -> Maps:
         """Return rows of pressures and half widths of their intervals.
 
         Returns
@@ -484,37 +477,37 @@ class SweepPlot(Plot):
     def draw(self, cases: Sequence[CaseResult]) -> Figure:
         """Draw a column for each swept key and a row for each quantity."""
         keys = swept_numbers(cases)
-        figures = [figures_of(case, case.solved) for case in cases]
-        quantities = [
-            name for name in QUANTITIES if any(figure[name] is not None for figure in figures)
-        ]
+        quantities = _swept_errors(cases)
         figure = style.new_figure(0.7 + 2.1 * len(quantities))
         grid = figure.subplots(
             len(quantities), len(keys), squeeze=False, sharex="col", sharey="row"
         )
-        for axes_row, name in zip(grid, quantities, strict=True):
+        for axes_row, (name, errors) in zip(grid, quantities.items(), strict=True):
             for axes, key in zip(axes_row, keys, strict=True):
-                _draw_lines(axes, key, cases, [values[name] for values in figures])
-                style.dressed(
-                    axes,
-                    key if name == quantities[-1] else "",
-                    QUANTITIES[name] if key == keys[0] else "",
-                )
+                _draw_lines(axes, key, cases, errors)
+                below = key if name == [*quantities][-1] else ""
+                style.dressed(axes, below, QUANTITIES[name] if key == keys[0] else "")
                 axes.set_ylim(self.vmin, self.vmax)
         style.shared_legend(figure, grid, "lower center", ncols=3)
         return style.labelled(figure, "", "", cases[0].recording)
 
     def draw_on(self, axes: Axes, cases: Sequence[CaseResult]) -> None:
         """Draw the first quantity over the first swept key."""
-        figures = [figures_of(case, case.solved) for case in cases]
-        name = next(
-            name for name in QUANTITIES if any(figure[name] is not None for figure in figures)
-        )
+        name, errors = next(iter(_swept_errors(cases).items()))
         key = swept_numbers(cases)[0]
-        _draw_lines(axes, key, cases, [values[name] for values in figures])
+        _draw_lines(axes, key, cases, errors)
         style.dressed(axes, key, QUANTITIES[name])
         axes.set_ylim(self.vmin, self.vmax)
         axes.legend(fontsize=style.SMALL_POINT)
+
+
+def _swept_errors(cases: Sequence[CaseResult]) -> dict[str, list[float | None]]:
+    """Return the errors of cases by the names of QUANTITIES, without those that no case has."""
+    figures = [figures_of(case, case.solved) for case in cases]
+    errors = {name: [figure[name] for figure in figures] for name in QUANTITIES}
+    return {
+        name: known for name, known in errors.items() if any(error is not None for error in known)
+    }
 
 
 def swept_numbers(cases: Sequence[CaseResult]) -> tuple[str, ...]:
