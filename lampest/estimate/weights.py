@@ -296,9 +296,11 @@ class WeightSearch:
         weights. The second is that of the fixed point at the estimate itself: the evidence grows
         along it.
         """
+        from lampest.posterior.sampled import SampledErrors  # for the evidence alone
+
         model = point.errors.model
-        if not point.errors.exact:
-            step = np.log(next_weights(model, self.open_terms)) - place
+        if isinstance(point.errors, SampledErrors):
+            step = np.log(next_weights(point.errors, self.open_terms)) - place
             return step, step
         settled = np.log(settled_weights(model, self.open_terms)) - place
         return settled, np.log(settled_weights(model, self.open_terms, rounds=1)) - place

@@ -15,6 +15,7 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
+from scipy import sparse
 
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, steihaug
@@ -112,9 +113,12 @@ class SampledErrors(DenseErrors):
             image = self._adjoint(self._forward(cells)) + self._rows.T @ (self._rows @ cells)
             return np.asarray(image[free] + model.scale * model.ignorance * search)
 
-        ridge = np.full(len(cells), IGNORANCE * model.scale)
+        # The Hessian is 2 A.
+        ridge = sparse.diags_array(np.full(len(cells), IGNORANCE * model.scale))
+        penalties = sparse.csr_array(2 * (self._rows.T @ self._rows) + ridge)
         chosen = np.isin(np.arange(len(cells)), free)
-        return product, TwoLevel.of(self._curvature, ridge).over(chosen, model.at.cell_resistance)
+        preconditioner = TwoLevel.of(self._curvature, penalties)
+        return product, preconditioner.over(chosen, model.at.cell_resistance)
 
     def determined(self, term: int) -> float:
         """Return γ of a term from probes; all terms have equal shares of the penalties' rank."""

@@ -16,6 +16,7 @@ Source: MacKay, Neural Computation 4, 1992.
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,9 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import IGNORANCE, LinearModel, positive_inverse, rank
+
+if TYPE_CHECKING:
+    from lampest.posterior.sampled import SampledErrors
 
 GRID = 80  # points in log λ, between which the minimum is refined
 PRECISION = 0.005  # of log λ
@@ -258,15 +262,13 @@ def first_weights(
     return chosen
 
 
-def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]:
-    """Return the weights after one step of the fixed point at an estimate.
+def next_weights(errors: "SampledErrors", open_terms: Collection[int]) -> list[float]:
+    """Return the weights after one step of the fixed point at an estimate with sampled errors.
 
     The step is with sums over random changes. E|x| is the mean of |x̂ + Z δ| over δ ~ N(0, s² A⁻¹).
     With |x̂| alone, a penalty without residuals would have an infinite weight.
     """
-    from lampest.posterior.sampled import SampledErrors
-
-    errors = SampledErrors(model)
+    model = errors.model
     weights = list(model.at.weights)
     share = min(rank(model.at.cost.unweighted), len(model.free)) / len(
         np.unique(model.penalty_term)

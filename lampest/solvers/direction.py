@@ -128,8 +128,10 @@ def newton_direction(
     room = (bound.ravel() - at.position.ravel() for bound in at.data.log_bounds)
     limits = [np.clip(change, -STEPS.max_step, STEPS.max_step) for change in room]
     low, high = limits if in_log_r else map(conductance_change, limits)
-    # Forcing term: superlinear convergence (Nocedal & Wright 2006, section 7.1).
-    accuracy = min(0.1, point.residual**0.5)
+    # Forcing term: superlinear convergence (Nocedal & Wright 2006, section 7.1). The gradient of
+    # smoothed absolute losses stays large between narrow corners, so that it is no measure.
+    smooth = not len(at.nonsmooth)
+    accuracy = min(0.1, point.residual**0.5 if smooth else point.error ** (1 / 3))
     limit = STEPS.max_products[point.hessian.dense]
     moving = point.hessian.free
     step = np.zeros(moving.size)

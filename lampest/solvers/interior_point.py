@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
@@ -236,7 +237,8 @@ class Barrier:
         """Return the relative step of the chosen cells by conjugate gradients."""
         hessian = self.hessian
         free = self.moving.ravel()
-        precondition = TwoLevel.of(hessian, stiff).over(free, self.at.cell_resistance)
+        penalties = sparse.csr_array(hessian.penalty_matrix + sparse.diags_array(stiff))
+        precondition = TwoLevel.of(hessian, penalties).over(free, self.at.cell_resistance)
         # Accuracy grows as the barrier's share shrinks: residuals of cells at bounds hide those of
         # the others (docs/studies/speed.md).
         accuracy = ACCURACY * min(1.0, self.added / self.at.objective) ** 0.25

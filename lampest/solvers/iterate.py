@@ -17,9 +17,6 @@ from lampest.solvers.solution import Outcome, Status
 from lampest.solvers.steps import STEPS
 
 MIN_GAP_SHARE = 0.5  # of the tolerance: gap of the finest smoothing
-# Gap of a smoothing over the gradient with the duals, both relative to the cost's scale: conjugate
-# gradients make short steps between narrower corners (test_absolute_losses.py).
-GRADIENT_SHARE = 0.03
 MIN_LAST_STEP = MILLIONTH / 1000  # of log r: a shorter step improves no digit of an estimate
 
 
@@ -124,35 +121,42 @@ class Iterate:
         """Return the same point with the smoothing of the next step.
 
         μ is a share of the mean complementarity: MAX_SHARE, or the root of the gap over the cost if
-        that is less and the gradient with the duals is not behind the gap. On large panels the gap
-        of the smoothing stays above GRADIENT_SHARE of that gradient until the gradient is a
-        millionth. The smoothing stays once its gap is half of `tolerance` of the cost: slopes of
-        narrower corners have no digits where heavy weights hold residuals at 0.
+        that is less and the gradient with the duals is not behind the gap. The smoothing stays once
+        its gap is half of `tolerance` of the cost: slopes of narrower corners have no digits where
+        heavy weights hold residuals at 0. On large panels, directions of negative curvature
+        lead to points whose gradient is large again. The smoothing there is wide again, with a gap
+        of MAX_SHARE of a gradient above a millionth: between narrow corners steps would be short.
         """
         smoothing = self.hessian.smoothing
         if not len(smoothing.dual):
             return self
         cost = self._smoothed_cost * self.at.cost_scale
         complementarity = smoothing.complementarity(self.at)
-        level = smoothing.level(self.at)
+        level = max(smoothing.level(self.at), np.finfo(float).tiny)
         gap = complementarity * level
         share = MAX_SHARE
         if gap < MAX_SHARE**2 * cost and self.dual_residual <= gap / self.at.cost_scale:
             share = float(np.sqrt(gap / cost))
         least = MIN_GAP_SHARE * tolerance * cost
-        if not self.hessian.dense and self.dual_residual > MILLIONTH:
-            least = max(least, GRADIENT_SHARE * self.dual_residual * self.at.cost_scale)
-        least /= max(level, np.finfo(float).tiny)
-        narrowed = smoothing.narrowed(share * complementarity, least)
-        if narrowed is smoothing:
+        factor = min(1.0, max(share * complementarity, least / level))
+        if not (self.hessian.dense or self.convex) and self.dual_residual > MILLIONTH:
+            factor = max(factor, MAX_SHARE * self.dual_residual * self.at.cost_scale / level)
+        if factor == 1.0:
             return self
-        return Iterate.of(self.at, narrowed, convex=self.convex)
+        smoothing = replace(smoothing, width=factor * smoothing.width)
+        return Iterate.of(self.at, smoothing, convex=self.convex)
 
     @cached_property
     def dual_residual(self) -> float:
         """Largest entry of the projected gradient with the duals of the absolute losses."""
         gradient = self.at.log_gradient(self.hessian.smoothing.dual)
         return float(self.at.projected_gradients(gradient))
+
+    @property
+    def error(self) -> float:
+        """The larger of the gradient and the gap with the duals, relative to the cost's scale."""
+        gap = self.at.dual_gap(self.hessian.smoothing.dual)
+        return max(self.dual_residual, float(gap) / self.at.cost_scale)
 
     def certified(self) -> "Iterate":
         """Return this point with its certificate.

@@ -162,18 +162,21 @@ class TwoLevel(Preconditioner):
     lines: "CoarseLines | None" = None
 
     @classmethod
-    def of(cls, hessian: Hessian, stiffness: Array | None = None) -> "TwoLevel | Woodbury":
+    def of(
+        cls, hessian: Hessian, penalties: sparse.csr_array | None = None
+    ) -> "TwoLevel | Woodbury":
         """Return the preconditioner at a point, Woodbury's where T is diagonal.
 
-        `stiffness` (cells,) is added to the diagonal in u, such as that of a barrier.
+        T is `penalties` in u, (cells, cells), or else the penalties' part of the Gauss–Newton
+        matrix.
         """
+        in_log_r = hessian.penalty_matrix if penalties is None else penalties
         cells = hessian.at.cell_resistance
         inverse = sparse.diags_array(1 / cells.ravel())
 
         # T + diag(c) by ohm: the matrix in u = log r divided by r on both sides
         def local(pivots: Array) -> sparse.csr_array:
-            added = sparse.diags_array(pivots if stiffness is None else pivots + stiffness)
-            return sparse.csr_array(inverse @ (hessian.penalty_matrix + added) @ inverse)
+            return sparse.csr_array(inverse @ (in_log_r + sparse.diags_array(pivots)) @ inverse)
 
         if len(cells) == 1:
             # JᵀWJ of a single frame ≈ diag(own) + V S Vᵀ; a floor of the weights keeps lines tied

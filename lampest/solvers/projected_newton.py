@@ -301,7 +301,7 @@ def levenberg_step(point: Iterate) -> Iterate | None:
 
     The step is δu = −(JᵀWJ + PᵀKP + μ·diag)⁻¹ ∇φ. The damping μ of the next step is a tenth if the
     cost fell by at least half of the predicted decrease (Moré 1978). Returns None on large
-    problems, or if no μ lowers the cost.
+    problems, or if no μ lowers the cost by more than its rounding.
     """
     hessian = point.hessian
     free = point.hessian.free
@@ -317,6 +317,8 @@ def levenberg_step(point: Iterate) -> Iterate | None:
             trial = point.at_step(step)
             # Predicted decrease of the damped model: −½ ∇φᵀδu
             predicted = -0.5 * float(step[free] @ slope)
+            if not exceeds_rounding(point, predicted):
+                return None
             decrease = -inf if trial is None else point.objective - trial.objective
             if trial is not None and decrease > SUFFICIENT_DECREASE * predicted:
                 eased = damping / 10 if decrease > predicted / 2 else damping

@@ -107,8 +107,3 @@ class Smoothing:
     def level(self, at: Evaluation) -> float:
         """Return w β summed over the rows, the duality gap where the duals are ψ'(x)."""
         return float(at.cost.slope @ self.width)
-
-    def narrowed(self, share: float, least: float) -> "Smoothing":
-        """Return the smoothing of `share` times the width, at most 1 and at least `least`."""
-        factor = min(1.0, max(share, least))
-        return self if factor == 1.0 else replace(self, width=factor * self.width)

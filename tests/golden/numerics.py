@@ -653,7 +653,9 @@ def model_row(cost: str, circuit: str, sampled: bool) -> dict[str, Any]:
         "determined": [errors.determined(int(term)) for term in np.unique(model.penalty_term)],
         "noise": model.noise,
         "conductance": errors.certainty.by_conductance(),
-        "weights": OfKind("sampled", spectrum.next_weights(model, range(1, len(terms)))),
+        "weights": OfKind(
+            "sampled", spectrum.next_weights(SampledErrors(model), range(1, len(terms)))
+        ),
         "active": [] if sampled else active_bounds(errors, columns[2], known),
     }
 

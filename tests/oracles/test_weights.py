@@ -7,6 +7,7 @@ Error bars of draws of the prior are calibrated, and withheld readings are predi
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,13 +32,22 @@ from lampest import (
 )
 from lampest.cost.given import Background
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms import CellResistance, Gradient, LogGradient, LogRatio, Term
+from lampest.cost.terms import (
+    CellResistance,
+    Gradient,
+    LogGradient,
+    LogRatio,
+    Term,
+    TotalVariation,
+)
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.objective import AutoWeight
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import EvidencePoint, WeightSearch, with_chosen_weights
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.trust_region import SubproblemStep
+from lampest.posterior import sampled
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Spectrum, best_weight, settled_weights
@@ -451,3 +461,28 @@ def test_several_deciding_frames_share_one_solved_baseline(
     assert len(deciding_frames(recording, read, baseline_readings(recording, read))) > 1
     # One is for the choice of the weight, and one with the chosen weight for the frames.
     assert len(begun) == 2
+
+
+def test_the_evidence_of_a_large_panel_draws_the_errors_of_each_estimate_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    draws = list[SubproblemStep]()
+    estimates = list[EvidencePoint]()
+    solve, settle = sampled.steihaug, WeightSearch._solved
+
+    def counted(*arguments: Any) -> SubproblemStep:
+        draws.append(solve(*arguments))
+        return draws[-1]
+
+    def noted(*arguments: Any) -> EvidencePoint:
+        estimates.append(settle(*arguments))
+        return estimates[-1]
+
+    monkeypatch.setattr(sampled, "steihaug", counted)
+    monkeypatch.setattr(WeightSearch, "_solved", noted)
+    cells = cells_of(1, (21, 20))
+    estimator = Estimator([Misfit(weighting="noise"), TotalVariation(weight=AUTO)])
+    data = measured_data(estimator, cells, 1e-3, 1)
+    with_chosen_weights(estimator, Scene(Panel(*cells.shape)), data, None)
+    assert len(estimates) > 1
+    assert len(draws) == sampled.SampledErrors.probes * len(estimates)
