@@ -17,7 +17,7 @@ from lampest.apps.film.pressure import (
     total_force,
 )
 from lampest.apps.film.tare import TareWatch
-from lampest.apps.recognition import candidates
+from lampest.apps.recognition.disc_search import DiscSearch
 from lampest.files.typed import members_of
 from lampest.panel import effects
 from lampest.panel.circuit import nominal_terminations
@@ -585,7 +585,7 @@ def candidate_row(candidate: Candidate) -> dict[str, Any]:
 
 
 def of_loads() -> Rows:
-    search = candidates.DiscSearch.over(
+    search = DiscSearch.over(
         PANEL, 6.0, lp.OralDisc.candidate.templates + lp.Rod.candidate.templates
     )
     normal = np.diag(np.linspace(50, 90, 20))
@@ -602,8 +602,9 @@ def of_loads() -> Rows:
         }
         | {f"shape {name}": partial(shape_row, load) for name, load in SHAPES.items()}
         | {
-            f"candidate {each.label}": partial(candidate_row, each)
-            for each in (*candidates.UNIFORM, *candidates.LOADS, candidates.FIELD, DISC_AND_ROD)
+            f"candidate {kind.candidate.label}": partial(candidate_row, kind.candidate)
+            for kind in shape_types()
+            if kind.candidate is not None
         }
         | {f"pressure in {name}": partial(pressure_row, scene) for name, scene in LOADED.items()}
         | {
@@ -614,8 +615,7 @@ def of_loads() -> Rows:
             ),
             "memory of a film": film_row,
             "tare": tare_row,
-            "starts of discs": lambda: (
-                list(search.starts(normal, pull).values()),
+            "search of discs": lambda: (
                 search.faint,
                 search.changes,
                 search.matched(normal),
@@ -627,7 +627,6 @@ def of_loads() -> Rows:
     )
 
 
-DISC_AND_ROD = candidates.Several.of((lp.OralDisc.candidate, lp.Rod.candidate))
 OUTLINES = (
     (annulus_mm2, (10.0, 20.0)),
     (contact_of_weight, (300.0, 400.0)),
