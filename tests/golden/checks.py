@@ -20,17 +20,15 @@ from lampest.apps.recognition import observation
 from lampest.apps.recognition.attachment import Attachment, continued_by
 from lampest.apps.recognition.breath import Breath, breath, too_slow
 from lampest.apps.recognition.breathing import Breathing
-from lampest.apps.recognition.candidates import Several
 from lampest.apps.recognition.detect import detection
 from lampest.apps.recognition.detect.answer import Detected, alarming, event_table, load_table
 from lampest.apps.recognition.detector import Detector
-from lampest.apps.recognition.fit import Fit
 from lampest.apps.recognition.image import ImageWatch
 from lampest.apps.recognition.pumping import Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without_water, settled
-from lampest.apps.recognition.suction import may_suck, suctions
+from lampest.apps.recognition.suction import suctions
 from lampest.apps.recognition.swings import Patterns, patterns_of
-from lampest.apps.recognition.verdict import Verdict, prior_cost
+from lampest.apps.recognition.verdict import Verdict
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import Look, WatchSetup
 from lampest.apps.recognition.window import Window
@@ -607,50 +605,18 @@ def verdict_of(name: str) -> tuple[Verdict, observation.Observation]:
 
 def verdict_row(name: str) -> dict[str, Any]:
     verdict, frame = verdict_of(name)
-    # others end where rounding decides
-    fits = [fit for fit in verdict.fits if fit.evidence > verdict.best.evidence - 100]
-    best = verdict.best
     pressures = np.r_[-1e4, np.linspace(-12.0, 60.0, 40), 500.0].reshape(6, 7)
     return {
         "under water": replace(frame, water=np.full((6, 7), 2.0)).change(pressures),
-        "fits": [
-            (fit.candidate.label, fit.evidence, fit.chi2, fit.cost, fit.volume) for fit in fits
-        ],
-        "shares": verdict.shares,
-        "goodness": verdict.goodness,
         "changed": verdict.changed,
-        "sucks": [verdict.sucks_at(None), may_suck(frame)],
         "suctions": [
             [place.cells, place.probability, place.x_mm, place.y_mm] for place in suctions(frame)
         ],
         "nothing": verdict.nothing,
-        "parameters": best.parameters,
-        "covariance": best.covariance,
-        "change": best.change,
-        "discs": best.discs,
-        "prior": [prior_cost(fit) for fit in fits],
+        "clear": verdict.clear,
+        "change": verdict.change,
+        "discs": [[disc.disc, disc.report, disc.goodness] for disc in verdict.discs],
     }
-
-
-def prior_row() -> list[Any]:
-    """Prior costs of loads: further loads, and loads in one place."""
-    empty = np.zeros(0)
-    costs = []
-    mouth = lp.OralDisc.candidate
-    rod = lp.Rod.candidate
-    disc = SHAPES["oral_disc"].disc()._replace(x_mm=20.0, y_mm=20.0)
-    for parts, distance in product(
-        ((rod,), (mouth,), (rod, rod), (mouth, rod), (mouth, mouth)), (0.0, 20.0, 27.0, 40.0)
-    ):
-        candidate = parts[0] if len(parts) == 1 else Several.of(parts)
-        places = (disc, disc._replace(y_mm=20.0 + distance, diameter_mm=20.0))
-        parameters = np.concatenate(
-            [part.start(place) for part, place in zip(parts, places, strict=False)]
-        )
-        costs.append(
-            prior_cost(Fit(candidate, parameters, empty, empty, empty, 80.0, 0.0, 0.0, 0.0))
-        )
-    return costs
 
 
 def breathing_row() -> dict[str, Any]:
@@ -742,10 +708,10 @@ def patterns_row() -> list[Any]:
     rows = list[Any]()
     for depth in (0.0, 2.0):
         submerged = replace(frame, water=depth + np.arange(42).reshape(6, 7) / 40)
-        patterns = patterns_of(submerged, verdict.best, whitening, Detector(6.0))
-        rows += [patterns, [pattern and pattern.suction_weights(whitening) for pattern in patterns]]
+        patterns = patterns_of(replace(verdict, frame=submerged), whitening)
+        rows += [patterns, [pattern.suction_weights(whitening) for pattern in patterns]]
         interval = SteadyFrames.of(np.arange(9) / 4, logarithms)
-        rows.append(changes_without_water(interval, submerged, verdict.best))
+        rows.append(changes_without_water(interval, submerged, verdict.change))
     return rows
 
 
@@ -776,7 +742,6 @@ def recognised_row() -> list[Any]:
     resting = initial.rest.mean
     initial = replace(initial, present=True, level=replace(initial.level, since_s=3.0))
     loaded = np.log(readings.value[3].ravel())
-    best = np.eye(len(verdict.fits))[int(np.argmax(verdict.shares))]
     look = Look.after(None, verdict, np.ones(len(initial.test.loud)), 2.5)
     states = [
         replace(initial, look=previous_look, known=known)
@@ -784,12 +749,10 @@ def recognised_row() -> list[Any]:
     ]
     for state, nothing_share, share in product(states, (1.0, 0.05, 0.04), (1.0, 0.0)):
         shown = share * resting + (1 - share) * loaded
-        shares = tuple((1 - nothing_share) * best + nothing_share * np.eye(len(best))[0])
         level = replace(state.level, mean=shown)
         watch = replace(state, level=level, window=tuple((3.5 + k, shown) for k in range(3)))
-        with patch.object(
-            Detector, "verdict", return_value=replace(verdict, shares=shares, goodness=1.0)
-        ):
+        judged = replace(verdict, nothing=nothing_share)
+        with patch.object(Detector, "verdict", return_value=judged):
             watch = watch._looked(5.0)
         times = [(load.since_s, load.until_s or 0.0) for load in watch.attachments]
         last_look = watch.look and [watch.look.time_s, watch.look.over, watch.look.size.sum()]
@@ -882,8 +845,7 @@ def swings_row() -> list[Any]:
     rng = np.random.default_rng(3)
     rows = list[Any]()
     initial, _ = watch_begun()
-    patterns = patterns_of(frame, verdict.best, initial.test.whitening, initial.setup.detector)
-    pattern = next(filter(None, patterns))
+    (pattern,) = patterns_of(verdict, initial.test.whitening)
     mouth = Attachment(0.9, 0.0, (44.0, 1.0), (36.0, 1.0), patterns=pattern)
     departed = replace(mouth, until_s=4.0)
     faint = replace(mouth, sucks=0.4)
@@ -922,7 +884,7 @@ def swings_row() -> list[Any]:
             )
     return [
         *rows,
-        replace(mouth, patterns=patterns[0]) == replace(mouth, patterns=pattern._replace(rim=1)),
+        replace(mouth, patterns=pattern) == replace(mouth, patterns=pattern._replace(rim=1)),
         str(mouth),
     ]
 
@@ -1247,7 +1209,6 @@ def of_recognition() -> Rows:
         "answers": answers_row,
         "attachments": attachments_row,
         "watch over modules": image_row,
-        "loads beforehand": prior_row,
         "windows over modules": windows_row,
         "states over modules": opened_row,
     }

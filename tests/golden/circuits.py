@@ -17,8 +17,8 @@ from lampest.apps.film.pressure import (
     total_force,
 )
 from lampest.apps.film.tare import TareWatch
-from lampest.apps.recognition import candidates
 from lampest.apps.recognition.bent_suction import BentSuction
+from lampest.apps.recognition.disc_search import DiscSearch
 from lampest.files.typed import members_of
 from lampest.inference.readings.free_tests import free_tests, largest_series_ohm
 from lampest.inference.unobservable import unobservable_numbers
@@ -584,7 +584,7 @@ def candidate_row(candidate: Candidate) -> dict[str, Any]:
 
 
 def of_loads() -> Rows:
-    search = candidates.DiscSearch.over(
+    search = DiscSearch.over(
         PANEL, 6.0, lp.OralDisc.candidate.templates + lp.Rod.candidate.templates
     )
     normal = np.diag(np.linspace(50, 90, 20))
@@ -601,8 +601,9 @@ def of_loads() -> Rows:
         }
         | {f"shape {name}": partial(shape_row, load) for name, load in SHAPES.items()}
         | {
-            f"candidate {each.label}": partial(candidate_row, each)
-            for each in (*candidates.UNIFORM, *candidates.LOADS, candidates.FIELD, DISC_AND_ROD)
+            f"candidate {kind.candidate.label}": partial(candidate_row, kind.candidate)
+            for kind in shape_types()
+            if kind.candidate is not None
         }
         | {f"pressure in {name}": partial(pressure_row, scene) for name, scene in LOADED.items()}
         | {
@@ -613,8 +614,7 @@ def of_loads() -> Rows:
             ),
             "memory of a film": film_row,
             "tare": tare_row,
-            "starts of discs": lambda: (
-                list(search.starts(normal, pull).values()),
+            "search of discs": lambda: (
                 search.faint,
                 search.changes,
                 search.matched(normal),
@@ -626,7 +626,6 @@ def of_loads() -> Rows:
     )
 
 
-DISC_AND_ROD = candidates.Several.of((lp.OralDisc.candidate, lp.Rod.candidate))
 OUTLINES = (
     (annulus_mm2, (10.0, 20.0)),
     (contact_of_weight, (300.0, 400.0)),

@@ -6,15 +6,11 @@ The module holds no test.
 import numpy as np
 
 from lampest import Panel, Recording, Scene, Shape, Simulation, TwoPointReadout, simulate
-from lampest.apps.recognition.candidates import LOADS
 from lampest.apps.recognition.detect.answer import Detected
 from lampest.apps.recognition.detect.detection import Frames, Known, known_of, measured_frames
-from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.apps.recognition.observation import Baseline, Observation
-from lampest.apps.recognition.verdict import Verdict
 from lampest.inference.prepared import Prepared
-from lampest.recording.shapes.shape import Candidate
 
 PANEL = Panel(10, 10)
 PATCH_MM = 6.0
@@ -49,9 +45,3 @@ def answered(recording: Recording) -> Detected:
     if isinstance(known, Detected):
         return known
     return known.answer(every_frame(recording, known))
-
-
-def verdict_on(load: Shape, loads: tuple[Candidate, ...] = LOADS, panel: Panel = PANEL) -> Verdict:
-    """Return the verdict on one frame of a panel under a load, with these candidates."""
-    frame = frame_under(load, panel)
-    return Detector(PATCH_MM, loads).verdict(frame)

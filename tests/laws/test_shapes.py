@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from laws.recognised import PATCH_MM, frame_under
 
-from lampest import Array, Panel, Rod, Scene, Simulation
-from lampest.apps.recognition.candidates import FIELD, LOADS, UNIFORM
-from lampest.apps.recognition.fit import Fitting
-from lampest.apps.recognition.observation import Whitening
+from lampest import Array, Panel, Scene, Simulation
+from lampest.apps.recognition.sucking_disc import CANDIDATE, SuckingDisc
+from lampest.apps.recognition.suction import suctions
 from lampest.files.document import adapter, parse_document, to_yaml, validated
 from lampest.files.levels import SIGNIFICANT
+from lampest.panel.response import PUBLISHED
 from lampest.recording.shapes import OralDisc, Shape, shape_types
 from lampest.recording.shapes.disc import Disc, Unevenness, pressure_at_places
 from lampest.recording.shapes.kinds import RoundCandidate
-from lampest.recording.shapes.shape import POINTS, Candidate, Template
+from lampest.recording.shapes.shape import POINTS, Template
 
 PANEL = Panel(10, 10)
 FINE_PANEL = Panel(180, 180, 0.5)
@@ -104,22 +104,19 @@ def test_tilt_moves_and_preserves_the_force(kind: type[Shape]) -> None:
     assert upper.sum() > TILTED_RATIO * lower.sum()
 
 
-@pytest.mark.parametrize("candidate", LOADS, ids=lambda candidate: candidate.label)
-def test_any_parameters_of_a_fit_give_finite_readings(candidate: Candidate) -> None:
+def test_any_parameters_of_a_disc_give_finite_readings() -> None:
     """Tilts and lobes beyond one turn a strong rim into suction of many atmospheres.
 
     No network has such cells.
     """
-    panel = Panel(6, 6)
     rng = np.random.default_rng(4)
-    frame = frame_under(load_of(Rod), panel)
-    fitting = Fitting(candidate, frame, PATCH_MM)
-    whitening = Whitening.about(frame)
-    mean = candidate.mean(panel)
-    sd = candidate.sd(panel)
+    frame = frame_under(load_of(OralDisc), PANEL)
+    (place,) = suctions(frame)
+    disc = SuckingDisc(frame, place, PATCH_MM, PUBLISHED)
+    mean = CANDIDATE.mean(PANEL)
+    sd = CANDIDATE.sd(PANEL)
     for _ in range(60):
-        effect = fitting.effect(mean + SIGNIFICANT * sd * rng.choice([-1, 0, 1], len(mean)))
-        point = fitting.at(effect, fitting.about(effect, whitening))
+        point = disc.at(mean + SIGNIFICANT * sd * rng.choice([-1, 0, 1], len(mean)), disc.errors)
         assert np.isfinite(point.cost)
         assert np.isfinite(point.gradient).all() and np.isfinite(point.normal).all()
 
@@ -140,7 +137,7 @@ def test_recognition_and_simulation_share_one_pressure(kind: type[Shape]) -> Non
 
 
 def test_labels_and_kinds_are_unique() -> None:
-    every = [candidate.label for candidate in (*UNIFORM, *LOADS, FIELD)]
+    every = [kind.candidate.label for kind in shape_types() if kind.candidate is not None]
     assert len(set(every)) == len(every)
     kinds = [example(kind).split(",")[0] for kind in shape_types()]
     assert len(set(kinds)) == len(kinds)

@@ -5,7 +5,6 @@ Each attachment has the probabilities that it sucks, breathes and pumps.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import zip_longest
 from math import exp, hypot, inf
 from typing import Any
 
@@ -15,21 +14,19 @@ from scipy.special import expit, logit
 
 from lampest.apps.recognition.breath import breath
 from lampest.apps.recognition.breathing import MAX_LOG_ODDS, MIN_WINDOW_S, WINDOW_S, Breathing
-from lampest.apps.recognition.candidates import FULL_KPA, UNIFORM, under
 from lampest.apps.recognition.contacts import contacts_of
+from lampest.apps.recognition.disc_search import FULL_KPA
 from lampest.apps.recognition.hold import Hold
 from lampest.apps.recognition.hypotheses import NEVER_LOG_ODDS
 from lampest.apps.recognition.observation import Observation
-from lampest.apps.recognition.pulled import pulled_suction
 from lampest.apps.recognition.pumping import BLOCK_S, Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without_water
-from lampest.apps.recognition.suction import UNRISEN, inner_cells, rise_odds
+from lampest.apps.recognition.suction import UNRISEN, inner_cells, rise_odds, under
 from lampest.apps.recognition.swings import Patterns
 from lampest.apps.recognition.verdict import Verdict
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
 from lampest.panel.panel import Array, Panel
 from lampest.recording.shapes.disc import Disc
-from lampest.recording.shapes.shape import Candidate
 
 Pair = tuple[float, float]
 # Largest ln odds of suction that one recognition leaves to later ones: all have the same film and
@@ -38,6 +35,7 @@ MAX_LOOK_LOG_ODDS = 3.0
 JUDGED_S = 1.0  # between two judgements of breath
 # Recognitions of an attachment whose suction is kept: four hours, and then every second one.
 MAX_SUCTIONS = 256
+CORNER_PITCHES = 1.5  # distance of two cells below which they touch, at least by their corners
 MIN_SAMPLE_FRAMES = 3  # of a sample of suction, whose median is free of an outlier
 
 
@@ -57,13 +55,11 @@ class Attachment:
     suctions : tuple of (float, float)
         Suction in kPa and its standard deviation at each recognition, thinned beyond MAX_SUCTIONS.
     pulled_kpa : (float, float) or None
-        The strongest of all recognitions, each as of a mouth that may be pulled.
+        The strongest suction of all recognitions, kPa, and its standard deviation.
     cells : int
         Number of touched cells.
     conductance_s : (float, float) or None
         Increase of their conductance since rest, S, and its standard deviation.
-    by_shapes : bool
-        Whether `sucks` is by fitted shapes alone, because its cells are hidden.
     held : Hold or None
         Change of its cells when it was weakest in its place; None where it is not known.
     breath : Breathing
@@ -95,7 +91,6 @@ class Attachment:
     area_mm2: Pair | None = None
     conductance_s: Pair | None = None
     until_s: float | None = None
-    by_shapes: bool = False
     held: Hold | None = field(default=None, repr=False, compare=False)
     breath: Breathing = Breathing()
     sucks_s: float | None = None
@@ -127,10 +122,7 @@ class Attachment:
 
     @property
     def strongest_kpa(self) -> Pair | None:
-        """Strongest suction, kPa, and its standard deviation; never weaker than the typical one.
-
-        Where readings do not show how far cells have opened, it reaches up to a vacuum.
-        """
+        """Strongest suction, kPa, and its standard deviation; never weaker than the typical one."""
         typical = self.suction_kpa
         if typical is None or self.pulled_kpa is None:
             return typical
@@ -229,17 +221,14 @@ class Attachment:
         """
         return self if self.track is None else replace(self, track=self.track.interrupted())
 
-    def sucks_with(self, look: float, *, by_shapes: bool = False) -> float:
+    def sucks_with(self, look: float) -> float:
         """Return the probability that it sucks after a further recognition, which alone gives one.
 
-        The odds of cells are multiplied. Recognitions without a risen cell do not add up beyond
-        UNRISEN: a suction that raises no cell raises none at any time. Shapes err alike at all
-        times, so that they add nothing to cells, and have the mean ln odds among themselves.
+        The odds are multiplied. Recognitions without a risen cell do not add up beyond UNRISEN: a
+        suction that raises no cell raises none at any time.
         """
         before = min(float(logit(self.sucks)), MAX_LOG_ODDS)
         odds = float(logit(look))
-        if by_shapes:
-            return float(expit((before + odds) / 2)) if self.by_shapes else self.sucks
         least = min(float(logit(UNRISEN)), odds)
         return float(expit(np.clip(before + odds, least, MAX_LOG_ODDS)))
 
@@ -256,9 +245,7 @@ class Attachment:
 
     def continued(self, later: "Attachment") -> "Attachment":
         """Return the later state of the same load, with its history."""
-        sucks = self.sucks_with(later.sucks, by_shapes=later.by_shapes)
-        by_shapes = self.by_shapes and later.by_shapes
-        later = replace(later, sucks=sucks, by_shapes=by_shapes)
+        later = replace(later, sucks=self.sucks_with(later.sucks))
         if self.held is not None and later.held is not None:
             later = replace(later, held=self.held.followed_by(later.held))
         # a move: farther than three standard deviations of the distance, and than 3 mm
@@ -320,7 +307,7 @@ class Attachment:
         if not len(interval.times):
             return replace(self, breath=before)
         full = float(np.ptp(interval.times)) > WINDOW_S - 2.5 * interval.period
-        changes = changes_without_water(interval, verdict.frame, verdict.best) @ whitening.T
+        changes = changes_without_water(interval, verdict.frame, verdict.change) @ whitening.T
         return replace(
             self, breath=before.after(breath(interval, changes, self.patterns), last, full=full)
         )
@@ -351,124 +338,95 @@ class Attachment:
 
 
 def attachments_of(
-    frame: Observation,
     verdict: Verdict,
     since: float,
-    patterns: Sequence[Patterns | None] = (),
+    patterns: Sequence[Patterns] = (),
     *,
     any_form: bool = False,
 ) -> list[Attachment]:
-    """Return the loads of the most probable candidate; without a shape, one load for each contact.
+    """Return the loads that suck; where nothing does, one load for each contact.
 
     Parameters
     ----------
-    frame : Observation
     verdict : Verdict
     since : float
         Time of arrival, s.
-    patterns : sequence of Patterns or None
-        Patterns of the most probable candidate's loads.
+    patterns : sequence of Patterns
+        Patterns of the loads that suck.
     any_form : bool
         Whether the panel is a mat, on which nothing sucks.
     """
-    # ln r/r0 of the cells with the prior N(0, 1), independent of any candidate
-    best = verdict.best
-    attachments = list[Attachment]()
-    first = 0
+    frame = verdict.frame
     change = frame.free_map
     moved = np.abs(change) > NOISE_REACH * np.hypot(frame.free_sd, _drift_sd(frame))
+    attachments = list[Attachment]()
+    for disc, effects in zip(verdict.discs, patterns, strict=True):
+        covered = under(frame.panel, disc.disc)
+        numbers: dict[str, Any] = dict(disc.report)
+        suction = numbers.pop("suction_kpa")
+        load = replace(
+            _of_cells(verdict, moved & covered, since),
+            held=Hold(np.where(covered, change, 0.0), frame.free_sd),
+            patterns=effects,
+            suctions=(suction,),
+            pulled_kpa=suction,
+            **numbers,
+        )
+        attachments.append(_judged(load, verdict))
+    if attachments:
+        return attachments
+    groups = _contacts(frame)
+    if any_form:
+        return [_of_cells(verdict, group, since) for group in groups]
+    joined = _touching(frame.panel, groups)
+    return [_judged(_of_cells(verdict, group, since), verdict) for group in joined]
+
+
+def _of_cells(verdict: Verdict, group: NDArray[np.bool_], since: float) -> Attachment:
+    """Return a load with the place, the area and the conductance of a group of cells."""
+    frame = verdict.frame
+    panel = frame.panel
+    change = frame.free_map
     # Δg = g₀ (e^−x − 1) and σ = g₀ e^−x σ_x of x = ln r/r₀
-    resting = np.exp(-frame.baseline.logarithm)
-    more = resting * np.expm1(-change)
-    errors = resting * np.exp(-change) * frame.free_sd
-    clear = best.evidence - max(fit.evidence for fit in verdict.fits if fit.candidate in UNIFORM)
-    for (candidate, parameters), effects in zip_longest(best.loads, patterns):
-        disc = candidate.disc(parameters)
-        own = slice(first, first + len(parameters))
-        covariance = best.covariance[own, own]
-        first = own.stop
-        shape: dict[str, Any] = {}
-        if disc is None:
-            groups = _contacts(frame)
-        else:
-            covered = under(frame.panel, disc)
-            groups = [moved & covered]
-            half_pitch = frame.panel.pitch_mm / 2
-            shape["x_mm"] = (disc.x_mm, half_pitch)
-            shape["y_mm"] = (disc.y_mm, half_pitch)
-            # σ² = sᵀ C s, with s the derivative of the quantity by φ
-            for name, (value, slopes) in candidate.report(parameters).items():
-                shape[name] = (value, float(np.sqrt(slopes @ covariance @ slopes)))
-            suction = shape.pop("suction_kpa", None)
-            shape["suctions"] = () if suction is None else (suction,)
-            if candidate.sucks:
-                of_curves = 0.0 if best.of_curves is None else best.of_curves[own, own]
-                shape["pulled_kpa"] = _pulled(frame, candidate, parameters, covariance, of_curves)
-        for group in groups:
-            conductance = float(more[group].sum()), float(np.hypot.reduce(errors[group]))
-            held = np.where(group if disc is None else covered, verdict.cells.free_map, 0.0)
-            attachment = Attachment(
-                sucks=0.0,
-                since_s=since,
-                placed_s=since,
-                clear=clear,
-                patterns=effects,
-                held=Hold(held, verdict.cells.free_sd),
-                conductance_s=conductance,
-                **_touched(frame.panel, group, change) | shape,
-            )
-            attachments.append(attachment if any_form else _judged(attachment, verdict, disc))
-    return attachments
+    resting = np.exp(-frame.baseline.logarithm[group])
+    more = resting * np.expm1(-change[group])
+    errors = resting * np.exp(-change[group]) * frame.free_sd[group]
+    # centre of the cells weighted by |x|, to half a pitch
+    weight = np.abs(change) * (group if group.any() else 1.0)
+    half_pitch = panel.pitch_mm / 2
+    x, y = (float(np.nansum(weight * line) / weight.sum()) for line in panel.places_mm)
+    count = int(group.sum())
+    square = panel.pitch_mm**2
+    return Attachment(
+        sucks=0.0,
+        since_s=since,
+        placed_s=since,
+        x_mm=(x, half_pitch),
+        y_mm=(y, half_pitch),
+        cells=count,
+        area_mm2=(count * square, square * (max(count, 1) / 3) ** 0.5),
+        conductance_s=(float(more.sum()), float(np.hypot.reduce(errors, initial=0.0))),
+        held=Hold(np.where(group, change, 0.0), frame.free_sd),
+        clear=verdict.clear,
+    )
 
 
-def _judged(load: Attachment, verdict: Verdict, disc: Disc | None) -> Attachment:
+def _judged(load: Attachment, verdict: Verdict) -> Attachment:
     """Return a load with the probability that it sucks by one recognition.
 
-    `disc` is its shape; a contact without one is a disc of the same area.
+    A contact without a diameter is a disc of the same area.
     """
-    diameter_mm = load.width if disc else load.width * (4 / np.pi) ** 0.5
-    place = Disc(*load.place, diameter_mm, 0.0, *FULL_KPA, 0.0, 0.0)
-    sucks = verdict.sucks_at(place)
-    small = sucks <= 0.5 and not inner_cells(verdict.frame.panel, load.place, diameter_mm).any()
+    round_mm = load.width if load.diameter_mm else load.width * (4 / np.pi) ** 0.5
+    sucks = verdict.sucks_at(Disc(*load.place, round_mm, 0.0, *FULL_KPA, 0.0, 0.0))
+    small = sucks <= 0.5 and not inner_cells(verdict.frame.panel, load.place, round_mm).any()
     odds = 0.0 if small else np.clip(logit(sucks), -MAX_LOOK_LOG_ODDS, MAX_LOOK_LOG_ODDS)
-    begins = load.since_s if disc is not None and sucks > 0.5 else None
-    return replace(
-        load,
-        sucks=float(expit(odds)),
-        by_shapes=verdict.by_shapes and not small,
-        small=small,
-        sucks_s=begins,
-    )
+    begins = load.since_s if load.diameter_mm and sucks > 0.5 else None
+    return replace(load, sucks=float(expit(odds)), small=small, sucks_s=begins)
 
 
 def _drift_sd(frame: Observation) -> float:
     """Return the standard deviation of each cell's drift since the unloaded frames."""
     return frame.baseline.model_errors.resting_sd(frame.seconds)
-
-
-def _pulled(
-    frame: Observation,
-    candidate: Candidate,
-    parameters: Array,
-    covariance: Array,
-    of_curves: Array | float,
-) -> Pair:
-    """Return the suction of a load as of a mouth that may be pulled, kPa, and its error.
-
-    `of_curves` is the part of its covariance by alternative curves of the film.
-    """
-    priors = candidate.priors(frame.panel)
-    place = list(priors).index("suction")
-    variance = covariance[place, place]
-    curve_variance = float(np.broadcast_to(of_curves, covariance.shape)[place, place])
-    return pulled_suction(
-        frame.baseline.response,
-        float(np.mean(frame.water)),
-        float(parameters[place]),
-        float(variance) - curve_variance,
-        priors["suction"],
-        curve_variance,
-    )
 
 
 def _contacts(frame: Observation) -> list[NDArray[np.bool_]]:
@@ -485,25 +443,29 @@ def _contacts(frame: Observation) -> list[NDArray[np.bool_]]:
     return [group for group in groups if _misfit_without(frame, group) > least]
 
 
+def _touching(panel: Panel, contacts: Sequence[NDArray[np.bool_]]) -> list[NDArray[np.bool_]]:
+    """Return the contacts, joined where cells of two of them touch, also by their corners.
+
+    A ring is one load, and the feet on a mat are several.
+    """
+    x, y = panel.places_mm
+    joined = list[NDArray[np.bool_]]()
+    for contact in contacts:
+        apart = [
+            np.hypot(x[contact, None] - x[other], y[contact, None] - y[other]).min()
+            for other in joined
+        ]
+        touching = [distance < CORNER_PITCHES * panel.pitch_mm for distance in apart]
+        parts = [other for other, near in zip(joined, touching, strict=True) if near]
+        joined = [other for other, near in zip(joined, touching, strict=True) if not near]
+        joined.append(np.any([contact, *parts], axis=0))
+    return joined
+
+
 def _misfit_without(frame: Observation, group: NDArray[np.bool_]) -> float:
     """Return the misfit of the most probable cells where those of a group are as at rest."""
     free = np.where(group, 0.0, 1.0)
     return frame.cells(frame.free_map * free, free.ravel()).misfit
-
-
-def _touched(panel: Panel, group: NDArray[np.bool_], change: Array) -> dict[str, Any]:
-    """Return the centre, number and area of a group of cells, by their names.
-
-    The cells changed by ln r/r0.
-    """
-    # centre of the cells weighted by |ln r/r₀|, to half a pitch
-    weight = np.abs(change) * (group if group.any() else 1.0)
-    half_pitch = panel.pitch_mm / 2
-    x, y = (float(np.nansum(weight * line) / weight.sum()) for line in panel.places_mm)
-    count = int(group.sum())
-    square = panel.pitch_mm**2
-    area = count * square, square * (max(count, 1) / 3) ** 0.5
-    return {"x_mm": (x, half_pitch), "y_mm": (y, half_pitch), "cells": count, "area_mm2": area}
 
 
 def continued_by(

@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import expit, logsumexp
 
-from lampest.apps.recognition.fit import MAX_ROUNDS
 from lampest.apps.recognition.hypotheses import (
     BREATH,
     BREATHING_SD,
     CAUSES,
+    EVIDENCE_SHARE,
     LEAK_SD,
     LEAK_SHARE,
     RATES_HZ,
@@ -37,7 +37,6 @@ from lampest.apps.recognition.hypotheses import (
 )
 from lampest.apps.recognition.steady_frames import SteadyFrames
 from lampest.apps.recognition.swings import EDGE_SD, Patterns
-from lampest.apps.recognition.verdict import EVIDENCE_SHARE
 from lampest.files.levels import SIGNIFICANT
 from lampest.panel.panel import Array
 from lampest.panel.response import RESPONSE_SD
@@ -50,6 +49,7 @@ MIN_FRAMES = 13  # that determine a rhythm: six numbers of wave and trend, and a
 MIN_RATE_HZ = 3.8  # frames per second: four with a slow clock; they resolve rates up to 2 Hz
 # Largest suction that counts over that of the recognised frame, and the inverse of the smallest.
 MAX_PULL = 3.0
+DEPTH_ROUNDS = 4  # of weights at the depth of the round before
 
 Pair = tuple[float, float]
 
@@ -463,7 +463,7 @@ def _depth(
     depth = BREATHING_SD
     film = variance = 0.0
     square = basis.T @ basis
-    for _ in range(MAX_ROUNDS):
+    for _ in range(DEPTH_ROUNDS):
         weights = patterns.weights(depth, noise)
         series = changes @ weights
         # amplitudes with the prior N(0, largest²), which near half the frame rate alone decides

@@ -37,6 +37,12 @@ PAUSE_LOG_ODDS = log(20)
 # assumed. The bend of such a suction resembles a slow breath.
 LEAK_SHARE = 0.05
 LEAK_SD = 0.3
+# −ln of a share of one in twenty, assumed: of steps that are noise.
+RARE_LOG_ODDS = log(20)
+# Exponent of evidence ratios, because films and loads deviate from their models in more ways than
+# the errors include. Fitted by log-likelihood to scenes made without this package's simulation
+# (docs/studies/mouth_scenes.py).
+EVIDENCE_SHARE = 0.5
 
 
 class Cause(NamedTuple):

@@ -283,9 +283,6 @@ class Observation:
         share: gain, ripple along scanned lines, motion of the water. It is of the readings that a
         network predicts: two such roots, of a loaded and of the unloaded panel, would explain any
         load as a difference of errors.
-    loose : array, shape (rows, columns), or 0
-        Standard deviations of ln r/r0 of cells that changed, and are free where the load of a fit
-        does not cover them.
     """
 
     measured: Array
@@ -294,7 +291,6 @@ class Observation:
     water: Array
     seconds: float = 0.0
     common: Callable[[Array], Array] | None = field(default=None, kw_only=True)
-    loose: Array | float = field(default=0.0, kw_only=True)
 
     @property
     def panel(self) -> Panel:
@@ -327,8 +323,10 @@ class Observation:
         """Return the derivative of f + E δ by ln r, (cells, cells), of a solved network."""
         return np.asarray(self._gain[:, None] * network.sensitivity())
 
-    def change(self, pressure: Array) -> tuple[Array, Array]:
+    def change(self, pressure: Array, response: Response | None = None) -> tuple[Array, Array]:
         """Return the change of cells under pressures (rows, columns) kPa.
+
+        `response` is that of the film, by default the baseline's.
 
         Returns
         -------
@@ -337,7 +335,7 @@ class Observation:
         slope : array, shape (rows, columns)
             dx/dp in 1/kPa.
         """
-        response = self.baseline.response
+        response = response or self.baseline.response
         # kPa, for a central difference: F has corners
         step = 1e-3
         # x = κ (ln F(p + p_w) − ln F(p_w)) at p and p ± step
@@ -393,11 +391,11 @@ class Observation:
             total += shared @ shared.T
         return np.asarray(total + np.diag(self.sigma.ravel() ** 2))
 
-    def cells(self, start: Array, prior: Array) -> MostProbable:
-        """Return the most probable ln r/r0 of all cells with the prior N(0, `prior`).
+    def cells(self, start: Array, prior: Array, mean: Array | float = 0.0) -> MostProbable:
+        """Return the most probable ln r/r0 of all cells with the prior N(`mean`, `prior`).
 
         `prior` is a covariance, or the variances of independent cells. The search begins at
-        `start` (rows, columns).
+        `start`; it and `mean` have the shape (rows, columns).
         """
 
         def model(change: Array) -> tuple[Array, Array, Array]:
@@ -405,7 +403,8 @@ class Observation:
             slope = self.sensitivity(network)
             return self.deviation(network), slope, self.covariance(network)
 
-        return most_probable(model, start.ravel(), np.zeros(start.size), prior, MAX_STEP / 10)
+        means = np.broadcast_to(mean, start.shape).ravel()
+        return most_probable(model, start.ravel(), means, prior, MAX_STEP / 10)
 
     @cached_property
     def _mapped(self) -> MostProbable:
@@ -472,12 +471,9 @@ class Whitening:
     ----------
     root : array, shape (readings, readings)
         L.
-    scatter : float
-        Relative deviation of the film in C.
     """
 
     root: Array
-    scatter: float = 0.0
 
     @classmethod
     def about(
@@ -485,15 +481,12 @@ class Whitening:
         frame: Observation,
         change: Array | float = 0.0,
         cells: Array | float = 0.0,
-        scatter: float = 0.0,
     ) -> "Whitening":
         """Return the errors about ln r/r0 = `change`, with a further covariance of ln r.
 
         `cells` is this covariance, (cells, cells).
         """
-        return cls(
-            cholesky(frame.covariance(frame.baseline.network(change), cells), lower=True), scatter
-        )
+        return cls(cholesky(frame.covariance(frame.baseline.network(change), cells), lower=True))
 
     @cached_property
     def volume(self) -> float:

@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp, ndtr
 
-from lampest.apps.recognition.fit import MAX_LOG_RATIO
 from lampest.panel.panel import Array
 
 
@@ -56,6 +55,8 @@ KINDS = (
 # Assumed: u after a pump is that after the last one, with this standard deviation; and mean and
 # standard deviation of the level of the first pump, over u at its recognition.
 RESTORED_SD = 0.12
+# Difference of ln P to the most probable course beyond which courses do not count.
+MAX_LOG_RATIO = 20.0
 FIRST_LEVEL = (0.1, 0.15)
 # Larger changes of u are pulls, or another load: their samples do not count.
 MAX_CHANGE = 1.5

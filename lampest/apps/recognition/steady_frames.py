@@ -10,7 +10,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from lampest.apps.recognition.fit import Fit
 from lampest.apps.recognition.observation import Observation
 from lampest.files.levels import MAD_TO_SIGMA
 from lampest.panel.conditions import motion_patterns
@@ -165,7 +164,7 @@ class SteadyFrames(NamedTuple):
         )[0]
 
 
-def changes_without_water(interval: SteadyFrames, frame: Observation, fit: Fit) -> Array:
+def changes_without_water(interval: SteadyFrames, frame: Observation, change: Array) -> Array:
     """Return the changes of ln y since the recognised frame, without the water's pressure.
 
     The result has shape (frames, readings). Outliers of each part between steps are drawn in. The
@@ -177,22 +176,21 @@ def changes_without_water(interval: SteadyFrames, frame: Observation, fit: Fit) 
     interval : SteadyFrames
     frame : Observation
         The recognised frame.
-    fit : Fit
-        Its fit.
+    change : array, shape (rows, columns)
+        ln r/r0 under its loads, 0 beside them.
     """
     changes = interval.logarithms - np.log(frame.measured.ravel())
     for number in range(interval.part.max(initial=-1) + 1):
         own = interval.part == number
         changes[own] = settled(changes[own])
-    loaded = fit.change != 0
+    loaded = change != 0
     response = frame.baseline.response
     free = ~(loaded.any(axis=0) | loaded.any(axis=1)[:, None]).ravel()
     pressure = (
-        response.pressure(fit.change / response.gains + response.logarithm(frame.water))
-        - frame.water
+        response.pressure(change / response.gains + response.logarithm(frame.water)) - frame.water
     )
     patterns = motion_patterns(frame.panel.shape) * frame.change(pressure)[1]
-    by_cell = frame.slope(fit.change) / frame.measured.ravel()[:, None]
+    by_cell = frame.slope(change) / frame.measured.ravel()[:, None]
     slopes = by_cell @ patterns.reshape(len(patterns), -1).T
     water = np.linalg.pinv(slopes[free]) @ changes[:, free].T
     return np.asarray(changes - (slopes @ water).T)

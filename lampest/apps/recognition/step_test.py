@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import csc_array
 
-from lampest.apps.recognition.candidates import DiscSearch
+from lampest.apps.recognition.disc_search import DiscSearch
 from lampest.apps.recognition.observation import Observation
 from lampest.files.levels import OUTLIER_THRESHOLD
 from lampest.panel.panel import Array

@@ -63,9 +63,9 @@ class Suction:
         """Probability that the place is under suction."""
         return float(expit(self.odds))
 
-    def disc(self, panel: Panel, larger: float = 1.0) -> Disc:
-        """Return the disc of the same area of suction with a usual rim, scaled by a factor."""
-        inner = 2 * (float(self.cells.sum()) / pi) ** 0.5 * panel.pitch_mm * larger
+    def disc(self, panel: Panel) -> Disc:
+        """Return the disc of the same area of suction with a usual rim."""
+        inner = 2 * (float(self.cells.sum()) / pi) ** 0.5 * panel.pitch_mm
         width, suction = RIM_MM
         outer = inner + 2 * width
         return Disc(
@@ -83,13 +83,15 @@ class Suction:
 def suctions(frame: Observation) -> list[Suction]:
     """Return the places that are more probably under suction than not, the largest first.
 
-    A group of neighbouring cells has risen if each of them has, by more than MIN_FALL and
-    NOISE_REACH standard deviations. It is under suction with the probability
+    A group of neighbouring cells has risen if each of them has by more than MIN_FALL and
+    NOISE_REACH standard deviations. Neighbours that have by one belong to it, too. It is under
+    suction with the probability
 
         P(rise > MIN_RISE) / (1 + 1/(odds of the enclosure)),
 
-    with the rise of its clearest cell, see `_enclosure`. Nothing is concluded if the cells of the
-    unloaded panel are as uneven as under loads: a rising cell may then have been relieved.
+    with the rise of its clearest cell beyond that of its lines, see `_enclosure`. Nothing is
+    concluded if the cells of the unloaded panel are as uneven as under loads: a rising cell may
+    then have been relieved.
     """
     panel = frame.panel
     change = frame.free_map
@@ -97,10 +99,12 @@ def suctions(frame: Observation) -> list[Suction]:
     if not _even(frame):
         return []
     places = list[Suction]()
-    for cells in groups_of(panel, change > np.maximum(MIN_FALL, NOISE_REACH * sd)):
+    for clear in groups_of(panel, change > np.maximum(MIN_FALL, NOISE_REACH * sd)):
+        cells = clear | (around(panel, clear) & (change > np.maximum(MIN_FALL, sd)))
         if not around(panel, cells).any():
             continue  # the whole panel has risen
-        rise = float(np.max((change - MIN_RISE)[cells] / sd[cells]))
+        least = MIN_RISE + _rise_of_lines(frame, cells)
+        rise = float(np.max((change - least)[cells] / sd[cells]))
         enclosure = _enclosure(frame, cells)
         # ln P = ln P(rise) − ln(1 + e^−enclosure), and the odds are P/(1 − P)
         logarithm = float(log_ndtr(rise) - np.logaddexp(0.0, -enclosure))
@@ -113,6 +117,14 @@ def suctions(frame: Observation) -> list[Suction]:
     places = [place for place in places if place.odds > 0]
     places.sort(key=lambda place: -float(change[place.cells].sum()))
     return _merged(panel, places)
+
+
+def under(panel: Panel, disc: Disc) -> NDArray[np.bool_]:
+    """Return the cells whose centre is within a disc enlarged by half a pitch, (rows, columns)."""
+    across, down = panel.places_mm
+    return np.asarray(
+        np.hypot(across - disc.x_mm, down - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2
+    )
 
 
 def inner_cells(panel: Panel, place: tuple[float, float], diameter_mm: float) -> NDArray[np.bool_]:
@@ -148,24 +160,22 @@ def rise_odds(frame: Observation, cells: NDArray[np.bool_]) -> float:
     return max(float(odds - unknown), float(logit(UNRISEN)))
 
 
-def may_suck(frame: Observation) -> bool:
-    """Return whether cells may hide a suction.
-
-    Cells around them may have fallen so far that these do not show. The standard deviation of such
-    a cell is above MIN_RISE, and the cell may have risen by MIN_RISE within NOISE_REACH of it.
-    """
-    change = frame.free_map
-    sd = frame.free_sd
-    hidden = (sd > MIN_RISE) & (change + NOISE_REACH * sd > MIN_RISE)
-    groups = groups_of(frame.panel, hidden)
-    return _even(frame) and any(_enclosure(frame, cells) > RISEN_LOG_ODDS for cells in groups)
-
-
 def _even(frame: Observation) -> bool:
     """Return whether the unloaded cells are even, by the interquartile range of ln r0."""
     logarithm = frame.baseline.logarithm[frame.panel.present & ~frame.baseline.scene.broken]
     lower, upper = np.quantile(logarithm, (0.25, 0.75))
     return bool(upper - lower < MAX_RANGE)
+
+
+def _rise_of_lines(frame: Observation, cells: NDArray[np.bool_]) -> float:
+    """Return by how much the rows or the columns of a group have risen beside it, 0 or more.
+
+    An amplifier that saturates under a heavy load raises all cells of its line that have not
+    fallen. The result is their median.
+    """
+    beside = frame.panel.present & ~cells & (frame.free_map > -MIN_FALL)
+    lines = [beside & cells.any(axis=axis, keepdims=True) for axis in (0, 1)]
+    return max([0.0, *(float(np.median(frame.free_map[line])) for line in lines if line.any())])
 
 
 def _enclosure(frame: Observation, cells: NDArray[np.bool_]) -> float:

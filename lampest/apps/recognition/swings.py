@@ -12,11 +12,11 @@ import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 from numpy.typing import NDArray
 
-from lampest.apps.recognition.detector import Detector
-from lampest.apps.recognition.fit import Fit
 from lampest.apps.recognition.hypotheses import BREATH, BREATHING_SD
 from lampest.apps.recognition.observation import Observation
+from lampest.apps.recognition.sucking_disc import CANDIDATE
 from lampest.apps.recognition.suction import MIN_FALL
+from lampest.apps.recognition.verdict import Verdict
 from lampest.files.levels import NOISE_REACH
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import CURVE_KPA, CURVE_RATIO, PublishedResponse
@@ -166,60 +166,48 @@ class Patterns(NamedTuple):
         return np.asarray(whitening.T @ suction.weights(BREATH.largest, 1.0, EDGE_SD))
 
 
-def patterns_of(
-    frame: Observation, fit: Fit, whitening: Array, detector: Detector
-) -> list[Patterns | None]:
-    """Return the patterns of every load of a fit; None for loads that do not suck.
+def patterns_of(verdict: Verdict, whitening: Array) -> list[Patterns]:
+    """Return the patterns of every load that sucks.
 
     Parameters
     ----------
-    frame : Observation
-        The recognised frame.
-    fit : Fit
-        Its fit.
+    verdict : Verdict
     whitening : array, shape (readings, readings)
         Whitens changes of ln y.
-    detector : Detector
     """
-    loads = fit.loads
+    frame = verdict.frame
     panel = frame.panel
-    first = 0
-    patterns: list[Patterns | None] = [None] * len(loads)
-    if not any(part.sucks for part, _ in loads):
-        return patterns
-    departure, covariance = detector.departure(frame, fit)
-    rise = fit.change + departure
-    by_cell = whitening @ (frame.slope(rise) / frame.measured.ravel()[:, None])
-    slopes = _slopes(frame, rise, fit.scatter)
-    spread = np.sqrt(
-        (slopes[1:-1] ** 2).sum(axis=0) + slopes[0] ** 2 * (fit.scatter**2 + np.diag(covariance))
-    )
-    cells = [part.pressure(panel, detector.patch_mm, own)[0].ravel() != 0 for part, own in loads]
     # cells of other loads, and of bodies beside, which move by themselves
-    changed = (
-        np.any(cells, axis=0)
-        | (np.abs(frame.free_map) > np.maximum(MIN_FALL, NOISE_REACH * frame.free_sd)).ravel()
+    changed = (verdict.change != 0) | (
+        np.abs(frame.free_map) > np.maximum(MIN_FALL, NOISE_REACH * frame.free_sd)
     )
     curve = CURVE_SD if isinstance(frame.baseline.response, PublishedResponse) else 0.0
-    by_parameter = detector.fitting(fit.candidate, frame).effect(fit.parameters).slopes
-    for number, ((part, own), under) in enumerate(zip(loads, cells, strict=True)):
-        if part.sucks:
-            sways = np.array([prior.sway for prior in part.priors(panel).values()])[:, None]
-            moves = (sways * by_parameter[first : first + len(own), under])[sways[:, 0] > 0]
-            beside = changed & ~under
-            pattern = Patterns.of(
-                by_cell=by_cell[:, under],
-                rise=rise.ravel()[under],
-                slopes=slopes[:, under],
-                spread=spread[under],
-                moves=moves,
-                others=np.column_stack([whitening.sum(axis=1), by_cell[:, beside]]),
-                curve=curve,
-            )
-            patterns[number] = pattern._replace(
+    sways = np.array([prior.sway for prior in CANDIDATE.priors(panel).values()])
+    patterns = list[Patterns]()
+    for disc in verdict.discs:
+        cells = disc.cells
+        rise = cells.state.reshape(panel.shape)
+        by_cell = whitening @ (frame.slope(rise) / frame.measured.ravel()[:, None])
+        slopes = _slopes(frame, rise, disc.scatter)
+        own_sd = np.hypot(disc.scatter, np.sqrt(np.diag(cells.covariance)))
+        spread = np.hypot(np.hypot.reduce(slopes[1:-1]), slopes[0] * own_sd)
+        under = (disc.point.own != 0).ravel()
+        beside = changed.ravel() & ~under
+        moves = (sways[:, None] * disc.point.slopes[:, under])[sways > 0]
+        pattern = Patterns.of(
+            by_cell=by_cell[:, under],
+            rise=rise.ravel()[under],
+            slopes=slopes[:, under],
+            spread=spread[under],
+            moves=moves,
+            others=np.column_stack([whitening.sum(axis=1), by_cell[:, beside]]),
+            curve=curve,
+        )
+        patterns.append(
+            pattern._replace(
                 beside=by_cell[:, ~(under | beside)], adjoins=adjoin(panel, beside, under)
             )
-        first += len(own)
+        )
     return patterns
 
 

@@ -15,13 +15,14 @@ import numpy as np
 
 from lampest.apps.recognition.attachment import Attachment, attachments_of, continued_by
 from lampest.apps.recognition.departure import relieved_by_departure
+from lampest.apps.recognition.hypotheses import RARE_LOG_ODDS
 from lampest.apps.recognition.leaks import Leaks, leaks_of
 from lampest.apps.recognition.observation import Observation, counting
 from lampest.apps.recognition.open_lines import open_lines, without_lines
 from lampest.apps.recognition.step_test import StepTest
 from lampest.apps.recognition.suction import MIN_FALL
 from lampest.apps.recognition.swings import patterns_of
-from lampest.apps.recognition.verdict import RARE_LOG_ODDS, Verdict
+from lampest.apps.recognition.verdict import Verdict
 from lampest.apps.recognition.watch_parts import (
     FOLLOWS_S,
     MIN_FRAMES,
@@ -259,7 +260,7 @@ class Watch:
     @property
     def change(self) -> Array | None:
         """ln r/r0 (rows, columns) of the last recognised load; None before any."""
-        return None if self.look is None else self.look.verdict.best.change
+        return None if self.look is None else self.look.verdict.change
 
     @property
     def doubt(self) -> str:
@@ -444,11 +445,11 @@ class Watch:
     def _keeps(self, frame: Observation) -> Array | float:
         """Return `film_sd` after a step of the recognised load.
 
-        The film keeps the residue of each cell's decrease of |ln r/r0|.
+        The film keeps the residue of each cell's decrease from the largest |ln r/r0| it reached.
         """
-        if self.known or not self._recognised:
+        if self.known or self.look is None or self.look.over:
             return self.film_sd
-        fall = np.maximum(np.abs(self._before) - np.abs(frame.map), 0.0).ravel()
+        fall = np.maximum(self.look.reached - np.abs(frame.map), 0.0).ravel()
         return np.asarray(np.maximum(self.film_sd, self.setup.errors.residue * fall))
 
     @property
@@ -497,9 +498,7 @@ class Watch:
             return replace(self, brief=(*self.brief, (begin, end)))
         frame = self._frame(np.median([logarithm for _, logarithm in stood], axis=0), begin)
         verdict = self.setup.detector.verdict(frame)
-        loads = [
-            load.ended(end) for load in attachments_of(verdict.frame, verdict, begin, any_form=True)
-        ]
+        loads = [load.ended(end) for load in attachments_of(verdict, begin, any_form=True)]
         return replace(self, attachments=(*self.attachments, *loads))
 
     def _looked(self, time: float) -> "Watch":
@@ -513,8 +512,7 @@ class Watch:
         median = np.median([logarithm for _, logarithm in self._since_step], axis=0)
         try:
             watch, frame = self._with_leaks(median, time)
-            former = () if self.look is None or self.look.over else self.look.verdict.fits
-            verdict = watch.setup.detector.verdict(frame, former)
+            verdict = watch.setup.detector.verdict(frame)
         except (ArithmeticError, ValueError) as error:
             logged_reason(error, f"look at {time:.1f} s")
             return replace(self, next_s=again)
@@ -535,13 +533,13 @@ class Watch:
             first = not self._recognised and not self.attachments
             if first and relieved_by_departure(verdict) and self.setup.explained():
                 return replace(self, look=look, history=LEFT.format(since))._gone(since)
-            patterns = patterns_of(frame, verdict.best, self.test.whitening, self.setup.detector)
+            patterns = patterns_of(verdict, self.test.whitening)
             any_form = self.setup.detector.any_form
-            loads = attachments_of(frame, verdict, since, patterns, any_form=any_form)
+            loads = attachments_of(verdict, since, patterns, any_form=any_form)
         watch = replace(self, known=True, next_s=again, former=None)
         if not loads and not quiet and not self._recognised:
             return replace(watch, history=RELIEVED)
-        if not loads and self._left(verdict.cells) and not (quiet and self._shown):
+        if not loads and self._left(frame) and not (quiet and self._shown):
             return self._gone(time if self.known else since)
         return replace(
             watch,
@@ -551,8 +549,8 @@ class Watch:
                 self.attachments,
                 loads,
                 since,
-                verdict.cells,
-                lambda load: self._has_left(load, verdict.cells),
+                frame,
+                lambda load: self._has_left(load, frame),
                 again=self.known,
             ),
         )

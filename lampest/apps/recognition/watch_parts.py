@@ -210,9 +210,9 @@ class Look:
     @classmethod
     def after(cls, former: "Look | None", verdict: Verdict, size: Array, time: float) -> "Look":
         """Return the recognition at a time in s that follows a former one of the same loads."""
-        changed = np.abs(verdict.cells.free_map)
-        noise = NOISE_REACH * verdict.cells.free_sd
-        touched = (changed > noise) | (verdict.best.change != 0)
+        changed = np.abs(verdict.frame.free_map)
+        noise = NOISE_REACH * verdict.frame.free_sd
+        touched = (changed > noise) | (verdict.change != 0)
         most = changed + noise
         reached = np.where(touched, most, 0.0)
         if former is not None and not former.over:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from laws.recognised import PATCH_MM, answered, frame_under, verdict_on
+from laws.recognised import answered
 
 from docs.studies.attachments import CURVES, SLIDES_S, SLIDING, TOUCH_S, UNLOADED, recording, seen
 from lampest import (
@@ -27,10 +27,8 @@ from lampest import (
 from lampest.apps.recognition.detect.answer import CUP, LAMPREY, SUCKS
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.recognition.detector import Detector
-from lampest.apps.recognition.fit import Fitting
 from lampest.apps.recognition.model_errors import ModelErrors
-from lampest.apps.recognition.observation import Observation, Whitening
-from lampest.apps.recognition.profile import along_diameter
+from lampest.apps.recognition.observation import Observation
 from lampest.apps.recognition.window import Window
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.response import ratio_from_pressure
@@ -196,58 +194,3 @@ def test_error_bars_of_suction_and_breath_contain_unmeasured_films(curve: str) -
     )
     depth = np.array([(answer.seen_depth - answer.depth) / answer.depth_sd for answer in watched])
     assert np.abs(suction).max() < 2.3 and np.abs(depth).max() < 2.3
-
-
-def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) -> Array:
-    """ln d along a random walk through e^−cost, (samples)."""
-    rng = np.random.default_rng(5)
-    samples = []
-    mean = fitting.candidate.mean(SMALL_PANEL)
-    sd = fitting.candidate.sd(SMALL_PANEL)
-
-    def cost_at(parameters: Array) -> float:
-        error = whitening @ fitting.about(fitting.effect(parameters), whitening).residual
-        return float(error @ error + np.sum(((parameters - mean) / sd) ** 2)) / 2
-
-    position = start
-    cost = cost_at(start)
-    for _ in range(STEPS):
-        step = position + root @ rng.standard_normal(len(position)) * rng.choice(SCALES)
-        trial_cost = cost_at(step)
-        if np.log(rng.random()) < cost - trial_cost:
-            position = step
-            cost = trial_cost
-        samples.append(position[2])
-    return np.array(samples[STEPS // 5 :])
-
-
-@pytest.mark.slow
-def test_a_poorly_determined_diameter_has_the_width_of_its_posterior() -> None:
-    frame = frame_under(Rod(centre_mm=(20.0, 20.0), diameter_mm=10.0, mass_g=60), SMALL_PANEL)
-    detector = Detector(6.0)
-    rod = next(fit for fit in detector.verdict(frame).loads if fit.candidate is Rod.candidate)
-    fitting = Fitting(rod.candidate, frame, PATCH_MM)
-    whitening = fitting.errors(rod, rod.scatter)
-    local = fitting.best(fitting.effect(rod.parameters), whitening)
-    likelihood = fitting.about(fitting.effect(local.parameters), whitening)
-    wide = along_diameter(fitting, local, likelihood)
-    root = np.linalg.cholesky(wide.covariance) / len(wide.parameters) ** 0.5
-    samples = walked(fitting, whitening, rod.parameters, root)
-    own = np.sqrt(wide.covariance[2, 2] - rod.candidate.blind(wide.parameters)[2] ** 2)
-    assert own == pytest.approx(np.sqrt(np.mean((samples - wide.parameters[2]) ** 2)), rel=0.4)
-    assert own > 2 * local.covariance[2, 2] ** 0.5, "curvature alone would have done"
-
-
-@pytest.mark.parametrize(
-    ("diameter_mm", "centre_mm"), [(10.0, (20.0, 30.0)), (12.0, (25.0, 20.0)), (17.5, (25.0, 25.0))]
-)
-def test_diameters_of_small_rods_lie_within_their_errors(
-    diameter_mm: float, centre_mm: tuple[float, float]
-) -> None:
-    best = verdict_on(
-        Rod(centre_mm=centre_mm, diameter_mm=diameter_mm, mass_g=60), panel=SMALL_PANEL
-    ).best
-    value, slopes = best.candidate.report(best.parameters)["diameter_mm"]
-    error = np.sqrt(slopes @ best.covariance @ slopes)
-    assert error < 9.0
-    assert abs(value - diameter_mm) < 2 * error
