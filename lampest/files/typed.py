@@ -143,6 +143,10 @@ class Extensible(Completed):
         """Return the value of a key, also of an added one; None without it."""
         return dict(self.own).get(key, getattr(self, key, None))
 
+    def size(self, key: str) -> float:
+        """Return the number of a key, also of an added one; 0 without it."""
+        return float(self.entry(key) or 0.0)
+
     def with_entries(self, entries: Mapping[str, Any]) -> Self:
         """Return the configuration with other values of some keys, also of added ones."""
         fields = _signature(type(self)).parameters

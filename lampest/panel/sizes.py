@@ -175,10 +175,6 @@ class Systematic(Extensible):
             if size != ESTIMATED:
                 check_range(name, float(size), *limits_of(name))
 
-    def size(self, setting: str) -> float:
-        """Return the size of an error; 0 if it has none."""
-        return float(self.entry(setting) or 0.0)
-
 
 def added_effects() -> tuple[str, ...]:
     """Return the settings of shared effects that are no fields of `Systematic`."""

@@ -219,8 +219,8 @@ class ParallelDividers(Readout):
     kind: Literal["two_point"] = "two_point"
     reference_ohm: float
     measured_across: Literal["reference", "sensor"]
-    input_ohm: float | None
-    groups: Groups | None
+    input_ohm: float | None = None
+    groups: Groups | None = None
     row_ohm: PerLine
     column_ohm: PerLine
 
