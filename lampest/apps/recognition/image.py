@@ -243,7 +243,10 @@ class ImageWatch:
                 merged.append((window, load))
         ended = [load for load in self.attachments if load.until_s is not None]
         past = [load for load in ended if not any(_same_load(load, late) for _, late in merged)]
-        return tuple(sorted([*past, *(load for _, load in merged)], key=lambda load: load.since_s))
+        present = [load for _, load in merged]
+        return tuple(
+            sorted([*past, *present], key=lambda load: (load.since_s, load.x_mm, load.y_mm))
+        )
 
 
 def under_windows(opened: Sequence[Opened]) -> set[int]:

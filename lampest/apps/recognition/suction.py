@@ -14,7 +14,6 @@ from scipy.sparse import coo_array
 from scipy.special import expit, log_ndtr, logit, ndtr
 
 from lampest.apps.recognition.observation import Observation, patch_of
-from lampest.files.levels import NOISE_REACH
 from lampest.panel.panel import Panel
 from lampest.recording.shapes.disc import Disc
 
@@ -32,6 +31,9 @@ ENCLOSED = 0.75
 # faint suctions, to which a film hardly answers, and of films that open late.
 UNRISEN = 0.05
 MIN_FALL = 0.05  # ln r/r0 of a cell under a rim; less is drift
+# Standard deviations of a cell that begins a group. The one cell within a mouth of 25 mm has risen
+# by 2.3, since cells of its rim hide it; beside a rock on a drifting panel cells rise by 2.1.
+MIN_CLEAR = 2.2
 # Interquartile range of ln r0 of an unloaded film: 0.54 with a spread of 0.4, and 0.2 to 0.32 of
 # the shipped panels; a foot that stands or walks on an insole has 1.2 and 2.4.
 MAX_RANGE = 0.9
@@ -83,8 +85,8 @@ class Suction:
 def suctions(frame: Observation) -> list[Suction]:
     """Return the places that are more probably under suction than not, the largest first.
 
-    A group of neighbouring cells has risen if each of them has by more than MIN_FALL and
-    NOISE_REACH standard deviations. Neighbours that have by one belong to it, too. It is under
+    A group of neighbouring cells has risen if each of them has by more than MIN_FALL and MIN_CLEAR
+    standard deviations. Neighbours that have by one belong to it, too. It is under
     suction with the probability
 
         P(rise > MIN_RISE) / (1 + 1/(odds of the enclosure)),
@@ -99,7 +101,7 @@ def suctions(frame: Observation) -> list[Suction]:
     if not _even(frame):
         return []
     places = list[Suction]()
-    for clear in groups_of(panel, change > np.maximum(MIN_FALL, NOISE_REACH * sd)):
+    for clear in groups_of(panel, change > np.maximum(MIN_FALL, MIN_CLEAR * sd)):
         cells = clear | (around(panel, clear) & (change > np.maximum(MIN_FALL, sd)))
         if not around(panel, cells).any():
             continue  # the whole panel has risen
