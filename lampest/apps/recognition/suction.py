@@ -32,7 +32,7 @@ ENCLOSED = 0.75
 UNRISEN = 0.05
 MIN_FALL = 0.05  # ln r/r0 of a cell under a rim; less is drift
 # Standard deviations of a cell that begins a group. The one cell within a mouth of 25 mm has risen
-# by 2.3, since cells of its rim hide it; beside a rock on a drifting panel cells rise by 2.1.
+# by 2.3, since cells of its rim hide it; beside a rock on a drifting panel cells rise by 2.0.
 MIN_CLEAR = 2.2
 # Interquartile range of ln r0 of an unloaded film: 0.54 with a spread of 0.4, and 0.2 to 0.32 of
 # the shipped panels; a foot that stands or walks on an insole has 1.2 and 2.4.

@@ -187,7 +187,7 @@ def shared_effects() -> tuple[SharedEffect, ...]:
     for kind in (*installed(GROUP, type), *in_notebook.values()):
         named = f"{GROUP}: {kind.__name__} of an installed package"
         if kind in in_notebook.values():
-            named = f"{kind.__name__} of this session"
+            named = f"{kind.__name__} of this program"
         if issubclass(kind, SharedEffect):
             taken = [*SHARED, *(error.setting for error in further)]
             if kind.setting in taken:
