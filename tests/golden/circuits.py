@@ -17,9 +17,10 @@ from lampest.apps.film.pressure import (
     total_force,
 )
 from lampest.apps.film.tare import TareWatch
+from lampest.apps.recognition import mouth_model
 from lampest.apps.recognition.bent_suction import BentSuction
-from lampest.apps.recognition.disc_search import DiscSearch
-from lampest.files.typed import members_of
+from lampest.apps.recognition.disc_search import TEMPLATES, DiscSearch
+from lampest.files.typed import members_of, shipped
 from lampest.inference.readings.free_tests import free_tests, largest_series_ohm
 from lampest.inference.unobservable import unobservable_numbers
 from lampest.panel import effects
@@ -46,10 +47,9 @@ from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import OwnOfModule
 from lampest.panel.scene_file import scene_text
 from lampest.recording.readings import Readings
-from lampest.recording.shapes import shape_types
+from lampest.recording.shapes import AnyShape
 from lampest.recording.shapes.disc import annulus_mm2, bearing_kpa, contact_of_weight
 from lampest.recording.shapes.kinds import RoundShape
-from lampest.recording.shapes.shape import Candidate
 
 Thunk = Callable[[], Any]
 Rows = dict[str, Thunk]
@@ -555,56 +555,44 @@ def shape_row(load: lp.Shape) -> dict[str, Any]:
     return row
 
 
-def candidate_row(candidate: Candidate) -> dict[str, Any]:
-    mean = candidate.mean(PANEL)
+def mouth_model_row() -> dict[str, Any]:
+    mean, sd = mouth_model.mean_and_sd(PANEL)
     disc = SHAPES["oral_disc"].disc()
-    start = candidate.start(disc)
-    start = start if len(start) == len(mean) else mean
-    row = {
-        "mean": mean,
-        "sd": candidate.sd(PANEL),
-        "priors": candidate.priors(PANEL),
-        "start": start,
-        "map": candidate.pressure(PANEL, 6.0, start),
-    }
-    discs = [SHAPES[name].disc() for name in ("rod", "ring", "suction_cup")]
+    start = mouth_model.start_of(disc)
+    discs = [SHAPES[name].disc() for name in ("ring", "suction_cup")]
     discs += [
         disc._replace(diameter_mm=2.0, inner_mm=0.1),
         disc._replace(rim_kpa=0.01, suction_kpa=-0.02),
     ]
-    row |= {
-        "report": candidate.report(start),
-        "blind": candidate.blind(start),
-        "disc": candidate.disc(start),
-    }
-    return row | {
-        "starts": [candidate.start(each) for each in discs],
-        "priors": candidate.priors(PANEL),
+    return {
+        "mean": mean,
+        "sd": sd,
+        "priors": mouth_model.priors(PANEL),
+        "start": start,
+        "map": mouth_model.pressure(PANEL, 6.0, start),
+        "blind": mouth_model.blind(start),
+        "disc": mouth_model.disc_of(start),
+        "slopes": mouth_model.disc_with_slopes(start)[1],
+        "starts": [mouth_model.start_of(each) for each in discs],
     }
 
 
 def of_loads() -> Rows:
-    search = DiscSearch.over(
-        PANEL, 6.0, lp.OralDisc.candidate.templates + lp.Rod.candidate.templates
-    )
+    search = DiscSearch.over(PANEL, 6.0, TEMPLATES[-3:] + TEMPLATES[:2])
     normal = np.diag(np.linspace(50, 90, 20))
     pull = np.linspace(-9, 40, 20)
     faulty = [
         np.where(np.arange(20) == 7, far, np.tile((0.0, 0.2, -0.2, 0.1), 5)).reshape(4, 5)
         for far in (-40, 40)
     ]
-    assert {kind.kind for kind in shape_types()} == SHAPES.keys()
+    assert {kind.kind for kind in shipped(AnyShape)} == SHAPES.keys()
     return (
         {
             f"response {name}": partial(response_row, response)
             for name, response in RESPONSES.items()
         }
         | {f"shape {name}": partial(shape_row, load) for name, load in SHAPES.items()}
-        | {
-            f"candidate {kind.candidate.label}": partial(candidate_row, kind.candidate)
-            for kind in shape_types()
-            if kind.candidate is not None
-        }
+        | {"model of a mouth": mouth_model_row}
         | {f"pressure in {name}": partial(pressure_row, scene) for name, scene in LOADED.items()}
         | {
             "pressure tared": partial(pressure_row, LOADED["air"], lp.Tare(frames=5)),

@@ -2,17 +2,17 @@
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array, diags_array, vstack
 
+from lampest.apps.recognition.patches import pressure_at_places
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import RESPONSE_SD
-from lampest.recording.shapes import shape_types
-from lampest.recording.shapes.disc import Disc, pressure_at_places
-from lampest.recording.shapes.shape import Template
+from lampest.recording.shapes.disc import Disc
 
 # Standard deviations of a template's score. Of 720 bare panels with films uneven by 12 to 25 %,
 # some with correlated neighbours or with faulty cells, the largest score was 6.3.
@@ -20,11 +20,39 @@ MAX_UNEVENNESS = 8.0
 # pressures inside, and under the rim
 FULL_KPA = (0.0, 8.0)
 HOLLOW_KPA = (-6.0, 30.0)
-TEMPLATES: tuple[Template, ...] = tuple(
-    template
-    for shape in shape_types()
-    if shape.candidate is not None
-    for template in shape.candidate.templates
+
+
+class Template(NamedTuple):
+    """A disc that is compared with the map of the cells at all places, to find starts of fits.
+
+    Attributes
+    ----------
+    outer_mm, inner_mm : float
+        Diameters; `inner_mm` is 0 for a full disc.
+    inside : float
+        Effect of the inside on ln r: 0 for none, 1 for the opposite of the rim's.
+    faint : bool
+        Whether the template is also used to detect that something stands out of a panel at rest.
+    """
+
+    outer_mm: float
+    inner_mm: float = 0.0
+    inside: float = 0.0
+    faint: bool = False
+
+
+TEMPLATES = (
+    # rods
+    Template(40.0, faint=True),
+    Template(25.0, faint=True),
+    # rings
+    Template(22.0, 11.0, faint=True),
+    Template(42.0, 32.0),
+    Template(32.0, 21.0),
+    # mouths in which the suction changes cells as much as the rim does
+    Template(45.0, 32.0, 1.0),
+    Template(34.0, 22.0, 1.0),
+    Template(24.0, 12.0, 1.0),
 )
 
 

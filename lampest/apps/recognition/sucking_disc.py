@@ -11,8 +11,10 @@ from math import exp, expm1, log, sqrt
 import numpy as np
 from scipy.special import softmax
 
+from lampest.apps.recognition import mouth_model
 from lampest.apps.recognition.bent_suction import BentSuction
 from lampest.apps.recognition.hypotheses import EVIDENCE_SHARE
+from lampest.apps.recognition.mouth_model import SUCTION
 from lampest.apps.recognition.observation import MostProbable, Observation, Whitening
 from lampest.apps.recognition.suction import Suction, under
 from lampest.files.levels import SIGNIFICANT
@@ -25,11 +27,7 @@ from lampest.panel.response import (
     Response,
 )
 from lampest.recording.shapes.disc import Disc
-from lampest.recording.shapes.kinds import OralDisc
 
-CANDIDATE = OralDisc.candidate
-# place of ln of the suction among the parameters of CANDIDATE
-SUCTION = ("x", "y", *CANDIDATE.numbers).index("suction")
 # A change of ln P below `settled` changes nothing that is reported.
 SEARCH = LevenbergMarquardt(evaluations=12, settled=0.03)
 COARSE = LevenbergMarquardt(evaluations=6, settled=0.3)
@@ -49,7 +47,7 @@ class DiscPoint(SumOfSquares):
     Attributes
     ----------
     parameters : array, shape (parameters,)
-        φ, the parameters of CANDIDATE.
+        φ, the parameters of `mouth_model`.
     own : array, shape (rows, columns)
         ln r/r0 under the disc.
     slopes : array, shape (parameters, cells)
@@ -88,7 +86,7 @@ class SuckingDisc:
     @cached_property
     def _coarse(self) -> DiscPoint:
         """The same with errors about the start of the search."""
-        start = self._effect(CANDIDATE.start(self.place.disc(self.frame.panel)))
+        start = self._effect(mouth_model.start_of(self.place.disc(self.frame.panel)))
         return self._searched(start.parameters, self._errors_about(start), COARSE)
 
     @cached_property
@@ -101,8 +99,8 @@ class SuckingDisc:
     ) -> DiscPoint:
         """Return −ln P about the most probable φ that a search reaches with these errors."""
         panel = self.frame.panel
-        mean, sd = CANDIDATE.mean(panel), CANDIDATE.sd(panel)
-        steps = np.array([prior.step for prior in CANDIDATE.priors(panel).values()])
+        mean, sd = mouth_model.mean_and_sd(panel)
+        steps = np.array([prior.step for prior in mouth_model.priors(panel).values()])
         return replace(search, longest=steps).minimum(
             lambda parameters: self.at(parameters, whitening),
             start,
@@ -112,7 +110,7 @@ class SuckingDisc:
     @property
     def disc(self) -> Disc:
         """The disc, without its unevenness."""
-        return CANDIDATE.disc(self.point.parameters)
+        return mouth_model.disc_of(self.point.parameters)
 
     @property
     def scatter(self) -> float:
@@ -131,7 +129,7 @@ class SuckingDisc:
         Value and deviation are those of all curves of the film, by the law of total covariance. A
         disc that explains the frame poorly is as much less sure. The suction is log-normal.
         """
-        sd = CANDIDATE.sd(self.frame.panel)
+        _, sd = mouth_model.mean_and_sd(self.frame.panel)
         # with the precision of the prior, eigenvalues of sd H sd are at least 1
         sizes, axes = np.linalg.eigh(self.point.normal * np.outer(sd, sd))
         covariance = (axes / np.maximum(sizes, 1.0)) @ axes.T * np.outer(sd, sd)
@@ -141,12 +139,13 @@ class SuckingDisc:
         of_curves = np.array([point.parameters for point in points])
         mean = shares @ of_curves
         between = (shares[:, None] * (of_curves - mean)).T @ (of_curves - mean)
-        blind = CANDIDATE.blind(mean)
+        blind = mouth_model.blind(mean)
         blind[:2] = PLACE_MM
         covariance = excess * covariance + between + np.diag(blind**2)
+        disc, slopes = mouth_model.disc_with_slopes(mean)
         report = {
-            name: (value, float(np.sqrt(slopes @ covariance @ slopes)))
-            for name, (value, slopes) in CANDIDATE.report(mean).items()
+            name: (getattr(disc, name), float(np.sqrt(slope @ covariance @ slope)))
+            for name, slope in zip(("x_mm", "y_mm", "diameter_mm"), slopes, strict=False)
         }
         # ln s ~ N(m, v): E s = e^(m + v/2), var s = (E s)² (e^v − 1)
         variance = covariance[SUCTION, SUCTION]
@@ -187,17 +186,16 @@ class SuckingDisc:
         network = self.frame.baseline.network(self._whole(point))
         slope = self.frame.sensitivity(network)
         both = whitening @ np.column_stack([slope @ point.slopes.T, self.frame.deviation(network)])
-        sd = CANDIDATE.sd(self.frame.panel)
-        from_mean = (parameters - CANDIDATE.mean(self.frame.panel)) / sd
+        mean, sd = mouth_model.mean_and_sd(self.frame.panel)
         return replace(
             point,
-            residual=np.concatenate([both[:, -1], from_mean]),
+            residual=np.concatenate([both[:, -1], (parameters - mean) / sd]),
             jacobian=np.vstack([-both[:, :-1], np.diag(1 / sd)]),
         )
 
     def _effect(self, parameters: Array) -> DiscPoint:
         """Return the effect of φ on the cells."""
-        pressure, by_parameter = CANDIDATE.pressure(self.frame.panel, self.patch_mm, parameters)
+        pressure, by_parameter = mouth_model.pressure(self.frame.panel, self.patch_mm, parameters)
         change, response = self.frame.change(pressure, self.response)
         slopes = by_parameter.reshape(len(parameters), response.size) * response.ravel()
         none = np.zeros(0)
@@ -205,7 +203,7 @@ class SuckingDisc:
 
     def _whole(self, point: DiscPoint) -> Array:
         """Return ln r/r0 of the disc, and of free cells that it does not cover, (rows, columns)."""
-        covered = under(self.frame.panel, CANDIDATE.disc(point.parameters))
+        covered = under(self.frame.panel, mouth_model.disc_of(point.parameters))
         return np.where(covered, point.own, self.frame.free_map)
 
     def _film(self, point: DiscPoint) -> Array:
@@ -215,14 +213,14 @@ class SuckingDisc:
         cells.
         """
         frame = self.frame
-        covered = under(frame.panel, CANDIDATE.disc(point.parameters))
+        covered = under(frame.panel, mouth_model.disc_of(point.parameters))
         free = np.where(covered, 0.0, np.hypot(frame.free_map, frame.free_sd)).ravel()
         # |∂x/∂mm| by a shift across an edge, a secant because tangents jump at corners of the
         # response
-        pressure, by_parameter = CANDIDATE.pressure(frame.panel, self.patch_mm, point.parameters)
+        pressure, by_parameter = mouth_model.pressure(frame.panel, self.patch_mm, point.parameters)
         shift = np.hypot(*by_parameter[:2])
         sizes = (
-            CANDIDATE.pressure(frame.panel, by * self.patch_mm, point.parameters)[0]
+            mouth_model.pressure(frame.panel, by * self.patch_mm, point.parameters)[0]
             for by in (0.9, 1.1)
         )
         upper, lower, small, large = (

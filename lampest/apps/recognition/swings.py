@@ -12,9 +12,9 @@ import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 from numpy.typing import NDArray
 
+from lampest.apps.recognition import mouth_model
 from lampest.apps.recognition.hypotheses import BREATH, BREATHING_SD
 from lampest.apps.recognition.observation import Observation
-from lampest.apps.recognition.sucking_disc import CANDIDATE
 from lampest.apps.recognition.suction import MIN_FALL
 from lampest.apps.recognition.verdict import Verdict
 from lampest.files.levels import NOISE_REACH
@@ -182,7 +182,7 @@ def patterns_of(verdict: Verdict, whitening: Array) -> list[Patterns]:
         np.abs(frame.free_map) > np.maximum(MIN_FALL, NOISE_REACH * frame.free_sd)
     )
     curve = CURVE_SD if isinstance(frame.baseline.response, PublishedResponse) else 0.0
-    sways = np.array([prior.sway for prior in CANDIDATE.priors(panel).values()])
+    sways = np.array([prior.sway for prior in mouth_model.priors(panel).values()])
     patterns = list[Patterns]()
     for disc in verdict.discs:
         cells = disc.cells

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Annotated
 
-from lampest.files.typed import ByKind, shipped
+from lampest.files.typed import ByKind
 from lampest.recording.shapes.kinds import Block as Block
 from lampest.recording.shapes.kinds import OralDisc as OralDisc
 from lampest.recording.shapes.kinds import Ring as Ring
@@ -14,11 +14,3 @@ if TYPE_CHECKING:
     AnyShape = Shape  # a shape that a user derives may stand wherever these may
 else:
     AnyShape = Annotated[Rod | Ring | SuctionCup | OralDisc | Block, ByKind("lampest.shapes")]
-
-
-def shape_types() -> tuple[type[Shape], ...]:
-    """Return the members of the union in its order, without shapes of installed packages.
-
-    Shapes of installed packages are only simulated.
-    """
-    return shipped(AnyShape)

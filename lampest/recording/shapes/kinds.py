@@ -1,154 +1,17 @@
-"""Shapes of simulation, and the model of round shapes that recognition fits."""
+"""Shapes of simulation."""
 
 from abc import abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from math import cos, exp, hypot, inf, log, radians, sin, sqrt
+from math import cos, hypot, inf, radians, sin, sqrt
 from typing import ClassVar, Literal
 
 import numpy as np
 
 from lampest.files.typed import check_range
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array
 from lampest.panel.response import VACUUM_KPA
-from lampest.recording.shapes.disc import (
-    EVEN,
-    Disc,
-    Unevenness,
-    annulus_mm2,
-    bearing_kpa,
-    contact_of_weight,
-    pressure_at_places,
-)
-from lampest.recording.shapes.shape import Candidate, Prior, Shape, Template, centre_priors
-
-# Ln mm: 95 % of diameters are between 15 and 60 mm (an assumption).
-DIAMETER = Prior(log(30), 0.35, step=0.2)
-TILT = Prior(0, 0.25, step=0.3, sway=0.1)
-COMPLEX_STEP = 2.0**-104  # of derivatives, which have full precision, because nothing is subtracted
-CLOSED = 0.05  # rounding of d_i/d at 0, so that it stays positive for any width of the rim
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class RoundCandidate(Candidate):
-    """A disc with the parameters φ: x, y and tilts directly, all other numbers by their logarithms.
-
-    Attributes
-    ----------
-    numbers : mapping of str to Prior
-        Priors of the numbers beside the centre, in the order of φ: `diameter`; `width` of the rim,
-        absent for a full disc; `suction` inside the rim, absent for none; and one of `rim`, the
-        pressure under it, and `push`, its excess over p_bear. Tilts along x and y follow; 95 % are
-        below a half (an assumption).
-    uneven : tuple of float
-        Standard deviations of the numbers of `Unevenness`, the last of φ. Assumption: manufactured
-        objects are round within 8 %, and press evenly within ±16 % along the rim.
-    edge_mm : float
-        Common error of the places of both edges. Assumption: films are cut to a millimetre, and
-        rims are rounded.
-    """
-
-    numbers: Mapping[str, Prior]
-    uneven: tuple[float, ...] = (0.02, 0.02, 0.08, 0.08)
-    edge_mm: float = 0.7
-
-    @cached_property
-    def _own(self) -> Mapping[str, Prior]:
-        """Priors of all numbers but the centre, in the order of φ."""
-        uneven = zip(Unevenness._fields, self.uneven, strict=True)
-        tilts = {"tilt_x": TILT, "tilt_y": TILT}
-        return {**self.numbers, **tilts, **{name: Prior(0, sd, step=0.1) for name, sd in uneven}}
-
-    def priors(self, panel: Panel) -> Mapping[str, Prior]:
-        return {**centre_priors(panel), **self._own}
-
-    def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
-        """Return the pressure of an elongated, uneven disc; see `Candidate.pressure`.
-
-        Returns
-        -------
-        pressure : array, shape (rows, columns)
-            Mean pressure on the patches, kPa.
-        slopes : array, shape (parameters, rows, columns)
-            Derivatives of the pressure by φ, kPa.
-        """
-        disc, by_parameter = self.disc_with_slopes(parameters)
-        form = slice(-len(EVEN), None)
-        pressure, by_number = pressure_at_places(
-            panel.places_mm, patch_mm, disc, Unevenness(*parameters[form])
-        )
-        slopes = np.tensordot(by_parameter, by_number[: len(disc)], (0, 0))
-        slopes[form] = by_number[len(disc) :]
-        return pressure, slopes
-
-    def disc(self, parameters: Array) -> Disc:
-        return Disc(*self._numbers(parameters).tolist())
-
-    def disc_with_slopes(self, parameters: Array) -> tuple[Disc, Array]:
-        """Return the disc of φ, and its derivatives by complex steps, Im f(φ + ih)/h.
-
-        Returns
-        -------
-        disc : Disc
-        slopes : array, shape (8, parameters)
-            Derivatives of the disc's numbers by φ.
-
-        Source: Squire, Trapp, SIAM Review 40, 110 (1998).
-        """
-        numbers = self._numbers(parameters[:, None] + 1j * COMPLEX_STEP * np.eye(len(parameters)))
-        return Disc(*numbers[:, 0].real.tolist()), numbers.imag / COMPLEX_STEP
-
-    def _numbers(self, parameters: Array) -> Array:
-        """Return the numbers of the disc, (8, …), of φ (parameters, …), real or complex."""
-        at = dict(zip(("x", "y", *self._own), parameters, strict=True))
-        diameter = np.exp(at["diameter"])
-        share = suction = np.zeros_like(diameter)
-        if "width" in at:  # d_i/d = 1 − 2w/d, smoothly limited to positive values
-            hollow = 1 - 2 * np.exp(at["width"]) / diameter
-            share = (hollow + np.sqrt(hollow**2 + CLOSED**2)) / 2
-        if "suction" in at:
-            suction = -np.exp(at["suction"])
-        # p_bear = −s d_i²/(d² − d_i²)
-        bearing = -suction * share**2 / (1 - share**2)
-        rim = np.exp(at["rim"]) if "rim" in at else bearing + np.exp(at["push"])
-        return np.stack(
-            [at["x"], at["y"], diameter, share * diameter, suction, rim, at["tilt_x"], at["tilt_y"]]
-        )
-
-    def start(self, disc: Disc) -> Array:
-        """Return φ of a disc.
-
-        Numbers that the disc lacks are small, and a full disc has the same force.
-        """
-        hollow = "width" in self.numbers
-        width = exp(self.numbers["width"].mean) if hollow else 0.0
-        bearing = 0.0
-        mean = disc.rim_kpa
-        if disc.inner_mm:
-            hole = (disc.inner_mm / disc.diameter_mm) ** 2
-            mean = disc.rim_kpa * (1 - hole) + disc.suction_kpa * hole
-            width = (disc.diameter_mm - disc.inner_mm) / 2
-            bearing = bearing_kpa(disc.suction_kpa, disc.inner_mm, disc.diameter_mm)
-        values = {
-            "diameter": log(disc.diameter_mm),
-            "width": log(max(min(width, 0.4 * disc.diameter_mm), 0.5)),
-            "suction": log(max(-disc.suction_kpa, 1.0)),
-            "rim": log(max(disc.rim_kpa if hollow else mean, 0.1)),
-            "push": log(max(disc.rim_kpa - bearing, 0.5)),
-        }
-        numbers = (values[name] for name in self.numbers)
-        return np.array([disc.x_mm, disc.y_mm, *numbers, disc.tilt_x, disc.tilt_y, *EVEN])
-
-    def blind(self, parameters: Array) -> Array:
-        """Return the deviations that readings cannot reduce: edge_mm/d of ln d, 0 of all others."""
-        place = ("x", "y", *self._own).index("diameter")
-        return np.asarray(np.eye(len(parameters))[place] * (self.edge_mm / exp(parameters[place])))
-
-    def report(self, parameters: Array) -> dict[str, tuple[float, Array]]:
-        disc, slopes = self.disc_with_slopes(parameters)
-        names = ("x_mm", "y_mm", "diameter_mm", *(("suction_kpa",) if self.sucks else ()))
-        return {name: (getattr(disc, name), slopes[Disc._fields.index(name)]) for name in names}
+from lampest.recording.shapes.disc import Disc, annulus_mm2, bearing_kpa, contact_of_weight
+from lampest.recording.shapes.shape import Shape
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,12 +57,6 @@ class Rod(RoundShape):
     20.0
     """
 
-    candidate: ClassVar[RoundCandidate] = RoundCandidate(
-        label="rod",
-        templates=(Template(40.0, faint=True), Template(25.0, faint=True)),
-        # Assumptions: 95 % of rods are 9 to 67 mm wide and press with 1 to 60 kPa.
-        numbers={"diameter": Prior(log(25), 0.5, step=0.2), "rim": Prior(log(8), 1.0)},
-    )
     positive: ClassVar[tuple[str, ...]] = ("diameter_mm", "mass_g")
     kind: Literal["rod"] = "rod"
     diameter_mm: float
@@ -223,12 +80,6 @@ class Ring(RoundShape):
     850.0
     """
 
-    candidate: ClassVar[RoundCandidate] = RoundCandidate(
-        label="ring",
-        templates=(Template(22.0, 11.0, faint=True), Template(42.0, 32.0), Template(32.0, 21.0)),
-        # Assumptions: 95 % of rings are 2.3 to 13 mm wide, and press with 4 to 220 kPa.
-        numbers={"diameter": DIAMETER, "width": Prior(log(5.5), 0.45), "rim": Prior(log(30), 1.0)},
-    )
     positive: ClassVar[tuple[str, ...]] = ("inner_diameter_mm", "outer_diameter_mm", "mass_g")
     kind: Literal["ring"] = "ring"
     inner_diameter_mm: float
@@ -307,25 +158,6 @@ class OralDisc(RoundShape):
     'oral_disc'
     """
 
-    candidate: ClassVar[RoundCandidate] = RoundCandidate(
-        label="lamprey or cup",
-        sucks=True,
-        # Templates in which the suction changes cells as much as the rim does.
-        templates=(Template(45.0, 32.0, 1.0), Template(34.0, 22.0, 1.0), Template(24.0, 12.0, 1.0)),
-        # Assumptions: 95 % of rims are 3 to 10 mm wide (mouths have 4 to 7 mm, the paper's suction
-        # cup 4). They press with 0.02 to 110 kPa more than their suction requires: nearly nothing
-        # under a soft mouth, 80 kPa if bending under rim and teeth is included. 95 % of suctions
-        # are 1.8 to 35 kPa. 95 % of mouths have axes within a ratio of 1.22 and press evenly within
-        # ±34 % along the rim. A soft rim has more lobes than are fitted.
-        numbers={
-            "diameter": DIAMETER,
-            "width": Prior(log(5.5), 0.3),
-            "suction": Prior(log(8), 0.75),
-            "push": Prior(log(1.5), 2.2, step=2.0),
-        },
-        uneven=(0.05, 0.05, 0.17, 0.17),
-        edge_mm=1.1,
-    )
     positive: ClassVar[tuple[str, ...]] = ("diameter_mm",)
     kind: Literal["oral_disc"] = "oral_disc"
     diameter_mm: float

@@ -49,9 +49,7 @@ from lampest.apps.recognition.verdict import Verdict
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.files.levels import MAX_MEAN_SQUARE
-from lampest.recording.shapes import shape_types
 from lampest.recording.shapes.disc import Disc
-from lampest.recording.shapes.shape import Candidate
 from lampest.recording.simulation.measure import Unmodelled, measured
 from lampest.recording.simulation.simulation import Course, Simulation, simulate
 
@@ -119,23 +117,6 @@ def verdicts_of(frames: list[Any], panel: Panel = PANEL) -> list[Verdict]:
 def disc_of(verdict: Verdict) -> Disc:
     (sucking,) = verdict.discs
     return sucking.disc
-
-
-ROUND_SHAPES = [kind.candidate for kind in shape_types() if kind.candidate is not None]
-
-
-@pytest.mark.parametrize("kind", ROUND_SHAPES, ids=lambda kind: kind.label)
-def test_pressure_slopes_are_differences(kind: Candidate) -> None:
-    rng = np.random.default_rng(5)
-    for _ in range(4):
-        parameters = kind.mean(PANEL) + 0.5 * kind.sd(PANEL) * rng.standard_normal(
-            len(kind.priors(PANEL))
-        )
-        _, slopes = kind.pressure(PANEL, 6.0, parameters)
-        for slope, step in zip(slopes, 1e-6 * np.eye(len(parameters)), strict=True):
-            up, down = (kind.pressure(PANEL, 6.0, parameters + sign * step)[0] for sign in (1, -1))
-            size = max(1.0, float(np.abs(slope).max()))
-            np.testing.assert_allclose(slope, (up - down) / 2e-6, atol=1e-4 * size)
 
 
 def verdict_on(*loads: Any, panel: Panel = PANEL, **options: Any) -> Verdict:
