@@ -23,7 +23,7 @@ circuit, and advice:
 | `number` | the posterior of a θ by its evidence on a grid |
 | `shared_changes`, `unloaded_cells` | the posterior of the sizes of errors that all frames share |
 | `circuits` | other h, and the one that explains the frames better |
-| `cleaning` | y without outliers, frozen and garbled readings |
+| `readings` | y without outliers, frozen and garbled readings |
 | `resolve` | the numbers of a scene |
 
 `lampest.posterior.gaussian` has the posterior of a Gaussian unknown by linear readings.

@@ -9,6 +9,7 @@ docstrings.
 """
 
 import ast
+import builtins
 import doctest
 import json
 import os
@@ -17,6 +18,7 @@ import shutil
 import subprocess
 import sys
 import textwrap
+import tokenize
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -344,6 +346,71 @@ def test_places_named_by_the_architecture_hold_the_names_beside_them() -> None:
         module = (REPOSITORY / path).read_text(encoding="utf-8")
         for name in re.findall(r"`(\w+)`", names):
             assert re.search(rf"^(?:class|def) {name}\b", module, flags=re.MULTILINE), (path, name)
+
+
+# Names of other programs, of processors, of files' contents, and of examples.
+FOREIGN_NAMES = {
+    "AttributeManager",
+    "COM3",
+    "F12",
+    "FBT",
+    "Haswell",
+    "NPY_DISABLE_CPU_FEATURES",
+    "PLR0913",
+    "Prescott",
+    "R3",
+    "REC_RAW",
+    "RatioGradient",
+    "Sandybridge",
+    "SkylakeX",
+    "blocks_sha256",
+    "c3_r0",
+    "cell_0_3",
+    "cells_0_0",
+    "d_norm",
+    "h5ds",
+    "kind_2",
+    "normalized",
+    "pressure_0_0",
+    "x0y0",
+}
+
+
+def texts_and_code(path: Path) -> tuple[str, str]:
+    """The docstrings and comments of a module, and everything else in it."""
+    texts = []
+    code = []
+    with path.open(encoding="utf-8") as file:
+        for token in tokenize.generate_tokens(file.readline):
+            is_docstring = token.type == tokenize.STRING and token.string.lstrip("r")[:3] == '"' * 3
+            is_text = is_docstring or token.type == tokenize.COMMENT
+            (texts if is_text else code).append(token.string)
+    return "\n".join(texts), "\n".join(code)
+
+
+def test_names_in_back_ticks_exist() -> None:
+    """Every dotted name in back-ticks, in pages and in docstrings, stands in code or in a file."""
+    folders = [REPOSITORY / name for name in ("lampest", "tests", "docs", "configs", "firmware")]
+    files = [path for folder in folders for path in folder.rglob("*") if "_build" not in path.parts]
+    modules = {path: texts_and_code(path) for path in files if path.suffix == ".py"}
+    kinds = (".yaml", ".json", ".c", ".h", ".ino", ".js", ".html", ".css")
+    contents = [path.read_text(encoding="utf-8") for path in files if path.suffix in kinds]
+    words = set(re.findall(r"\w+", "\n".join([*contents, *(code for _, code in modules.values())])))
+    known = words | {*dir(builtins), *FOREIGN_NAMES} | {path.stem for path in files}
+    pages = {
+        page: re.sub(
+            r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE
+        )
+        for page in PAGES
+    }
+    texts = {path: text for path, (text, _) in modules.items() if "lampest" in path.parts} | pages
+    dead = []
+    for path, text in texts.items():
+        for name in re.findall(r"`([A-Za-z_][\w.]*)`", text):
+            is_file = re.search(r"\.(md|py|h5|csv|png|toml|cff)$", name)
+            if not is_file and not known.issuperset(filter(None, name.split("."))):
+                dead.append(f"{path.relative_to(REPOSITORY)}: {name}")
+    assert not dead
 
 
 def test_the_glossary_names_where_things_are_defined() -> None:

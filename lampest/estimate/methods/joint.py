@@ -258,7 +258,7 @@ class Joint:
     def kkt_residual(self) -> Array:
         """Norm of the projected gradient of Φ in each frame, (frames,).
 
-        See `Evaluation.projected_gradient`.
+        See `Evaluation.projected_gradients`.
         """
         pairs = zip(self.at, 2 * self.gradient[:, : self.cells], strict=True)
         return np.array(
