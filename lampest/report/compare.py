@@ -449,12 +449,10 @@ def _title(group: Sequence[Row], *, several: bool) -> str:
     return f"{first['results'] + ': ' if several else ''}{first['recording']}: {', '.join(parts)}"
 
 
-def _plus_minus(row: Row, header: str) -> str:
-    """Return mean and standard deviation such as '2.3 ± 1.4', or '' without a mean.
-
-    A header is for example 'time {} [s]'.
-    """
-    mean, sd = (row[header.format(name)] for name in ("mean", "sd"))
+def _data_error_text(row: Row) -> str:
+    """Return mean and standard deviation of the data error such as '2.3 ± 1.4'; '' without any."""
+    mean = row["data error mean [%]"]
+    sd = row["data error sd [%]"]
     if mean is None:
         return ""
     if 0 < mean < MIN_DIFFERENCE:
@@ -484,7 +482,7 @@ COLUMNS: Columns = {
     "solver, iterations": "{solver}, {iterations median:.0f}",
     "time [ms]": lambda row: _over([row], "solve time mean [s]", np.mean, factor=1000),
     "verified by IPOPT": "{verified by IPOPT}",
-    "data error [%]": lambda row: _plus_minus(row, "data error {} [%]"),
+    "data error [%]": _data_error_text,
     "cell error [%]": "{cell error median [%]:digits} / {cell error 95th percentile [%]:digits}",
     "own / common sd [%]": "{own standard deviation median [%]:digits} / "
     "{common standard deviation median [%]:digits}",

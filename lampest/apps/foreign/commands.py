@@ -1,7 +1,7 @@
 """The command `import`."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from lampest.cli import screen
 
@@ -66,19 +66,23 @@ def import_(
     from lampest.report.info import understood_lines
 
     agreed = screen.scene_of(scene, assign)
-    options: dict[str, Any] = {
-        "transpose": transpose,
-        "variable": variable,
-        "period": period,
-        "missing": missing,
-        "layout": layout,
-        "resting": resting,
-        "skip_lines": skip_lines,
-    }
     replaced = out.is_file()
     with screen.progress("reading"):
         recording, notes = import_file(
-            file, rows, columns, agreed, unit, baseline, time_unit=time_unit, **options
+            file,
+            rows,
+            columns,
+            agreed,
+            unit,
+            baseline,
+            transpose=transpose,
+            variable=variable,
+            period=period,
+            missing=missing,
+            layout=layout,
+            time_unit=time_unit,
+            resting=resting,
+            skip_lines=skip_lines,
         )
         recording.save(out)
     for line in understood_lines(recording, notes):

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from lampest.apps.foreign.arrays import Frames, Shape
 from lampest.apps.foreign.clocks import Clock
 from lampest.apps.foreign.division import frames_of
 from lampest.apps.foreign.form import readings_table
@@ -35,17 +34,6 @@ def understood_table(
     """
     panel = panel_of(rows, columns, scene)
     check_unit(unit, scene, "table")
-    frames = frames_of_table(table, panel.shape)
-    values = np.where(panel.present, frames.values, np.nan)
-    named = unit or understood_unit(values, named_units(frames.words, "table"), scene, "table")[0]
-    return values, named, panel, None if frames.timing is None else frames.timing(None)
-
-
-def frames_of_table(table: Any, shape: Shape) -> Frames:
-    """Return the frames of a data frame.
-
-    Raises InputError with line and column if it does not fit the panel.
-    """
     if not all(hasattr(table, name) for name in ("columns", "index", "itertuples")):
         raise InputError(f"from_dataframe needs a pandas.DataFrame, not {in_words(table)}")
     indexed = getattr(table.index, "name", None) is not None or hasattr(table.index, "tz")
@@ -57,7 +45,10 @@ def frames_of_table(table: Any, shape: Shape) -> Frames:
     def at(number: int, field: int | None) -> str:
         return f"table: line {number - 1}" + ("" if field is None else f", column {names[field]!r}")
 
-    return frames_of(readings_table(field_lines("table", "line", at, (), lines)), shape)
+    frames = frames_of(readings_table(field_lines("table", "line", at, (), lines)), panel.shape)
+    values = np.where(panel.present, frames.values, np.nan)
+    named = unit or understood_unit(values, named_units(frames.words, "table"), scene, "table")[0]
+    return values, named, panel, None if frames.timing is None else frames.timing(None)
 
 
 def labelled_array(data: Any) -> tuple[Array, Array | None, str | None]:

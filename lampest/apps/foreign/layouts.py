@@ -208,7 +208,7 @@ def _frames_in_lines(
         values = [at for at, role in enumerate(roles) if role not in ("date", "time", "frame")]
         values = (values if len(values) >= cells else list(range(table.width)))[-cells:]
         unnamed = not times and values[0] == 1 and roles[0] != "frame"
-        if unnamed and (names[0] or not any(names)) and _has_times(table, 0):
+        if unnamed and (names[0] or not any(names)) and _begins_with_times(table):
             # One field more than cells; where a header leaves it without a name it is a counter.
             times = [0]
         unknown = (
@@ -228,9 +228,9 @@ def _frames_in_lines(
     return TableLayout(shape, 1, named[0], note, frame, tuple(times))
 
 
-def _has_times(table: ReadingsTable, field: int) -> bool:
-    """Return whether a field has numbers or stamps, and not names of boards alone."""
-    texts = table.fields[table.words[:, field], field]
+def _begins_with_times(table: ReadingsTable) -> bool:
+    """Return whether the first field has numbers or stamps, and not names of boards alone."""
+    texts = table.fields[table.words[:, 0], 0]
     return len(texts) < len(table.lines) or any(map(is_stamp, texts))
 
 
@@ -324,18 +324,6 @@ def _values_in_lines(table: ReadingsTable, shape: Shape, order: dict[str, int]) 
         order = {role: at for role, at in order.items() if role != "cell"}
     listed = ", ".join(sorted(order, key=order.__getitem__))
     roles = {role: at for role, at in order.items() if role in ("row", "column", "cell", "frame")}
-    first = _first_of(table, roles, shape)
-    times = tuple(order[role] for role in ("date", "time") if role in order)
-    note = f"one value a line as {listed}; indices count from {first}"
-    cells = {order["value"]: (0, 0)}
-    return TableLayout(shape, shape[0] * shape[1], cells, note, roles, times, first)
-
-
-def _first_of(table: ReadingsTable, roles: Mapping[str, int], shape: Shape) -> int:
-    """Return the number of the first row and column in a table, 0 or 1.
-
-    Raises InputError if more than a few lines name a place beyond the panel.
-    """
     places, names = _places(table, roles, shape)
     read = np.isfinite(places)
     within = read & (places >= 0) & (places <= shape)
@@ -345,7 +333,10 @@ def _first_of(table: ReadingsTable, roles: Mapping[str, int], shape: Shape) -> i
         if bad.sum() > MAX_CUT * len(bad):
             beyond = f"is beyond the panel's {first} to {first + shape[axis] - 1}"
             table.refuse(bad, roles[name], f"{('row', 'column')[axis]} {{0}} {beyond}")
-    return first
+    times = tuple(order[role] for role in ("date", "time") if role in order)
+    note = f"one value a line as {listed}; indices count from {first}"
+    cells = {order["value"]: (0, 0)}
+    return TableLayout(shape, shape[0] * shape[1], cells, note, roles, times, first)
 
 
 def _places(

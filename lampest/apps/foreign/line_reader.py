@@ -1,6 +1,6 @@
 """Frames of a board that prints text, line after line, as the import understands a file of them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -253,7 +253,12 @@ class LineReader:
             if keyed and fields == self._last:
                 continue  # a line that came twice, its keys included
             self._last = fields
-            self._leave_cut_number(table, row, lines.lines[table.lines[row]].texts)
+            # A line may be broken within it, and its rest comes after the frame.
+            texts = lines.lines[table.lines[row]].texts
+            length = len(texts[-1])
+            if WRITTEN.fullmatch(texts[-1]) and length < self._shortest:
+                self._shortest = length
+                table.values[row, table.columns == len(texts) - 1] = np.nan
             segment = self._segmenter.feed(number, keys)
             if segment is not None:
                 yield from self._frames_of(segment)
@@ -262,16 +267,6 @@ class LineReader:
                 whole = self._segmenter.close()
                 assert whole is not None
                 yield from self._frames_of(whole)
-
-    def _leave_cut_number(self, table: ReadingsTable, row: int, texts: Sequence[str]) -> None:
-        """Leave out the last number of a line if it is shorter than any before it.
-
-        A line may be broken within it, and its rest comes after the frame.
-        """
-        length = len(texts[-1])
-        if WRITTEN.fullmatch(texts[-1]) and length < self._shortest:
-            self._shortest = length
-            table.values[row, table.columns == len(texts) - 1] = np.nan
 
     def _frames_of(self, segment: Segment) -> Iterator[TextFrame]:
         """Yield the frames of lines; the first ones may be cut, and are left out then."""

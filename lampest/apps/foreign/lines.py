@@ -168,7 +168,14 @@ def lines_of_text(path: Path, skip: int = 0) -> FieldLines:
     """
     text, notes = _decoded(path)
     texts = re.split(r"\r\n|\r|\n", text)
-    lines = field_lines_of(texts, str(path), notes, skip)
+    source = str(path)
+    notation = notation_of(texts[skip:])
+    remarks = [notation.sentence, *notes]
+    remarks += [f"the first {counted(skip, 'line')} skipped"] if skip else []
+    lines = field_lines_in(notation, texts[skip:], source, skip)
+    stamped = any(line.stamp for line in lines.lines)
+    remarks += ["a terminal's time before the lines"] if stamped else []
+    lines = replace(lines, notes=tuple(filter(None, remarks)), parts=notation.parts)
     cut = _is_cut(lines) if texts[-1].strip() else _ends_in_a_cut_number(lines)
     if len(lines.lines) < 2 or not cut:
         return lines
@@ -198,33 +205,6 @@ def _ends_in_a_cut_number(lines: FieldLines) -> bool:
     column = lines.fields[lines.counts == lines.counts[-1], lines.counts[-1] - 1]
     lengths = [len(text) for text in column if WRITTEN.fullmatch(text)]
     return bool(WRITTEN.fullmatch(column[-1])) and lengths[-1] < min(lengths[:-1], default=0)
-
-
-def field_lines_of(
-    texts: Sequence[str], source: str, notes: Iterable[str] = (), skip: int = 0
-) -> FieldLines:
-    """Return lines of text as fields, by the notation that the lines show.
-
-    Raises InputError with the line if it is too long, or if a quotation mark is not closed.
-
-    Parameters
-    ----------
-    texts : sequence of str
-        Lines without their ends.
-    source : str
-        Name of the file or port.
-    notes : iterable of str
-        Sentences on the interpretation of the text, to which those on its fields are added.
-    skip : int
-        Lines at the beginning that are left out.
-    """
-    notation = notation_of(texts[skip:])
-    remarks = [notation.sentence, *notes]
-    remarks += [f"the first {counted(skip, 'line')} skipped"] if skip else []
-    lines = field_lines_in(notation, texts[skip:], source, skip)
-    stamped = any(line.stamp for line in lines.lines)
-    remarks += ["a terminal's time before the lines"] if stamped else []
-    return replace(lines, notes=tuple(filter(None, remarks)), parts=notation.parts)
 
 
 def notation_of(texts: Iterable[str]) -> Notation:

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from math import nan
 from pathlib import Path
@@ -44,7 +44,17 @@ def records_of(path: Path) -> tuple[Arrays | FieldLines, tuple[str, ...]]:
     if len(held) == 1 and not isinstance(content, list):
         return _arrays(path, held[0]), notes
     if all(_is_value(value) for record in held for value in record.values()):
-        return _table(path, held), notes
+        fields = list(dict.fromkeys(name for record in held for name in record))
+
+        def at(number: int, field: int | None) -> str:
+            return f"{path}: record {number}" + ("" if field is None else f", {fields[field]!r}")
+
+        lines = [FieldLine(0, ["" if name == INDEX else name for name in fields])]
+        lines += [
+            FieldLine(n, [text_of_value(record.get(name)) for name in fields])
+            for n, record in enumerate(held, 1)
+        ]
+        return field_lines(str(path), "record", at, [f"{len(held)} records"], lines), notes
     names = dict.fromkeys(name for record in held for name in record)
     columns = {name: [record.get(name) for record in held] for name in names}
     for name, values in columns.items():
@@ -140,21 +150,6 @@ def _seconds(value: Any) -> float:
         return nan
     date = value if isinstance(value, datetime) else datetime.fromisoformat(str(value))
     return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
-
-
-def _table(path: Path, records: Sequence[dict[str, Any]]) -> FieldLines:
-    """Return records of single values as lines, of which line 0 holds the names."""
-    names = list(dict.fromkeys(name for record in records for name in record))
-
-    def at(number: int, field: int | None) -> str:
-        return f"{path}: record {number}" + ("" if field is None else f", {names[field]!r}")
-
-    lines = [FieldLine(0, ["" if name == INDEX else name for name in names])]
-    lines += [
-        FieldLine(n, [text_of_value(record.get(name)) for name in names])
-        for n, record in enumerate(records, 1)
-    ]
-    return field_lines(str(path), "record", at, [f"{len(records)} records"], lines)
 
 
 def text_of_value(value: Any) -> str:

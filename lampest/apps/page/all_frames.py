@@ -91,9 +91,17 @@ def all_frames(cases: Sequence[CaseResult], place: int) -> AllFrames | None:
         changes["truth"] = percent_change(case.truth[shown], case.truth_baseline)
     scale = change_scale(list(changes.values()), "change of resistance [%]")
     labels = [f"frame {case.frame[n]} at {case.time[n]:.4g} s" for n in shown]
+    figure = new_figure(0.6)
+    figure.colorbar(
+        ScalarMappable(scale.norm, scale.colours),
+        cax=figure.subplots(),
+        orientation="horizontal",
+        label=scale.label,
+        ticks=scale.ticks,
+    )
     return AllFrames(
         tuple(Strip(title, _image(change, scale)) for title, change in changes.items()),
-        _bar(scale),
+        data_uri(figure),
         tuple(labels),
         int(np.flatnonzero(shown == place)[0]),
         (rows, columns),
@@ -110,16 +118,3 @@ def _image(change: Array, scale: Scale) -> str:
     stream = BytesIO()
     imsave(stream, colours, format="png", metadata={"Software": ""})
     return f"data:image/png;base64,{b64encode(stream.getvalue()).decode('ascii')}"
-
-
-def _bar(scale: Scale) -> str:
-    """Draw the colour bar of a scale."""
-    figure = new_figure(0.6)
-    figure.colorbar(
-        ScalarMappable(scale.norm, scale.colours),
-        cax=figure.subplots(),
-        orientation="horizontal",
-        label=scale.label,
-        ticks=scale.ticks,
-    )
-    return data_uri(figure)
