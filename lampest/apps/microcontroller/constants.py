@@ -12,7 +12,7 @@ from lampest.files.document import parse_document
 from lampest.files.errors import InputError
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.equation import equation_of
-from lampest.panel.lines import Side
+from lampest.panel.lines import Side, along, of_side, opposite
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.inequalities import resolution
@@ -24,19 +24,6 @@ from lampest.runs.case import CaseResult
 MAX_LINES = 64  # of a side: LAMPEST_MAX_LINES
 MIN_OHM = 1e-3  # of a cell: SMALLEST_OHM
 MAX_OHM = 1e9  # of a cell: LARGEST_OHM
-LIMITS = {  # ranges that `constants_are_sound` allows, of numbers that are not resistances
-    "sigma": (1e-12, 1e6),
-    "supply": (1e-3, 1e3),
-    "corner": (1e-12, 1e12),
-    "weight": (0.0, 1e30),
-    "tie": (0.0, 1e9),
-    "release": (-1e9, 1.0),
-    "load": (-1e9, 1e9),
-    "gain": (1e-12, 1e12),
-    "upper bound": (0.0, 1e15),
-    "reference": (1e-6, MAX_OHM),
-    "plain sigma": (0.0, 1e12),
-}
 MISSING = 2**32 - 1  # LAMPEST_MISSING; sums are unsigned numbers of 32 bits below it
 # Kind of a penalty → what it compares, and how; its reference decides between baseline and previous
 # frame.
@@ -54,7 +41,6 @@ COMPARES = ("LAMPEST_CHANGE", "LAMPEST_LOG_OF_PREVIOUS")  # with the previous fr
 MIN_LOADED_LIMIT = 0.2  # ln r: a fifth below the other cells is no drift
 MAX_LOADED_LIMIT = 1e6  # ln r: single precision has it, and no cell exceeds it
 LOADED_DEVIATIONS = 8.0  # standard deviations of a cell
-MAX_ROUNDED = 0.02  # of a code: sums further from whole numbers are averages of other readings
 
 
 @dataclass(frozen=True)
@@ -135,19 +121,12 @@ class CircuitLines:
                 "give idle_ohm or idle_load_ohm of the switch"
             )
         side = equation.terminations.driven
-        by_rows = side == "rows"
-
-        def along_driven(values: Array) -> Array:
-            return values[:, 0] if by_rows else values[0]
-
-        def along_sensed(values: Array) -> Array:
-            return values[0] if by_rows else values[:, 0]
-
-        drive, release = map(along_driven, equation.drive_terms)
-        load = along_sensed(equation.load_terms[1])
-        gain = along_sensed(equation.gain)
+        of_driven, of_sensed = of_side(side, np.s_[:, 0], np.s_[0])
+        drive, release = (terms[of_driven] for terms in equation.drive_terms)
+        load = equation.load_terms[1][of_sensed]
+        gain = equation.gain[of_sensed]
         if np.any(np.abs(release) > MAX_RELEASE) or np.any(
-            np.abs(load) * along_sensed(equation.load) > MAX_RELEASE
+            np.abs(load) * equation.load[of_sensed] > MAX_RELEASE
         ):
             raise InputError(
                 "the C library has no lines that are held at ground while idle, "
@@ -170,23 +149,13 @@ class CircuitLines:
         conductance += conductance.T
         impedance = np.linalg.inv(np.diag(conductance.sum(axis=0) + self.tie) - conductance)
         own = np.diag(impedance)
-        of_rows = own[:rows, None]
-        of_columns = own[None, rows:]
         mutual = impedance[:rows, rows:]
-        if driven == "rows":
-            drive = self.drive[:, None]
-            release = self.release[:, None]
-            load = self.load
-            gain = self.gain
-            own_driven = of_rows
-            own_sensed = of_columns
-        else:
-            drive = self.drive
-            release = self.release
-            load = self.load[:, None]
-            gain = self.gain[:, None]
-            own_driven = of_columns
-            own_sensed = of_rows
+        sensed = opposite(driven)
+        of_driven, of_sensed = of_side(driven, own[:rows], own[rows:])
+        drive, release, own_driven = (
+            along(driven, part) for part in (self.drive, self.release, of_driven)
+        )
+        load, gain, own_sensed = (along(sensed, part) for part in (self.load, self.gain, of_sensed))
         path = (drive + release * own_driven) * (1 + load * own_sensed)
         return np.asarray(gain * mutual / (path - release * load * mutual**2))
 
@@ -311,35 +280,34 @@ class Constants:
             (self.data_loss, self.data_corner),
             *((term.loss, term.corner) for term in self.penalties),
         ]
+        # The ranges are those that `constants_are_sound` of the library allows.
         numbers: list[tuple[str, Any, tuple[float, float]]] = [
             ("cells at rest, ohm,", self.baseline, (MIN_OHM, MAX_OHM)),
-            ("noise, volt,", self.sigma_volt, LIMITS["sigma"]),
-            ("noise of plain misfits", self.plain_sigma, LIMITS["plain sigma"]),
-            ("supplies, volt,", self.scene.circuit.supply_volt, LIMITS["supply"]),
+            ("noise, volt,", self.sigma_volt, (1e-12, 1e6)),
+            ("noise of plain misfits", self.plain_sigma, (0.0, 1e12)),
+            ("supplies, volt,", self.scene.circuit.supply_volt, (1e-3, 1e3)),
             (
                 "corners of losses",
                 [corner for loss, corner in losses if loss != "LAMPEST_SQUARED"],
-                LIMITS["corner"],
+                (1e-12, 1e12),
             ),
-            ("weights", [term.weight for term in self.penalties], LIMITS["weight"]),
+            ("weights", [term.weight for term in self.penalties], (0.0, 1e30)),
             ("lower bounds, ohm,", self.least_ohm, (0.0, MAX_OHM)),
-            ("upper bounds, ohm,", self.largest_ohm, LIMITS["upper bound"]),
+            ("upper bounds, ohm,", self.largest_ohm, (0.0, 1e15)),
             ("limits of loaded cells, ln r,", self.loaded_limit, (0.0, MAX_LOADED_LIMIT)),
             ("series resistances, ohm,", self.scene.series_ohm, (0.0, MAX_OHM)),
         ]
         if self.lines is not None:
             of_lines = (
-                ("ties of lines, siemens,", self.lines.tie, LIMITS["tie"]),
+                ("ties of lines, siemens,", self.lines.tie, (0.0, 1e9)),
                 ("drive resistances, ohm,", self.lines.drive, (0.0, MAX_OHM)),
-                ("releases of lines", self.lines.release, LIMITS["release"]),
-                ("loads of lines, siemens,", self.lines.load, LIMITS["load"]),
-                ("gains of lines, volt,", self.lines.gain, LIMITS["gain"]),
+                ("releases of lines", self.lines.release, (-1e9, 1.0)),
+                ("loads of lines, siemens,", self.lines.load, (-1e9, 1e9)),
+                ("gains of lines, volt,", self.lines.gain, (1e-12, 1e12)),
             )
             numbers += of_lines
         elif isinstance(self.scene.circuit, TwoPointReadout):
-            numbers.append(
-                ("references, ohm,", self.scene.circuit.reference_ohm, LIMITS["reference"])
-            )
+            numbers.append(("references, ohm,", self.scene.circuit.reference_ohm, (1e-6, MAX_OHM)))
         for name, values, (low, high) in numbers:
             flat = np.ravel(np.asarray(values, dtype=float))
             beyond = flat[~((flat >= low) & (flat <= high))]

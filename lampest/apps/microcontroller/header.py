@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lampest.apps.microcontroller.constants import Constants
-from lampest.apps.microcontroller.library import library_version
+from lampest.apps.microcontroller.library import constants_fields, library_version
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
@@ -94,7 +94,8 @@ def header(constants: Constants, name: str, about: Iterable[str]) -> str:
         field: f"{name}_{field}" if isinstance(entry, CArray) else entry
         for field, entry in entries.items()
     }
-    body = "\n".join(f"    .{field} = {values.get(field, '0')}," for field in ORDER)
+    # C++ demands designated initialisers in the order of their declaration; absent ones are 0.
+    body = "\n".join(f"    .{field} = {values.get(field, '0')}," for field in constants_fields())
     guard = f"{name.upper()}_CONSTANTS_H"
     comment = "\n".join(f" * {line}".rstrip() for line in about)
     memory = (
@@ -108,53 +109,6 @@ def header(constants: Constants, name: str, about: Iterable[str]) -> str:
         + "\n".join(arrays)
         + f"\nstatic const lampest_constants {name}_constants = {{\n{body}\n}};\n\n#endif\n"
     )
-
-
-# The fields of lampest_constants in the order of their declaration, as C++ demands of designated
-# initialisers; absent ones are 0.
-ORDER = (
-    "version",
-    "rows",
-    "columns",
-    "present",
-    "pairs",
-    "pair_count",
-    "driven",
-    "rows_driven",
-    "tie",
-    "drive",
-    "release",
-    "load",
-    "gain",
-    "top_sum",
-    "low_sum",
-    "high_sum",
-    "volt_per_sum",
-    "volt_at_zero",
-    "supply_volt",
-    "mirrored",
-    "reference_ohm",
-    "across_reference",
-    "ohm_scale",
-    "shunt_siemens",
-    "series",
-    "sigma_volt",
-    "sigma_count",
-    "plain_sigma",
-    "data_loss",
-    "data_corner",
-    "terms",
-    "term_count",
-    "least_ohm",
-    "largest_ohm",
-    "native_bounds",
-    "baseline",
-    "loaded_limit",
-    "follow",
-    "steps",
-    "products",
-    "within",
-)
 
 
 def _panel(constants: Constants) -> Entries:
