@@ -159,7 +159,9 @@ def field_lines(
 
 
 def lines_of_text(path: Path, skip: int = 0) -> FieldLines:
-    """Return the lines of a text file behind the first `skip` ones; see `field_lines_of`.
+    """Return the lines of a text file behind the first `skip` ones as fields.
+
+    Their notation is the one that the lines show.
 
     A last line without its end is left out unless its last field is as long as any above it. A last
     line with its end is left out if its last number is shorter than all above it.
@@ -168,11 +170,10 @@ def lines_of_text(path: Path, skip: int = 0) -> FieldLines:
     """
     text, notes = _decoded(path)
     texts = re.split(r"\r\n|\r|\n", text)
-    source = str(path)
     notation = notation_of(texts[skip:])
     remarks = [notation.sentence, *notes]
     remarks += [f"the first {counted(skip, 'line')} skipped"] if skip else []
-    lines = field_lines_in(notation, texts[skip:], source, skip)
+    lines = field_lines_in(notation, texts[skip:], str(path), skip)
     stamped = any(line.stamp for line in lines.lines)
     remarks += ["a terminal's time before the lines"] if stamped else []
     lines = replace(lines, notes=tuple(filter(None, remarks)), parts=notation.parts)
