@@ -30,6 +30,7 @@ from lampest.report.strongest import (
     strongest_readings,
 )
 from lampest.report.words import spanned
+from lampest.runs.provenance import digest
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
 
 if TYPE_CHECKING:
@@ -83,6 +84,7 @@ def describe(path: str | Path) -> Iterator[str]:
         shown = _results_lines(read_results(path, frames=range(first, last + 1)))
         yield from (head, *long, too_long_words.format(first, last), *shown)
         return
+    sha256 = digest(path)
     recording = opened(path)
     yield head
     if not isinstance(recording, Recording):
@@ -91,11 +93,9 @@ def describe(path: str | Path) -> Iterator[str]:
         role, time = (np.concatenate(values) for values in zip(*parts, strict=True))
         yield from _lines(_frames(role, time))
         yield too_long_words.format(blocks[0][0], blocks[0][-1])
-        yield from _recording_lines(recording.part(blocks[0]), None)
+        yield from _recording_lines(recording.part(blocks[0]))
         return
-    from lampest.runs.checks import kept_check  # with all of the estimate, as below
-
-    yield from _recording_lines(recording, kept_check(path))
+    yield from _recording_lines(recording, (path, sha256))
 
 
 def _lines(sentences: Iterable[Sentence]) -> Iterator[str]:
@@ -117,15 +117,18 @@ def _frames(role: NDArray[np.uint8], time: Array) -> Iterator[Sentence]:
     )
 
 
-def _recording_lines(recording: Recording, kept: "RecordingCheck | None") -> Iterator[str]:
+def _recording_lines(
+    recording: Recording, of_file: tuple[Path, str] | None = None
+) -> Iterator[str]:
     """Yield the content of a recording, the map of its strongest change, and the verdict.
 
-    `kept` is the check that a run has kept; without one it is computed.
+    The check is that kept for a file and its digest; without one it is computed, and kept beside
+    the file.
     """
     # The audit loads the whole estimate, which results do without.
     from lampest.audit.advice import Audit
     from lampest.inference.prepared import Prepared
-    from lampest.runs.checks import RecordingCheck
+    from lampest.runs.checks import RecordingCheck, keep_beside, kept_check
 
     audit = Audit(Prepared(recording))
     yield from _lines(_content(recording))
@@ -141,7 +144,11 @@ def _recording_lines(recording: Recording, kept: "RecordingCheck | None") -> Ite
         yield from shaded_map(strongest[1])
     with suppress(InputError):
         yield from _lines(_estimated(audit))
-        check = kept or RecordingCheck.of(audit)
+        check = None if of_file is None else kept_check(*of_file)
+        if check is None:
+            check = RecordingCheck.of(audit)
+            if of_file is not None:
+                keep_beside(*of_file, check)
         yield from _lines(_verdict(audit, check))
         yield from _advice(check.advice)
 
