@@ -43,6 +43,8 @@ class RecordingCheck:
         Warnings of the recording, one line each.
     without : str
         Its warnings without the check, one line each.
+    widths : str
+        Widths of error bars by their causes, one line each.
     """
 
     mark: str
@@ -50,10 +52,13 @@ class RecordingCheck:
     advice: str
     warnings: str
     without: str
+    widths: str
 
     @classmethod
     def of(cls, audit: "Audit") -> "RecordingCheck":
         """Check a recording. Raises InputError where its readings contradict the scene."""
+        from lampest.audit.widths import widths_of  # with a fit, which a kept check does without
+
         prepared = audit.prepared
         return cls(
             audit.verdict.mark,
@@ -61,6 +66,7 @@ class RecordingCheck:
             "\n".join(audit.lines),
             "\n".join(prepared.warnings),
             "\n".join(prepared.warnings_without_check),
+            "\n".join(width.sentence for width in widths_of(prepared)),
         )
 
     def apply_to(self, case: StoredCase) -> StoredCase:

@@ -179,13 +179,15 @@ def test_info_and_detect_read_the_check_that_a_run_has_kept(
     folder: Path, monkeypatch: pytest.MonkeyPatch, described: Iterator[str]
 ) -> None:
     warned = "a warning of the check"
-    stored = RecordingCheck("no", "the circuit is another one", "advised", warned, "")
+    stored = RecordingCheck("no", "the circuit is another one", "advised", warned, "", "wide")
     task = CheckTask(
         folder / "mine.h5", digest(folder / "mine.h5"), "mine", folder / "results" / "run" / "cases"
     )
     task.folder.mkdir(parents=True)
     task.keep(stored)
+    task.beside.unlink()  # as where that place cannot be written
     lines = list(described)
+    assert "width      wide" in lines
     assert "model      no: the circuit is another one" in lines
     assert "warning    a warning of the check" in lines and "advice     advised" in lines
     assert detect_recording(folder / "mine.h5").warnings == (warned,)
