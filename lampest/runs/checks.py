@@ -118,9 +118,10 @@ class CheckTask:
         keep_beside(self.path, self.sha256, check)
 
     def forget(self) -> None:
-        """Remove the outcome."""
+        """Remove the outcome, beside the recording as far as that place can be written."""
         remove_own(self.file)
-        remove_own(self.beside)
+        with suppress(OSError):
+            remove_own(self.beside)
 
 
 def _read(file: Path, sha256: str) -> RecordingCheck | None:
