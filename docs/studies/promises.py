@@ -203,7 +203,7 @@ BREAKS = {
     "a_bar_that_sweeps_tells_no_order_of_the_lines_that_it_crosses": Break(
         "inference/readings/order.py", "MIN_CONTRAST", "0.0"
     ),
-    "200_frames_of_10_by_10_are_divided": Break("runs/config.py", "SECONDS_A_CELL", "1e-5"),
+    "100_frames_of_10_by_10_are_divided": Break("runs/config.py", "SECONDS_A_CELL", "1e-5"),
     "workers_that_share_a_recording_change_no_number": Break(
         "runs/batch.py",
         "_joined",
@@ -243,6 +243,14 @@ BREAKS = {
     ),
     "memory_is_independent_of_the_number_of_frames": Break(
         "recording/stored.py", "StoredRecording.blocks", "return (range(self.frames),)"
+    ),
+    "a_check_beside_the_recording_serves_info_run_and_detect": Break(
+        "runs/checks.py", "keep_beside", "return"
+    ),
+    "a_fast_estimator_does_not_speak_for_a_slow_one": Break(
+        "runs/pace.py",
+        "Pace.left_s",
+        "return sum(case.frames for case in self.cases) - sum(self.done)",
     ),
     "a_folder_admits_one_run_at_a_time": Break("runs/batch.py", "exclusive", "yield; return"),
     "a_frame_not_solved_in_time_holds_nan_and_a_status": Break(

@@ -187,7 +187,7 @@ def info(file: Path, picture: screen.Output = None, apply: bool = False) -> None
 
     Of a recording also the health of the panel, the verdict on its circuit, and advice: what the
     recording suggests beyond its scene, with the evidence and the line to add. The verdict comes
-    last. It is that of a run below `results`, where one has checked the same recording.
+    last. It is computed once, and kept beside the recording.
 
     Parameters
     ----------

@@ -229,7 +229,8 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
     """Show a progress bar with the remaining time on stderr, hidden unless stderr is a terminal.
 
     Yields a function that takes the number of finished parts, their total, a text for the label,
-    and the name of a further step with a bar of its own. The first call for a step starts its
+    the name of a further step with a bar of its own, and the remaining time in s. Without it the
+    remaining time is that of parts of equal length. The first call for a step starts its
     clock. The first finished part starts it anew if the call before said that nothing is finished
     yet, as while a run prepares its recordings, or if another step has not ended. So does the end
     of another step.
@@ -242,7 +243,7 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
         Whether the numbers of finished and of all parts are shown.
     """
     if not sys.stderr.isatty():  # the library of the bar takes a tenth of a second to load
-        yield lambda done, total, text=None, step=label: None
+        yield lambda done, total, text=None, step=label, left_s=None: None
         return
     from rich.markup import escape
 
@@ -252,7 +253,13 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
         unfinished: dict[str, int] = {}
         idle: dict[str, bool] = {}  # step of which nothing is finished → whether it has not begun
 
-        def show(done: int, total: int | None, text: str | None = None, step: str = label) -> None:
+        def show(
+            done: int,
+            total: int | None,
+            text: str | None = None,
+            step: str = label,
+            left_s: float | None = None,
+        ) -> None:
             now = monotonic()
             if step not in tasks:
                 tasks[step] = bar.add_task(step, total=None, left=UNKNOWN_TIME)
@@ -267,12 +274,14 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
                 unfinished[step] = done
             elif unfinished.pop(step, None) is not None:
                 began.update({other: (now, count) for other, count in unfinished.items()})
+            unsolved = None if total is None else total - done
+            left = time_left(now - start, done - before, unsolved)
             bar.update(
                 tasks[step],
                 completed=done,
                 total=total,
                 description=text and escape(printable(text)),
-                left=time_left(now - start, done - before, None if total is None else total - done),
+                left=left if left_s is None else time_left(left_s, 1, 1),
             )
 
         yield show

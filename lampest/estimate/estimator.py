@@ -208,7 +208,12 @@ class Estimator(Objective):
     @property
     def uses_previous(self) -> bool:
         """Whether estimates depend on earlier estimates, beyond the start of their search."""
-        return self.relative or not self.method.optimum
+        # A baseline that is solved alone is the same for all frames.
+        compares = any(
+            term.needs_previous and getattr(term, "reference", None) != "baseline"
+            for term in self.terms
+        )
+        return compares or self.joint_start or not self.method.optimum
 
     def has_error_bars(self, readings: Readings) -> bool:
         """Return whether estimates of such readings have error bars."""

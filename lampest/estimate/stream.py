@@ -277,7 +277,7 @@ class Stream(SequenceState):
     def is_independent(self) -> bool:
         """Whether estimates depend on no other measured frame, and cells are the only unknowns."""
         estimator = self.estimator
-        if not self.forgets or estimator.automatic:
+        if not self.forgets or estimator.automatic or estimator.relative:
             return False
         return estimator.problem(self.scene, 1, self.period).cells_alone
 

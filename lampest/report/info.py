@@ -30,10 +30,11 @@ from lampest.report.strongest import (
     strongest_readings,
 )
 from lampest.report.words import spanned
+from lampest.runs.provenance import digest
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
 
 if TYPE_CHECKING:
-    from lampest.audit.advice import Audit
+    from lampest.inference.prepared import Prepared
     from lampest.runs.checks import RecordingCheck
 
 MAX_ROWS = 48  # of a map
@@ -83,6 +84,7 @@ def describe(path: str | Path) -> Iterator[str]:
         shown = _results_lines(read_results(path, frames=range(first, last + 1)))
         yield from (head, *long, too_long_words.format(first, last), *shown)
         return
+    sha256 = digest(path)
     recording = opened(path)
     yield head
     if not isinstance(recording, Recording):
@@ -91,11 +93,9 @@ def describe(path: str | Path) -> Iterator[str]:
         role, time = (np.concatenate(values) for values in zip(*parts, strict=True))
         yield from _lines(_frames(role, time))
         yield too_long_words.format(blocks[0][0], blocks[0][-1])
-        yield from _recording_lines(recording.part(blocks[0]), None)
+        yield from _recording_lines(recording.part(blocks[0]))
         return
-    from lampest.runs.checks import kept_check  # with all of the estimate, as below
-
-    yield from _recording_lines(recording, kept_check(path))
+    yield from _recording_lines(recording, (path, sha256))
 
 
 def _lines(sentences: Iterable[Sentence]) -> Iterator[str]:
@@ -117,20 +117,25 @@ def _frames(role: NDArray[np.uint8], time: Array) -> Iterator[Sentence]:
     )
 
 
-def _recording_lines(recording: Recording, kept: "RecordingCheck | None") -> Iterator[str]:
+def _recording_lines(
+    recording: Recording, of_file: tuple[Path, str] | None = None
+) -> Iterator[str]:
     """Yield the content of a recording, the map of its strongest change, and the verdict.
 
-    `kept` is the check that a run has kept; without one it is computed.
+    The check is that kept for a file and its digest; without one it is computed, and kept beside
+    the file.
     """
-    # The audit loads the whole estimate, which results do without.
-    from lampest.audit.advice import Audit
+    # Results do without these.
+    from lampest.audit.health import Health
     from lampest.inference.prepared import Prepared
-    from lampest.runs.checks import RecordingCheck
+    from lampest.runs.checks import RecordingCheck, keep_beside, kept_check
 
-    audit = Audit(Prepared(recording))
+    prepared = Prepared(recording)
     yield from _lines(_content(recording))
     with suppress(InputError):  # an estimate raises it; a description of the file does not
-        yield from _lines(_health(audit))
+        health = (("", line) for line in Health.of(recording).lines)
+        noise = ("noise", prepared.frame_noise.summary)
+        yield from _lines([("health", next(health)[1]), *health, noise])
     strongest = strongest_readings(recording)
     if strongest is None:
         yield f"readings of frame 0 in {recording.scene.circuit.unit}:"
@@ -140,9 +145,15 @@ def _recording_lines(recording: Recording, kept: "RecordingCheck | None") -> Ite
         yield f"readings of {where}, the strongest change against the unloaded ones:"
         yield from shaded_map(strongest[1])
     with suppress(InputError):
-        yield from _lines(_estimated(audit))
-        check = kept or RecordingCheck.of(audit)
-        yield from _lines(_verdict(audit, check))
+        yield from _lines(_estimated(prepared))
+        check = None if of_file is None else kept_check(*of_file)
+        if check is None:
+            from lampest.audit.advice import Audit  # loads the whole estimate
+
+            check = RecordingCheck.of(Audit(prepared))
+            if of_file is not None:
+                keep_beside(*of_file, check)
+        yield from _lines(_verdict(check))
         yield from _advice(check.advice)
 
 
@@ -168,33 +179,24 @@ def _content(recording: Recording) -> Iterator[Sentence]:
     )
 
 
-def _health(audit: "Audit") -> Iterator[Sentence]:
-    """Yield the health of the panel and the noise of the frames."""
-    for number, line in enumerate(audit.health.lines):
-        yield "" if number else "health", line
-    yield "noise", audit.prepared.frame_noise.summary
-
-
-def _estimated(audit: "Audit") -> Iterator[Sentence]:
+def _estimated(prepared: "Prepared") -> Iterator[Sentence]:
     """Yield sentences on processing by firmware, and on the numbers that the scene estimates."""
-    recording = audit.prepared.recording
+    recording = prepared.recording
     if (reason := _processing(recording)) and recording.scene.baseline is None:
         yield "warning", f"these are no readings as the converter gives them: {reason}"
-    yield from (("estimated", line) for line in estimated_lines(audit.prepared.noise.estimated))
+    yield from (("estimated", line) for line in estimated_lines(prepared.noise.estimated))
 
 
-def _verdict(audit: "Audit", check: "RecordingCheck") -> Iterator[Sentence]:
+def _verdict(check: "RecordingCheck") -> Iterator[Sentence]:
     """Yield warnings, the verdict on the circuit, and widths."""
-    from lampest.audit.widths import widths_of
-
-    without = audit.prepared.warnings_without_check
+    without = check.without.split("\n")
     yield from (("warning", warning) for warning in without)
     yield "model", f"{check.mark}: {check.sentence}"
     for warning in check.warnings.split("\n"):
         if warning not in without and warning not in check.sentence:
             yield "warning", warning
-    for number, width in enumerate(widths_of(audit.prepared)):
-        yield "" if number else "width", width.sentence
+    for number, width in enumerate(check.widths.split("\n")):
+        yield "" if number else "width", width
 
 
 def _advice(advice: str) -> Iterator[str]:

@@ -7,6 +7,7 @@ Finished cases are skipped, failures are isolated, and each result is a file of 
 import fcntl
 import os
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -38,7 +39,8 @@ from lampest.runs.checks import (
     without_check,
 )
 from lampest.runs.config import Run
-from lampest.runs.executors import Executor, LostError, Pairs
+from lampest.runs.executors import Executor, LostError, Pairs, cores
+from lampest.runs.pace import Pace
 from lampest.runs.results import read_case_scene, stored_cases, write_results
 from lampest.runs.task import (
     EVERY_SECONDS,
@@ -96,7 +98,7 @@ def run_batch(
     executor: Executor,
     *,
     fresh: bool = False,
-    on_frames: Callable[[int, int], None] = lambda done, frames: None,
+    on_frames: Callable[..., None] = lambda done, frames, left_s: None,
     on_checks: Callable[[int, int], None] = lambda done, checks: None,
 ) -> Report:
     """Solve the cases without a result in `folder`, then write results.h5 with all results.
@@ -114,8 +116,8 @@ def run_batch(
     fresh : bool
         Whether finished cases are solved again.
     on_frames : callable
-        Receives the numbers of solved and of all frames at the beginning, and then every second
-        from another thread.
+        Receives the numbers of solved and of all frames, and as `left_s` the remaining time in s,
+        at the beginning, and then every second from another thread.
     on_checks : callable
         Receives the numbers of finished and of all checks.
 
@@ -133,7 +135,7 @@ def run_batch(
         checks = _checks(tasks)
         _clear(folder, tasks, fresh=fresh)
         for check in checks if fresh else ():
-            remove_own(check.file)
+            check.forget()
         checked = {check.recording: check.kept() for check in checks}
         to_check = [check for check in checks if checked[check.recording] is None]
         finished = _results(tasks)
@@ -145,7 +147,8 @@ def run_batch(
             on_checks(0, len(to_check))
         try:
             outcomes = _outcomes(executor, waiting, to_check, solved)
-            with _counted(waiting, on_frames), closing(outcomes):
+            workers = cores() if executor.concurrent else 1
+            with _counted(waiting, on_frames, workers), closing(outcomes):
                 for task, outcome in outcomes:
                     if isinstance(outcome, BaseException):
                         check_folder(folder / CASES)
@@ -246,17 +249,20 @@ def _findings(
 
 
 @contextmanager
-def _counted(tasks: Sequence[Task], on_frames: Callable[[int, int], None]) -> Iterator[None]:
-    """Call `on_frames` with the numbers of solved and of all frames.
+def _counted(tasks: Sequence[Task], on_frames: Callable[..., None], workers: int) -> Iterator[None]:
+    """Call `on_frames` with the numbers of solved and of all frames, and the remaining time.
 
     The calls are at the beginning, every second, and at the end. Progress is read from files,
     whichever process or machine solves the cases.
     """
     frames = sum(task.case.frames for task in tasks)
     ended = threading.Event()
+    pace = Pace.begun([task.case for task in tasks], time.monotonic())
 
     def report() -> None:
-        on_frames(sum(task.frames_done for task in tasks), frames)
+        nonlocal pace
+        pace = pace.after([task.frames_done for task in tasks], time.monotonic())
+        on_frames(sum(pace.done), frames, left_s=pace.left_s(workers))
 
     def watch() -> None:
         while not ended.wait(EVERY_SECONDS):

@@ -1,7 +1,8 @@
 """Check of a recording's circuit, as a case of its own that all estimators of the recording share.
 
 No estimate waits for the check. The cases' folder keeps its outcome, and the results of every
-estimator contain it. A recording that has not changed is not checked again.
+estimator contain it. A file beside the recording keeps it for all commands, where the folder can be
+written. A recording that has not changed is not checked again.
 """
 
 import json
@@ -11,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from lampest.files.errors import InputError
-from lampest.files.whole import inner_folder, write_whole
+from lampest.files.whole import inner_folder, remove_own, write_whole
 from lampest.runs.case import StoredCase
-from lampest.runs.provenance import digest, library_versions
+from lampest.runs.provenance import code_digest, library_versions
 
 if TYPE_CHECKING:
     from lampest.audit.advice import Audit
@@ -23,6 +24,7 @@ NOT_CHECKED = "not checked"
 KEPT = "check/1"
 CASES = "cases"  # folder of a run's output, for the files of its cases and checks
 SUFFIX = ".check.json"
+BESIDE = ".lampest-check.json"  # in place of the recording's suffix
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,8 @@ class RecordingCheck:
         Warnings of the recording, one line each.
     without : str
         Its warnings without the check, one line each.
+    widths : str
+        Widths of error bars by their causes, one line each.
     """
 
     mark: str
@@ -48,10 +52,13 @@ class RecordingCheck:
     advice: str
     warnings: str
     without: str
+    widths: str
 
     @classmethod
     def of(cls, audit: "Audit") -> "RecordingCheck":
         """Check a recording. Raises InputError where its readings contradict the scene."""
+        from lampest.audit.widths import widths_of  # with a fit, which a kept check does without
+
         prepared = audit.prepared
         return cls(
             audit.verdict.mark,
@@ -59,6 +66,7 @@ class RecordingCheck:
             "\n".join(audit.lines),
             "\n".join(prepared.warnings),
             "\n".join(prepared.warnings_without_check),
+            "\n".join(width.sentence for width in widths_of(prepared)),
         )
 
     def apply_to(self, case: StoredCase) -> StoredCase:
@@ -93,24 +101,54 @@ class CheckTask:
         """File of the outcome."""
         return self.folder / f"{self.sha256[:16]}{SUFFIX}"
 
+    @property
+    def beside(self) -> Path:
+        """File of the outcome beside the recording, which every command reads."""
+        return self.path.with_suffix(BESIDE)
+
     def kept(self) -> RecordingCheck | None:
-        """Return the outcome of an earlier run; None without one by this version of lampest."""
-        with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
-            content = json.loads(self.file.read_text(encoding="utf-8"))
-            if content.pop("about") == self._about:
-                texts = [content[part.name] for part in fields(RecordingCheck)]
-                if all(isinstance(text, str) for text in texts):
-                    return RecordingCheck(*texts)
-        return None
+        """Return the outcome of an earlier command; None without one by this code of lampest."""
+        kept = (_read(file, self.sha256) for file in (self.file, self.beside))
+        return next(filter(None, kept), None)
 
     def keep(self, check: RecordingCheck) -> None:
         """Write the outcome atomically. Raises InputError where the place cannot be written."""
         check_folder(self.folder)
-        write_whole(self.file, json.dumps({"about": self._about} | asdict(check), indent=1) + "\n")
+        _write(self.file, self.sha256, check)
+        keep_beside(self.path, self.sha256, check)
 
-    @property
-    def _about(self) -> dict[str, str]:
-        return {"format": KEPT, "sha256": self.sha256} | library_versions()
+    def forget(self) -> None:
+        """Remove the outcome, beside the recording as far as that place can be written."""
+        remove_own(self.file)
+        with suppress(OSError):
+            remove_own(self.beside)
+
+
+def _read(file: Path, sha256: str) -> RecordingCheck | None:
+    """Return the kept check of a recording; None for a damaged file and one about another state."""
+    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+        content = json.loads(file.read_text(encoding="utf-8"))
+        if content.pop("about") == _about(sha256):
+            texts = [content[part.name] for part in fields(RecordingCheck)]
+            if all(isinstance(text, str) for text in texts):
+                return RecordingCheck(*texts)
+    return None
+
+
+def _write(file: Path, sha256: str, check: RecordingCheck) -> None:
+    """Write a check atomically. Raises InputError where the place cannot be written."""
+    write_whole(file, json.dumps({"about": _about(sha256)} | asdict(check), indent=1) + "\n")
+
+
+def _about(sha256: str) -> dict[str, str]:
+    """Return what a check follows from: the recording with its scene, and the code."""
+    return {"format": KEPT, "sha256": sha256, "code": code_digest()} | library_versions()
+
+
+def keep_beside(path: Path, sha256: str, check: RecordingCheck) -> None:
+    """Write a check beside its recording; a place that cannot be written gets none."""
+    with suppress(InputError):
+        _write(path.with_suffix(BESIDE), sha256, check)
 
 
 def check_folder(cases: Path) -> None:
@@ -122,18 +160,17 @@ def check_folder(cases: Path) -> None:
         )
 
 
-def kept_check(path: Path) -> RecordingCheck | None:
-    """Return the check of a recording that a run has kept; None without one.
+def kept_check(path: Path, sha256: str) -> RecordingCheck | None:
+    """Return the check of a recording with this digest that a command has kept; None without one.
 
-    Runs are looked for in `results` of the current folder and of the recording's, where they
-    write by default.
+    It stands beside the recording. Where that place cannot be written, runs are looked for in
+    `results` of the current folder and of the recording's, where they write by default.
     """
-    for parent in {Path.cwd(), path.parent.resolve()}:
-        for folder in sorted(parent.glob(f"results/*/{CASES}")):
-            if any(folder.glob(f"*{SUFFIX}")):
-                check = CheckTask(path, digest(path), path.stem, folder).kept()
-                if check is not None:
-                    return check
+    for parent in dict.fromkeys((path.parent.resolve(), Path.cwd())):
+        for folder in (parent, *sorted(parent.glob(f"results/*/{CASES}"))):
+            check = CheckTask(path, sha256, path.stem, folder).kept()
+            if check is not None:
+                return check
     return None
 
 

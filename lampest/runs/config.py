@@ -40,8 +40,9 @@ from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import Settings
 
 FORBID: dict[str, Any] = {"extra": "forbid"}
-# Of a processor, for a later frame: 20 to 300 µs a cell (docs/studies/bench.md).
-SECONDS_A_CELL = 1e-4
+# Of a processor, for a later frame with error bars: 18 to 23 ms at 10 × 10 (docs/studies/bench.md).
+SECONDS_A_CELL = 2e-4
+ABSOLUTE_FACTOR = 5.0  # times as long where a loss is not squared
 MIN_DIVIDED_SECONDS = 2.0  # processes start within half of it, so that two of them end earlier
 
 
@@ -167,9 +168,15 @@ class Case:
     cells: int = 0
 
     @property
+    def frame_seconds(self) -> float:
+        """Approximate processor time of a frame, s."""
+        squared = all(term.loss.squared for term in self.estimator.terms)
+        return self.cells * SECONDS_A_CELL * (1.0 if squared else ABSOLUTE_FACTOR)
+
+    @property
     def seconds(self) -> float:
         """Approximate processor time of all frames, s."""
-        return self.frames * self.cells * SECONDS_A_CELL
+        return self.frames * self.frame_seconds
 
     @property
     def segments(self) -> int:

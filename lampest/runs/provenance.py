@@ -20,6 +20,13 @@ def _version(library: str) -> str:
     return version(library)
 
 
+@cache
+def code_digest() -> str:
+    """Return the SHA-256 of lampest's modules, which a working copy changes within a version."""
+    modules = sorted(Path(__file__).parents[1].rglob("*.py"))
+    return hashlib.sha256(b"".join(module.read_bytes() for module in modules)).hexdigest()
+
+
 def digest(path: Path) -> str:
     """Return the SHA-256 of a file. Raises InputError if it is unreadable."""
     try:

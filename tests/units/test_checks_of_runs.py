@@ -1,6 +1,7 @@
 """A run checks the circuit of a recording once, after its estimates, and keeps the outcome."""
 
 import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,9 +14,9 @@ import lampest
 from lampest.apps.recognition.detect.detection import answer_recording, detect_recording
 from lampest.audit.health import Health
 from lampest.report.info import describe
-from lampest.runs import batch
+from lampest.runs import batch, checks
 from lampest.runs.batch import Report, run_batch
-from lampest.runs.checks import NOT_CHECKED, CheckTask, RecordingCheck
+from lampest.runs.checks import BESIDE, NOT_CHECKED, CheckTask, RecordingCheck
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
 from lampest.runs.provenance import digest
@@ -99,6 +100,7 @@ def test_a_recording_that_has_changed_and_a_damaged_check_are_checked_again(
     [check_file] = (folder / "out" / "cases").glob("*.check.json")
     for text in ("", "[]", "{}", json.dumps(json.loads(check_file.read_text()) | {"mark": 1})):
         check_file.write_text(text)
+        (folder / f"mine{BESIDE}").write_text(text)
         run(folder)
     assert checked == ["mine"] * 5
     recording = lampest.Recording.load(folder / "mine.h5")
@@ -124,7 +126,7 @@ def test_checks_come_after_all_estimates_and_count_as_a_step_of_their_own(
     steps: list[tuple[int, int]] = []
     run(
         folder,
-        on_frames=lambda *numbers: frames.append(numbers),
+        on_frames=lambda *numbers, left_s: frames.append(numbers),
         on_checks=lambda *numbers: steps.append(numbers),
     )
     assert order == ["Task", "Task", "CheckTask"]
@@ -177,13 +179,15 @@ def test_info_and_detect_read_the_check_that_a_run_has_kept(
     folder: Path, monkeypatch: pytest.MonkeyPatch, described: Iterator[str]
 ) -> None:
     warned = "a warning of the check"
-    stored = RecordingCheck("no", "the circuit is another one", "advised", warned, "")
+    stored = RecordingCheck("no", "the circuit is another one", "advised", warned, "", "wide")
     task = CheckTask(
         folder / "mine.h5", digest(folder / "mine.h5"), "mine", folder / "results" / "run" / "cases"
     )
     task.folder.mkdir(parents=True)
     task.keep(stored)
+    task.beside.unlink()  # as where that place cannot be written
     lines = list(described)
+    assert "width      wide" in lines
     assert "model      no: the circuit is another one" in lines
     assert "warning    a warning of the check" in lines and "advice     advised" in lines
     assert detect_recording(folder / "mine.h5").warnings == (warned,)
@@ -222,3 +226,47 @@ def test_a_result_and_a_report_look_at_the_health_of_a_panel_once(
     assert len(looks) == 2
     assert estimates.model_check.mark == estimates.model_check.mark == "yes"
     assert len(looks) == 3
+
+
+@pytest.mark.slow
+@promise("howto/batches: A file beside the recording")
+def test_a_check_beside_the_recording_serves_info_run_and_detect(
+    folder: Path, checked: list[str]
+) -> None:
+    recording = folder / "mine.h5"
+    beside = recording.with_suffix(BESIDE)
+    lines = list(describe(recording))
+    assert beside.is_file() and list(describe(recording)) == lines
+    run(folder)
+    assert not answer_recording(recording).waits
+    assert checked == ["mine"]
+    shutil.rmtree(folder / "out")
+    beside.write_text(beside.read_text()[:100])
+    assert list(describe(recording)) == lines and checked == ["mine"] * 2, "damaged, made again"
+    assert list(describe(recording)) == lines and checked == ["mine"] * 2
+
+
+@pytest.mark.slow
+def test_a_check_by_other_code_or_of_other_readings_is_not_kept(
+    folder: Path, checked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = folder / "mine.h5"
+    list(describe(recording))
+    monkeypatch.setattr(checks, "code_digest", lambda: "other code")
+    list(describe(recording))
+    assert checked == ["mine"] * 2
+    replace(lampest.Recording.load(recording), start_time="2026-01-01T00:00:00Z").save(recording)
+    list(describe(recording))
+    assert checked == ["mine"] * 3
+
+
+@pytest.mark.slow
+def test_a_folder_that_cannot_be_written_gets_no_check(
+    folder: Path, checked: list[str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    (folder / f"mine{BESIDE}").mkdir()  # as root may write into folders without permission
+    (folder / f"mine{BESIDE}" / "theirs").touch()
+    list(describe(folder / "mine.h5"))
+    list(describe(folder / "mine.h5"))
+    assert checked == ["mine"] * 2 and capfd.readouterr().err == ""
+    assert [file.name for file in (folder / f"mine{BESIDE}").iterdir()] == ["theirs"]

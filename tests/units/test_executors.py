@@ -311,7 +311,12 @@ def test_frames_are_counted_while_cases_are_solved(
     monkeypatch.setattr(batch, "EVERY_SECONDS", 1e-4)
     progress: list[tuple[int, int]] = []
     run = read_run(disk.folder / "run.yaml")
-    run_batch(run, disk.folder / "out", Serial(), on_frames=lambda *frames: progress.append(frames))
+    run_batch(
+        run,
+        disk.folder / "out",
+        Serial(),
+        on_frames=lambda *frames, left_s: progress.append(frames),
+    )
     frames = sum(case.frames for case in run.cases)
     assert (
         progress[-1] == (frames, frames)

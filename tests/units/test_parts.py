@@ -180,7 +180,10 @@ def test_an_ended_run_resumes_after_its_last_part(
     run = read_run(tmp_path / "run.yaml")
     assert (
         run_batch(
-            run, tmp_path / "whole", Backwards(), on_frames=lambda *frames: progress.append(frames)
+            run,
+            tmp_path / "whole",
+            Backwards(),
+            on_frames=lambda *frames, left_s: progress.append(frames),
         ).done
         == 1
     )

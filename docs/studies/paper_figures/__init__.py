@@ -191,7 +191,12 @@ def all_sides(
         files = [recorded(mouth) for mouth in MOUTHS]
         named = f"recordings=[{', '.join(repr(str(file.resolve())) for file in files)}]"
         cases = read_run(configs / run, (FASTEST, named))
-        report = run_batch(cases, folder / word, local(jobs, len(cases.cases)), on_frames=on_case)
+        report = run_batch(
+            cases,
+            folder / word,
+            local(jobs, len(cases.cases)),
+            on_frames=lambda done, frames, left_s: on_case(done, frames),
+        )
         if report.results is None or report.failed:
             raise InputError(
                 f"{configs / run}: {'; '.join(f'{case}: {why}' for case, why in report.failed)}"

@@ -42,6 +42,7 @@ from lampest.recording.recording import (
 )
 from lampest.recording.stored import StoredRecording
 from lampest.runs.checks import kept_check
+from lampest.runs.provenance import digest
 
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
 NO_RESPONSE = (
@@ -362,7 +363,7 @@ def answer_recording(
     if not len(measured):
         raise InputError(f"{path}: no frame is measured (role 1)")
     head = Prepared(stored.part(range(int(measured[-1]) + 1)))
-    kept = kept_check(path) if check else None
+    kept = kept_check(path, digest(path)) if check else None
     explained = assumed_to_explain
     if kept is not None:
         explained = partial(ne, kept.mark, "no")
