@@ -35,7 +35,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=12)
     parser.add_argument("--seed", type=int, default=0)
     stated = parser.parse_args()
-    starts = _log_starts()
+    starts = log_starts()
     work = []
     for number in range(stated.frames):
         side = stated.sides[number % len(stated.sides)]
@@ -43,7 +43,7 @@ def main() -> None:
         unit = common.inverse_time(
             np.random.default_rng(0).random((lines, lines)) + side * np.eye(lines)
         )
-        recording = _random_recording(bench, side, stated.seed + number)
+        recording = random_recording(bench, side, stated.seed + number)
         readings = recording.readings()
         for method in stated.methods:
             starts.clear()
@@ -65,7 +65,7 @@ def main() -> None:
     print(f"mean {np.mean(work):.0f}, median {np.median(work):.0f} inverses")
 
 
-def _random_recording(bench: BenchFile, side: int, seed: int) -> Recording:
+def random_recording(bench: BenchFile, side: int, seed: int) -> Recording:
     """Return a recording of unloaded frames and one frame under a random load."""
     generator = np.random.default_rng(seed)
     shape = (side, side)
@@ -98,7 +98,7 @@ def _random_recording(bench: BenchFile, side: int, seed: int) -> Recording:
     return simulate(simulation, str(seed))
 
 
-def _log_starts() -> list[tuple[Solution, float]]:
+def log_starts() -> list[tuple[Solution, float]]:
     """Return the list to which every further solve adds its solution and processor time."""
     starts = list[tuple[Solution, float]]()
     solve = multistart.solved_from

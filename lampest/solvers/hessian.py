@@ -150,6 +150,18 @@ class Hessian:
         """∂x/∂(r; y) of the residuals with absolute losses, sparse (residuals, 2·cells)."""
         return self.smoothing.jacobian(self.at)
 
+    def nonsmooth_change(self, step: Array) -> Array:
+        """Return ∂x/∂u·δu of the residuals with absolute losses, (residuals,).
+
+        The step δu (flat) is clipped to the bounds.
+        """
+        if not len(self.at.cost.slope):
+            return np.zeros(0)
+        lower, upper = (bound.ravel() - self.position for bound in self.at.data.log_bounds)
+        step = np.clip(step, lower, upper)
+        move = np.concatenate([self.at.cell_resistance.ravel() * step, self.forward(step).ravel()])
+        return np.asarray(self._kinked @ move)
+
     @cached_property
     def diagonal_of_terms(self) -> Array:
         """Diagonal of T, (2·frames·cells): cells, then readings."""

@@ -203,7 +203,9 @@ class Iterate:
         if self.certificate is None or self.certificate.lower is None:
             return None
         lower = self.certificate.lower
-        return Iterate.of(lower, self.hessian.smoothing.moved(self.at, lower), convex=False)
+        change = lower.nonsmooth - self.at.nonsmooth
+        smoothing = self.hessian.smoothing.moved(self.at, lower, change)
+        return Iterate.of(lower, smoothing, convex=False)
 
     @property
     def newest_preconditioner(self) -> Preconditioner | None:
@@ -245,5 +247,5 @@ class Iterate:
         at = moved_by(self.at, step)
         if at is None:
             return None
-        smoothing = self.hessian.smoothing.moved(self.at, at)
+        smoothing = self.hessian.smoothing.moved(self.at, at, self.hessian.nonsmooth_change(step))
         return Iterate.of(at, smoothing, self.preconditioner, convex=self.convex)

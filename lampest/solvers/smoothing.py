@@ -79,21 +79,27 @@ class Smoothing:
         level = (level or LEVEL_SHARE * at.cost_scale) / max(len(slope), 1)
         return cls(level / np.where(slope > 0, slope, level), np.zeros(len(slope)))
 
-    def moved(self, before: Evaluation, after: Evaluation) -> "Smoothing":
-        """Return the smoothing after a step.
+    def moved(self, before: Evaluation, after: Evaluation, change: Array) -> "Smoothing":
+        """Return the smoothing after a step δu of log r, with `change` ∂x/∂u·δu.
 
         The duals are from their linearised equation, all along the share of it that keeps every
         one within ±1: duals cut one by one misjudge how near the others are to their optimum.
+        Residuals that changed by `change` up to rounding count as changed by that: between narrow
+        corners the last bits of x are many digits of z.
         """
         if not len(self.dual):
             return self
+        linear = before.nonsmooth + change
+        rounding = before.last_bits + after.last_bits
+        exact = np.abs(after.nonsmooth - linear) <= rounding
+        reached = np.where(exact, linear, after.nonsmooth)
         # z⁺ = z + ((1 − z²) x⁺ − 2β z)/(t + z x)
         size = self._size(before.nonsmooth) + self.dual * before.nonsmooth
-        change = ((1 - self.dual**2) * after.nonsmooth - 2 * self.width * self.dual) / size
-        room = np.where(change > 0, 1 - self.dual, 1 + self.dual)
-        reach = float(np.min(room / np.maximum(np.abs(change), np.finfo(float).tiny)))
+        of_dual = ((1 - self.dual**2) * reached - 2 * self.width * self.dual) / size
+        room = np.where(of_dual > 0, 1 - self.dual, 1 + self.dual)
+        reach = float(np.min(room / np.maximum(np.abs(of_dual), np.finfo(float).tiny)))
         share = max(TO_BOUNDARY, 1 - self.level(before) / before.cost_scale)
-        return replace(self, dual=self.dual + min(1.0, share * reach) * change)
+        return replace(self, dual=self.dual + min(1.0, share * reach) * of_dual)
 
     def centred(self, at: Evaluation) -> "Smoothing":
         """Return the smoothing with the duals z = ψ'(x)."""

@@ -105,6 +105,20 @@ def test_an_optimum_is_proved_by_duals_within_their_range_and_the_tolerance(
     assert end.dual_gap(outcome.dual) <= tolerance * end.cost_scale
 
 
+def test_duals_do_not_follow_the_last_bits_of_residuals() -> None:
+    at = start(TERMS[0])
+    outcome = ProjectedNewton(at.cost, Settings()).solve(at.data, at)
+    end = at.elsewhere(outcome.cell_resistance)
+    random = np.random.default_rng(2)
+    rounded = 1 + np.finfo(float).eps * random.choice([-1, 1], end.cell_resistance.shape)
+    nearly = end.elsewhere(end.cell_resistance * rounded)
+    change = np.zeros(len(outcome.dual))
+    smoothing = Smoothing(change + 1e-13, 0.5 * outcome.dual)
+    moved = [smoothing.moved(end, after, change).dual for after in (nearly, end)]
+    assert np.abs(nearly.nonsmooth - end.nonsmooth).max() > 0
+    assert_allclose(*moved, rtol=1e-15)
+
+
 @pytest.mark.parametrize(("terms", "most_steps"), list(zip(TERMS, MOST_STEPS, strict=True)))
 def test_absolute_losses_take_few_steps_and_end_within_a_billionth_of_the_cost(
     terms: tuple[lampest.Term, ...], most_steps: int
