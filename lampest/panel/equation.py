@@ -20,6 +20,9 @@ A = 1, A' = −Rd, E = U − Vp, or B = 1/Rs, B' = −1, F = (Vs − Vq)/Rs, wit
 `lampest.panel.difference_network` instead of Z, and V_j = Vq + s. Where one potential besides the
 source exists, V_ij = U Z_ij / ((A + A' Z_ii)(B + B' Z_jj) − A' B' Z_ij²).
 
+A far end of a wire takes no current. Where lines are read there, the line that is read ends in its
+base as in its address, so that B' = F = 0 and s = 0, and Z_ij and v_j are those of the far end.
+
 `Equation` has the bases and these numbers. Readings and potentials are counted from that of the
 ends that is furthest from the source.
 """
@@ -58,12 +61,12 @@ class LineChange:
     of_base: Mask
 
     @classmethod
-    def of(cls, table: Ends, alone: Ends | None) -> Self:
+    def of(cls, table: Ends, alone: Ends | None, *, whole: bool = False) -> Self:
         """Return the bases of the ends of a side, (lines, lines).
 
         Addresses share a base if their ends are those of the base but for the line that the address
-        names. `alone` are the ends, (lines,), in the base of an address that shares its own with no
-        other one; None: those of the address.
+        names, or with `whole` if all are. `alone` are the ends, (lines,), in the base of an address
+        that shares its own with no other one; None: those of the address.
         """
         count = len(table.ohm)
         lines = np.arange(count)
@@ -78,7 +81,7 @@ class LineChange:
             The ends of the lines `but_for` do not count.
             """
             differ = (states != base[:, None]).any(axis=0)
-            differ[lines, lines] = False
+            differ[lines, lines] &= whole
             differ[:, but_for] = False
             return np.asarray(waiting & ~differ.any(axis=1))
 
@@ -89,7 +92,8 @@ class LineChange:
             if alone is not None:
                 single = np.array([alone.ohm[first], alone.volt[first]])
             others = np.flatnonzero(sharing(base, [first]) & (lines != first))
-            base[:, first] = states[:, others[0], first] if others.size else single
+            if not whole:
+                base[:, first] = states[:, others[0], first] if others.size else single
             shared = sharing(base, [])
             mixed = bool(bases) or not shared.all()
             if mixed and np.isinf(base[0]).all() and np.isfinite(single[0]):
@@ -249,6 +253,13 @@ class Equation:
     def plain(self) -> bool:
         """Whether one source drives all currents, and one set of idle driven lines is tied."""
         return self.potentials is None and len(self.driving.of_base) == 1
+
+    @cached_property
+    def read_at_far_end(self) -> Mask:
+        """Whether a line is read at the far end of its wire, (lines,)."""
+        ends = self.terminations
+        sides = np.repeat(of_side(ends.driven, "driven", "sensed"), self.drive.shape)
+        return np.asarray((sides == "sensed") & ends.at_far_end)
 
     @property
     def diode(self) -> Diode | None:
@@ -420,7 +431,7 @@ def equation_of(circuit: CircuitOfLines, rows: int, columns: int) -> Equation:
 
     # Where nothing but both read lines ends anywhere, a resistance is that of floating lines
     alone = Ends.floating(sensed_count) if ends.two_point else None
-    sensing = LineChange.of(ends.sensing, alone)
+    sensing = LineChange.of(ends.sensing, alone, whole=ends.at_far_end)
     # A driven line that no other address shows idle rests behind its resistance, or floats if it
     # has none, unless nothing else ends
     resting = ends.driving.ohm.diagonal()

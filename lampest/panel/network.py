@@ -255,6 +255,10 @@ class SolvedNetwork(Network):
         """
         return self._impedance
 
+    def read_potentials(self) -> Array:
+        """Return P for excitations of lines where they are read; see `DifferenceNetwork.far`."""
+        return self.potentials()
+
     def free(self, values: Array) -> Array:
         """Return values (…, lines, patterns) of lines that are not held, 0 for held ones."""
         return values
@@ -338,7 +342,7 @@ class SolvedNetwork(Network):
     @cached_property
     def potential_differences(self) -> Array:
         """D = P·B (…, lines, cells): across every cell for the excitation of every line."""
-        return self.across_cells(self.potentials())
+        return self.across_cells(self.read_potentials())
 
     @cached_property
     def transfer(self) -> Array:
@@ -497,9 +501,10 @@ class SolvedNetwork(Network):
 
         By Woodbury's formula Z becomes Z − Z B (1/G + BᵀZB)⁻¹ BᵀZ.
         """
-        towards = self.potentials() @ across
+        between = across.T @ self.free(self.potentials() @ across)
+        towards = self.read_potentials() @ across
         # (1/G + Bᵀ Z B)⁻¹ = G (1 + G Bᵀ Z B)⁻¹, which allows G = 0
-        core = np.linalg.inv(np.eye(across.shape[1]) + siemens * across.T @ self.free(towards))
+        core = np.linalg.inv(np.eye(across.shape[1]) + siemens * between)
         change = siemens * towards @ core @ towards.swapaxes(-1, -2)
         return replace(self, _impedance=self._impedance - change)
 
