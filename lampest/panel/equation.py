@@ -293,11 +293,7 @@ class Equation:
                 return between
             loop = between + (self.drive + self.load)
             return self._supply(loop) * (self.load * self.gain) / loop
-        drive, by_drive = self.drive_terms
-        load, by_load = self.load_terms
-        of_load = own_sensed * by_load + load
-        of_drive = own_driven * by_drive + drive
-        determinant = of_drive * of_load - mutual * mutual * (by_drive * by_load)
+        _, of_load, determinant = self.determinant(own_driven, own_sensed, mutual)
         if self.diode is None:
             volt = mutual * (self.gain * self.source) / determinant
             if self.terminations.as_resistance:
@@ -306,9 +302,18 @@ class Equation:
         # Resistance U/I of the driven path, from the excitation x and the potential u of the driven
         # line: x = U of_load/determinant, u = U (Z_ii of_load − B' Z_ij²)/determinant
         by_excitation, by_potential = self.current_terms
-        potential = own_driven * of_load - mutual * mutual * by_load
+        potential = own_driven * of_load - mutual * mutual * self.load_terms[1]
         current = of_load * by_excitation + potential * by_potential
         return mutual * self.gain * self._supply(determinant / current) / determinant
+
+    def determinant(self, own_driven: Any, own_sensed: Any, mutual: Any) -> tuple[Any, Any, Any]:
+        """Return A + A' Z_ii, B + B' Z_jj, and the determinant of the two equations."""
+        drive, by_drive = self.drive_terms
+        load, by_load = self.load_terms
+        of_drive = own_driven * by_drive + drive
+        of_load = own_sensed * by_load + load
+        square = mutual * mutual
+        return of_drive, of_load, of_drive * of_load - square * (by_drive * by_load)
 
     def _solved(
         self,
@@ -320,13 +325,10 @@ class Equation:
         """Return V_j of the two equations of the module, for E and F."""
         terms = self.potentials
         assert terms is not None
-        drive, by_drive = self.drive_terms
-        load, by_load = self.load_terms
-        own_driven, own_sensed, mutual = entries
+        by_drive = self.drive_terms[1]
+        _, own_sensed, mutual = entries
         driven_volt, sensed_volt = at_lines
-        driving = drive + own_driven * by_drive
-        square = mutual * mutual
-        determinant = driving * (load + own_sensed * by_load) - square * (by_drive * by_load)
+        driving, _, determinant = self.determinant(*entries)
         lifted = sensed_volt
         held, free = terms.shares or (None, 1.0)
         if terms.loaded:
@@ -335,7 +337,7 @@ class Equation:
             lifted = sensed_volt + through * of_load
         rises = mutual * (of_drive - driven_volt * by_drive) + driving * lifted
         if terms.loaded:
-            rises = rises - free * (of_load * by_drive) * square
+            rises = rises - free * (of_load * by_drive) * (mutual * mutual)
         volt = rises / determinant
         return volt if held is None else volt + held * terms.held_volt
 
