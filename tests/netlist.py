@@ -13,6 +13,7 @@ import numpy as np
 from lampest import (
     Array,
     DrivenReadout,
+    Lines,
     LoadedColumnsReadout,
     Scene,
     TwoPointReadout,
@@ -107,14 +108,30 @@ def resistors(cells: Array, scene: Scene) -> Iterable[Resistor]:
 
 
 def impedance_of(cells: Array, scene: Scene, ties: Array) -> Array:
-    """Z (lines, lines) ohm between the terminals, ties (lines) siemens to ground.
+    """Z (lines, lines) ohm between the nodes at which lines are driven and read.
 
-    Nodes joined by 0 ohm are one.
+    Terminals have ties (lines) siemens to ground. Nodes joined by 0 ohm are one.
     """
     number, matrix = laplacian(resistors(cells, scene))
     lines = [number[line] for line in range(sum(cells.shape))]
     np.add.at(matrix, (lines, lines), ties)
-    return np.asarray(np.linalg.inv(matrix)[np.ix_(lines, lines)])
+    read = [number[node] for node in read_nodes(scene)]
+    return np.asarray(np.linalg.inv(matrix)[np.ix_(read, read)])
+
+
+def read_nodes(scene: Scene) -> list[Node]:
+    """Return the node of each line at which it is driven or read; see `resistors`."""
+    rows, columns = scene.panel.shape
+    nodes = list(range(rows + columns))
+    if getattr(scene.readout, "read_at", "terminal") == "terminal":
+        return list(nodes)
+    lines = scene.lines or Lines()
+    crossing = rows + columns + 2 * np.arange(rows * columns).reshape(rows, columns)
+    if scene.readout.driven == "columns":
+        nodes[:rows] = crossing[:, -1 if lines.rows_enter == "left" else 0].tolist()
+    else:
+        nodes[rows:] = (crossing[-1 if lines.columns_leave == "top" else 0] + 1).tolist()
+    return list(nodes)
 
 
 def two_point_resistances(cells: Array, leak_ohm: float = np.inf) -> Array:

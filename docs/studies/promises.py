@@ -52,6 +52,9 @@ BREAKS = {
     "a_name_states_the_steps_of_a_chip": Break(
         "panel/readouts/readout.py", "Readout.lsb_volt", "return 0.5 * result"
     ),
+    "the_key_makes_cells_right_where_wire_matters": Break(
+        "panel/equation.py", "Equation.read_at_far_end", "return 0 * result > 0"
+    ),
     "a_range_that_is_not_stated_is_told": Break(
         "panel/readouts/converter.py", "range_assumed", "return False"
     ),

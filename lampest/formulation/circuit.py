@@ -60,6 +60,8 @@ class Circuit(ReadOnlyArrays):
         Number of nodes.
     terminals : array of int, shape (rows + columns,)
         Node of the terminal of every line, rows before columns.
+    points : array of int, shape (rows + columns,)
+        Node at which every line is excited and read: its terminal, or the far end of its wire.
     cell_ends : array of int, shape (2, cells)
         Nodes on the row and on the column of every cell, row-major.
     wire_ends : array of int, shape (2, wires)
@@ -76,6 +78,7 @@ class Circuit(ReadOnlyArrays):
     shape: tuple[int, int]
     count: int
     terminals: Numbers
+    points: Numbers
     cell_ends: Numbers
     wire_ends: Numbers
     wire_siemens: Array
@@ -88,18 +91,25 @@ class Circuit(ReadOnlyArrays):
         cls, readout: Readout, shape: tuple[int, int], wiring: Wiring | None
     ) -> "tuple[Circuit, ...]":
         """Return the circuit of every address of a readout."""
-        circuit = cls.of(shape, wiring)
         equation = equation_of(readout, *shape)
+        circuit = cls.of(shape, wiring, equation.read_at_far_end)
         terms = equation.potentials
         ends = [None] * len(equation.ties) if terms is None or not terms.sourced else terms.ends
-        return tuple(
-            replace(circuit, held=np.isinf(ties), read=read > 0, ends=volts)
-            for ties, read, volts in zip(equation.ties, equation.read_at, ends, strict=True)
-        )
+        addresses = []
+        for ties, read, volts in zip(equation.ties, equation.read_at, ends, strict=True):
+            held = np.isinf(ties)
+            points = np.where(held, circuit.terminals, circuit.points)
+            addresses.append(replace(circuit, points=points, held=held, read=read > 0, ends=volts))
+        return tuple(addresses)
 
     @classmethod
-    def of(cls, shape: tuple[int, int], wiring: Wiring | None) -> "Circuit":
-        """Return the circuit of a panel of rows × columns cells, without lines at ground."""
+    def of(
+        cls, shape: tuple[int, int], wiring: Wiring | None, at_far_end: Mask | None = None
+    ) -> "Circuit":
+        """Return the circuit of a panel of rows × columns cells, without lines at ground.
+
+        Lines `at_far_end`, (lines,), are read there; None: none.
+        """
         rows, columns = shape
         wiring = Wiring() if wiring is None else wiring
         lines = np.arange(rows + columns)
@@ -109,6 +119,9 @@ class Circuit(ReadOnlyArrays):
         on_row = len(lines) + crossings
         on_column = on_row + crossings.size
         ends, ohm = _wire(wiring, on_row, on_column)
+        # Pieces follow line by line, from the terminal to the last crossing.
+        last = ends[1, np.cumsum(np.repeat((columns, rows), shape)) - 1]
+        points = lines if at_far_end is None else np.where(at_far_end, last, lines)
         joined = list[tuple[int, int]]()
         for group in wiring.joined:
             joined += [(group[0], line) for line in group[1:]]
@@ -129,6 +142,7 @@ class Circuit(ReadOnlyArrays):
             shape,
             count=int(count),
             terminals=node[lines],
+            points=node[points],
             cell_ends=cell_ends,
             wire_ends=node[branches],
             wire_siemens=siemens,
@@ -163,7 +177,7 @@ class Circuit(ReadOnlyArrays):
 
     def _at_nodes(self, lines: Numbers, of_lines: Mask) -> Array:
         values = np.zeros((self.count, len(lines)))
-        values[self.terminals[lines], np.arange(len(lines))] = of_lines[lines]
+        values[self.points[lines], np.arange(len(lines))] = of_lines[lines]
         return values
 
     @cached_property

@@ -289,7 +289,7 @@ def _patterns(circuit: Circuit, readout: Readout) -> tuple[Numbers, Numbers]:
     if not any(reads):
         reads = (rows <= columns, rows > columns)
     driven = np.concatenate([np.full(rows, reads[0]), np.full(columns, reads[1])])
-    _, first, inverse = np.unique(circuit.terminals[driven], return_index=True, return_inverse=True)
+    _, first, inverse = np.unique(circuit.points[driven], return_index=True, return_inverse=True)
     pattern = np.full(len(driven), -1)
     pattern[driven] = inverse
     return np.flatnonzero(driven)[first], pattern
@@ -375,7 +375,7 @@ def _solved(
     voltage = casadi.SX(casadi.DM(given))
     voltage[free, :] = unknowns.new(name, *given[circuit.free].shape)
     out = circuit.balance(symbols, voltage) - into
-    entries = voltage[circuit.terminals.tolist(), :]
+    entries = voltage[circuit.points.tolist(), :]
     held = np.flatnonzero(circuit.held)
     if len(held):
         entries[held.tolist(), :] = -out[circuit.terminals[held].tolist(), :] / unit

@@ -119,6 +119,8 @@ class Terminations(Validated):
         Row j has the ends of all sensed lines while line j is read.
     gain : array, shape (sensed,)
         Voltage at the converter per voltage across the end of the line that is read.
+    at_far_end : bool
+        Whether the converter reads the far end of the sensed line's wire, which draws no current.
     amplified : bool
         Whether 0 is recorded of a line that is read without current, not the potential of its end.
     as_resistance : bool
@@ -138,6 +140,7 @@ class Terminations(Validated):
     driving: Ends
     sensing: Ends
     gain: Array
+    at_far_end: bool = False
     amplified: bool = False
     as_resistance: bool = False
     diode: Diode | None = None

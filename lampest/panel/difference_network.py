@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from lampest.panel.circuit import CircuitOfLines
+from lampest.panel.equation import equation_of
 from lampest.panel.kirchhoff import NormalByLines, laplacian
 from lampest.panel.law import Entries, Loading
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array, Mask
-from lampest.panel.readouts.ladder import Wire, into_lines
+from lampest.panel.readouts.ladder import FarEnds, Wire, into_lines
 from lampest.panel.readouts.wiring import Wiring
 
 
@@ -46,11 +47,15 @@ class DifferenceNetwork(SolvedNetwork):
         P; row a is the excitation of line a.
     wire : Wire or None
         Wire between terminals and cells.
+    far : FarEnds or None
+        Far ends at which lines are read, in place of their terminals. Such a line is excited at its
+        far end, by a unit current, and K has the potential there.
     """
 
     ties: Array
     excited: Array
     wire: Wire | None = None
+    far: FarEnds | None = None
 
     @classmethod
     def of(
@@ -81,7 +86,15 @@ class DifferenceNetwork(SolvedNetwork):
             parts = [nodes @ part @ nodes.T for part in of_nodes]
         else:
             parts = excitations(admittance, ties)
-        return cls(cell_resistance, parts[0], circuit, ties, parts[1], wire, sources=sources)
+        entries, excited = parts
+        far = None
+        if wire is not None and circuit is not None:
+            lines = equation_of(circuit, *cell_resistance.shape).read_at_far_end & ~np.isinf(ties)
+            if lines.any():
+                far = FarEnds.of(wire, wiring, lines)
+                risen = excited @ far.of_lines.T
+                entries = entries + risen + risen.T
+        return cls(cell_resistance, entries, circuit, ties, excited, wire, far, sources=sources)
 
     @property
     def of_free(self) -> Mask:
@@ -90,6 +103,20 @@ class DifferenceNetwork(SolvedNetwork):
 
     def potentials(self) -> Array:
         return self.excited
+
+    def read_potentials(self) -> Array:
+        return self._read(self.excited)
+
+    def _read(self, potentials: Array, currents: Array | None = None) -> Array:
+        """Return the potentials at which lines are read, (lines, patterns).
+
+        `potentials` are those of the terminals, P·B·i for currents i driven through the cells,
+        (cells, patterns), if any.
+        """
+        if self.far is None:
+            return potentials
+        read = potentials + self.far.of_lines @ self.free(potentials)
+        return read if currents is None else read + self.far.of_cells @ currents
 
     def free(self, values: Array) -> Array:
         return np.where(self.of_free, values, 0.0)
@@ -110,6 +137,18 @@ class DifferenceNetwork(SolvedNetwork):
         """
         differences = self.across_cells(self.free(potentials).T).T
         return differences if self.wire is None else differences + self.wire.within(currents)
+
+    @cached_property
+    def potential_differences(self) -> Array:
+        """D (lines, cells), see `SolvedNetwork`."""
+        differences = self.across_cells(self.read_potentials())
+        return differences if self.far is None else differences + self.far.of_cells
+
+    def changes(self, step: Array) -> Entries:
+        if self.far is None:
+            return super().changes(step)
+        currents = self._currents(step)
+        return self.entries(self._read(self.excited @ self.entering(currents), currents))
 
     @cached_property
     def transfer(self) -> Array:
@@ -145,7 +184,9 @@ class DifferenceNetwork(SolvedNetwork):
 
     def weighed(self, loading: Loading) -> Array:
         """Return the product with W that second derivatives share, W D (lines, cells)."""
-        return self.across_cells(self.loaded(loading, self.excited))
+        if self.far is None:
+            return self.across_cells(self.loaded(loading, self.excited))
+        return self.loaded(loading, self.potential_differences)
 
     def drawn_of(self, weighed: Array) -> Array:
         """Return diag(DᵀWD) from `weighed`, (rows, columns)."""
@@ -159,16 +200,19 @@ class DifferenceNetwork(SolvedNetwork):
         currents = self._currents(step)
         changed = self.excited @ self.entering(currents)
         moved = self.driven(currents, changed)
-        return self.entries(changed), 2 * np.sum(moved.T * weighed, axis=0).reshape(self.shape)
+        return self.entries(self._read(changed, currents)), 2 * np.sum(
+            moved.T * weighed, axis=0
+        ).reshape(self.shape)
 
     @property
     def terminal_currents(self) -> Array:
         """Current that enters each line while a line is excited, (lines, patterns).
 
-        The currents are 1 − diag(t) Z, and −K of a held line.
+        The currents are 1 − diag(t) Z, and −K of a held line. At a far end none enters.
         """
         ties = np.where(self.of_free[:, 0], self.ties, 0.0)
-        entering = np.eye(len(ties)) - ties[:, None] * self.excited.T
+        excited = np.eye(len(ties)) if self.far is None else np.diag(~self.far.lines)
+        entering = excited - ties[:, None] * self.read_potentials().T
         return np.where(self.of_free, entering, -self._impedance)
 
     def normal_by_lines(self, weight: Array) -> NormalByLines:

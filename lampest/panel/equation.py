@@ -20,6 +20,9 @@ A = 1, A' = −Rd, E = U − Vp, or B = 1/Rs, B' = −1, F = (Vs − Vq)/Rs, wit
 `lampest.panel.difference_network` instead of Z, and V_j = Vq + s. Where one potential besides the
 source exists, V_ij = U Z_ij / ((A + A' Z_ii)(B + B' Z_jj) − A' B' Z_ij²).
 
+A far end of a wire takes no current. Where lines are read there, the line that is read ends in its
+base as in its address, so that B' = F = 0 and s = 0, and Z_ij and v_j are those of the far end.
+
 `Equation` has the bases and these numbers. Readings and potentials are counted from that of the
 ends that is furthest from the source.
 """
@@ -58,12 +61,12 @@ class LineChange:
     of_base: Mask
 
     @classmethod
-    def of(cls, table: Ends, alone: Ends | None) -> Self:
+    def of(cls, table: Ends, alone: Ends | None, *, whole: bool = False) -> Self:
         """Return the bases of the ends of a side, (lines, lines).
 
         Addresses share a base if their ends are those of the base but for the line that the address
-        names. `alone` are the ends, (lines,), in the base of an address that shares its own with no
-        other one; None: those of the address.
+        names, or with `whole` if all are. `alone` are the ends, (lines,), in the base of an address
+        that shares its own with no other one; None: those of the address.
         """
         count = len(table.ohm)
         lines = np.arange(count)
@@ -78,7 +81,7 @@ class LineChange:
             The ends of the lines `but_for` do not count.
             """
             differ = (states != base[:, None]).any(axis=0)
-            differ[lines, lines] = False
+            differ[lines, lines] &= whole
             differ[:, but_for] = False
             return np.asarray(waiting & ~differ.any(axis=1))
 
@@ -89,7 +92,8 @@ class LineChange:
             if alone is not None:
                 single = np.array([alone.ohm[first], alone.volt[first]])
             others = np.flatnonzero(sharing(base, [first]) & (lines != first))
-            base[:, first] = states[:, others[0], first] if others.size else single
+            if not whole:
+                base[:, first] = states[:, others[0], first] if others.size else single
             shared = sharing(base, [])
             mixed = bool(bases) or not shared.all()
             if mixed and np.isinf(base[0]).all() and np.isfinite(single[0]):
@@ -250,6 +254,13 @@ class Equation:
         """Whether one source drives all currents, and one set of idle driven lines is tied."""
         return self.potentials is None and len(self.driving.of_base) == 1
 
+    @cached_property
+    def read_at_far_end(self) -> Mask:
+        """Whether a line is read at the far end of its wire, (lines,)."""
+        ends = self.terminations
+        sides = np.repeat(of_side(ends.driven, "driven", "sensed"), self.drive.shape)
+        return np.asarray((sides == "sensed") & ends.at_far_end)
+
     @property
     def diode(self) -> Diode | None:
         """Diode in series with the end of the driven line."""
@@ -282,11 +293,7 @@ class Equation:
                 return between
             loop = between + (self.drive + self.load)
             return self._supply(loop) * (self.load * self.gain) / loop
-        drive, by_drive = self.drive_terms
-        load, by_load = self.load_terms
-        of_load = own_sensed * by_load + load
-        of_drive = own_driven * by_drive + drive
-        determinant = of_drive * of_load - mutual * mutual * (by_drive * by_load)
+        _, of_load, determinant = self.determinant(own_driven, own_sensed, mutual)
         if self.diode is None:
             volt = mutual * (self.gain * self.source) / determinant
             if self.terminations.as_resistance:
@@ -295,9 +302,18 @@ class Equation:
         # Resistance U/I of the driven path, from the excitation x and the potential u of the driven
         # line: x = U of_load/determinant, u = U (Z_ii of_load − B' Z_ij²)/determinant
         by_excitation, by_potential = self.current_terms
-        potential = own_driven * of_load - mutual * mutual * by_load
+        potential = own_driven * of_load - mutual * mutual * self.load_terms[1]
         current = of_load * by_excitation + potential * by_potential
         return mutual * self.gain * self._supply(determinant / current) / determinant
+
+    def determinant(self, own_driven: Any, own_sensed: Any, mutual: Any) -> tuple[Any, Any, Any]:
+        """Return A + A' Z_ii, B + B' Z_jj, and the determinant of the two equations."""
+        drive, by_drive = self.drive_terms
+        load, by_load = self.load_terms
+        of_drive = own_driven * by_drive + drive
+        of_load = own_sensed * by_load + load
+        square = mutual * mutual
+        return of_drive, of_load, of_drive * of_load - square * (by_drive * by_load)
 
     def _solved(
         self,
@@ -309,13 +325,10 @@ class Equation:
         """Return V_j of the two equations of the module, for E and F."""
         terms = self.potentials
         assert terms is not None
-        drive, by_drive = self.drive_terms
-        load, by_load = self.load_terms
-        own_driven, own_sensed, mutual = entries
+        by_drive = self.drive_terms[1]
+        _, own_sensed, mutual = entries
         driven_volt, sensed_volt = at_lines
-        driving = drive + own_driven * by_drive
-        square = mutual * mutual
-        determinant = driving * (load + own_sensed * by_load) - square * (by_drive * by_load)
+        driving, _, determinant = self.determinant(*entries)
         lifted = sensed_volt
         held, free = terms.shares or (None, 1.0)
         if terms.loaded:
@@ -324,7 +337,7 @@ class Equation:
             lifted = sensed_volt + through * of_load
         rises = mutual * (of_drive - driven_volt * by_drive) + driving * lifted
         if terms.loaded:
-            rises = rises - free * (of_load * by_drive) * square
+            rises = rises - free * (of_load * by_drive) * (mutual * mutual)
         volt = rises / determinant
         return volt if held is None else volt + held * terms.held_volt
 
@@ -420,7 +433,7 @@ def equation_of(circuit: CircuitOfLines, rows: int, columns: int) -> Equation:
 
     # Where nothing but both read lines ends anywhere, a resistance is that of floating lines
     alone = Ends.floating(sensed_count) if ends.two_point else None
-    sensing = LineChange.of(ends.sensing, alone)
+    sensing = LineChange.of(ends.sensing, alone, whole=ends.at_far_end)
     # A driven line that no other address shows idle rests behind its resistance, or floats if it
     # has none, unless nothing else ends
     resting = ends.driving.ohm.diagonal()

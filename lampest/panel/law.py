@@ -87,6 +87,26 @@ def equation_derivatives(
     return Compiled(casadi.Function("derivatives", [every], [of_every]))
 
 
+def derivatives(
+    circuit: CircuitOfLines, entries: Entries, shape: tuple[int, ...], order: int
+) -> Array:
+    """Return all derivatives of h of an order, (derivatives, *shape), for readings of a shape."""
+    every = filled(entries, shape)
+    function = equation_derivatives(circuit, *shape[-2:], len(every), order)
+    if every.ndim == 3:
+        return function(every).reshape(-1, *shape)
+    each = (function(every[:, number]) for number in range(shape[0]))
+    return np.stack([one.reshape(-1, *shape[1:]) for one in each], axis=1)
+
+
+def filled(parts: Entries, shape: tuple[int, ...]) -> Array:
+    """Return entries of the readings as one array, (entries, *shape)."""
+    every = np.empty((len(parts), *shape))
+    for number, part in enumerate(parts):
+        every[number] = part
+    return every
+
+
 def across(entries: Entries) -> Array:
     """Return bᵀ K b = K_jj + K_kk − 2 K_jk of every cell, (…, rows, columns)."""
     row, column, mutual, *_ = entries

@@ -30,7 +30,8 @@ from lampest.panel.law import (
     Entries,
     Loading,
     across,
-    equation_derivatives,
+    derivatives,
+    filled,
     loading_of,
 )
 from lampest.panel.panel import Array, Mask, Numbers
@@ -163,14 +164,6 @@ def matrix_vector(matrix: Array, vector: Array) -> Array:
     return (matrix @ vector[..., None])[..., 0]
 
 
-def _filled(parts: Entries, shape: tuple[int, ...]) -> Array:
-    """Return entries of the readings as one array, (entries, *shape)."""
-    every = np.empty((len(parts), *shape))
-    for number, part in enumerate(parts):
-        every[number] = part
-    return every
-
-
 @dataclass(frozen=True, eq=False)
 class SolvedNetwork(Network):
     """Solved network of lines that end in ties to ground.
@@ -255,6 +248,10 @@ class SolvedNetwork(Network):
         """
         return self._impedance
 
+    def read_potentials(self) -> Array:
+        """Return P for excitations of lines where they are read; see `DifferenceNetwork.far`."""
+        return self.potentials()
+
     def free(self, values: Array) -> Array:
         """Return values (…, lines, patterns) of lines that are not held, 0 for held ones."""
         return values
@@ -274,7 +271,9 @@ class SolvedNetwork(Network):
     @cached_property
     def slopes(self) -> Entries:
         """First derivatives (h_p, h_q, h_t), or (h_p, h_q, h_t, h_e, h_f)."""
-        return TWO_POINT_SLOPES if self.circuit is None else tuple(self._derivatives(1))
+        if self.circuit is None:
+            return TWO_POINT_SLOPES
+        return tuple(derivatives(self.circuit, self._entries, self.shape, 1))
 
     @cached_property
     def curvatures(self) -> Array | None:
@@ -282,17 +281,8 @@ class SolvedNetwork(Network):
         if self.circuit is None:
             return None
         count = len(self._entries)
-        return self._derivatives(2).reshape(count, count, *self.shape)
-
-    def _derivatives(self, order: int) -> Array:
-        """Return all derivatives of h of an order, (derivatives, …, rows, columns)."""
-        assert self.circuit is not None
-        entries = _filled(self._entries, self.shape)
-        function = equation_derivatives(self.circuit, *self.shape[-2:], len(entries), order)
-        if entries.ndim == 3:
-            return function(entries).reshape(-1, *self.shape)
-        each = (function(entries[:, number]) for number in range(len(self.cell_resistance)))
-        return np.stack([one.reshape(-1, *self.shape[1:]) for one in each], axis=1)
+        second = derivatives(self.circuit, self._entries, self.shape, 2)
+        return second.reshape(count, count, *self.shape)
 
     def read_change(self, change: Entries) -> Array:
         """Return h_p·dp + h_q·dq + h_t·dt, (rows, columns)."""
@@ -326,11 +316,10 @@ class SolvedNetwork(Network):
         if loading.of_potentials is not None:
             # ½ (x w_vᵀ + w_v xᵀ)
             assert self.sources is not None
-            for left, right in (
-                (self.sources, loading.of_potentials),
-                (loading.of_potentials, self.sources),
-            ):
-                product += (0.5 * left)[..., :, None] * (right[..., None, :] @ values)
+            source = 0.5 * self.sources[..., None]
+            weight = loading.of_potentials[..., None]
+            product += source * (weight.swapaxes(-1, -2) @ values)
+            product += weight * (source.swapaxes(-1, -2) @ values)
         return product
 
     # Sums over the cells, D = Z·B, and X = BᵀZB. `DifferenceNetwork` has another D, and another X.
@@ -338,7 +327,7 @@ class SolvedNetwork(Network):
     @cached_property
     def potential_differences(self) -> Array:
         """D = P·B (…, lines, cells): across every cell for the excitation of every line."""
-        return self.across_cells(self.potentials())
+        return self.across_cells(self.read_potentials())
 
     @cached_property
     def transfer(self) -> Array:
@@ -497,9 +486,10 @@ class SolvedNetwork(Network):
 
         By Woodbury's formula Z becomes Z − Z B (1/G + BᵀZB)⁻¹ BᵀZ.
         """
-        towards = self.potentials() @ across
+        between = across.T @ self.free(self.potentials() @ across)
+        towards = self.read_potentials() @ across
         # (1/G + Bᵀ Z B)⁻¹ = G (1 + G Bᵀ Z B)⁻¹, which allows G = 0
-        core = np.linalg.inv(np.eye(across.shape[1]) + siemens * across.T @ self.free(towards))
+        core = np.linalg.inv(np.eye(across.shape[1]) + siemens * between)
         change = siemens * towards @ core @ towards.swapaxes(-1, -2)
         return replace(self, _impedance=self._impedance - change)
 
@@ -573,7 +563,7 @@ class SolvedSecondOrder(SecondOrder):
         weighted = self._weighted_curvatures
         shape = np.broadcast_shapes(*(part.shape for part in change))
         if shape == self.weights.shape:
-            return list((weighted * _filled(change, shape)).sum(axis=1))
+            return list((weighted * filled(change, shape)).sum(axis=1))
         changes: list[Array] = [np.zeros(shape) for _ in change]
         for of, by in np.argwhere(weighted.any(axis=(-2, -1))):
             curvature = weighted[of, by]

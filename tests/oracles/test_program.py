@@ -175,7 +175,7 @@ def test_node_voltages_equal_those_of_a_netlist(wires: str) -> None:
     ties = scene.circuit.ties(scene.circuit.exact_reading(cells, scene.wiring))
     circuit = Circuit.of((4, 5), scene.wiring)
     assert_allclose(
-        circuit.voltages(cells, ties)[circuit.terminals],
+        circuit.voltages(cells, ties)[circuit.points],
         impedance_of(cells, scene, ties),
         rtol=1e-9,
     )

@@ -57,7 +57,8 @@ def free_tests(circuit: CircuitOfLines, measured: Array, sigma: Array) -> tuple[
     volt, noise = np.where(np.isfinite(sigma), read, 0.0) / equation.gain
     # U ≥ v_ij + Rd_i Σ_k v_ik/Rs_k + V_d, with the propagated noise of both terms
     simultaneous = equation.together is None or len(equation.ties) > 1
-    drop = (equation.drive if simultaneous else 0.0) / load
+    by_loads = simultaneous and not equation.terminations.at_far_end
+    drop = (equation.drive if by_loads else 0.0) / load
     lost = equation.lost(equation.sum_together(volt / load))
     below = volt + equation.sum_together(volt * drop) + lost
     spread = np.hypot(noise, np.sqrt(equation.sum_together((noise * drop) ** 2)))

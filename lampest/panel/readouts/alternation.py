@@ -91,19 +91,17 @@ def _driven_potentials(equation: Equation, ties: Array, conductance: Array, volt
         driven = equation.driven_volt(current, equation.driving.own.ohm)
         np.fill_diagonal(potentials, np.maximum(driven, volt.max(axis=1) * (1 + 1e-6)))
         return np.asarray(potentials[None])
-    drive, by_drive = (_turned(equation, term) for term in equation.drive_terms)
-    load, by_load = (_turned(equation, term) for term in equation.load_terms)
+    by_load = _turned(equation, equation.load_terms[1])
     result = np.empty((volt.shape[1], count, count))
     for of_address, read in zip(np.atleast_2d(ties), equation.read_at, strict=True):
         sides = np.split(of_address, [read.shape[0]])
         in_order = np.concatenate(of_side(equation.terminations.driven, *sides))
         entries, excited = excitations(laplacian(conductance), in_order)
-        own_driven = np.diag(entries)[:count, None]
-        own_sensed = np.diag(entries)[count:]
         mutual = entries[:count, count:]
-        of_load = own_sensed * by_load + load
-        of_drive = own_driven * by_drive + drive
-        determinant = of_drive * of_load - mutual**2 * by_drive * by_load
+        own = np.diag(entries)
+        solved = own[:count, None], own[None, count:], mutual
+        terms = equation.determinant(*(_turned(equation, entry) for entry in solved))
+        _, of_load, determinant = (_turned(equation, term) for term in terms)
         # Excitations of both lines, (driven i, sensed j), and the potentials of driven lines
         # that follow from them
         excitation_driven = source * of_load / determinant

@@ -35,8 +35,11 @@ def _least_by_currents(equation: Equation, measured: Array, sigma: Array | None)
     Shape (…, rows, columns), ohm. I_i = Σ_j V_ij/Rs_j is the current of the driven line, increased
     by its noise, and u_i = U − Rd_i I_i − V_d its potential. The bound holds because I_i is at
     least the current through each cell and its load alone. Where other lines conduct to ground,
-    cells can increase and decrease a reading, r > 0 alone holds, and the result is None.
+    cells can increase and decrease a reading, r > 0 alone holds, and the result is None. So it is
+    where a reading is not the voltage of a load.
     """
+    if equation.terminations.at_far_end:
+        return None
     table = equation.terminations.sensing
     loaded_or_floating = (table.ohm == equation.sensing.own.ohm) | np.isinf(table.ohm)
     idle_float = np.isinf(equation.driving.base.ohm).all() and loaded_or_floating.all()

@@ -73,7 +73,8 @@ def ends_with_loads(
 ) -> Terminations:
     """Return the ends of all lines, where sensed ones have loads behind their channels.
 
-    The gain is the share Rs/(Rc + Rs) of the voltage of the line that is read, 1 without a load.
+    The gain is the share Rs/(Rc + Rs) of the voltage of the line that is read, 1 without a load and
+    at the far end of a line.
 
     Parameters
     ----------
@@ -89,13 +90,15 @@ def ends_with_loads(
     load = load_ends(readout, sensed)
     total = load.behind(per_line("sense_ohm", entry(readout, "sense_ohm") or 0.0, sensed))
     idle_load = total if loads_stay else idle_load_ends(readout, sensed)
+    at_far_end = entry(readout, "read_at") == "far_end"
     with np.errstate(invalid="ignore"):
-        gain = np.where(np.isinf(load.ohm), 1.0, load.ohm / total.ohm)
+        gain = np.where(np.isinf(load.ohm) | at_far_end, 1.0, load.ohm / total.ohm)
     return Terminations(
         readout.driven,
         scanned(drive, idle, entry(readout, "driven_groups"), together),
         scanned(total, idle_load, entry(readout, "groups")),
         gain,
+        at_far_end,
         diode=entry(readout, "diode"),
     )
 
@@ -204,6 +207,10 @@ def check_on_panel(readout: Any, scene: Any) -> None:
         raise ValueError("diode: circuits with several potentials have no diode in this model")
     if ends.diode is not None and entry(readout, "driven_groups") is not None:
         raise ValueError("diode: circuits with driven_groups have no diode in this model")
+    if ends.at_far_end and equation.potentials is not None:
+        raise ValueError(
+            "read_at: circuits with several potentials are read at the terminals in this model"
+        )
     if scene.wiring is not None and scene.wiring.joined and np.isinf(equation.ties).any():
         raise ValueError(
             "faults: lines that touch cannot be joined to idle ones that 0 ohm hold at ground"
@@ -234,4 +241,6 @@ def ends_in_words(readout: Any) -> str:
         text += f", amplifiers off by {lines_text(readout.offset_volt, 'V')}"
     if entry(readout, "input_ohm") is not None:
         text += f", converter input {readout.input_ohm:g} ohm"
+    if nominal_terminations(readout).at_far_end:
+        text += f", {sensed} read at their far end"
     return f"{text}, {converter_in_words(readout)}"

@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.readouts.wiring import Wiring
 
 
@@ -149,6 +149,43 @@ class Wire:
         pushed = self._resistance * currents
         drawn = self.ladder.solve(pushed.reshape(*self.cells.shape, -1)).reshape(pushed.shape)
         return pushed - self._resistance * drawn
+
+
+@dataclass(frozen=True, eq=False)
+class FarEnds:
+    """Far ends of lines, beyond the last cell, from which no current flows.
+
+    Their potentials are those of the terminals plus M·i for the currents i through the cells, M_lc
+    the resistance of line l from the terminal to cell c, negative for rows, from which currents
+    flow. For potentials p of the terminals and currents i₀ driven through the cells M·i = M·C·p −
+    M·K⁻¹·r·i₀; see `Wire`.
+
+    Attributes
+    ----------
+    lines : boolean array, shape (lines,)
+        Lines that have a far end; the others have zeros in M.
+    of_lines : array, shape (lines, lines)
+        M·C.
+    of_cells : array, shape (lines, cells)
+        −M·K⁻¹·r in ohm.
+    """
+
+    lines: Mask
+    of_lines: Array
+    of_cells: Array
+
+    @classmethod
+    def of(cls, wire: Wire, wiring: Wiring, lines: Mask) -> Self:
+        """Return the far ends of some lines of a wire."""
+        rows, columns = wire.cells.shape
+        ohm = np.tile(wiring.contact_ohm(wire.cells.shape), (rows, columns, 1))
+        along, down = wiring.wire_ohm(wire.cells.shape)
+        ohm[..., :rows] += along[..., None]
+        ohm[..., rows:] += down[..., None]
+        # Mᵀ = −Bᵀ∘ohm; K⁻¹Mᵀ is the transpose of M·K⁻¹, because K is symmetric
+        solved = wire.ladder.solve(-incidence(rows, columns) * ohm * lines)
+        of_cells = -(wire.cells[..., None] * solved).reshape(wire.cells.size, -1)
+        return cls(lines, into_lines(solved).T, of_cells.T)
 
 
 def into_lines(currents: Array) -> Array:

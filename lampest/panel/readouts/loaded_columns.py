@@ -45,6 +45,9 @@ class LoadedColumnsReadout(Readout):
         Potential in which the loads end, in volt; None: ground, or the supply with polarity: down.
     idle_volt : float, or None
         Potential of the lines of other groups that are held with driven_groups.
+    read_at : {'terminal', 'far_end'}
+        Where the converter reads a sensed line: at the terminal, where its load is, or at the other
+        end of its wire (`Lines`), beyond the last cell.
     supply_volt, adc_bits, readings, noise_lsb
         See `Readout`.
 
@@ -68,6 +71,7 @@ class LoadedColumnsReadout(Readout):
     driven_groups: Groups | None = None
     idle_volt: float | Literal["follows"] | None = None
     load_volt: float | None = None
+    read_at: Literal["terminal", "far_end"] = "terminal"
 
     def description(self) -> str:
         diode = "" if self.diode is None else f", {self.diode.description()}"

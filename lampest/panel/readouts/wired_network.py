@@ -5,8 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from lampest.panel.difference_network import DifferenceNetwork
+from lampest.panel.equation import equation_of
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array
+from lampest.panel.readouts.ladder import incidence
 from lampest.panel.readouts.wiring import Lines
 
 
@@ -34,11 +36,22 @@ def wire_responses(network: Network, lines: Lines) -> Array:
     def of_one(solved: SolvedNetwork) -> Array:
         # Currents through the cells, g·D, then cumulated from the far end to each segment.
         currents = solved.potential_differences * solved.flat_conductance[..., None, :]
-        maps = currents.reshape(*currents.shape[:-1], *solved.conductance.shape[-2:])
+        rows, columns = solved.conductance.shape[-2:]
+        maps = currents.reshape(*currents.shape[:-1], rows, columns)
+        circuit = solved.circuit
+        far = None if circuit is None else equation_of(circuit, rows, columns).read_at_far_end
         responses = []
-        for axis, near in ((-1, lines.rows_enter == "left"), (-2, lines.columns_leave == "top")):
+        sides = (
+            (-1, lines.rows_enter == "left", slice(rows)),
+            (-2, lines.columns_leave == "top", slice(rows, None)),
+        )
+        for axis, near, of_side in sides:
             from_far_end = np.flip(maps, axis) if near else maps
             beyond = np.cumsum(from_far_end, axis).reshape(currents.shape)
+            if far is not None and far[of_side].any():
+                # A line that is read at its far end carries the current of its excitation, too.
+                along = incidence(rows, columns).reshape(-1, rows + columns).T
+                beyond[..., of_side, :] -= along[of_side]
             responses.append(solved.read_change(solved.entries(beyond @ beyond.swapaxes(-1, -2))))
         return np.stack(responses, axis=-1)
 

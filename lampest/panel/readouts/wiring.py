@@ -233,17 +233,21 @@ class Wiring:
         The path of a cell leads from terminal to terminal. Contacts count with their means plus
         NOISE_REACH standard deviations.
         """
-        rows, columns = shape
-        # Segments from the terminal of the row, and of the column, to every cell.
-        along = np.arange(1, columns + 1)
-        down = np.arange(1, rows + 1)
-        along = along[::-1] if self.lines.rows_enter == "right" else along
-        down = down[::-1] if self.lines.columns_leave == "bottom" else down
-        wire = self.lines.row_ohm_per_cell * along + self.lines.column_ohm_per_cell * down[:, None]
+        rows, _ = shape
+        along, down = self.wire_ohm(shape)
         if self.contacts is None:
-            return wire
+            return along + down
         most = self.contacts.mean(shape) + NOISE_REACH * self.contacts.deviation(shape)
-        return wire + most[:rows, None] + most[rows:]
+        return along + down + most[:rows, None] + most[rows:]
+
+    def wire_ohm(self, shape: tuple[int, ...]) -> tuple[Array, Array]:
+        """Return the wire of rows, (1, columns), and columns, (rows, 1), to every cell in ohm."""
+        rows, columns = shape
+        along = np.arange(1, columns + 1)[None]
+        down = np.arange(1, rows + 1)[:, None]
+        along = along[:, ::-1] if self.lines.rows_enter == "right" else along
+        down = down[::-1] if self.lines.columns_leave == "bottom" else down
+        return self.lines.row_ohm_per_cell * along, self.lines.column_ohm_per_cell * down
 
     def nodes(self, count: int) -> Array:
         """Return E, (lines, nodes), 1 where a line belongs to a node.
