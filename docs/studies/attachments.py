@@ -11,7 +11,6 @@ resistances are the package's.
     python -m docs.studies.attachments --read seen.csv other.csv --figure roc.png
     python -m docs.studies.attachments --table --attached 300 --side 8 --scenes 4 --rates 1 2 4 10
     python -m docs.studies.attachments --attached 3600 --rates 1 --side 6 --kinds cup rod
-    python -m docs.studies.attachments --day --seed 5
     python -m docs.studies.attachments --pumps-alone --attached 300 --scenes 200
 """
 
@@ -20,7 +19,6 @@ import csv
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from resource import RUSAGE_SELF, getrusage
 from time import process_time
 
 import numpy as np
@@ -28,9 +26,8 @@ import numpy as np
 from docs.studies.mouth_scenes import MAKERS, MOUTHS, Film, film, patch_means, sampled
 from docs.studies.mouth_scenes import Scene as Made
 from lampest import two_point_resistance
-from lampest.apps.recognition.attachment import Attachment
 from lampest.apps.recognition.detect.answer import LAMPREY, Detected
-from lampest.apps.recognition.detect.detection import Known, known_of, measured_frames
+from lampest.apps.recognition.detect.detection import known_of, measured_frames
 from lampest.apps.recognition.pumping import BLOCK_S, Pumping
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array, Panel
@@ -122,11 +119,6 @@ STRONGEST_KPA = -70.0
 SLIDES_MM = 15.0
 SLIDES_S = (6.0, 8.0)
 TABLE = (PUMPING, "cup", BUMPED, SHAKEN, "rod", "hand")
-# of a day: the loads that visit, one after another, and the sway of the temperature over it
-VISITORS = (PUMPING, "rod", PUMPING, "cup", PUMPING, "rod", PUMPING, "cup")
-VISIT_S = (3180.0, 6300.0)
-DAY_S = 86400.0
-DAY_SWAY = 0.05
 BLOCK = 3600  # frames that are read at once
 POISSON_95 = (3.0, 4.74, 6.30, 7.75)  # upper limits of a mean of which so many events were seen
 # between pumps (Shi et al. 2021), and the part that is lost until one
@@ -345,11 +337,27 @@ def cells(
         [np.tensordot(share, record, 1) for share, record in zip(course, each, strict=True)]
     )
     pressure = pressure + water
-    resting = 3050 * np.exp(layer.spread * rng.standard_normal(panel.shape))
-    answer = layer.bent * np.exp(layer.scatter * rng.standard_normal(panel.shape))
-    logarithm = answer * np.log(CURVES[curve](pressure))
-    late = [np.zeros(panel.shape) for _ in CREEP]
-    most = np.zeros(panel.shape)
+    return answered_film(rng, layer, pressure, time, curve)
+
+
+def answered_film(
+    rng: np.random.Generator,
+    layer: Film,
+    pressure: Array,
+    time: Array,
+    curve: str = "published",
+    start: Array | float = 0.0,
+) -> Array:
+    """Return the cells of a film that creeps, (frames, rows, columns) ohm, under pressures in kPa.
+
+    start : pressure before the first frame, under which the film is at rest.
+    """
+    shape = pressure.shape[1:]
+    resting = 3050 * np.exp(layer.spread * rng.standard_normal(shape))
+    answer = layer.bent * np.exp(layer.scatter * rng.standard_normal(shape))
+    logarithm = answer * np.log(CURVES[curve](pressure) / CURVES[curve](np.asarray(start)))
+    late = [np.zeros(shape) for _ in CREEP]
+    most = np.zeros(shape)
     shown = []
     for now, step in zip(logarithm, np.diff(time, prepend=time[0]), strict=True):
         late = [
@@ -447,7 +455,7 @@ def recording(
     if kind in IN_WATER:
         water = moving_water(rng.spawn(1)[0], panel, time)
     resistance = cells(rng, panel, made, layer, course, time - time[0], shake, curve, water)
-    scene = _scene(panel)
+    scene = scene_of(panel)
     if kind in IN_WATER:  # as most scenes, which name neither gain nor ripple
         scene = replace(scene, gain=None, ripple=None)
     role = (np.arange(len(time)) >= UNLOADED).astype(np.uint8)
@@ -473,7 +481,7 @@ def _suction_of(made: Made) -> float:
     return float(made.suction(x, y)[0])
 
 
-def _scene(panel: Panel) -> Scene:
+def scene_of(panel: Panel) -> Scene:
     """Return the scene of the recordings of a panel."""
     return Scene(
         panel,
@@ -562,78 +570,6 @@ def seen(
     )
 
 
-def visited(seed: int, side: int = 6) -> tuple[Array, Array, list[tuple[str, float, float]]]:
-    """Return a day at one frame a second in which loads visit a panel.
-
-    Returns
-    -------
-    time : array, shape (frames,)
-        s since the first of the unloaded frames.
-    readings : array, shape (frames, side, side)
-        ohm.
-    visits : list of (str, float, float)
-        Kind, begin and end of each visit, s.
-    """
-    rng = np.random.default_rng([seed, side])
-    panel = Panel(side, side)
-    layer = film(rng, "real")
-    time = np.arange(UNLOADED + DAY_S)
-    quiet = MAKERS["nothing"](rng, panel)
-
-    def resistance(made: Made, course: Array, at: Array) -> Array:
-        own = np.random.default_rng([seed, side, 1])  # the cells of the same film
-        return cells(own, panel, made, layer, course, at, np.zeros(len(at)))
-
-    whole = np.repeat(resistance(quiet, np.zeros((1, 3)), time[:1]), len(time), axis=0)
-    slot = DAY_S / len(VISITORS)
-    visits = []
-    for number, kind in enumerate(VISITORS):
-        lasts = rng.uniform(*VISIT_S)
-        begin = np.ceil(number * slot + rng.uniform(600, slot - lasts - 600))
-        some = (time >= begin - TOUCH_S) & (time < begin + lasts + 10 * FADES_S)
-        at = time[some] - begin + TOUCH_S
-        made = MAKERS[OF_COURSE.get(kind, kind)](rng, panel)
-        whole[some] = resistance(made, courses(rng, kind, at, lasts)[0], at)
-        visits.append((kind, begin, begin + lasts))
-    sway = DAY_SWAY * np.sin(2 * np.pi * time / DAY_S)
-    return time, recorded(rng, whole * np.exp(sway)[:, None, None], time), visits
-
-
-def day(seed: int, side: int = 6) -> None:
-    """Print the visits of a day, and the visits that `lampest detect` reports."""
-    time, values, visits = visited(seed, side)
-    scene = _scene(Panel(side, side))
-    role = (np.arange(len(time)) >= UNLOADED).astype(np.uint8)
-    head = Recording(scene, values[:60], time[:60], role[:60], name="day")
-    begin = process_time()
-    watched = known_of(Prepared(head))
-    assert isinstance(watched, Known)
-    watch = watched.watch()
-    memory = []
-    for first in range(0, len(time), BLOCK):
-        some = slice(first, first + BLOCK)
-        part = Recording(scene, values[some], time[some], role[some], name="day")
-        asked = np.ones(len(part.time), dtype=bool)
-        for value, sigma, at in measured_frames(part, watched, asked):
-            watch = watch.push(value, sigma, at)
-        memory.append(getrusage(RUSAGE_SELF).ru_maxrss / 1024)
-    cpu = process_time() - begin
-    print("| visit | from, to [s] | seen from, to [s] | answer |\n|---|---|---|---|")
-    for kind, since, until in visits:
-        seen = [load for load in watch.attachments if _overlaps(load, since, until)]
-        times = "; ".join(f"{load.since_s:.0f}, {load.until_s or np.nan:.0f}" for load in seen)
-        answers = [Detected.of(kind, (load,), 1.0).answer for load in seen]
-        print(f"| {kind} | {since:.0f}, {until:.0f} | {times} | {', '.join(answers)} |")
-    extra = sum(
-        not any(_overlaps(load, since, until) for _, since, until in visits)
-        for load in watch.attachments
-    )
-    print(
-        f"{extra} other loads seen; {cpu:.0f} s of processor time for {len(time)} frames; at most "
-        f"{memory[2]:.0f} MB until the third hour, {memory[-1]:.0f} MB until the last"
-    )
-
-
 def pumped_alone(seed: int, count: int, attached_s: float) -> None:
     """Print how often pumps alone name a mouth whose suction is known, by the number of pumps.
 
@@ -665,11 +601,6 @@ def pumped_alone(seed: int, count: int, attached_s: float) -> None:
         )
         print(f"| {label} | {len(some)} | {sum(some)} |")
     print(f"| all | {count} | {sum(named)}, {np.mean(named):.0%} |")
-
-
-def _overlaps(load: Attachment, since: float, until: float) -> bool:
-    """Return whether a load was seen during a visit."""
-    return load.since_s < until and (load.until_s is None or load.until_s > since)
 
 
 def read(path: Path) -> Iterator[Seen]:
@@ -899,7 +830,6 @@ if __name__ == "__main__":
     parser.add_argument(
         "--curve", choices=list(CURVES), default="published", help="of the film under suction"
     )
-    parser.add_argument("--day", action="store_true", help="a day of visits to 6 x 6 cells alone")
     parser.add_argument(
         "--pumps-alone", action="store_true", help="mouths that known suction names by its pumps"
     )
@@ -907,9 +837,6 @@ if __name__ == "__main__":
     given = parser.parse_args()
     if given.pumps_alone:
         pumped_alone(given.seed, given.scenes, given.attached)
-        raise SystemExit
-    if given.day:
-        day(given.seed)
         raise SystemExit
     records = [record for path in given.read or () for record in read(path)]
     for number in range(0 if given.read else given.scenes):

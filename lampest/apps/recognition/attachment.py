@@ -214,6 +214,25 @@ class Attachment:
         """
         return replace(self, until_s=time, patterns=None, held=None)
 
+    def departed(
+        self,
+        frames: Sequence[tuple[float, Array]],
+        whitening: Array,
+        frame: Observation,
+        loads: Sequence["Attachment"],
+    ) -> "Attachment":
+        """Return an attachment whose cells show it no more, ended if it left beside other loads.
+
+        Its departure was less than a step of a stronger load. It left when the change of the
+        readings along its pattern was halved. Under a load that adjoins it may stay.
+        """
+        if self.held is None or not loads or any(map(self.adjoins, loads)):
+            return self
+        pattern = whitening @ (frame.slope() @ self.held.change.ravel() / frame.measured.ravel())
+        course = [logarithm @ (whitening.T @ pattern) for _, logarithm in frames]
+        left = course < np.mean([course[0], course[-1]])
+        return self.ended(frames[int(np.argmax(left))][0])
+
     def with_new_reference(self) -> "Attachment":
         """Return the attachment whose next sample of suction begins anew.
 

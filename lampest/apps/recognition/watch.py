@@ -2,18 +2,20 @@
 
 Steps of the readings are detected by a matched filter on their logarithms (Page, Biometrika 41,
 1954, for one series). Between two steps the load is recognised after 1, 2, 4 … seconds, from the
-median of the latest frames against the panel before the load. A load leaves only by a step back to
+median of the latest frames against the panel before the load. A lone load leaves by a step back to
 that panel, up to the film's residue. A step whose readings return to the level before it, such as a
 deep breath or an outlier, is cancelled. Breath is judged through steps, because they are changes of
 a load and not its end. Without a load, the unloaded readings follow the frames.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from math import exp
 
 import numpy as np
 
 from lampest.apps.recognition.attachment import Attachment, attachments_of, continued_by
+from lampest.apps.recognition.breathing import WINDOW_S
 from lampest.apps.recognition.departure import relieved_by_departure
 from lampest.apps.recognition.hypotheses import RARE_LOG_ODDS
 from lampest.apps.recognition.leaks import Leaks, leaks_of
@@ -363,7 +365,7 @@ class Watch:
         """
         if not self.present:
             size: Array | float = 0.0 if self.look is None else self.look.fading(time)
-        elif self.known and self.look is not None:
+        elif self.known and self.look is not None and not self.look.over:
             size = self.look.size
         else:
             size = self.test.sizes(self.level.mean - self.rest.mean)
@@ -508,7 +510,9 @@ class Watch:
         follows after twice the time since the step, at the latest after LOOKS_S. One that fails is
         left out.
         """
-        again = time + min(max(time - self.level.since_s, FIRST_S), LOOKS_S)
+        # between two looks, the window has the frames of a departure that is no step
+        longest = WINDOW_S if len(self._standing) > 1 else LOOKS_S
+        again = time + min(max(time - self.level.since_s, FIRST_S), longest)
         median = np.median([logarithm for _, logarithm in self._since_step], axis=0)
         try:
             watch, frame = self._with_leaks(median, time)
@@ -522,8 +526,7 @@ class Watch:
         """Return the watch after a verdict at a time in s; the next look is at `again`."""
         frame = verdict.frame
         since = self.level.since_s
-        # some steps are noise
-        noise = verdict.nothing > exp(-RARE_LOG_ODDS) * (1 - verdict.nothing)
+        noise = verdict.nothing > exp(-RARE_LOG_ODDS) * (1 - verdict.nothing)  # as some steps
         quiet = noise or self._is_residue(verdict)
         look = self.look
         loads = list[Attachment]()
@@ -541,17 +544,19 @@ class Watch:
             return replace(watch, history=RELIEVED)
         if not loads and self._left(frame) and not (quiet and self._shown):
             return self._gone(time if self.known else since)
+        has_left = partial(self._has_left, frame=frame)
+        attachments = continued_by(
+            self.attachments, loads, since, frame, has_left, again=self.known
+        )
         return replace(
             watch,
             film_sd=self._keeps(frame),
             look=look if loads else self.look,
-            attachments=continued_by(
-                self.attachments,
-                loads,
-                since,
-                frame,
-                lambda load: self._has_left(load, frame),
-                again=self.known,
+            attachments=tuple(
+                load.departed(self.window, self.test.whitening, frame, loads)
+                if self.known and has_left(load)
+                else load
+                for load in attachments
             ),
         )
 
