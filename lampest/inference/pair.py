@@ -39,6 +39,7 @@ from lampest.panel.effects.line_effect import LineEffect
 from lampest.panel.panel import Array
 from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.trust_region import backtracked
+from lampest.posterior.gaussian import Conditioned
 from lampest.recording.readings import Readings
 
 SETTLED_STEP = 0.1  # step of θ in standard deviations below which the iteration ends
@@ -136,6 +137,11 @@ class FittedPair:
         return float(np.median(error[self.moved.ravel()]))
 
     @property
+    def fits_noise(self) -> bool:
+        """Whether noise alone may give the misfit of both frames."""
+        return all(fit.within_noise for fit in self.frames)
+
+    @property
     def effects(self) -> tuple[LineEffect, ...]:
         """Effects in the network of the frame.
 
@@ -196,6 +202,30 @@ class FittedPair:
         """
         common = np.full(len(self.change), ASSUMED.common_change)
         return Changes(self.change, self.covariance, np.column_stack([common, columns]))
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations of the effects' sizes by the errors that the scene has.
+
+        Evidence allows for creep and for channels that the scene does not name, so that K weighs
+        the changes d by more than their covariance C. The error of K d = K (A θ + noise) has the
+        covariance (1 − K A)(1 − K A)ᵀ + K C Kᵀ. Sizes that the scene states have 0.
+
+        Shape (effects,), in units of the priors.
+        """
+        sizes = systematic_of(self.frames[1].scene)
+        spread = 0.0 if sizes is None else sizes.size(CHANNELS)
+        noise = sum(frame.covariance for frame in self.frames)
+        noise = noise + spread**2 * self.channels @ self.channels.T
+        still = ~self.evidence.moved
+        chosen = away_from_changed(still, self.shape) if still.any() else ~still
+        part = self.with_columns(self.columns(self.effects)).part(chosen)
+        root = np.linalg.cholesky(noise[np.ix_(chosen, chosen)])
+        unit = np.eye(part.columns.shape[1])
+        errors = Conditioned.on(part.columns, part.noise, unit)
+        by_part = np.hstack([unit - errors.mean(part.columns), errors.mean(root)])
+        stated = [effect.known for effect in self.effects]
+        return np.where(stated, 0.0, np.linalg.norm(by_part, axis=1)[1:])
 
     @property
     def cost_of_effects(self) -> float:
@@ -374,14 +404,19 @@ class FittedPair:
         for effect, change in zip(effects, step * length, strict=True):
             size = effect.size + effect.prior * float(change)
             stepped.append(replace(effect, size=max(size, 0.0) if effect.positive else size))
-        constant = tuple(effect for effect in stepped if not effect.since)
+        return self.with_effects(tuple(stepped))
+
+    def with_effects(self, effects: tuple[LineEffect, ...]) -> "FittedPair | None":
+        """Return the pair with effects in place of its own; None where no cells fit."""
+        constant = tuple(effect for effect in effects if not effect.since)
         resting, loaded = self.frames
         if constant:
             refitted = resting.refitted(resting.measured, constant)
             if refitted is None:
                 return None
             resting = refitted
-        loaded_fit = loaded.refitted(loaded.measured, tuple(stepped))
+        begun = loaded if loaded.within_noise else resting
+        loaded_fit = begun.refitted(loaded.measured, effects)
         return (
             None
             if loaded_fit is None
@@ -406,7 +441,7 @@ class FittedPair:
         pair = self
         for _ in range(FIT.evaluations):
             evidence = pair.explained(pair.columns(effects))
-            free = np.array([constant or effect.since for effect in effects])
+            free = [(constant or effect.since) and not effect.known for effect in effects]
             step = np.where(free, evidence.size[1:], 0.0)
             sd = evidence.sd[1:]
             if not np.isfinite(step).all() or evidence.score > to_beat:

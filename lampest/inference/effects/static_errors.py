@@ -365,6 +365,8 @@ def _determined_sizes(
     first = 0
     for error in moves.errors:
         last = first + moves.counts[error.setting]
+        if last == first:
+            continue
         unit = prior.size(error.setting)
         second, covariance = (
             float(np.trace(matrix[first:last, first:last])) / (last - first)
