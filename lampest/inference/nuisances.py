@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.applications import loaded
 from lampest.files.errors import BROKEN
@@ -21,7 +20,7 @@ from lampest.inference.circuits.loaded_density import LoadedDensity
 from lampest.inference.evidence import PARAMETER_COST, mostly_still
 from lampest.inference.pair import FittedPair, without_late
 from lampest.panel.effects.line_effect import LineEffect
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.sizes import ESTIMATED, SIZED
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MIN_CHANGE
@@ -263,9 +262,7 @@ def _common_change_in_words(pair: FittedPair) -> str:
     return str(loaded(SIZED["creep"])().sentence(change, sd))
 
 
-def without_effects_of(
-    pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_]
-) -> Readings:
+def without_effects_of(pair: FittedPair, readings: Readings, unloaded: Mask) -> Readings:
     """Return the readings corrected for the pair's effects.
 
     Effects since the unloaded frames come, grow and go: their sizes are estimated anew in every

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import FIT, CellsFit
@@ -36,7 +35,7 @@ from lampest.panel.effects import (
     usual_size,
 )
 from lampest.panel.effects.line_effect import LineEffect
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.trust_region import backtracked
 from lampest.posterior.gaussian import Conditioned
@@ -63,7 +62,7 @@ class Evidence:
     """
 
     score: float
-    moved: NDArray[np.bool_]
+    moved: Mask
     size: Array
     sd: Array
 
@@ -97,7 +96,7 @@ class FittedPair:
 
     frames: tuple[CellsFit, CellsFit]
     known_channels: Array | None = None
-    start: NDArray[np.bool_] | None = None
+    start: Mask | None = None
 
     @cached_property
     def channels(self) -> Array:
@@ -274,12 +273,12 @@ class FittedPair:
         return changes.gain_of_loads(self.evidence.moved, self.place)
 
     @property
-    def place(self) -> NDArray[np.intp]:
+    def place(self) -> Numbers:
         """Row and column of each cell, (cells, 2)."""
         return np.argwhere(np.ones(self.shape, dtype=bool))
 
     @property
-    def moved(self) -> NDArray[np.bool_]:
+    def moved(self) -> Mask:
         """The moved cells with the largest evidence, boolean (rows, columns)."""
         return self.evidence.moved.reshape(self.shape)
 
@@ -355,7 +354,7 @@ class FittedPair:
         """The score less the misfit of the still cells as far as noise is expected to have it."""
         return self._score - min(self._misfit)
 
-    def beyond_noise_of(self, cells: NDArray[np.bool_]) -> float:
+    def beyond_noise_of(self, cells: Mask) -> float:
         """Return −2 ln evidence of these cells alone, beyond that of noise."""
         changes = self.with_columns(self.columns(())).part(cells)
         score, moved = changes.selected(usual_starts(changes.change))
