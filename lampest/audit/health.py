@@ -11,7 +11,6 @@ from functools import cached_property
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.audit.finding import Finding
 from lampest.files.errors import BROKEN, InputError, first_and_more
@@ -21,7 +20,7 @@ from lampest.inference.readings.order import order_of_lines
 from lampest.inference.readings.repeated import frozen_readings, repeat_each_other, repeated_frames
 from lampest.inference.readings.unloaded import loaded_frames
 from lampest.panel.faults import Faults
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.readouts.converter import mean_sigma
 from lampest.panel.readouts.starts import several_panels
 from lampest.panel.scene import Scene
@@ -122,7 +121,7 @@ class _View:
         return garbled_lines(self.recording)
 
     @cached_property
-    def garbled(self) -> NDArray[np.bool_]:
+    def garbled(self) -> Mask:
         """Readings that arrived garbled, (frames, rows, columns)."""
         return readings_of(self.garbled_lines, self.recording)
 
@@ -383,7 +382,7 @@ def _noise(view: _View) -> Iterator[Finding]:
         )
 
 
-def _noisy_lines(ratio: Array, read: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _noisy_lines(ratio: Array, read: Mask) -> Numbers:
     """Return the numbers of lines whose readings scatter more than the others.
 
     A line counts without its noisiest cell. If more than MAX_NOISY_SHARE of the lines are noisy,
@@ -402,7 +401,7 @@ def _noisy_lines(ratio: Array, read: NDArray[np.bool_]) -> NDArray[np.intp]:
     return noisy if len(noisy) <= MAX_NOISY_SHARE * len(ratio) else noisy[:0]
 
 
-def _noise_of_lines(name: str, lines: NDArray[np.intp], ratio: Array) -> Iterator[Finding]:
+def _noise_of_lines(name: str, lines: Numbers, ratio: Array) -> Iterator[Finding]:
     """Yield the finding on noisy lines of a side, where there are any."""
     if not len(lines):
         return

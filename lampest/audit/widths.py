@@ -11,13 +11,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.errors import BROKEN
 from lampest.inference.cells_fit import CellsFit, data_of_cells
 from lampest.inference.prepared import Prepared
 from lampest.panel.effects import sized_effects, systematic_of
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.sizes import Systematic
 from lampest.recording.recording import Recording
 
@@ -101,7 +100,7 @@ def simulated_widths(recording: Recording) -> tuple[Width, ...]:
 
 
 def widths_at(
-    resting: CellsFit, loaded: CellsFit, sizes: Systematic, moved: NDArray[np.bool_]
+    resting: CellsFit, loaded: CellsFit, sizes: Systematic, moved: Mask
 ) -> tuple[Width, ...]:
     """Return the widths of cells and of changes by the fits of two frames.
 

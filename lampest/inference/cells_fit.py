@@ -119,9 +119,9 @@ class CellsFit(SumOfSquares):
         jacobian: Array = np.zeros((missed.size, 0))
         if missed.size <= MAX_CELLS:
             weight = np.where(counted, 1 / sigma, 0.0)
-            jacobian = (
-                network.sensitivity() * weight.reshape(-1, 1) * (data.lower < data.upper).ravel()
-            )
+            of_effects = sum(each.added_sensitivity(scene, unaffected) for each in effects)
+            derivative = network.sensitivity() + of_effects
+            jacobian = derivative * weight.reshape(-1, 1) * (data.lower < data.upper).ravel()
         residual = np.where(counted, missed, 0.0).ravel()
         return cls(
             residual=residual,

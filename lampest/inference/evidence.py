@@ -28,10 +28,9 @@ from typing import Self
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from lampest.inference.assumptions import ASSUMED
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.posterior.gaussian import Conditioned, Information
 from lampest.posterior.linear import inverse_and_volume, misfit_and_volume, swept
 
@@ -50,15 +49,15 @@ MIN_PIVOT = 1e-300  # rounding may take a pivot to zero, whose logarithm does no
 FIRST_ROOM = 16  # added cells for which memory is taken first; it doubles as needed
 MIN_STILL_SHARE = 0.3  # of the cells: with fewer still cells, a load covers the panel
 
-Chosen = NDArray[np.bool_]
+Chosen = Mask
 
 
-def mostly_still(moved: NDArray[np.bool_]) -> bool:
+def mostly_still(moved: Mask) -> bool:
     """Return whether fewer than half of the cells moved."""
     return 2 * int(moved.sum()) < moved.size
 
 
-def away_from_changed(still: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def away_from_changed(still: Mask, shape: tuple[int, ...]) -> Mask:
     """Return the still cells of all frames without the neighbours of moved cells.
 
     The skirt of a load moves these neighbours. Where less than MIN_STILL_SHARE of the cells would
@@ -74,7 +73,7 @@ def away_from_changed(still: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArr
     return distant if distant.mean() >= MIN_STILL_SHARE else still
 
 
-def touching(chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def touching(chosen: Mask) -> Mask:
     """Return the chosen cells with their eight neighbours, (frames, rows, columns)."""
     around = np.pad(chosen, ((0, 0), (1, 1), (1, 1)))
     return np.asarray(sliding_window_view(around, (3, 3), axis=(1, 2)).any(axis=(-2, -1)))
@@ -149,7 +148,7 @@ class Changes:
         lost, moved = select_changed(slope, precision, starts, loaded)
         return lost + float(self.change @ slope) - volume, moved
 
-    def gain_of_loads(self, moved: Chosen, place: NDArray[np.intp]) -> float:
+    def gain_of_loads(self, moved: Chosen, place: Numbers) -> float:
         """Return the decrease of −2 ln evidence where the moved cells may be loads.
 
         Single cells and loads are equally probable. Where most cells moved, they are no load: the
@@ -173,7 +172,7 @@ class Changes:
         as_cells = MOVED_COST * len(slope) + _slab_cost(of_moved, slope, np.eye(len(slope)))
         return 2 * float(np.logaddexp(0.0, (as_cells - as_loads) / 2) - np.log(2))
 
-    def cost_of_field(self, place: NDArray[np.intp]) -> float:
+    def cost_of_field(self, place: Numbers) -> float:
         """Return −2 ln evidence of the changes as a smooth field over all cells.
 
         Parameters
@@ -233,7 +232,7 @@ def smooth_covariance(square: Array, cells: float) -> Array:
     return np.asarray(np.exp(-square / (2 * cells**2)))
 
 
-def covariance_of_load(place: NDArray[np.intp]) -> Array:
+def covariance_of_load(place: Numbers) -> Array:
     """Return the covariance of the changes of a load's cells, (n, n).
 
     Parameters
@@ -280,7 +279,7 @@ def _mixed(parts: Sequence[Array], shares: Array) -> Array:
     return np.asarray(sum(share * part for part, share in pairs if share))
 
 
-def covariances_of_field(place: NDArray[np.intp]) -> Mixtures:
+def covariances_of_field(place: Numbers) -> Mixtures:
     """Return the covariances s² ((1 − o) S + o) of a smooth field, S of a distance ℓ.
 
     All FIELD_DEVIATIONS s, FIELD_CELLS ℓ and shares OWN_SHARES o of a cell's own are equally
@@ -301,7 +300,7 @@ def covariances_of_field(place: NDArray[np.intp]) -> Mixtures:
     return Mixtures((*smooth, np.eye(len(place))), shares)
 
 
-def outline(place: NDArray[np.intp], moved: Chosen) -> int:
+def outline(place: Numbers, moved: Chosen) -> int:
     """Return the number of edges between moved and still cells.
 
     Parameters
@@ -442,7 +441,7 @@ def scores_with_errors(change: Array, precision: Array, columns: Array) -> Array
     slab = precision + np.eye(len(change))
     size = np.diag(slab) - weighted**2 / within[:, None]
 
-    def column(cells: NDArray[np.intp]) -> Array:
+    def column(cells: Numbers) -> Array:
         of_cell = np.take_along_axis(weighted, cells[:, None], axis=1)
         return np.asarray(slab[cells] - of_cell * weighted / within[:, None])
 
@@ -451,7 +450,7 @@ def scores_with_errors(change: Array, precision: Array, columns: Array) -> Array
     return np.asarray(unexplained - _gained(slope, size, column) + np.log(within))
 
 
-def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Array]) -> Array:
+def _gained(vector: Array, size: Array, column: Callable[[Numbers], Array]) -> Array:
     """Return the total decrease of −2 ln evidence by greedily added cells, (hypotheses,).
 
     All hypotheses are treated at once. The matrices P + 1 are factored by pivoted Cholesky, one

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.levels import SIGNIFICANCE
 from lampest.files.typed import ReadOnlyArrays
@@ -23,7 +22,7 @@ from lampest.inference.variance_components import (
     unloaded_scatter,
 )
 from lampest.panel.effects import READINGS, Possible, recorded_times, sized_effects
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import (
     averaged_variance,
@@ -117,7 +116,7 @@ class NoiseEstimate(ReadOnlyArrays):
         Cells of the unloaded and of a loaded frame, where several panels give their readings.
     """
 
-    outliers: NDArray[np.bool_]
+    outliers: Mask
     warnings: tuple[str, ...]
     readings: Readings
     factor: float = np.nan
@@ -264,7 +263,7 @@ class FrameEffect(Protocol):
 
 def estimate_noise(
     recording: Recording,
-    outliers: NDArray[np.bool_],
+    outliers: Mask,
     cleaned: Readings,
     effects: Sequence[FrameEffect] = (),
 ) -> NoiseEstimate:

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.applications import loaded
 from lampest.files.errors import BROKEN
@@ -21,7 +20,7 @@ from lampest.inference.circuits.loaded_density import LoadedDensity
 from lampest.inference.evidence import PARAMETER_COST, mostly_still
 from lampest.inference.pair import FittedPair, without_late
 from lampest.panel.effects.line_effect import LineEffect
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.sizes import ESTIMATED, SIZED
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MIN_CHANGE
@@ -95,6 +94,7 @@ def candidates(shape: tuple[int, ...], kinds: Sequence[type[LineEffect]]) -> lis
         kind(lines, since)
         for since in (True, False)
         for kind in kinds
+        if kind.may_begin or not since
         for lines in kind.places(rows, columns)
     ]
 
@@ -161,19 +161,21 @@ def find_effects(
         if not _cost(pair) - _cost(grown) > MIN_EVIDENCE_GAIN:
             continue
         largest_gain = gain
-        fits_noise = all(fit.within_noise for fit in grown.frames)
         names = " and ".join(effect.sentence(pair.shape[0]) for effect in grown.effects)
-        taken_off = bool(certain.effects) and fits_noise
+        taken_off = bool(certain.effects) and grown.fits_noise
         besides = CircuitEffects(
             names,
             name,
             int(grown.moved.sum()),
             cell_factors(pair, grown),
-            fits_noise,
+            grown.fits_noise,
             addition={effect.key: ESTIMATED for effect in grown.effects if effect.key},
             pair=certain if taken_off else None,
         )
-    return besides if besides.name else replace(besides, common_change=common)
+    if besides.name:
+        return besides
+    stated = next((pair for _, pair in pairs if pair.effects), None)
+    return replace(besides, common_change=common, pair=stated)
 
 
 def _cost(pair: FittedPair) -> float:
@@ -222,8 +224,19 @@ def _with_added_effects(
 def _with_one_more_effect(
     pair: FittedPair, kinds: Sequence[type[LineEffect]]
 ) -> Iterator[FittedPair]:
-    """Generate the pairs with one more effect, the best MAX_CANDIDATES effects of linear theory."""
+    """Generate the pairs with one more effect, the best MAX_CANDIDATES effects of linear theory.
+
+    About cells that do not give the readings there is no linear theory. Effects of the whole panel
+    are tried there with their usual size.
+    """
     effects = candidates(pair.shape, kinds)
+    if not pair.fits_noise:
+        for effect in effects:
+            usual = (*pair.effects, replace(effect, size=effect.prior))
+            begun = None if effect.lines else pair.with_effects(usual)
+            settled = None if begun is None else begun.settled(usual)
+            if settled is not None:
+                yield settled
     scores = pair.scores_with(pair.effects, pair.columns(effects))
     for number in np.argsort(scores)[:MAX_CANDIDATES]:
         if scores[number] > pair.evidence.score - PARAMETER_COST:
@@ -249,9 +262,7 @@ def _common_change_in_words(pair: FittedPair) -> str:
     return str(loaded(SIZED["creep"])().sentence(change, sd))
 
 
-def without_effects_of(
-    pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_]
-) -> Readings:
+def without_effects_of(pair: FittedPair, readings: Readings, unloaded: Mask) -> Readings:
     """Return the readings corrected for the pair's effects.
 
     Effects since the unloaded frames come, grow and go: their sizes are estimated anew in every
@@ -291,9 +302,9 @@ def remaining_errors(pair: FittedPair) -> Array:
     array, shape (2, effects, rows, columns)
         Fractions of the readings of the unloaded panel, then of the frame.
     """
-    sd = pair.explained(pair.columns(pair.effects)).sd[1:]
-    errors = np.zeros((2, len(sd), *pair.shape))
-    for place, (effect, deviation) in enumerate(zip(pair.effects, np.nan_to_num(sd), strict=True)):
+    deviations = pair.deviations
+    errors = np.zeros((2, len(deviations), *pair.shape))
+    for place, (effect, deviation) in enumerate(zip(pair.effects, deviations, strict=True)):
         addition = replace(effect, size=float(deviation) * effect.prior)
         affected_frames = (1,) if effect.since else (0, 1)
         for number in affected_frames:

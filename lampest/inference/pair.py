@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import FIT, CellsFit
@@ -36,9 +35,10 @@ from lampest.panel.effects import (
     usual_size,
 )
 from lampest.panel.effects.line_effect import LineEffect
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.trust_region import backtracked
+from lampest.posterior.gaussian import Conditioned
 from lampest.recording.readings import Readings
 
 SETTLED_STEP = 0.1  # step of θ in standard deviations below which the iteration ends
@@ -62,7 +62,7 @@ class Evidence:
     """
 
     score: float
-    moved: NDArray[np.bool_]
+    moved: Mask
     size: Array
     sd: Array
 
@@ -96,7 +96,7 @@ class FittedPair:
 
     frames: tuple[CellsFit, CellsFit]
     known_channels: Array | None = None
-    start: NDArray[np.bool_] | None = None
+    start: Mask | None = None
 
     @cached_property
     def channels(self) -> Array:
@@ -134,6 +134,11 @@ class FittedPair:
         ends = [np.sqrt(3) if each.setting == REFERENCE else 1.0 for each in errors]
         error = np.abs((loaded - resting) * ends).sum(axis=1)
         return float(np.median(error[self.moved.ravel()]))
+
+    @property
+    def fits_noise(self) -> bool:
+        """Whether noise alone may give the misfit of both frames."""
+        return all(fit.within_noise for fit in self.frames)
 
     @property
     def effects(self) -> tuple[LineEffect, ...]:
@@ -198,6 +203,30 @@ class FittedPair:
         return Changes(self.change, self.covariance, np.column_stack([common, columns]))
 
     @property
+    def deviations(self) -> Array:
+        """Standard deviations of the effects' sizes by the errors that the scene has.
+
+        Evidence allows for creep and for channels that the scene does not name, so that K weighs
+        the changes d by more than their covariance C. The error of K d = K (A θ + noise) has the
+        covariance (1 − K A)(1 − K A)ᵀ + K C Kᵀ. Sizes that the scene states have 0.
+
+        Shape (effects,), in units of the priors.
+        """
+        sizes = systematic_of(self.frames[1].scene)
+        spread = 0.0 if sizes is None else sizes.size(CHANNELS)
+        noise = sum(frame.covariance for frame in self.frames)
+        noise = noise + spread**2 * self.channels @ self.channels.T
+        still = ~self.evidence.moved
+        chosen = away_from_changed(still, self.shape) if still.any() else ~still
+        part = self.with_columns(self.columns(self.effects)).part(chosen)
+        root = np.linalg.cholesky(noise[np.ix_(chosen, chosen)])
+        unit = np.eye(part.columns.shape[1])
+        errors = Conditioned.on(part.columns, part.noise, unit)
+        by_part = np.hstack([unit - errors.mean(part.columns), errors.mean(root)])
+        stated = [effect.known for effect in self.effects]
+        return np.where(stated, 0.0, np.linalg.norm(by_part, axis=1)[1:])
+
+    @property
     def cost_of_effects(self) -> float:
         """−2 ln prior of the effects in the network."""
         costs = (
@@ -244,12 +273,12 @@ class FittedPair:
         return changes.gain_of_loads(self.evidence.moved, self.place)
 
     @property
-    def place(self) -> NDArray[np.intp]:
+    def place(self) -> Numbers:
         """Row and column of each cell, (cells, 2)."""
         return np.argwhere(np.ones(self.shape, dtype=bool))
 
     @property
-    def moved(self) -> NDArray[np.bool_]:
+    def moved(self) -> Mask:
         """The moved cells with the largest evidence, boolean (rows, columns)."""
         return self.evidence.moved.reshape(self.shape)
 
@@ -325,7 +354,7 @@ class FittedPair:
         """The score less the misfit of the still cells as far as noise is expected to have it."""
         return self._score - min(self._misfit)
 
-    def beyond_noise_of(self, cells: NDArray[np.bool_]) -> float:
+    def beyond_noise_of(self, cells: Mask) -> float:
         """Return −2 ln evidence of these cells alone, beyond that of noise."""
         changes = self.with_columns(self.columns(())).part(cells)
         score, moved = changes.selected(usual_starts(changes.change))
@@ -374,14 +403,19 @@ class FittedPair:
         for effect, change in zip(effects, step * length, strict=True):
             size = effect.size + effect.prior * float(change)
             stepped.append(replace(effect, size=max(size, 0.0) if effect.positive else size))
-        constant = tuple(effect for effect in stepped if not effect.since)
+        return self.with_effects(tuple(stepped))
+
+    def with_effects(self, effects: tuple[LineEffect, ...]) -> "FittedPair | None":
+        """Return the pair with effects in place of its own; None where no cells fit."""
+        constant = tuple(effect for effect in effects if not effect.since)
         resting, loaded = self.frames
         if constant:
             refitted = resting.refitted(resting.measured, constant)
             if refitted is None:
                 return None
             resting = refitted
-        loaded_fit = loaded.refitted(loaded.measured, tuple(stepped))
+        begun = loaded if loaded.within_noise else resting
+        loaded_fit = begun.refitted(loaded.measured, effects)
         return (
             None
             if loaded_fit is None
@@ -406,7 +440,7 @@ class FittedPair:
         pair = self
         for _ in range(FIT.evaluations):
             evidence = pair.explained(pair.columns(effects))
-            free = np.array([constant or effect.since for effect in effects])
+            free = [(constant or effect.since) and not effect.known for effect in effects]
             step = np.where(free, evidence.size[1:], 0.0)
             sd = evidence.sd[1:]
             if not np.isfinite(step).all() or evidence.score > to_beat:

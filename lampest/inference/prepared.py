@@ -29,6 +29,8 @@ from lampest.panel.effects import own_errors
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts.converter import states_noise
 from lampest.panel.readouts.starts import several_panels
+from lampest.panel.scene import specified
+from lampest.panel.sizes import ESTIMATED, LINE_EFFECTS
 from lampest.recording.recording import Recording
 
 if TYPE_CHECKING:
@@ -137,24 +139,40 @@ class Prepared:
         Raises the errors of `BROKEN`.
         """
         from lampest.inference.circuits.model_check import Question  # for a check alone
+        from lampest.panel.effects.line_effect import stated_effects
 
-        return Question.of(self.cleaned.recording, self.cleaned.left_out)
+        question = Question.of(self.cleaned.recording, self.cleaned.left_out)
+        return replace(question, with_effects=stated_effects(self.recording.scene))
+
+    @cached_property
+    def _question_with_effects(self) -> "Question":
+        """The question with all effects at lines that the scene names and the readings show."""
+        scene = self.recording.scene
+        named = (specified(scene, effect.key) for effect in LINE_EFFECTS)
+        found = self.noise.corrected_effects if ESTIMATED in named else None
+        if found is None or found.pair is None:
+            return self.question
+        return replace(self.question, with_effects=found.pair.effects)
 
     @cached_property
     def effects(self) -> "CircuitEffects":
-        """Effects beside the circuit of a single network, of all kinds."""
+        """Effects beside the circuit of a single network, of all kinds that it does not name."""
         from lampest.panel.effects.line_effect import line_effects
 
-        return self.effects_of(line_effects())
+        question = self._question_with_effects
+        shown = {type(effect) for effect in question.with_effects}
+        return self.effects_of([kind for kind in line_effects() if kind not in shown], question)
 
     @ONE_BLAS_THREAD
-    def effects_of(self, kinds: "Sequence[type[LineEffect]]") -> "CircuitEffects":
+    def effects_of(
+        self, kinds: "Sequence[type[LineEffect]]", question: "Question | None" = None
+    ) -> "CircuitEffects":
         """Return the effects beside the circuit of a single network, of some kinds."""
         from lampest.inference.nuisances import CircuitEffects
 
         with suppress(*BROKEN), np.errstate(all="ignore"):
             if self.cleaned.readings.sigma is not None:
-                return self.question.effects(kinds)
+                return (question or self.question).effects(kinds)
         return CircuitEffects()
 
     @cached_property
@@ -198,7 +216,7 @@ class Prepared:
                 None, "the circuit was not checked: the noise of the readings is unknown"
             )
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            check = self.question.check(self.effects, self._contradicting_scatter)
+            check = self._question_with_effects.check(self.effects, self._contradicting_scatter)
             if check.explains is False and not check.better:
                 check = self._with_named_errors(check)
             count = int(self.cleaned.left_out.sum())
@@ -239,7 +257,7 @@ class Prepared:
             return check
         if self.question.hopeless_with(self._named_errors):
             return check
-        question = replace(self.question, named_errors=self._named_errors)
+        question = replace(self._question_with_effects, named_errors=self._named_errors)
         if question.fault:
             return check
         from lampest.inference.circuits.model_check import EXPLAINED

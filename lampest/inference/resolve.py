@@ -110,6 +110,7 @@ _LISTED = (
     Entry(
         tuple(effect.key for effect in LINE_EFFECTS if effect.key),
         "lampest.inference.effects.leaks_and_contacts:LeaksAndContacts",
+        tuple(effect.key for effect in LINE_EFFECTS if effect.at_converter),
         advised=2,
     ),
     Entry(

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.problem import Data
 from lampest.inference.assumptions import ASSUMED
@@ -27,7 +26,7 @@ from lampest.panel.effects import (
 )
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.network import Network
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.scene import Scene
 from lampest.posterior.gaussian import forms_over_scales, lower_root
@@ -173,7 +172,7 @@ def at_rest(possible: Possible, scene: Scene, resting: Readings, fit: CellsFit |
     )
 
 
-def _places(parts: Mapping[str, Array]) -> dict[str, NDArray[np.intp]]:
+def _places(parts: Mapping[str, Array]) -> dict[str, Numbers]:
     """Return the numbers of the columns of each error among those of all."""
     ends = np.cumsum([len(part) for part in parts.values()])
     return {

@@ -95,6 +95,9 @@ class Scene(Configuration):
         'estimated': single bad contacts, searched for once and taken off the readings; None: none.
     leaks : 'estimated', or None
         Leaks between neighbouring lines, searched for once and taken off the readings; None: none.
+    ground_ohm : float or 'estimated', or None
+        Resistance to ground that all idle driven lines share; it is taken off the readings. None:
+        none.
     gain : float or 'estimated', or None
         Relative standard deviation of each frame's gain; None: none.
     ripple : float or 'estimated', or None
@@ -148,6 +151,7 @@ class Scene(Configuration):
     converter_memory: Size | None = None
     contacts: Contacts | Literal["estimated"] | None = None
     leaks: Literal["estimated"] | None = None
+    ground_ohm: Size | None = None
     gain: Size | None = None
     ripple: Size | None = None
     motion: Size | None = None
@@ -198,7 +202,7 @@ class Scene(Configuration):
             check_resistors("series_resistance_ohm", self.series_resistance_ohm, open_end=False)
         if self.known_memory is not None and not 0 <= self.known_memory < 1:
             raise ValueError("converter_memory must be zero or positive, and below 1")
-        check_sizes(self, "converter_memory", "gain", "ripple", "motion", "creep")
+        check_sizes(self, "converter_memory", "ground_ohm", "gain", "ripple", "motion", "creep")
         for key in ("leaks", "contacts"):
             if getattr(self, key) == ESTIMATED and not any(e.key == key for e in LINE_EFFECTS):
                 raise ValueError(f"{key}: no installed effect has this key")

@@ -39,7 +39,7 @@ class Listed:
         Attributes of `FrameNoise` with the sizes of the errors that it leaves in a frame.
     at_converter : tuple of str
         Entries of `unmodelled` with its sizes, the first of which is absent or 0 without the
-        effect.
+        effect. An effect at lines has one, and acts before the converter.
     """
 
     path: str
@@ -76,13 +76,15 @@ LISTED = (
     Listed("lampest.panel.effects.saturation:Saturation", at_converter=("saturation",)),
 )
 LISTED_AT_LINES = (
-    Listed("lampest.panel.effects.line_leak:LineLeak", "leaks"),
+    Listed("lampest.panel.effects.line_leak:LineLeak", "leaks", at_converter=("leak_ohm",)),
     Listed("lampest.panel.effects.loose_contact:LooseContact", "contacts"),
+    Listed("lampest.panel.effects.ground:SharedGround", "ground_ohm", at_converter=("ground_ohm",)),
 )
 # Those whose files are there.
 EFFECTS = tuple(effect for effect in LISTED if has_file(effect.path))
 LINE_EFFECTS = tuple(effect for effect in LISTED_AT_LINES if has_file(effect.path))
 SIZED = {effect.key: effect.path for effect in EFFECTS if effect.key}
+OF_KEYS = SIZED | {effect.key: effect.path for effect in LINE_EFFECTS if effect.key}
 # Key of a size of no effect -> least and largest number that a scene may state. Those of errors
 # that all readings share are in their files, too.
 LIMITS = {
@@ -191,7 +193,7 @@ def limits_of(name: str) -> tuple[float, float]:
     if name in LIMITS:
         return LIMITS[name]
     shared = "lampest.panel.effects:shared_effect_of"
-    effect = loaded(SIZED[name]) if name in SIZED else loaded(shared)(name)
+    effect = loaded(OF_KEYS[name]) if name in OF_KEYS else loaded(shared)(name)
     limits: tuple[float, float] = effect.limits
     return limits
 
@@ -222,7 +224,7 @@ def nearest_allowed(key: str, number: float) -> float:
     the limit, and without limits infinity beyond that range.
     """
     name = key.rpartition(".")[2]
-    if name in LIMITS or name in SIZED or key.startswith("systematic."):
+    if name in LIMITS or name in OF_KEYS or key.startswith("systematic."):
         low, high = limits_of(name)
         number = min(max(number, low), high)
         return 0.0 if abs(number) < MIN_NUMBER else number
@@ -231,8 +233,7 @@ def nearest_allowed(key: str, number: float) -> float:
 
 def unit_of_key(key: str) -> str:
     """Return the unit of a number by its key; '' for a relative one."""
-    for effect in (*EFFECTS, *LINE_EFFECTS):
-        if key == effect.key:
-            effect_unit: str = loaded(effect.path).unit
-            return effect_unit
+    if key in OF_KEYS:
+        effect_unit: str = loaded(OF_KEYS[key]).unit
+        return effect_unit
     return next((unit for end, unit in UNITS.items() if key.endswith(end)), "")

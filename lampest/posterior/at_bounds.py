@@ -6,9 +6,8 @@ cell then counts as free.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import IGNORANCE, positive_inverse
@@ -16,7 +15,7 @@ from lampest.posterior.linear import IGNORANCE, positive_inverse
 
 def active_bounds(
     errors: DenseErrors, rows: Array, previous: Array
-) -> tuple[Array, NDArray[np.intp], Array, Array]:
+) -> tuple[Array, Numbers, Array, Array]:
     """Return the effect of shared errors z on the free cells, and intervals at a bound.
 
     The intervals are those of the cells at a bound. The distance t_c of a cell from its bound is

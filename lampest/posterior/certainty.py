@@ -4,11 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.levels import TWO_SIDED
 from lampest.files.typed import ReadOnlyArrays
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import LinearModel
 
@@ -50,7 +49,7 @@ class Certainty(ReadOnlyArrays):
         model: LinearModel,
         variances: tuple[Array, Array],
         shares: tuple[Array, Array],
-        released: Callable[[NDArray[np.intp]], Array],
+        released: Callable[[Numbers], Array],
     ) -> "Certainty":
         """Return the certainty of an estimate.
 
@@ -148,7 +147,7 @@ class Certainty(ReadOnlyArrays):
         common = np.sqrt(self.common**2 + common)
         return replace(wider, deviation=deviation, common=common)
 
-    def reaching(self, cells: NDArray[np.intp], below: Array, above: Array) -> "Certainty":
+    def reaching(self, cells: Numbers, below: Array, above: Array) -> "Certainty":
         """Return the certainty with the intervals of `cells` at least `below` and `above`."""
         lower = self.below.copy()
         upper = self.above.copy()

@@ -32,13 +32,12 @@ from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import blas
 
 from lampest.files.levels import TWO_SIDED
 from lampest.panel.compiled import with_entries
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 from lampest.posterior.certainty import Certainty, common_variance
 from lampest.posterior.interval import LEVEL
 from lampest.posterior.linear import IGNORANCE, LinearModel, positive_inverse, rank
@@ -397,7 +396,7 @@ class DenseErrors:
         everywhere = self.model.over_all(np.ones((len(self.model.free), 1)))
         return self.gained(self.forward(everywhere), fine=True)[:, 0]
 
-    def released(self, cells: NDArray[np.intp]) -> Array:
+    def released(self, cells: Numbers) -> Array:
         """Return the variance of log r of cells (numbers) at a bound.
 
         Each cell is released from its bound alone, and joins the free cells.

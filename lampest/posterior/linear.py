@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import blas, lapack
 
@@ -18,7 +17,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.losses import Loss
 from lampest.cost.problem import Evaluation, Residuals, residuals
 from lampest.panel.compiled import with_entries
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.trust_region import MAX_DENSE
 
 NEAR_BOUND = 1e-3  # of log r: distance from a bound within which a cell is at it
@@ -41,7 +40,7 @@ class Sites:
         ω and m.
     """
 
-    rows: NDArray[np.bool_]
+    rows: Mask
     curvature: Array
     centre: Array
 
@@ -79,22 +78,22 @@ class LinearModel:
         return self.at.log_gradient(self.dual).ravel()
 
     @cached_property
-    def at_lower(self) -> NDArray[np.bool_]:
+    def at_lower(self) -> Mask:
         """Whether a cell is held at its lower bound by the gradient, boolean (cells,)."""
         return (self._rooms[0] <= NEAR_BOUND) & (self.gradient > 0) & ~self.fixed
 
     @cached_property
-    def at_upper(self) -> NDArray[np.bool_]:
+    def at_upper(self) -> Mask:
         """Whether a cell is held at its upper bound by the gradient, boolean (cells,)."""
         return (self._rooms[1] <= NEAR_BOUND) & (self.gradient < 0) & ~self.fixed
 
     @cached_property
-    def fixed(self) -> NDArray[np.bool_]:
+    def fixed(self) -> Mask:
         """Whether the bounds of a cell coincide, boolean (cells,)."""
         return (self.at.data.lower >= self.at.data.upper).ravel()
 
     @cached_property
-    def free(self) -> NDArray[np.intp]:
+    def free(self) -> Numbers:
         """Numbers of the cells that no bound holds."""
         return np.flatnonzero(~(self.at_lower | self.at_upper | self.fixed))
 
@@ -119,7 +118,7 @@ class LinearModel:
         return np.asarray(np.where(self.unread, np.maximum(within, IGNORANCE), IGNORANCE))
 
     @cached_property
-    def unread(self) -> NDArray[np.bool_]:
+    def unread(self) -> Mask:
         """Whether a cell's own reading is missing, boolean (free,)."""
         if not self.at.data.partial:
             return np.zeros(len(self.free), dtype=bool)
@@ -127,7 +126,7 @@ class LinearModel:
         return np.asarray(seen[self.free] == 0)
 
     @cached_property
-    def unread_rows(self) -> NDArray[np.bool_]:
+    def unread_rows(self) -> Mask:
         """Whether a penalty involves a free cell without a reading, boolean (penalty rows,)."""
         return np.asarray(abs(self.penalty_jacobian)[:, self.free[self.unread]].sum(axis=1) > 0)
 
@@ -176,7 +175,7 @@ class LinearModel:
         return self._residuals.penalties.values(self.at)
 
     @cached_property
-    def absolute(self) -> NDArray[np.bool_]:
+    def absolute(self) -> Mask:
         """Whether a penalty row has an absolute loss, (penalty rows,)."""
         numbers = [n for n, term in enumerate(self.at.cost.terms) if term.loss.enters == "dual"]
         return np.isin(self.penalty_term, numbers)
@@ -209,7 +208,7 @@ class LinearModel:
         return sparse.csc_array(basis[:, np.flatnonzero(moving)])
 
     @property
-    def chosen_absolute(self) -> NDArray[np.bool_]:
+    def chosen_absolute(self) -> Mask:
         """Whether a penalty row has an absolute loss whose weight the data chose, (rows,)."""
         chosen = np.flatnonzero(np.isfinite(self.weight_sigma))
         return self.absolute & np.isin(self.penalty_term, chosen) & bool(len(self.dual))
@@ -233,7 +232,7 @@ class LinearModel:
         return squares
 
     @cached_property
-    def penalty_term(self) -> NDArray[np.intp]:
+    def penalty_term(self) -> Numbers:
         """Number of the term of every penalty row."""
         return self._residuals.penalties.term
 
@@ -398,9 +397,7 @@ def swept(table: Array, place: int) -> Array:
     return table
 
 
-def curved_rows(
-    cost: Cost, term: NDArray[np.intp]
-) -> Iterator[tuple[int, Loss, NDArray[np.bool_]]]:
+def curved_rows(cost: Cost, term: Numbers) -> Iterator[tuple[int, Loss, Mask]]:
     """Yield (number, loss, boolean rows) of every term whose loss is not squared.
 
     The curvature ω of such rows is not the weight alone. `term` contains the number of the term of

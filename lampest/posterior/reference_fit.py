@@ -18,14 +18,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import blas
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.files.levels import MAD_TO_SIGMA, OUTLIER_THRESHOLD
 from lampest.panel.network import Network
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.posterior.linear import inverse_and_volume
 
 MIN_FREEDOM_SHARE = 1e-3  # of the readings: degrees of freedom where cells follow all of them
@@ -129,8 +128,8 @@ class _Linearised:
     step : array, shape (steps,)
     """
 
-    rows: NDArray[np.intp]
-    value: NDArray[np.bool_]
+    rows: Numbers
+    value: Mask
     jacobian: Array
     residual: Array
     step: Array
@@ -223,7 +222,7 @@ class ReferenceFit:
 
     data: Data
     frame: int
-    cells: NDArray[np.intp]
+    cells: Numbers
     steps: Array
     origin: Array
     position: Array
@@ -295,12 +294,12 @@ class ReferenceFit:
         )
 
     @cached_property
-    def values(self) -> NDArray[np.bool_]:
+    def values(self) -> Mask:
         """Whether a reading is a value, flat."""
         return np.asarray(self.data.plain[self.frame]).ravel()
 
     @cached_property
-    def counted(self) -> NDArray[np.bool_]:
+    def counted(self) -> Mask:
         """Whether a reading counts, flat: values, and one-sided readings that are violated."""
         if not self.data.partial:
             return self.values

@@ -19,14 +19,13 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, solve_triangular
 from scipy.special import erf
 
 from lampest.cost.losses import PenaltyEvidence
 from lampest.cost.terms import term_kind
 from lampest.files.errors import InputError
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import IGNORANCE, LinearModel, positive_inverse, rank
 
@@ -168,7 +167,7 @@ class Spectrum:
         return float(0.5 * np.sum((1 / (1 + weight * stiffness)) ** 2))
 
     @cached_property
-    def determined(self) -> NDArray[np.bool_]:
+    def determined(self) -> Mask:
         """Directions to which data add most of the precision, boolean (unknowns,).
 
         The rest is that of the other penalties and of IGNORANCE. All directions if there are none.

@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.levels import TWO_SIDED
 from lampest.files.typed import ReadOnlyArrays
 from lampest.panel.effects import Shared
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.certainty import Certainty, common_variance
 from lampest.posterior.covariance import DenseErrors, Memory
@@ -221,7 +220,7 @@ class Track(ReadOnlyArrays):
 def beyond_tangents(
     model: LinearModel,
     readings: Readings,
-    missing: NDArray[np.bool_],
+    missing: Mask,
     moved: Callable[[Readings], Array] | None,
 ) -> tuple[Array, Array]:
     """Return the increase of the squared extents of intervals below and above by profiles.

@@ -27,7 +27,7 @@ FRAMES = 6
 SIMULATION = """\
 schema: 1
 seed: 3
-scene: {{panel: {{rows: 8, columns: 8}}, readout: {{kind: two_point, adc_bits: 12, readings: 20}}}}
+scene: {{panel: {{rows: 8, columns: 8}}, readout: {{kind: {kind}, adc_bits: 12, readings: 20}}}}
 baseline_frames: 5
 frames: 4
 loads: [{{kind: rod, centre_mm: [30, 20], diameter_mm: 15, mass_g: 2000}}]
@@ -35,14 +35,16 @@ unmodelled: {{{effect}}}
 """
 
 
-def simulated(effect: str) -> Recording:
-    """Return a simulated recording with an entry of `unmodelled`."""
-    return simulate(simulation_of(parse_document(SIMULATION.format(effect=effect), "s.yaml")), "s")
+def simulated(effect: str, kind: str = "two_point") -> Recording:
+    """Return a simulated recording of a readout with an entry of `unmodelled`."""
+    text = SIMULATION.format(effect=effect, kind=kind)
+    return simulate(simulation_of(parse_document(text, "s.yaml")), "s")
 
 
 RECORDINGS: dict[str, Callable[[], Recording]] = {
     "readout.passes_volt": lambda: simulated("saturation: 0.65"),
     "leaks": lambda: simulated("leak_ohm: 20000"),
+    "ground_ohm": lambda: simulated("ground_ohm: 5", "grounded"),
     "contacts": lambda: recording(4003, LOADS["mouth"], Row(contact_ohm=60.0), {}),
     "systematic.reading_error": lambda: recording(4003, LOADS["still"], Row(static=0.01), {}),
     "systematic.channel_spread_ohm": lambda: recording(
@@ -62,6 +64,8 @@ def in_words(key: str, number: float, deviation: float) -> set[str]:
     match key:
         case "leaks":
             return {f"a leak of {1e-3 / number:.2g} kohm"}
+        case "ground_ohm":
+            return {f"a ground of {number:.2g} ohm"}
         case "contacts":
             return {f"{abs(number):.2g} ohm {'more' if number > 0 else 'less'}"}
         case "readout.passes_volt":  # a range, the end of which is its second number

@@ -25,7 +25,7 @@ from lampest.inference.circuits.kinds import (
     with_potentials,
 )
 from lampest.panel.lines import SeriesPerLine, opposite
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import Characteristic
 from lampest.panel.readouts.known_converters import Known
@@ -79,7 +79,7 @@ class Alternative:
     entries: Mapping[str, Any] = field(default_factory=dict)
     in_series: float | None = None
     at_limit: bool = False
-    order: NDArray[np.intp] | None = None
+    order: Numbers | None = None
 
     @property
     def name(self) -> str:
@@ -364,9 +364,7 @@ def changes_beyond_noise(scene: Scene, readings: Readings, role: NDArray[np.uint
     return np.where(beyond, change, 0.0)
 
 
-def standing_frames(
-    readings: Readings, frame: int, candidates: NDArray[np.intp], noise: float
-) -> NDArray[np.intp]:
+def standing_frames(readings: Readings, frame: int, candidates: Numbers, noise: float) -> Numbers:
     """Return the frames that are equal to one frame within their noise, to be averaged.
 
     Parameters
@@ -389,5 +387,5 @@ def standing_frames(
         chi_square_tail(square.sum(axis=(1, 2)), np.maximum(plain.sum(axis=(1, 2)), 1))
         >= FALSE_ALARM_RATE
     )
-    standing: NDArray[np.intp] = candidates[similar[candidates] | (candidates == frame)]
+    standing: Numbers = candidates[similar[candidates] | (candidates == frame)]
     return standing

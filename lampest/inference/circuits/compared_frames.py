@@ -17,7 +17,7 @@ from lampest.inference.circuits.alike import PanelChoice
 from lampest.inference.circuits.alternatives import Alternative, standing_frames
 from lampest.inference.readings.free_tests import free_tests
 from lampest.inference.variance_components import noted_excess
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.readouts.starts import several_panels
 from lampest.posterior.interval import largest_of
 from lampest.recording.readings import Readings, strongest_frame
@@ -47,14 +47,14 @@ class ComparedFrames:
 
     specified: Alternative
     role: NDArray[np.uint8]
-    resting: NDArray[np.intp]
-    standing: NDArray[np.intp]
+    resting: Numbers
+    standing: Numbers
     widening: float
-    named: NDArray[np.intp]
+    named: Numbers
     named_errors: Array | None = None
 
     @classmethod
-    def of(cls, recording: Recording, outliers: NDArray[np.bool_]) -> Self:
+    def of(cls, recording: Recording, outliers: Mask) -> Self:
         """Return the frames of a recording whose noise is known.
 
         A recording without an unloaded frame has its first frame instead.
@@ -123,7 +123,7 @@ class ComparedFrames:
             for mean, error in zip(means, errors, strict=False)
         )
 
-    def _named_error(self, alternative: Alternative, frames: NDArray[np.intp]) -> Array:
+    def _named_error(self, alternative: Alternative, frames: Numbers) -> Array:
         """Return the root mean square of the named errors over frames, (rows, columns)."""
         errors = np.zeros((1, 1, 1)) if self.named_errors is None else self.named_errors[frames]
         return (

@@ -18,6 +18,7 @@ from lampest.inference.circuits.compared_frames import ComparedFrames
 from lampest.inference.circuits.loaded_density import LoadedDensity
 from lampest.inference.pair import FittedPair
 from lampest.inference.unloaded_cells import unloaded_costs
+from lampest.panel.effects.line_effect import LineEffect
 from lampest.panel.readouts.starts import several_panels
 
 NO_ERROR = np.zeros(1)  # of each reading, beside its noise
@@ -112,6 +113,16 @@ class Explanation:
             return self
         pair = replace(self.pair, known_channels=near.pair.channels, start=near.pair.evidence.moved)
         return replace(self, pair=pair)
+
+    def with_effects(self, effects: tuple[LineEffect, ...]) -> "Explanation":
+        """Return the explanation with effects beside the circuit; the same where no cells fit.
+
+        Sizes of effects since the unloaded frames are those of the loaded frame.
+        """
+        pair = None if self.pair is None else self.pair.with_effects(effects)
+        if pair is not None and any(effect.since for effect in effects):
+            pair = pair.settled(effects)
+        return self if pair is None else replace(self, fits=pair.frames, pair=pair)
 
     @cached_property
     def final(self) -> "Explanation":

@@ -110,7 +110,15 @@ class ModelCheck:
 
 @dataclass(frozen=True, eq=False)
 class Question(ComparedFrames):
-    """Whether the scene's circuit, or another explanation, agrees with these frames."""
+    """Whether the scene's circuit, or another explanation, agrees with these frames.
+
+    Attributes
+    ----------
+    with_effects : tuple of LineEffect
+        Effects beside the circuit that the scene names, with their sizes.
+    """
+
+    with_effects: tuple[LineEffect, ...] = ()
 
     @cached_property
     def _shares(self) -> tuple[float, float]:
@@ -127,16 +135,22 @@ class Question(ComparedFrames):
 
         The value is None without a fit, or with more than MAX_MISSING bounds.
         """
-        return Explanation.of(self.specified, self, patient=True) if self._few_bounds else None
+        explanation = None
+        if self._few_bounds:
+            explanation = Explanation.of(self.specified, self, patient=True)
+        if explanation is None or not self.with_effects:
+            return explanation
+        return explanation.with_effects(self.with_effects)
 
     @cached_property
     def fault(self) -> str:
         """The reason why the circuit cannot have made the readings, in words.
 
         The text is '' where no reason is known. A law that readings break comes first: it needs no
-        search, of which rounding may decide whether it ends at a minimum.
+        search, of which rounding may decide whether it ends at a minimum. Readings with effects
+        beside the circuit keep no such law.
         """
-        fault = broken_law(self.specified, self)
+        fault = "" if self.with_effects else broken_law(self.specified, self)
         if fault or self.explanation is None:
             return fault
         return _unexplained(self.explanation, self)
@@ -295,7 +309,7 @@ class Question(ComparedFrames):
         pairs = [(self.loaded, explanation.pair)]
         if last[0] not in self.standing:
             question = replace(self, standing=last)
-            latest = frame.refitted(question.readings(self.specified)[1], ())
+            latest = frame.refitted(question.readings(self.specified)[1], frame.effects)
             pairs += [] if latest is None else [(question.loaded, FittedPair((resting, latest)))]
         lies_on = applications().provided("recognition", "a load on unloaded cells")
         intact = np.where(scene.broken, np.nan, np.log(resting.cells))

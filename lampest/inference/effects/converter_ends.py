@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
 from lampest.inference.circuits.alternatives import Alternative, with_converter
@@ -27,7 +26,7 @@ from lampest.inference.effects.effect import (
 )
 from lampest.inference.noise import NoiseEstimate
 from lampest.panel.circuit import nominal_terminations
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.readouts.converter import MAX_VOLT, Characteristic, mean_sigma
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED
@@ -131,9 +130,7 @@ def saturated(recording: Recording) -> Saturated | None:
     return None
 
 
-def _channels_at_end(
-    volt: Array, counted: NDArray[np.bool_], width: Array
-) -> NDArray[np.bool_] | None:
+def _channels_at_end(volt: Array, counted: Mask, width: Array) -> Mask | None:
     """Return the channels at the largest voltage; None unless significantly more are than near it.
 
     Parameters
@@ -199,7 +196,7 @@ def passed_range(
     return (low, high) if low < high else None
 
 
-def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
+def _differ(volt: Array, width: float) -> Mask:
     """Return the channels whose row and column differ from every earlier line of their side.
 
     Shape (rows, columns). Lines that touch read equal voltages, which would be mistaken for a

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.inference.circuits.model_check import ModelCheck, Question
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides, CircuitEffects
 from lampest.inference.variance_components import Scatter
+from lampest.panel.panel import Mask, Numbers
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED, nearest_allowed
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -64,12 +64,12 @@ class Gathered:
         return self.recording.scene
 
     @property
-    def unloaded(self) -> NDArray[np.bool_]:
+    def unloaded(self) -> Mask:
         """Whether a frame is unloaded, boolean (frames,)."""
         return np.asarray(self.recording.role == UNLOADED)
 
     @property
-    def measured(self) -> NDArray[np.intp]:
+    def measured(self) -> Numbers:
         """Numbers of the measured frames."""
         return np.flatnonzero(self.recording.role == MEASURED)
 

@@ -47,11 +47,10 @@ class LeaksAndContacts(SceneEffect):
     ) -> NoiseEstimate:
         """Take leaks and bad contacts off the readings."""
         requested = [key for key in BESIDES if specified(recording.scene, key) == ESTIMATED]
-        if not requested:
-            return noise
         effects = besides(tuple(BESIDES[key] for key in requested))
-        pair = effects.pair
-        if pair is None:
+        noise = without_effects(noise, recording, effects)
+        shown = () if effects.pair is None else effects.pair.effects
+        if requested and all(effect.known for effect in shown):
             reason = "untouched cells show none"
             if not {UNLOADED, MEASURED} <= set(recording.role.tolist()):
                 reason = "record unloaded frames, and a load on a few cells"
@@ -60,13 +59,14 @@ class LeaksAndContacts(SceneEffect):
             return noise.with_warnings(
                 f"{' and '.join(requested)}: estimated, and not taken off the readings: {reason}"
             )
-        noise = without_effects(noise, recording, effects).with_warnings(effects.corrections)
-        deviations = pair.explained(pair.columns(pair.effects)).sd[1:]
-        for key, kind in BESIDES.items():
-            for effect, deviation in zip(pair.effects, deviations, strict=True):
-                if isinstance(effect, kind):
-                    name = f"{key} of {effect.where(recording.scene.panel.rows)}"
-                    noise = noise.determined(name, (effect.size, float(deviation) * effect.prior))
+        if not requested or effects.pair is None:
+            return noise
+        noise = noise.with_warnings(effects.corrections)
+        pair = effects.pair
+        for effect, deviation in zip(pair.effects, pair.deviations, strict=True):
+            if effect.key and not effect.known:
+                name = effect.named(recording.scene.panel.rows)
+                noise = noise.determined(name, (effect.size, float(deviation) * effect.prior))
         return noise
 
     def as_the_whole(

@@ -35,7 +35,6 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.levels import MIN_EVIDENCE_GAIN, NOISE_REACH
 from lampest.inference.assumptions import ASSUMED
@@ -49,7 +48,7 @@ from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.effects import READINGS, estimated_errors, own_errors
 from lampest.panel.effects.motion import JITTERS, LoadMotion
 from lampest.panel.least_squares import LevenbergMarquardt
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 from lampest.panel.readouts.scan_order import in_panel_order
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED
@@ -84,7 +83,7 @@ INTERPOLATION_ERROR = 0.5
 UNKNOWN_SHARE = Share(mean=0.0, deviation=1.0, reach=0.0)
 
 
-def _steps(readings: Readings, measured: NDArray[np.intp]) -> Array:
+def _steps(readings: Readings, measured: Numbers) -> Array:
     """Return the steps of each reading from the previous and to the next measured frame.
 
     Their shape is (2, frames, …). The first and the last frame have one neighbour, and its step
@@ -120,7 +119,7 @@ class Displacement(NamedTuple):
         return np.asarray(self.doubt * np.sqrt(self.weight / (1 - self.weight)))
 
 
-def displacement(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Displacement:
+def displacement(scene: Scene, readings: Readings, measured: Numbers) -> Displacement:
     """Return the displacement of each reading by motion, if a scan takes the whole period.
 
     A reading that was taken late is displaced by τ times the step from the previous frame, an early

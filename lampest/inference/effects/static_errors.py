@@ -24,7 +24,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.errors import BROKEN
 from lampest.files.levels import MIN_EVIDENCE_GAIN
@@ -60,7 +59,7 @@ from lampest.panel.effects import (
     shared_effects,
     systematic_of,
 )
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.panel.trust_region import MAX_DENSE
@@ -117,7 +116,7 @@ class SharedErrors:
 
 
 def shared_frames(
-    noise: NoiseEstimate, scene: Scene, unloaded: NDArray[np.intp], measured: NDArray[np.intp]
+    noise: NoiseEstimate, scene: Scene, unloaded: Numbers, measured: Numbers
 ) -> SharedFrames:
     """Return the mean of the unloaded frames, and the strongest of the loaded ones.
 
@@ -365,6 +364,8 @@ def _determined_sizes(
     first = 0
     for error in moves.errors:
         last = first + moves.counts[error.setting]
+        if last == first:
+            continue
         unit = prior.size(error.setting)
         second, covariance = (
             float(np.trace(matrix[first:last, first:last])) / (last - first)
@@ -380,7 +381,7 @@ def _determined_sizes(
 def _costs_of_errors(
     scene: Scene,
     moves: SharedChanges | None,
-    numbers: NDArray[np.intp],
+    numbers: Numbers,
     factors: Array = USUAL_SPREAD,
 ) -> Array:
     """Return −2 ln evidence of READING_ERRORS by the changes, (factors, errors).

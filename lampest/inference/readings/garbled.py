@@ -25,7 +25,7 @@ from lampest.inference.readings.neighbours import (
     first_of_windows,
     from_window,
 )
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.recording.readings import median
 from lampest.recording.recording import UNLOADED, Recording
 
@@ -84,7 +84,7 @@ class GarbledLines:
         plural = "s" if len(self.numbers) > 1 else ""
         return f"{self.name}{plural} {', '.join(map(str, self.numbers))} of frame {self.frame}"
 
-    def mask(self, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    def mask(self, shape: tuple[int, ...]) -> Mask:
         """Return the readings of the lines, boolean (rows, columns)."""
         flagged = np.zeros(shape, dtype=bool)
         flagged[(slice(None),) * (self.name == "column") + (list(self.numbers),)] = True
@@ -150,7 +150,7 @@ def _garbled_among(
     return list(garbled.values())
 
 
-def readings_of(garbled: Sequence[GarbledLines], recording: Recording) -> NDArray[np.bool_]:
+def readings_of(garbled: Sequence[GarbledLines], recording: Recording) -> Mask:
     """Return whether a reading is part of a garbled line, boolean (frames, rows, columns)."""
     flagged = np.zeros(recording.recorded.shape, dtype=bool)
     for lines in garbled:
@@ -219,7 +219,7 @@ class Along:
     values: Array
     expected: Array
     film: Array
-    deviates: NDArray[np.bool_]
+    deviates: Mask
     scale: float
     ends: tuple[float, ...]
 
@@ -256,7 +256,7 @@ class Along:
         return np.where(explained | self._short, 0.0, rough)
 
     @cached_property
-    def _following(self) -> NDArray[np.bool_]:
+    def _following(self) -> Mask:
         """Whether a line follows its neighbours in time, (frames, lines): the measure of others."""
         judged = np.isfinite(self.expected).any(axis=2)
         return np.asarray(judged & (self.deviates.mean(axis=2) <= MIN_LINE_SHARE))
@@ -269,14 +269,14 @@ class Along:
         return max(MIN_ROUGHNESS, MIN_ROUGHNESS_RATIO * usual)
 
     @cached_property
-    def _lost(self) -> NDArray[np.bool_]:
+    def _lost(self) -> Mask:
         """Whether a line lies at one end of the converter as no following line, (frames, lines)."""
         ends = [np.abs(self.values - end) < self.scale for end in self.ends]
         usual = self._following[:, :, None]
         lost = [at_end.all(axis=2) & ~(at_end & usual).any() for at_end in ends]
         return np.asarray(np.any(lost, axis=0) & usual.any() & (not self._short))
 
-    def garbled(self, frame: int) -> NDArray[np.intp]:
+    def garbled(self, frame: int) -> Numbers:
         """Return the garbled lines of a frame."""
         shares = self.deviates[frame].mean(axis=1)
         least = self._least_rough
@@ -339,7 +339,7 @@ class Along:
             predicted = _elsewhere(image)
             unloaded = np.abs(predicted - film) < NOISE_REACH * noise
 
-            def misfit(errors: Array, counted: NDArray[np.bool_] = unloaded) -> Array:
+            def misfit(errors: Array, counted: Mask = unloaded) -> Array:
                 """Return Σ e² of each line and place, without unknown deviations."""
                 squares = np.nan_to_num(np.minimum(np.square(errors / noise), of_load))
                 return np.asarray(np.where(counted, squares, 0.0).sum(axis=2))
@@ -382,7 +382,7 @@ def _roughness(values: Array, sigma: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(median(square - noise, 2)[:, :, 0], 0.0)))
 
 
-def follows_beside(change: Array) -> NDArray[np.bool_]:
+def follows_beside(change: Array) -> Mask:
     """Return whether the changes of a line have the shape of those of a line beside it.
 
     A load covers neighbouring lines, or couples them; lines of random bytes have nothing in common.

@@ -7,7 +7,6 @@ frames: what is found is left out before the next question is asked. No reading 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.errors import first_and_more
 from lampest.inference.readings.garbled import GarbledLines, garbled_lines, readings_of
@@ -17,7 +16,7 @@ from lampest.inference.readings.outliers import (
     outliers_of_one_frame,
 )
 from lampest.inference.readings.repeated import frozen_readings
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 
@@ -45,10 +44,10 @@ class Cleaned:
     """
 
     recording: Recording
-    frozen: NDArray[np.bool_]
+    frozen: Mask
     garbled: tuple[GarbledLines, ...]
-    impossible: NDArray[np.bool_]
-    outliers: NDArray[np.bool_]
+    impossible: Mask
+    outliers: Mask
     deviation: Array
     readings: Readings
 
@@ -76,7 +75,7 @@ class Cleaned:
         return cls(recording, frozen, garbled, impossible, outliers, deviation, readings)
 
     @property
-    def left_out(self) -> NDArray[np.bool_]:
+    def left_out(self) -> Mask:
         """Outliers and impossible readings that are missing, boolean (frames, rows, columns)."""
         return np.asarray(self.outliers & (self.readings.seen == 0))
 
@@ -110,7 +109,7 @@ class Cleaned:
             self._named(chosen, subjects, fate) for chosen, subjects, fate in kinds if chosen.any()
         )
 
-    def _named(self, chosen: NDArray[np.bool_], subjects: tuple[str, str], fate: str) -> str:
+    def _named(self, chosen: Mask, subjects: tuple[str, str], fate: str) -> str:
         """Return the places and sizes of outliers in words, the largest first.
 
         The subjects are of one reading and of several.
@@ -128,7 +127,7 @@ class Cleaned:
         return f"{count} {subjects[count > 1]}: {first_and_more(places)}; {fate}"
 
 
-def _without(recording: Recording, unread: NDArray[np.bool_]) -> Recording:
+def _without(recording: Recording, unread: Mask) -> Recording:
     """Return a recording in which some readings, (rows, columns), are missing."""
     if not unread.any():
         return recording

@@ -3,10 +3,9 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.levels import MAD_TO_SIGMA
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 from lampest.recording.readings import median
 
 WINDOW = 4  # neighbouring frames that are compared
@@ -17,18 +16,16 @@ MIN_RATIO_TO_SCATTER = 3.0
 # deviation of the deviation by noise alone as a multiple of σ).
 Expected = tuple[Array, Array, Array]
 # arguments: the neighbours, and their offsets in frames
-Predictor = Callable[[Array, NDArray[np.intp]], Expected]
+Predictor = Callable[[Array, Numbers], Expected]
 
 
-def first_of_windows(frames: int) -> NDArray[np.intp]:
+def first_of_windows(frames: int) -> Numbers:
     """Return the first frame of the window of WINDOW + 1 frames about each frame, (frames,)."""
     width = min(frames, WINDOW + 1)
     return np.clip(np.arange(frames) - WINDOW // 2, 0, frames - width)
 
 
-def from_window(
-    value: Array, first: NDArray[np.intp], place: NDArray[np.intp], predict: Predictor
-) -> Expected:
+def from_window(value: Array, first: Numbers, place: Numbers, predict: Predictor) -> Expected:
     """Return the prediction of frames first + place from the other frames of their window.
 
     The window of a prediction begins at `first`. The neighbours are gathered as (width − 1, frames,
@@ -41,7 +38,7 @@ def from_window(
     return predict(value[nearest], nearest - target)
 
 
-def by_median(neighbours: Array, offset: NDArray[np.intp] | None = None) -> Expected:
+def by_median(neighbours: Array, offset: Numbers | None = None) -> Expected:
     """Return the median of the neighbours, (frames, …), with their scatter.
 
     Parameters

@@ -38,12 +38,11 @@ from itertools import chain, combinations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.errors import BROKEN
 from lampest.files.levels import NOISE_REACH
 from lampest.inference.cells_fit import local_fit
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings, median
 
@@ -91,7 +90,7 @@ class Order:
     """
 
     words: str
-    image: NDArray[np.intp]
+    image: Numbers
     remedy: str
     coincidence: float = NO_LOAD
     side: int | None = None
@@ -143,7 +142,7 @@ def orders(rows: int, columns: int) -> Iterator[Order]:
             yield Order(f"{name} {words}", image, remedy, COINCIDENCE, place)
 
 
-def line_orders(count: int) -> Iterator[tuple[str, NDArray[np.intp]]]:
+def line_orders(count: int) -> Iterator[tuple[str, Numbers]]:
     """Generate orders of lines.
 
     In them odd and even ones are apart or interleaved, address bits reversed, or pairs swapped.
@@ -168,7 +167,7 @@ def line_orders(count: int) -> Iterator[tuple[str, NDArray[np.intp]]]:
         )
 
 
-def exchanged_lines(count: int) -> Iterator[tuple[str, NDArray[np.intp]]]:
+def exchanged_lines(count: int) -> Iterator[tuple[str, Numbers]]:
     """Generate orders in which two neighbours, or two bits of addresses, are exchanged."""
     lines = np.arange(count)
     if count < MIN_LINES:
@@ -220,7 +219,7 @@ class DeliveredOrder:
         return float(sum(step.gain for step in self.steps) / (2 * np.log(10)))
 
 
-def order_of_lines(scene: Scene, readings: Readings, unloaded: NDArray[np.bool_]) -> DeliveredOrder:
+def order_of_lines(scene: Scene, readings: Readings, unloaded: Mask) -> DeliveredOrder:
     """Return the order in which the loads of a recording are smooth.
 
     Parameters
@@ -256,7 +255,7 @@ class CellChanges(NamedTuple):
     unloaded: int
 
 
-def cell_changes(scene: Scene, readings: Readings, unloaded: NDArray[np.bool_]) -> CellChanges:
+def cell_changes(scene: Scene, readings: Readings, unloaded: Mask) -> CellChanges:
     """Return the changes of the log cells under loads.
 
     With the Jacobian J of the readings y at the cells of the unloaded panel, their mean y₀ and
@@ -296,7 +295,7 @@ def cell_changes(scene: Scene, readings: Readings, unloaded: NDArray[np.bool_]) 
     return CellChanges(change, noise, significance, int(unloaded.sum()))
 
 
-def _sigma_of_frame(readings: Readings, unloaded: NDArray[np.bool_]) -> Array:
+def _sigma_of_frame(readings: Readings, unloaded: Mask) -> Array:
     """Return the standard deviations of a frame's readings, (rows, columns).
 
     Those of the readout are raised by the scatter of unloaded frames where that is larger.
@@ -345,7 +344,7 @@ def scores(image: Array, noise: Array) -> Array:
     return np.asarray(np.tanh(np.sign(image) * beyond / usual))
 
 
-def along_side(images: Array, side: int | None) -> NDArray[np.intp]:
+def along_side(images: Array, side: int | None) -> Numbers:
     """Return numbers of the places as the lines of a side tell them apart, (places,).
 
     A bar across all rows that moves over columns is in one place along rows, and tells nothing of

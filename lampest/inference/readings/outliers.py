@@ -11,7 +11,6 @@ changes, and all outliers are missing. No reading is replaced.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.levels import (
     FALSE_ALARM_RATE,
@@ -30,7 +29,7 @@ from lampest.inference.readings.neighbours import (
     first_of_windows,
     from_window,
 )
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import largest_normal, largest_of
@@ -50,7 +49,7 @@ MIN_FRAMES = 3  # with fewer, the deviating frame cannot be identified
 
 def detect_outliers(
     value: Array, scale: Array, max_share: float = 1.0
-) -> tuple[NDArray[np.bool_], Array, Array]:
+) -> tuple[Mask, Array, Array]:
     """Flag readings that deviate from the prediction of their neighbouring frames.
 
     Parameters
@@ -100,7 +99,7 @@ def detect_outliers(
     )
 
 
-def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
+def impossible_readings(circuit: Readout, readings: Readings) -> Mask:
     """Flag single readings that are larger than any cells allow, given the frame's other readings.
 
     A contact that fails for one reading makes such an outlier, however long it lasts. So does an
@@ -143,7 +142,7 @@ def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool
     return outliers
 
 
-def _impossible_bounds(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
+def _impossible_bounds(circuit: Readout, readings: Readings) -> Mask:
     """Flag lower bounds beyond the largest value that a frame's other readings allow.
 
     Noise of that value counts. If more than MAX_SHARE of a frame's readings are, none is flagged.
@@ -165,9 +164,7 @@ def _impossible_bounds(circuit: Readout, readings: Readings) -> NDArray[np.bool_
     return np.asarray(impossible & (count <= max(1.0, MAX_SHARE * bound[0].size)))
 
 
-def outliers_of_one_frame(
-    readings: Readings, unloaded: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], Array, Array]:
+def outliers_of_one_frame(readings: Readings, unloaded: Mask) -> tuple[Mask, Array, Array]:
     """Return the readings that deviate from their neighbours in time while their lines do not.
 
     Bounds that the other readings allow are never outliers.
@@ -215,11 +212,11 @@ def outliers_of_one_frame(
 
 def no_cell_moves(
     scene: Scene,
-    outlying: NDArray[np.bool_],
+    outlying: Mask,
     value: Array,
     expected: Array,
     scale: Array,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Return outliers of one frame that no load on their cell explains.
 
     A load that moves a reading by d moves the others of its row and column by c d, c by the
@@ -270,9 +267,7 @@ def no_cell_moves(
     return alone
 
 
-def _alone_in_time(
-    value: Array, scale: Array, resting: Array, measured: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def _alone_in_time(value: Array, scale: Array, resting: Array, measured: Mask) -> Mask:
     """Return whether a reading deviates from both neighbouring frames.
 
     An outlier deviates by more than these differ from each other. Otherwise the reading may be the
@@ -328,7 +323,7 @@ class FramesBefore:
             impossible |= self._no_cell_moves(readings, scene)
         return readings.without(impossible), int(impossible.sum())
 
-    def _no_cell_moves(self, readings: Readings, scene: Scene) -> NDArray[np.bool_]:
+    def _no_cell_moves(self, readings: Readings, scene: Scene) -> Mask:
         """Return the readings that differ from the frames before as no cell makes them differ."""
         value = np.stack([frame.plain_values for frame in self.frames])
         sigma = readings.known_sigma
@@ -344,8 +339,8 @@ class FramesBefore:
 
 
 def _is_usual(
-    value: Array, expected: Array, first: NDArray[np.intp], predict: Predictor, largest: float
-) -> NDArray[np.bool_]:
+    value: Array, expected: Array, first: Numbers, predict: Predictor, largest: float
+) -> Mask:
     """Return whether the error of a prediction is usual for this reading.
 
     The reading's errors in windows near by are the measure.
@@ -385,7 +380,7 @@ def _is_usual(
     return np.asarray((usual > 0) & (deviation <= largest * usual))
 
 
-def _by_line(neighbours: Array, offset: NDArray[np.intp]) -> Expected:
+def _by_line(neighbours: Array, offset: Numbers) -> Expected:
     """Return the value of the regression line through the neighbours.
 
     The line follows a load that moves or breathes.
@@ -411,7 +406,7 @@ def _by_line(neighbours: Array, offset: NDArray[np.intp]) -> Expected:
     return height - slope * centre, scatter, np.broadcast_to(noise, height.shape)
 
 
-def _exceeds_threshold(value: Array, scale: Array, expected: Expected) -> NDArray[np.bool_]:
+def _exceeds_threshold(value: Array, scale: Array, expected: Expected) -> Mask:
     """Return whether a reading deviates from its prediction while its row and its column do not.
 
     Parameters
@@ -425,7 +420,7 @@ def _exceeds_threshold(value: Array, scale: Array, expected: Expected) -> NDArra
     deviation = np.abs(value - middle)
     # |y − ŷ| > max(6 σ √(1 + …), 3 spread).
     # Within the scatter of the neighbours, so that an arriving load is not flagged.
-    far: NDArray[np.bool_] = deviation > np.fmax(
+    far: Mask = deviation > np.fmax(
         OUTLIER_THRESHOLD * noise * scale, MIN_RATIO_TO_SCATTER * spread
     )
     return far & ~(deviation <= MIN_RATIO_TO_LINES * _beside(deviation / scale) * scale)

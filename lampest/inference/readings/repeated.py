@@ -6,10 +6,10 @@ Noise tells them from readings that were taken: it changes these from frame to f
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.levels import FALSE_ALARM_RATE, NOISE_REACH, SIGNIFICANCE
 from lampest.inference.readings.outliers import MAX_SHARE
+from lampest.panel.panel import Mask, Numbers
 from lampest.posterior.interval import chi_square_median, chi_square_tail
 from lampest.recording.readings import Readings, line_differences
 from lampest.recording.recording import Recording
@@ -22,7 +22,7 @@ QUIET_SHARE = 0.25
 MAX_REPEATED = 0.5
 
 
-def frozen_readings(recording: Recording) -> NDArray[np.bool_]:
+def frozen_readings(recording: Recording) -> Mask:
     """Flag readings that have one value in all frames although noise changes the other readings.
 
     Such a reading does not answer to loads, and moves the cells of its row and column. Let p be the
@@ -54,7 +54,7 @@ def frozen_readings(recording: Recording) -> NDArray[np.bool_]:
     return np.asarray(constant & (share <= MAX_REPEATED) & (chance < FALSE_ALARM_RATE))
 
 
-def repeated_frames(recording: Recording) -> NDArray[np.intp]:
+def repeated_frames(recording: Recording) -> Numbers:
     """Return the frames that equal the one before in every reading.
 
     Frames count as repeated only where noise changes some readings in nearly all others. Frames
@@ -77,9 +77,7 @@ def repeated_frames(recording: Recording) -> NDArray[np.intp]:
     return np.flatnonzero(copies) + 1 if chance < SIGNIFICANCE else np.zeros(0, dtype=np.intp)
 
 
-def repeat_each_other(
-    readings: Readings, unloaded: NDArray[np.bool_], groups: Sequence[Sequence[int]]
-) -> bool:
+def repeat_each_other(readings: Readings, unloaded: Mask, groups: Sequence[Sequence[int]]) -> bool:
     """Return whether rows whose readings are equal are not so by chance.
 
     Loads in the middle of a uniform film make lines equal, and films do not. The difference of two

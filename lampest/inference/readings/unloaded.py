@@ -6,9 +6,9 @@ the film move all of them.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.inference.readings.order import MIN_COVERED, cell_changes, scores
+from lampest.panel.panel import Mask, Numbers
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 
@@ -18,9 +18,7 @@ MIN_CONTRAST = 6.0
 MIN_FRAMES = 3  # unloaded ones: of two that differ, none is the quiet one
 
 
-def loaded_frames(
-    scene: Scene, readings: Readings, unloaded: NDArray[np.bool_]
-) -> NDArray[np.intp]:
+def loaded_frames(scene: Scene, readings: Readings, unloaded: Mask) -> Numbers:
     """Return the numbers of unloaded frames in which a load lies on a part of the panel.
 
     Parameters

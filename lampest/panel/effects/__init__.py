@@ -40,6 +40,7 @@ LISTED_SHARED = {
     "inl_lsb": "lampest.panel.effects.converter_curve:ConverterCurve",
     "wire_ohm_per_cell": "lampest.panel.effects.wire:WirePerCell",
     "load_tolerance": "lampest.panel.effects.loads:LoadTolerance",
+    "offset_spread_volt": "lampest.panel.effects.offsets:AmplifierOffsets",
     "reading_error": "lampest.panel.effects.reading_error:ReadingError",
 }
 SHARED = {setting: path for setting, path in LISTED_SHARED.items() if has_file(path)}

@@ -2,9 +2,9 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from lampest.files.typed import installed
 from lampest.panel.effects import GROUP
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
-from lampest.panel.scene import Scene
+from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import LINE_EFFECTS
 
 
@@ -24,11 +24,13 @@ class LineEffect(ABC):
     Attributes
     ----------
     lines : tuple of int
-        Numbers of the lines that it acts on, rows first.
+        Numbers of the lines that it acts on, rows first; () of an effect of the panel.
     since : bool
         Whether it began after the unloaded frames.
     size : float
         Size in `unit`.
+    known : bool
+        Whether the scene states the size.
     key : str
         The key of a scene that states it; '' where none does.
     prior : float
@@ -37,6 +39,8 @@ class LineEffect(ABC):
         Unit of the size.
     positive : bool
         Whether the size is never negative.
+    may_begin : bool
+        Whether it may begin after the unloaded frames.
 
     >>> class LineGain(lampest.LineEffect):
     ...     prior = 0.05
@@ -54,15 +58,22 @@ class LineEffect(ABC):
     lines: tuple[int, ...]
     since: bool = False
     size: float = 0.0
+    known: bool = False
     key: ClassVar[str] = ""
     prior: ClassVar[float]
     unit: ClassVar[str] = ""
     positive: ClassVar[bool] = False
+    may_begin: ClassVar[bool] = True
 
     @classmethod
     @abstractmethod
     def places(cls, rows: int, columns: int) -> Iterator[tuple[int, ...]]:
         """Yield the lines of all effects of this kind that are tried on a panel."""
+
+    @classmethod
+    def simulated(cls, size: float, rows: int, columns: int) -> Self:
+        """Return the effect with a size of `unmodelled`, or of a scene, on a panel."""
+        return cls((), size=size)
 
     @abstractmethod
     def sentence(self, rows: int) -> str:
@@ -79,10 +90,18 @@ class LineEffect(ABC):
         """
         return np.zeros(network.conductance.shape)
 
+    def added_sensitivity(self, scene: Scene, network: Network) -> Array | float:
+        """Return ∂`added`/∂log r, (readings, cells), or 0 where it is small."""
+        return 0.0
+
     def where(self, rows: int) -> str:
         """Return the first of its lines in words; `rows` is the number of rows of the panel."""
         line = self.lines[0]
         return f"row {line}" if line < rows else f"column {line - rows}"
+
+    def named(self, rows: int) -> str:
+        """Return its key, with the first of its lines in words if it has any."""
+        return f"{self.key} of {self.where(rows)}" if self.lines else self.key
 
     @property
     def _since(self) -> str:
@@ -94,6 +113,16 @@ def line_effects() -> tuple[type[LineEffect], ...]:
     """Return all effects at lines that are searched for, those of installed packages included."""
     further = (kind for kind in installed(GROUP, type) if issubclass(kind, LineEffect))
     return (*(loaded(effect.path) for effect in LINE_EFFECTS), *further)
+
+
+def stated_effects(scene: Scene) -> tuple[LineEffect, ...]:
+    """Return the effects at lines whose sizes a scene states."""
+    shape = scene.panel.shape
+    return tuple(
+        replace(loaded(effect.path).simulated(size, *shape), known=True)
+        for effect in LINE_EFFECTS
+        if isinstance(size := specified(scene, effect.key), float) and size
+    )
 
 
 def with_effects(

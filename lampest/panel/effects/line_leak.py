@@ -1,6 +1,7 @@
 """Leaks from line to line, such as water."""
 
 from collections.abc import Iterator
+from typing import Self
 
 import numpy as np
 
@@ -25,6 +26,10 @@ class LineLeak(LineEffect):
     def places(cls, rows: int, columns: int) -> Iterator[tuple[int, ...]]:
         pairs = neighbours(rows, columns)
         yield from (pairs, *((line,) for line in pairs))
+
+    @classmethod
+    def simulated(cls, size: float, rows: int, columns: int) -> Self:
+        return cls(neighbours(rows, columns), size=1 / size)
 
     def sentence(self, rows: int) -> str:
         where = (

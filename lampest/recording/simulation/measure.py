@@ -30,15 +30,16 @@ from lampest.panel.readouts.scan_order import in_panel_order
 from lampest.panel.readouts.tolerances import simulated
 from lampest.panel.readouts.wiring import Contacts
 from lampest.panel.scene import Scene
-from lampest.panel.sizes import LISTED, added_effects, has_file
+from lampest.panel.sizes import LINE_EFFECTS, LISTED, LISTED_AT_LINES, added_effects, has_file
 
 # limits of true cells: a strip of copper tape, and the insulation between two lines
 SHORT_OHM = 1e-3
 OPEN_OHM = 1e12
 # Entry of `unmodelled` → its effect, 'module:class'.
 OF_EFFECTS = {
-    **{effect.at_converter[0]: effect.path for effect in LISTED if effect.at_converter},
-    "leak_ohm": "lampest.panel.effects.line_leak:LineLeak",
+    effect.at_converter[0]: effect.path
+    for effect in (*LISTED, *LISTED_AT_LINES)
+    if effect.at_converter
 }
 
 
@@ -60,6 +61,8 @@ class Unmodelled(Extensible):
         Drift rate of all cells, in addition.
     leak_ohm : float, or None
         Resistance between each line and the next one.
+    ground_ohm : float, or None
+        Resistance to ground that all idle driven lines share.
     contact_ohm : float, or None
         Additional resistance in series with one row, which is drawn.
     begins_s : float, or None
@@ -114,6 +117,7 @@ class Unmodelled(Extensible):
     response_spread: float | None = None
     common_drift_per_minute: float | None = None
     leak_ohm: float | None = None
+    ground_ohm: float | None = None
     contact_ohm: float | None = None
     begins_s: float | None = None
     saturation: float | None = None
@@ -316,18 +320,24 @@ def _read(
         channels = _channel_errors(scene, unmodelled, seed, late=True)
         late = simulated(actual, cells, scene, *channels)
         recorded[begin:] = late[begin:]
-    if unmodelled.leak_ohm is None and not unmodelled.own:
+    at_lines = [
+        loaded(listed.path).simulated(size, *scene.panel.shape)
+        for listed in LINE_EFFECTS
+        for size in (getattr(unmodelled, name) for name in listed.at_converter)
+        if size
+    ]
+    named = any(isinstance(getattr(scene, listed.key), float) for listed in LINE_EFFECTS)
+    if not (at_lines or named or unmodelled.own):
         return recorded
+    from lampest.panel.effects.line_effect import effect_on_readings, stated_effects
+
+    at_lines += stated_effects(scene)
     reading = actual.from_recorded(recorded, scene)
-    for frame in range(0 if unmodelled.own else begin, len(cells)):
+    for frame in range(len(cells)):
         network = actual.network(cells[frame], actual.ties(reading[frame]), scene.wiring)
         exact = reading[frame]
-        if unmodelled.leak_ohm is not None and frame >= begin:
-            from lampest.panel.effects.line_effect import effect_on_readings  # for leaks alone
-            from lampest.panel.effects.line_leak import LineLeak, neighbours
-
-            leak = LineLeak(neighbours(*scene.panel.shape), size=1 / unmodelled.leak_ohm)
-            reading[frame] = exact + effect_on_readings((leak,), scene, network)
+        present = [effect for effect in at_lines if frame >= begin or not effect.may_begin]
+        reading[frame] = exact + effect_on_readings(present, scene, network)
         for setting, size in unmodelled.own:
             random = random_stream(seed, setting)
             drawn = shared_effect_of(setting).simulated(network, exact, scene, size, random)

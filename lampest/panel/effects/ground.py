@@ -1,0 +1,113 @@
+"""The ground that idle driven lines share: one pin, lead or thread takes all their currents."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from lampest.panel.circuit import nominal_terminations
+from lampest.panel.effects.line_effect import LineEffect
+from lampest.panel.kirchhoff import laplacian
+from lampest.panel.lines import MAX_OHM, MIN_OHM
+from lampest.panel.network import Network
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+
+TO_GROUND = 1e-12  # siemens: lines that end nowhere have potentials, and no current flows
+
+
+class SharedGround(LineEffect):
+    """Resistance in ohm between the end that idle driven lines share and its potential.
+
+    Circuits whose idle driven lines float have none. It is not in the model of those with a diode,
+    with lines that follow a reading, or with wire, contacts or leaks of lines.
+    """
+
+    key = "ground_ohm"
+    # A foot of conductive thread as common return (2 ply of stainless steel, Adafruit: 16 ohm).
+    prior = 16.0
+    unit = "ohm"
+    limits = (0.0, MAX_OHM)
+    positive = True
+    may_begin = False
+
+    @classmethod
+    def places(cls, rows: int, columns: int) -> Iterator[tuple[int, ...]]:
+        yield ()
+
+    def sentence(self, rows: int) -> str:
+        return f"a ground of {self.size:.2g} ohm that idle driven lines share"
+
+    def added(self, scene: Scene, network: Network) -> Array:
+        if not self._is_modelled(scene):
+            return np.zeros(network.conductance.shape)
+        with_ground, without = (
+            _grounded(scene, network, ohm)[0] for ohm in (self.size + MIN_OHM, MIN_OHM)
+        )
+        return with_ground - without
+
+    def added_sensitivity(self, scene: Scene, network: Network) -> Array | float:
+        if not self._is_modelled(scene):
+            return 0.0
+        with_ground, without = (
+            _grounded(scene, network, ohm)[1] for ohm in (self.size + MIN_OHM, MIN_OHM)
+        )
+        return with_ground - without
+
+    @staticmethod
+    def _is_modelled(scene: Scene) -> bool:
+        """Return whether idle driven lines of a scene's circuit may share a ground."""
+        ends = nominal_terminations(scene.circuit)
+        unlike = scene.circuit.unit == "ohm" or ends.diode is not None or ends.driving.follows
+        shared = ends.driving.connected(own=False).size > 0
+        return shared and not unlike and scene.wiring is None
+
+
+def _grounded(scene: Scene, network: Network, ohm: float) -> tuple[Array, Array]:
+    """Return readings with a ground of `ohm`, up to a constant, and their derivatives by log r.
+
+    The ground is one more node. With A the admittance of all nodes, V the potentials, and a, v the
+    differences of A⁻¹e_k and of V across cell c, ∂V_k/∂g_c = −a_c v_c.
+
+    Returns
+    -------
+    reading : array, shape (rows, columns)
+    sensitivity : array, shape (readings, cells)
+    """
+    circuit = scene.circuit
+    by_rows = nominal_terminations(circuit).driven == "rows"
+    conductance = network.conductance if by_rows else network.conductance.T
+    driven, sensed = conductance.shape
+    lines = driven + sensed
+    ends = circuit.terminations(driven, sensed)
+    idle = np.pad(~np.eye(driven, dtype=bool), ((0, 0), (0, sensed)))
+    reading = np.zeros((driven, sensed))
+    sensitivity = np.zeros((driven, sensed, driven, sensed))
+    states = np.stack([ends.sensing.ohm, ends.sensing.volt], axis=1)
+    states, state_of = np.unique(states, axis=0, return_inverse=True)
+    for number, (sensing_ohm, sensing_volt) in enumerate(states):
+        of_sensed = np.broadcast_to([[sensing_ohm], [sensing_volt]], (2, driven, sensed))
+        volt = np.hstack([ends.driving.volt, of_sensed[1]])
+        siemens = 1 / np.maximum(np.hstack([ends.driving.ohm, of_sensed[0]]), MIN_OHM)
+        shared = np.where(idle, siemens, 0.0)
+        admittance = np.zeros((driven, lines + 1, lines + 1))
+        admittance[:, :lines, :lines] = laplacian(conductance)
+        np.einsum("aii->ai", admittance)[:, :lines] += siemens + TO_GROUND
+        admittance[:, :lines, lines] = admittance[:, lines, :lines] = -shared
+        admittance[:, lines, lines] = shared.sum(axis=1) + 1 / ohm
+        # potentials of idle ends are counted from the ground's own
+        source = np.pad(siemens * volt, ((0, 0), (0, 1)))
+        source[:, lines] = -np.sum(shared * volt, axis=1)
+        impedance = np.linalg.inv(admittance)
+        potentials = (impedance @ source[:, :, None])[:, :lines, 0]
+        read = state_of.ravel() == number
+        reading[:, read] = potentials[:, driven:][:, read]
+        adjoint = impedance[:, driven:lines, :lines][:, read]
+        across = adjoint[:, :, :driven, None] - adjoint[:, :, None, driven:]
+        drop = potentials[:, :driven, None] - potentials[:, None, driven:]
+        sensitivity[:, read] = across * (conductance * drop)[:, None]
+    gain = nominal_terminations(circuit).sign * ends.gain
+    reading *= gain
+    sensitivity *= gain[:, None, None]
+    if not by_rows:
+        reading, sensitivity = reading.T, sensitivity.transpose(1, 0, 3, 2)
+    return reading, sensitivity.reshape(reading.size, -1)
