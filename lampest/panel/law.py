@@ -87,11 +87,11 @@ def equation_derivatives(
     return Compiled(casadi.Function("derivatives", [every], [of_every]))
 
 
-def derivatives(
+def law_derivatives(
     circuit: CircuitOfLines, entries: Entries, shape: tuple[int, ...], order: int
 ) -> Array:
     """Return all derivatives of h of an order, (derivatives, *shape), for readings of a shape."""
-    every = filled(entries, shape)
+    every = all_entries(entries, shape)
     function = equation_derivatives(circuit, *shape[-2:], len(every), order)
     if every.ndim == 3:
         return function(every).reshape(-1, *shape)
@@ -99,7 +99,7 @@ def derivatives(
     return np.stack([one.reshape(-1, *shape[1:]) for one in each], axis=1)
 
 
-def filled(parts: Entries, shape: tuple[int, ...]) -> Array:
+def all_entries(parts: Entries, shape: tuple[int, ...]) -> Array:
     """Return entries of the readings as one array, (entries, *shape)."""
     every = np.empty((len(parts), *shape))
     for number, part in enumerate(parts):

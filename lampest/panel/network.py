@@ -30,8 +30,8 @@ from lampest.panel.law import (
     Entries,
     Loading,
     across,
-    derivatives,
-    filled,
+    all_entries,
+    law_derivatives,
     loading_of,
 )
 from lampest.panel.panel import Array, Mask, Numbers
@@ -273,7 +273,7 @@ class SolvedNetwork(Network):
         """First derivatives (h_p, h_q, h_t), or (h_p, h_q, h_t, h_e, h_f)."""
         if self.circuit is None:
             return TWO_POINT_SLOPES
-        return tuple(derivatives(self.circuit, self._entries, self.shape, 1))
+        return tuple(law_derivatives(self.circuit, self._entries, self.shape, 1))
 
     @cached_property
     def curvatures(self) -> Array | None:
@@ -281,7 +281,7 @@ class SolvedNetwork(Network):
         if self.circuit is None:
             return None
         count = len(self._entries)
-        second = derivatives(self.circuit, self._entries, self.shape, 2)
+        second = law_derivatives(self.circuit, self._entries, self.shape, 2)
         return second.reshape(count, count, *self.shape)
 
     def read_change(self, change: Entries) -> Array:
@@ -563,7 +563,7 @@ class SolvedSecondOrder(SecondOrder):
         weighted = self._weighted_curvatures
         shape = np.broadcast_shapes(*(part.shape for part in change))
         if shape == self.weights.shape:
-            return list((weighted * filled(change, shape)).sum(axis=1))
+            return list((weighted * all_entries(change, shape)).sum(axis=1))
         changes: list[Array] = [np.zeros(shape) for _ in change]
         for of, by in np.argwhere(weighted.any(axis=(-2, -1))):
             curvature = weighted[of, by]
