@@ -123,7 +123,7 @@ def read_nodes(scene: Scene) -> list[Node]:
     """Return the node of each line at which it is driven or read; see `resistors`."""
     rows, columns = scene.panel.shape
     nodes = list(range(rows + columns))
-    if getattr(scene.readout, "read_at", "terminal") == "terminal":
+    if getattr(scene.readout, "read_at", None) is None:
         return list(nodes)
     lines = scene.lines or Lines()
     crossing = rows + columns + 2 * np.arange(rows * columns).reshape(rows, columns)

@@ -233,7 +233,9 @@ BREAKS = {
         "audit/finding.py", "advised_entries", "return result[:-1]"
     ),
     "info_prints_its_answer_before_the_verdict": Break(
-        "report/info.py", "_health", "audit.prepared.check"
+        "report/info.py",
+        "_content",
+        "__import__('lampest.inference.prepared', fromlist='P').Prepared(recording).check",
     ),
     "the_covariance_is_that_of_laplace": Break(
         "posterior/covariance.py", "DenseErrors.inverse", "return 1.01 * result"

@@ -75,6 +75,7 @@ EFFECTS_OF = {
     "drift_per_minute": {"drift_per_minute": 0.2},
     "common_drift_per_minute": {"common_drift_per_minute": 0.4},
     "leak_ohm": {"leak_ohm": 2e3},
+    "ground_ohm": {"ground_ohm": 15.0},
     "contact_ohm": {"contact_ohm": 300.0, "begins_s": 4.0},
     "begins_s": {"leak_ohm": 9e3, "begins_s": 3.0},
     "saturation": {"saturation": 0.4},

@@ -170,7 +170,7 @@ def test_the_key_makes_cells_right_where_wire_matters() -> None:
     readout = LoadedColumnsReadout(load_ohm=1000.0, adc_bits=16, read_at="far_end")
     scene = Scene(Panel(8, 6), readout, lines=Lines(0.0, 2.0), systematic="none")
     recording = recording_of(scene)
-    silent = replace(scene, readout=replace(readout, read_at="terminal"))
+    silent = replace(scene, readout=replace(readout, read_at=None))
     errors = {
         key: np.abs(log_errors(lampest.reconstruct(recorded, [lampest.Misfit()]))).max()
         for key, recorded in (("with", recording), ("without", replace(recording, scene=silent)))

@@ -71,9 +71,9 @@ class DrivenReadout(Readout):
         Source, and end of the converter's range, in volt; None: supply_volt.
     input_ohm : float, or None
         Input resistance of the converter to ground in ohm, at the load; None: negligible.
-    read_at : {'terminal', 'far_end'}
-        Where the converter reads a sensed line: at the terminal, where its load is, or at the other
-        end of its wire (`Lines`), beyond the last cell.
+    read_at : 'far_end', or None
+        Where the converter reads a sensed line: at the other end of its wire (`Lines`) than its
+        load, beyond the last cell. None: at its terminal, where the load is.
     supply_volt, adc_bits, readings, noise_lsb
         See `Readout`.
 
@@ -108,7 +108,7 @@ class DrivenReadout(Readout):
     drive_volt: float | None = None
     converter_volt: float | None = None
     input_ohm: float | None = None
-    read_at: Literal["terminal", "far_end"] = "terminal"
+    read_at: Literal["far_end"] | None = None
 
     def __post_init__(self) -> None:
         if self.idle_stays:

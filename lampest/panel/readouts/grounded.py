@@ -50,9 +50,9 @@ class GroundedReadout(Readout):
         with voltage feedback. None: ground, or the supply with polarity: down.
     load_volt : float, or None
         Potential in which the loads end, in volt; None: ground, or the supply with polarity: down.
-    read_at : {'terminal', 'far_end'}
-        Where the converter reads a sensed line: at the terminal, where its load is, or at the other
-        end of its wire (`Lines`), beyond the last cell.
+    read_at : 'far_end', or None
+        Where the converter reads a sensed line: at the other end of its wire (`Lines`) than its
+        load, beyond the last cell. None: at its terminal, where the load is.
     supply_volt, adc_bits, readings, noise_lsb
         See `Readout`.
 
@@ -80,7 +80,7 @@ class GroundedReadout(Readout):
     groups: Groups | None = None
     idle_volt: float | Literal["follows"] | None = None
     load_volt: float | None = None
-    read_at: Literal["terminal", "far_end"] = "terminal"
+    read_at: Literal["far_end"] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
