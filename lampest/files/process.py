@@ -8,6 +8,7 @@ import os
 import re
 import resource
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +16,7 @@ from contextlib import AbstractContextManager, ContextDecorator, ExitStack, cont
 from contextvars import ContextVar
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lampest.files.errors import InputError
 
@@ -34,6 +35,7 @@ ENDING = (*WANTED, signal.SIGHUP, signal.SIGQUIT)
 ADDRESS_SPACE = 660 * 2**20  # bytes of addresses that a command needs, mostly of its libraries
 # s, and ten times a frame's limit: no library call took longer (tests/units/test_time_limit.py)
 HUNG_SECONDS = 120.0
+RETRY_SECONDS = 0.01  # a destructor has ended by then
 # Whether a parent process replaces this one if it is killed.
 EXPENDABLE = ContextVar("expendable", default=False)
 FOREIGN = (
@@ -201,20 +203,33 @@ def ending_signals(
 
     The name is such as SIGTERM, or ''. KeyboardInterrupt is raised at once if nothing is worth
     finishing, and at a second signal. Signals within a second are one request, because a closing
-    terminal sends several: a second KeyboardInterrupt would meet the clean-up after the first one,
-    inside destructors, where Python prints it and loses it.
+    terminal sends several: a second KeyboardInterrupt would meet the clean-up after the first one.
+    One inside a destructor, where Python prints and loses it, is raised again.
     """
     requests: list[tuple[str, float]] = []
 
     def note(number: int) -> None:
-        # Stored first, because an exception inside a destructor is lost.
         requests.append((signal.Signals(number).name, time.monotonic()))
         again = requests[-1][1] - requests[0][1] > 1
         if again or (len(requests) == 1 and not worth_finishing()):
             raise KeyboardInterrupt
 
-    with handled(note):
-        yield lambda: requests[0][0] if requests else ""
+    def repeat(lost: Any) -> None:
+        if lost.exc_type is not KeyboardInterrupt or not requests:
+            usual(lost)
+            return
+        number = signal.Signals[requests[0][0]]
+        requests.clear()
+        thread = threading.main_thread().ident
+        threading.Timer(RETRY_SECONDS, signal.pthread_kill, (thread, number)).start()
+
+    usual = sys.unraisablehook
+    sys.unraisablehook = repeat
+    try:
+        with handled(note):
+            yield lambda: requests[0][0] if requests else ""
+    finally:
+        sys.unraisablehook = usual
 
 
 def interrupted(error: BaseException | None) -> bool:

@@ -45,8 +45,8 @@ class BetterExplanation:
         The circuit or the effects in words; '' where nothing explains the readings better.
     frames : str
         The loaded frames in words.
-    count : int
-        Cells that have moved between the unloaded panel and these frames.
+    evidence : float
+        −2 ln evidence of the compared frames.
     factors : array
         Cells under the scene's circuit over those under the better explanation, unloaded and in
         these frames.
@@ -61,7 +61,7 @@ class BetterExplanation:
 
     name: str = ""
     frames: str = ""
-    count: int = 0
+    evidence: float = np.inf
     factors: Array = field(default_factory=lambda: np.ones(1))
     fits_noise: bool = True
     nearly: str = ""
@@ -110,12 +110,15 @@ class CircuitEffects(BetterExplanation):
     pair : FittedPair or None
         The pair with the unambiguous effects alone, those that no other effect explains about as
         well.
+    effects : tuple of LineEffect
+        All of them.
     loaded_at_rest : bool
         Whether a load may lie on the unloaded panel.
     """
 
     common_change: str = ""
     pair: FittedPair | None = None
+    effects: tuple[LineEffect, ...] = ()
     loaded_at_rest: bool = False
 
     @property
@@ -166,11 +169,11 @@ def find_effects(
         besides = CircuitEffects(
             names,
             name,
-            int(grown.moved.sum()),
-            cell_factors(pair, grown),
-            grown.fits_noise,
+            factors=cell_factors(pair, grown),
+            fits_noise=grown.fits_noise,
             addition={effect.key: ESTIMATED for effect in grown.effects if effect.key},
             pair=certain if taken_off else None,
+            effects=grown.effects,
         )
     if besides.name:
         return besides

@@ -136,6 +136,13 @@ def test_a_simulated_ground_is_that_of_the_netlist() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("ohm", [2.0, 3.0])
+def test_a_weak_ground_is_named_where_another_circuit_is_about_as_likely(ohm: float) -> None:
+    check = recorded(CIRCUITS["loads stay"], 1, ohm).check
+    assert check.mark == "no" and check.addition == {"ground_ohm": "estimated"}
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["loads stay", "columns driven"])
 def test_bars_hold_where_the_ground_is_estimated(name: str) -> None:
     own, sigma = [], []

@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -125,3 +126,17 @@ def test_a_signal_to_the_whole_group_of_a_batch_prints_one_line(
     _, stderr = run.communicate(timeout=60)
     assert run.returncode == 130, stderr
     assert without_progress(stderr) == ["lampest: interrupted; what was finished is kept"]
+
+
+def test_an_interrupt_inside_a_destructor_is_raised_again_and_not_printed(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    class Interrupted:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGTERM)
+
+    with pytest.raises(KeyboardInterrupt), ending_signals() as request:
+        Interrupted()
+        time.sleep(10)
+        pytest.fail("the interrupt was lost")
+    assert request() == "SIGTERM" and capfd.readouterr().err == ""

@@ -253,7 +253,9 @@ def _compared(
     A better one has evidence in other frames, too, where there are loaded ones.
     """
     if specified is None or best.pair is None:
-        return BetterExplanation(best.alternative.name, addition=best.alternative.addition)
+        return BetterExplanation(
+            best.alternative.name, evidence=best.evidence, addition=best.alternative.addition
+        )
     if specified.pair is None or not best.pair.has_load:
         return BetterExplanation()
     # Linear theory costs little, and most candidates gain nothing by it.
@@ -274,7 +276,7 @@ def _compared(
     return BetterExplanation(
         best.alternative.name,
         frames.loaded,
-        int(best.pair.moved.sum()),
+        best.evidence,
         cell_factors(specified.pair, best.pair),
         addition=best.alternative.addition,
     )

@@ -155,7 +155,7 @@ class Explanation:
         if self.pair is None:
             return 0.0
         with suppress(*BROKEN):
-            loaded = LoadedDensity(self.pair).cost
+            loaded = LoadedDensity(self.pair).cost + self.pair.cost_of_effects
             return self._density_at_rest + loaded + self.pair.cost_of_bounds
         return np.inf
 

@@ -20,6 +20,7 @@ from lampest.inference.circuits.better_alternative import better_alternative
 from lampest.inference.circuits.compared_frames import ComparedFrames, below_series, broken_law
 from lampest.inference.circuits.explanation import Explanation
 from lampest.inference.circuits.open_ends import UndeterminedEnds, undetermined_ends
+from lampest.inference.circuits.parameters import DOUBTFUL_GAIN
 from lampest.inference.nuisances import BetterExplanation, CircuitEffects, find_effects
 from lampest.inference.pair import FittedPair
 from lampest.panel.effects.line_effect import LineEffect
@@ -241,15 +242,17 @@ class Question(ComparedFrames):
         return ModelCheck(explains=True, sentence=lawful).with_doubts("no cells were fitted")
 
     def _better(self, besides: CircuitEffects) -> BetterExplanation:
-        """Return the better explanation by evidence: another circuit, or these effects."""
+        """Return the better explanation by evidence: another circuit, or these effects.
+
+        The circuit that the scene states is kept where another one is about as likely.
+        """
         best = better_alternative(self, None if self.fault else self.explanation)
-        if (
-            besides.name
-            and (besides.fits_noise or not self.fault)
-            and (not best.name or besides.count < best.count)
-        ):
+        if not besides.name or (self.fault and not besides.fits_noise):
+            return best
+        if not best.name or self.explanation is None:
             return besides
-        return best
+        explained = self.explanation.with_effects(besides.effects)
+        return besides if explained.evidence < best.evidence + DOUBTFUL_GAIN else best
 
     def _verdict(self, best: BetterExplanation, *, alone: bool) -> str:
         """Return the verdict in words: the fault, the best alternative, or neither.
