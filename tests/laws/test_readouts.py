@@ -93,9 +93,10 @@ def scenes() -> Iterator[Any]:
                 scene = fits(Panel(rows, columns), readout)
                 if scene is not None:
                     yield pytest.param(scene, id=f"{kind.__name__}-{number}-{rows}x{columns}")
-        yield from (
-            pytest.param(scene, id=f"{kind.__name__}-{name}") for name, scene in wired_scenes(kind)
-        )
+        for name, scene in wired_scenes(kind):
+            rare = name.startswith("far") and "wire" not in name
+            marks = [pytest.mark.slow] if rare else []
+            yield pytest.param(scene, id=f"{kind.__name__}-{name}", marks=marks)
 
 
 def wired_scenes(kind: type) -> Iterator[tuple[str, Scene]]:
