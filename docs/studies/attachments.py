@@ -337,25 +337,23 @@ def cells(
         [np.tensordot(share, record, 1) for share, record in zip(course, each, strict=True)]
     )
     pressure = pressure + water
-    return answered_film(rng, layer, pressure, time, curve)
+    return answered_film(rng, layer, np.log(CURVES[curve](pressure)), time)
 
 
 def answered_film(
     rng: np.random.Generator,
     layer: Film,
-    pressure: Array,
+    response: Array,
     time: Array,
-    curve: str = "published",
-    start: Array | float = 0.0,
 ) -> Array:
-    """Return the cells of a film that creeps, (frames, rows, columns) ohm, under pressures in kPa.
+    """Return the cells of a film that creeps, (frames, rows, columns) ohm.
 
-    start : pressure before the first frame, under which the film is at rest.
+    response : (frames, rows, columns) ln r/r₀ by the film's curve, without creep.
     """
-    shape = pressure.shape[1:]
+    shape = response.shape[1:]
     resting = 3050 * np.exp(layer.spread * rng.standard_normal(shape))
     answer = layer.bent * np.exp(layer.scatter * rng.standard_normal(shape))
-    logarithm = answer * np.log(CURVES[curve](pressure) / CURVES[curve](np.asarray(start)))
+    logarithm = answer * response
     late = [np.zeros(shape) for _ in CREEP]
     most = np.zeros(shape)
     shown = []

@@ -16,6 +16,7 @@ from time import process_time
 import numpy as np
 
 from docs.studies.attachments import (
+    CURVES,
     PUMPING,
     TOUCH_S,
     UNLOADED,
@@ -186,7 +187,9 @@ class Season:
         depth = water_pressure(self.panel, under)
         pressure = np.tensordot(factors, np.array(maps), axes=(0, 0))
         pressure += water[:, None, None] + depth
-        resistance = answered_film(self.rng, self.layer, pressure, time, start=depth)
+        curve = CURVES["published"]
+        response = np.log(curve(pressure) / curve(depth))
+        resistance = answered_film(self.rng, self.layer, response, time)
         own = DRIFT * (1 + 0.1 * self.rng.standard_normal(self.panel.shape))
         resistance *= np.exp(-own * time[:, None, None] / 3600)
         resistance[:, self.dead] = 1e12
