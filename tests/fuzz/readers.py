@@ -23,6 +23,7 @@ from lampest import (
     read_simulations,
 )
 from lampest.recording.simulation import run as simulate
+from lampest.runs.checks import BESIDE
 
 TAKEN = "taken"
 REFUSED = "refused"
@@ -54,7 +55,8 @@ def receive(mutant: Mutant, folder: Path) -> str:
             outcome = _received(mutant, path)
     finally:
         faulthandler.cancel_dump_traceback_later()
-        leftovers = cleared(folder) - {path.name}
+        # `describe` keeps the check of a recording that it could read.
+        leftovers = cleared(folder) - {path.name, path.with_suffix(BESIDE).name}
     if leftovers:
         raise ReceptionError(f"left {leftovers}")
     seconds = time.process_time() - begin
