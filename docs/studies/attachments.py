@@ -23,9 +23,9 @@ from time import process_time
 
 import numpy as np
 
-from docs.studies.mouth_scenes import MAKERS, MOUTHS, Film, film, patch_means, sampled
+from docs.studies.mouth_scenes import MAKERS, MOUTHS, Film, film, limpet, patch_means, sampled
 from docs.studies.mouth_scenes import Scene as Made
-from lampest import two_point_resistance
+from lampest import GroundedReadout, two_point_resistance
 from lampest.apps.recognition.detect.answer import LAMPREY, Detected
 from lampest.apps.recognition.detect.detection import known_of, measured_frames
 from lampest.apps.recognition.pumping import BLOCK_S, Pumping
@@ -64,6 +64,8 @@ CUP_MOVING = "cup in moving water"
 LEAKING = "leaking cup"
 IRREGULAR = "irregular breath"
 STRONGLY_PULLED = "strongly pulled mouth"
+LIMPET = "limpet"
+PLANT = "waving plant"
 IN_WATER = (WATER, MOVING, CUP_MOVING)
 KINDS = (
     *MAKERS,
@@ -83,6 +85,8 @@ KINDS = (
     LEAKING,
     IRREGULAR,
     STRONGLY_PULLED,
+    LIMPET,
+    PLANT,
 )
 LIVING = (*MOUTHS, PUMPING, SLIDING, PULLED, CURRENT, MOVING, IRREGULAR, STRONGLY_PULLED)
 # their shapes
@@ -105,6 +109,7 @@ OF_COURSE |= {
     LEAKING: "cup",
     IRREGULAR: "wavy mouth",
     STRONGLY_PULLED: "wavy mouth",
+    PLANT: "fin",
 }
 # kPa: common pressure of the water on all cells; gradients have half of it
 WATER_KPA = (0.05, 0.25)
@@ -118,6 +123,7 @@ STRONGEST_KPA = -70.0
 # along the rows, and between which times after the touch
 SLIDES_MM = 15.0
 SLIDES_S = (6.0, 8.0)
+SUCKING = ("mouth", "cup", IRREGULAR, LIMPET)
 TABLE = (PUMPING, "cup", BUMPED, SHAKEN, "rod", "hand")
 BLOCK = 3600  # frames that are read at once
 POISSON_95 = (3.0, 4.74, 6.30, 7.75)  # upper limits of a mean of which so many events were seen
@@ -132,8 +138,8 @@ class Seen:
 
     true_strongest, strongest, strongest_sd : strongest suction, kPa.
 
-    early : probability that it sucks, 5 s after the touch; sucks, breathes : 10 s after it. pumps :
-        at the end. probability : that of the answer.
+    early : probability that it sucks, 5 s after the touch; sucks, breathes, lives : 4 s before the
+        release. pumps : at the end. probability : that of the answer.
     lamprey : when something was first called a lamprey. watched : s of measured frames.
     """
 
@@ -166,6 +172,7 @@ class Seen:
     strongest: float = np.nan
     strongest_sd: float = np.nan
     probability: float = np.nan
+    lives: float = np.nan
 
 
 def courses(
@@ -199,6 +206,12 @@ def courses(
         2 * np.pi * own.uniform(0.4, 1.6) * time
     )
     body = on * (1 + 0.6 * beats)
+    if kind == PLANT:  # its blade touches the panel at each wave
+        waves = np.maximum(own.uniform(0.2, 1.2) + np.sin(0.6 * phase), 0)
+        return np.stack([on * waves, 0 * suck, body], axis=1), 0.0, hertz
+    if kind == LIMPET:
+        settles = np.clip(since / own.uniform(1, 6), 0, 1)
+        press, suck = press * settles, suck * settles
     if kind == RING:  # as a weight on it does that is not at rest
         return np.stack([press * (1 + 0.03 * np.sin(phase)), 0 * suck, body], axis=1), 0.0, hertz
     if kind == HAND_PUMPED:
@@ -307,6 +320,7 @@ def delayed(pressure: Array) -> Array:
     )
 
 
+DRAWN = "drawn"
 CURVES: dict[str, Callable[[Array], Array]] = {
     "published": ratio_from_pressure,
     "straight": straight,
@@ -391,10 +405,13 @@ def moving_water(rng: np.random.Generator, panel: Panel, time: Array) -> Array:
     return np.asarray(parts[0] + parts[1] * down + parts[2] * across)
 
 
-def recorded(rng: np.random.Generator, resistance: Array, time: Array) -> Array:
+def recorded(
+    rng: np.random.Generator, resistance: Array, time: Array, *, grounded: bool = False
+) -> Array:
     """Return two-point resistances, with 140 ohm in series, as a divider reads them.
 
-    The divider has 1 kohm, 10 bits, 20 readings and a ripple.
+    The divider has 1 kohm, 10 bits, 20 readings and a ripple. In the grounded circuit, one row at a
+    time has 5 V, all others 0 V, and every column 1 kohm: the result has the columns' volts.
     """
     rows, columns = resistance.shape[1:]
     drift = rng.standard_normal((rows, columns)) * 0.005 + rng.standard_normal() * 0.02
@@ -403,19 +420,20 @@ def recorded(rng: np.random.Generator, resistance: Array, time: Array) -> Array:
         * (1 + 0.1 * rng.standard_normal((rows, columns)))
         * np.sin(2 * np.pi * time / SWAY_S)[:, None, None]
     )
-    total = (
-        two_point_resistance(resistance * np.exp(drift * np.log10(1 + time)[:, None, None] + sway))
-        + 140.0
-    )
+    drifted = resistance * np.exp(drift * np.log10(1 + time)[:, None, None] + sway)
     channels = 3.0 * rng.standard_normal(rows + columns)
-    total = total + channels[:rows, None] + channels[rows:]
     reference = 1000 * (1 + rng.uniform(-0.01, 0.01))
     gain = 1 + rng.uniform(0, 0.001) * rng.standard_normal((len(time), 1, 1))
     ripple = rng.uniform(0, 0.4) * rng.standard_normal((len(time), 1, columns))
-    codes = 1023 * reference / (total + reference) * gain + ripple
+    if grounded:
+        share = 1 / drifted / (np.sum(1 / drifted, axis=1, keepdims=True) + 1 / reference)
+    else:
+        total = two_point_resistance(drifted) + 140.0 + channels[:rows, None] + channels[rows:]
+        share = reference / (total + reference)
+    codes = 1023 * share * gain + ripple
     parts = np.split(codes, range(BLOCK, len(codes), BLOCK))
     mean = np.concatenate([sampled(rng, part) for part in parts])
-    return np.asarray(1000 * (1023 - mean) / mean)
+    return np.asarray(5 * mean / 1023 if grounded else 1000 * (1023 - mean) / mean)
 
 
 def recording(
@@ -426,10 +444,19 @@ def recording(
     attached_s: float = ATTACHED_S,
     curve: str = "published",
 ) -> tuple[Recording, Made, float, float]:
-    """Return the recording, its loads, breathing depth and rate."""
+    """Return the recording, its loads, breathing depth and rate.
+
+    The curve "drawn" is any of the others, and the circuit is drawn, too.
+    """
     rng = np.random.default_rng([seed, side, KINDS.index(kind)])
     panel = Panel(side, side)
-    made = MAKERS[OF_COURSE.get(kind, kind)](rng, panel)
+    makers = MAKERS | {LIMPET: limpet}
+    made = makers[OF_COURSE.get(kind, kind)](rng, panel)
+    grounded = False
+    if curve == DRAWN:
+        own = np.random.default_rng([seed, side, KINDS.index(kind), 1])
+        curve = str(own.choice(list(CURVES)))
+        grounded = bool(own.random() < 0.5)
     layer = film(rng, rng.choice(["real", "other"]))
     frames = round((TOUCH_S + attached_s + max(BARE_S, 10 / rate)) * rate)
     time = np.concatenate([(np.arange(UNLOADED) - UNLOADED) / rate, np.arange(frames) / rate])
@@ -454,13 +481,16 @@ def recording(
         water = moving_water(rng.spawn(1)[0], panel, time)
     resistance = cells(rng, panel, made, layer, course, time - time[0], shake, curve, water)
     scene = scene_of(panel)
+    if grounded:
+        readout = GroundedReadout(sense="all", drive_ohm=0.0, load_ohm=1000.0, noise_lsb=0.7)
+        scene = replace(scene, readout=readout, series_resistance_ohm=0.0)
     if kind in IN_WATER:  # as most scenes, which name neither gain nor ripple
         scene = replace(scene, gain=None, ripple=None)
     role = (np.arange(len(time)) >= UNLOADED).astype(np.uint8)
     return (
         Recording(
             scene,
-            recorded(rng, resistance, time - time[0]),
+            recorded(rng, resistance, time - time[0], grounded=grounded),
             time - time[0],
             role,
             name=kind.replace(" ", "_"),
@@ -512,10 +542,11 @@ def seen(
         return Seen(kind, rate, seed, depth, hertz, *answered, size, *unknown, cpu)
     watch = watched.watch()
     moments = []
+    answers_s = (5.0, attached_s - 4.0)  # after the touch
     lamprey = np.nan
     for value, sigma, time in measured_frames(whole, watched, np.ones(len(whole.time), dtype=bool)):
         watch = watch.push(value, sigma, time)
-        moments += [watch] if len(moments) < 2 and time >= touch + (5, 10)[len(moments)] else []
+        moments += [watch] if time >= touch + (*answers_s, np.inf)[len(moments)] else []
         if np.isnan(lamprey) and Detected.of(kind, watch.attachments, rate).answer == LAMPREY:
             lamprey = time - touch
     early, later, full = (
@@ -565,6 +596,7 @@ def seen(
         suction * made.pull or np.nan,
         *((first and first.strongest_kpa) or (np.nan, np.nan)),
         later.probability,
+        best.lives if best else 0.5,
     )
 
 
@@ -660,12 +692,11 @@ def report(everything: Sequence[Seen]) -> None:
                 f"| {_middle(force[:, 0] / force[:, 1])}, "
                 f"{_held(force[:, 0] - force[:, 1], force[:, 2])} |"
             )
-        sucking = ("mouth", "cup")
         early = {
             record: [
                 seen.early
                 for seen in of_rate
-                if any(word in seen.kind for word in sucking) is record
+                if any(word in seen.kind for word in SUCKING) is record
             ]
             for record in (True, False)
         }
@@ -677,15 +708,6 @@ def report(everything: Sequence[Seen]) -> None:
         ]
         if all(map(len, breathing)):
             print(f"breathes: AUC {area_under_curve(*breathing):.4f}")
-        called = np.array([record.sucks * record.breathes for record in of_rate])
-        are = np.array([record.kind in LIVING for record in of_rate])
-        for low, high in ((0, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 1.01)):
-            of = (called >= low) & (called < high)
-            share = are[of].mean() if of.any() else np.nan
-            print(
-                f"P(lamprey) {low:g} to {min(high, 1):g}: {of.sum()} recordings, {share:.0%} are "
-                "mouths"
-            )
     deep = np.array(
         [
             (record.seen_depth, record.depth, record.depth_sd)
@@ -759,7 +781,7 @@ def plot(everything: Sequence[Seen], path: Path) -> None:
     from matplotlib import pyplot
 
     fast = [record for record in everything if record.rate > 3.8]
-    sucking = np.array([any(word in record.kind for word in ("mouth", "cup")) for record in fast])
+    sucking = np.array([any(word in record.kind for word in SUCKING) for record in fast])
     mouths = np.array([record.kind in LIVING for record in fast])
     early = np.array([record.early for record in fast])
     called = np.array([record.sucks * record.breathes for record in fast])
@@ -826,7 +848,7 @@ if __name__ == "__main__":
     parser.add_argument("--side", type=int, default=10, help="of the panel, cells")
     parser.add_argument("--attached", type=float, default=ATTACHED_S, help="s")
     parser.add_argument(
-        "--curve", choices=list(CURVES), default="published", help="of the film under suction"
+        "--curve", choices=[*CURVES, DRAWN], default="published", help="of the film under suction"
     )
     parser.add_argument(
         "--pumps-alone", action="store_true", help="mouths that known suction names by its pumps"

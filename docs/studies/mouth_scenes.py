@@ -276,6 +276,16 @@ def rod(rng: np.random.Generator, panel: Panel, most: float = 50) -> Scene:
     return annulus(rng, _place(rng, panel, outer / 2), outer, 0.0, soft=rng.uniform(0, 1), **form)
 
 
+def limpet(rng: np.random.Generator, panel: Panel) -> Scene:
+    """A foot of 18 to 32 mm that sucks faintly within an edge that bears it."""
+    outer = rng.uniform(18, 32)
+    inner = outer - 8
+    inside = -rng.uniform(0.5, 4)
+    rim = -inside * inner**2 / (outer**2 - inner**2)
+    place = _place(rng, panel, outer / 2)
+    return annulus(rng, place, outer, inner, rim=rim, inside=inside, soft=1.0)
+
+
 def blobs(
     rng: np.random.Generator,
     panel: Panel,

@@ -17,6 +17,7 @@ import numpy as np
 
 from docs.studies.attachments import (
     CURVES,
+    LIMPET,
     PUMPING,
     TOUCH_S,
     UNLOADED,
@@ -28,10 +29,10 @@ from docs.studies.attachments import (
 from docs.studies.mouth_scenes import (
     Film,
     Pressure,
-    annulus,
     cup,
     film,
     fin,
+    limpet,
     mouth,
     patch_means,
     rod,
@@ -53,7 +54,6 @@ LEVEL_KPA = 0.00981 * 300  # 30 cm of water
 LEVEL_S = 300.0
 # of ln r in an hour: 2 °C at 0.4 % per degree, a tenth of it different from cell to cell
 DRIFT = 0.008
-LIMPET = "limpet"
 PLANT = "plant"
 IN_TIME_S = 2.0
 MATCH_MM = 15.0  # between a visit and its row
@@ -205,16 +205,6 @@ def _overlap(first: Made, second: Made) -> bool:
     reach = (first.diameters_mm[0] + second.diameters_mm[0]) / 2 + ROOM_MM
     distance = np.hypot(*np.subtract(first.centres_mm[0], second.centres_mm[0]))
     return bool(distance < reach)
-
-
-def limpet(rng: np.random.Generator, panel: Panel) -> Made:
-    """A foot of 18 to 32 mm that sucks faintly within an edge that bears it."""
-    outer = rng.uniform(18, 32)
-    inner = outer - 8
-    inside = -rng.uniform(0.5, 4)
-    rim = -inside * inner**2 / (outer**2 - inner**2)
-    place = tuple(rng.uniform(outer / 2, 10 * (side - 1) - outer / 2) for side in panel.shape[::-1])
-    return annulus(rng, place, outer, inner, rim=rim, inside=inside, soft=1.0)
 
 
 def drawn(seed: int, rate: float, side: int = 10) -> tuple[Season, Array]:

@@ -1,8 +1,9 @@
 """Suction without a shape: cells that have risen, enclosed by cells that have fallen.
 
-Suction lifts the film from its electrodes, and resistance rises: risen cells are the evidence of
-suction. A rim that presses around the suction bears it: fallen neighbours multiply the odds.
-Neither depends on the form of a mouth, on other loads next to it, or on the film's curve.
+Suction lifts the film from its electrodes, and resistance rises: the likelihood ratio of a risen
+cell against one that has not is the evidence of suction. A rim that presses around the suction
+bears it: fallen neighbours multiply the odds. Neither depends on the form of a mouth, on other
+loads next to it, or on the film's curve.
 """
 
 from dataclasses import dataclass
@@ -14,15 +15,15 @@ from scipy.sparse import coo_array
 from scipy.special import expit, log_ndtr, logit, ndtr
 
 from lampest.apps.recognition.observation import Observation, patch_of
-from lampest.panel.panel import Panel
+from lampest.panel.panel import Array, Panel
 from lampest.recording.shapes.disc import Disc
 
 # ln r/r0 by a suction of 1 kPa. Of 64 hands, rocks, fish, fins, bubbles, rods and rings none raised
 # a cell by more than 0.1 beyond its error; of 48 mouths and cups of −2.5 kPa and more, 47 raised
 # one by more than 0.3, each by more than seven standard deviations.
 MIN_RISE = 0.2
-# ln odds that risen cells are under suction where nothing is known of their neighbours: of those
-# loads, 47 of 48 and none of 64.
+# Largest ln odds by risen cells alone: cells rise for other reasons, too, as where a load is
+# relieved or an amplifier saturates. Of those loads 47 of 48 and none of 64 have risen cells.
 RISEN_LOG_ODDS = log(20)
 # Assumed probability that a neighbour of risen cells has fallen if they are under suction, and that
 # it has not if they are not. Rims pass between patches, and other loads adjoin.
@@ -31,9 +32,10 @@ ENCLOSED = 0.75
 # faint suctions, to which a film hardly answers, and of films that open late.
 UNRISEN = 0.05
 MIN_FALL = 0.05  # ln r/r0 of a cell under a rim; less is drift
-# Standard deviations of a cell that begins a group. The one cell within a mouth of 25 mm has risen
-# by 2.3, since cells of its rim hide it; beside a rock on a drifting panel cells rise by 2.0.
-MIN_CLEAR = 2.2
+# Standard deviations of ln r/r0 of a cell under suction, one-sided, and of one that nothing sucks
+# at, beside its error: half the largest rise of those 64 loads.
+SUCTION_SD = 1.0
+UNMOVED_SD = 0.05
 # Interquartile range of ln r0 of an unloaded film: 0.54 with a spread of 0.4, and 0.2 to 0.32 of
 # the shipped panels; a foot that stands or walks on an insole has 1.2 and 2.4.
 MAX_RANGE = 0.9
@@ -85,37 +87,31 @@ class Suction:
 def suctions(frame: Observation) -> list[Suction]:
     """Return the places that are more probably under suction than not, the largest first.
 
-    A group of neighbouring cells has risen if each of them has by more than MIN_FALL and MIN_CLEAR
-    standard deviations. Neighbours that have by one belong to it, too. It is under
-    suction with the probability
+    Neighbouring cells that more probably have risen than not are a group, with neighbours that have
+    by MIN_FALL and one standard deviation. With the likelihood ratio B of the clearest cell, beyond
+    the rise of its lines, it is under suction with the odds
 
-        P(rise > MIN_RISE) / (1 + 1/(odds of the enclosure)),
+        O / (N/B + e^−RISEN_LOG_ODDS),   O of `_enclosure`,
 
-    with the rise of its clearest cell beyond that of its lines, see `_enclosure`. Nothing is
-    concluded if the cells of the unloaded panel are as uneven as under loads: a rising cell may
-    then have been relieved.
+    because any of the N cells may be the clearest one by chance. Nothing is concluded if the cells
+    of the unloaded panel are as uneven as under loads: a rising cell may then have been relieved.
     """
+    chance = log(frame.panel.present.sum())
     panel = frame.panel
     change = frame.free_map
     sd = frame.free_sd
     if not _even(frame):
         return []
     places = list[Suction]()
-    for clear in groups_of(panel, change > np.maximum(MIN_FALL, MIN_CLEAR * sd)):
+    for clear in groups_of(panel, panel.present & (_rise_evidence(change, sd) > 0)):
         cells = clear | (around(panel, clear) & (change > np.maximum(MIN_FALL, sd)))
         if not around(panel, cells).any():
             continue  # the whole panel has risen
-        least = MIN_RISE + _rise_of_lines(frame, cells)
-        rise = float(np.max((change - least)[cells] / sd[cells]))
-        enclosure = _enclosure(frame, cells)
-        # ln P = ln P(rise) − ln(1 + e^−enclosure), and the odds are P/(1 − P)
-        logarithm = float(log_ndtr(rise) - np.logaddexp(0.0, -enclosure))
-        against = float(
-            np.logaddexp(log_ndtr(-rise), log_ndtr(rise) - np.logaddexp(0.0, enclosure))
-        )
+        rise = float(_rise_evidence(change - _rise_of_lines(frame, cells), sd)[cells].max())
+        odds = _enclosure(frame, cells) - float(np.logaddexp(chance - rise, -RISEN_LOG_ODDS))
         weight = change * cells
         x, y = (float(np.nansum(weight * line) / weight.sum()) for line in panel.places_mm)
-        places.append(Suction(cells, logarithm - against, x, y))
+        places.append(Suction(cells, odds, x, y))
     places = [place for place in places if place.odds > 0]
     places.sort(key=lambda place: -float(change[place.cells].sum()))
     return _merged(panel, places)
@@ -148,18 +144,39 @@ def inner_cells(panel: Panel, place: tuple[float, float], diameter_mm: float) ->
 
 
 def rise_odds(frame: Observation, cells: NDArray[np.bool_]) -> float:
-    """Return ln odds that the clearest of some cells has risen, over those of an unknown cell.
+    """Return the ln likelihood ratio of suction by the clearest of some cells.
 
-    A cell has risen by more than MIN_RISE with the probability P. A cell of which nothing is known,
-    as under a dead line, has P(N(0, 1) > MIN_RISE): its odds are 1. At least UNRISEN remains: that
-    suction raises no cell. The result is 0 without cells.
+    At least UNRISEN remains: that suction raises no cell. The result is 0 without cells.
     """
     if not cells.any():
         return 0.0
-    clearest = float(np.max((frame.free_map - MIN_RISE)[cells] / frame.free_sd[cells]))
-    odds = log_ndtr(clearest) - log_ndtr(-clearest)
-    unknown = log_ndtr(-MIN_RISE) - log_ndtr(MIN_RISE)
-    return max(float(odds - unknown), float(logit(UNRISEN)))
+    evidence = _rise_evidence(frame.free_map[cells], frame.free_sd[cells])
+    return max(float(evidence.max()), float(logit(UNRISEN)))
+
+
+def _rise_evidence(change: Array, sd: Array) -> Array:
+    """Return the ln likelihood ratio of cells under suction against unmoved ones.
+
+    The posterior N(x, s²) of a cell has the prior N(0, 1), so its readings say ln r/r0 with the
+    variance v = s²/(1 − s²) about y = x/(1 − s²). Under suction ln r/r0 is a positive N(0, S²), and
+    otherwise N(0, U²), with S of SUCTION_SD and U of UNMOVED_SD:
+
+        ln 2 Φ(z) + ln N(y; 0, v + S²) − ln N(y; 0, v + U²),   z = y S / √(v (v + S²)).
+
+    A cell of which nothing is known, as under a dead line, has 0.
+
+    Parameters
+    ----------
+    change, sd : array
+        x and s.
+    """
+    own = np.maximum(1 - sd**2, np.finfo(float).eps)
+    variance = sd**2 / own
+    shown = change / own
+    lifted, unmoved = (variance + size**2 for size in (SUCTION_SD, UNMOVED_SD))
+    positive = log_ndtr(shown * SUCTION_SD / np.sqrt(variance * lifted))
+    squares = shown**2 * (1 / unmoved - 1 / lifted)
+    return np.asarray(log(2) + positive + (squares + np.log(unmoved / lifted)) / 2)
 
 
 def _even(frame: Observation) -> bool:
@@ -181,11 +198,10 @@ def _rise_of_lines(frame: Observation, cells: NDArray[np.bool_]) -> float:
 
 
 def _enclosure(frame: Observation, cells: NDArray[np.bool_]) -> float:
-    """Return ln odds that a group of risen cells, (rows, columns), is under suction.
+    """Return the ln likelihood ratio of suction by the neighbours of a group, (rows, columns).
 
     A neighbour has fallen by more than MIN_FALL with the probability p. It has with the probability
-    ENCLOSED if the cells are under suction, and has not with the same if they are not. The odds are
-    the prior ones times
+    ENCLOSED if the cells are under suction, and has not with the same if they are not. The ratio is
 
         Π (E p + (1 − E)(1 − p)) / ((1 − E) p + E (1 − p)),   E = ENCLOSED.
 
@@ -194,7 +210,7 @@ def _enclosure(frame: Observation, cells: NDArray[np.bool_]) -> float:
     rim = around(frame.panel, cells)
     fallen = ndtr(-(frame.free_map[rim] + MIN_FALL) / frame.free_sd[rim])
     under = ENCLOSED * fallen + (1 - ENCLOSED) * (1 - fallen)
-    return RISEN_LOG_ODDS + float(np.sum(np.log(under / (1 - under))))
+    return float(np.sum(np.log(under / (1 - under))))
 
 
 def groups_of(panel: Panel, which: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
