@@ -480,10 +480,7 @@ def recording(
     if kind in IN_WATER:
         water = moving_water(rng.spawn(1)[0], panel, time)
     resistance = cells(rng, panel, made, layer, course, time - time[0], shake, curve, water)
-    scene = scene_of(panel)
-    if grounded:
-        readout = GroundedReadout(sense="all", drive_ohm=0.0, load_ohm=1000.0, noise_lsb=0.7)
-        scene = replace(scene, readout=readout, series_resistance_ohm=0.0)
+    scene = scene_of(panel, grounded=grounded)
     if kind in IN_WATER:  # as most scenes, which name neither gain nor ripple
         scene = replace(scene, gain=None, ripple=None)
     role = (np.arange(len(time)) >= UNLOADED).astype(np.uint8)
@@ -509,12 +506,13 @@ def _suction_of(made: Made) -> float:
     return float(made.suction(x, y)[0])
 
 
-def scene_of(panel: Panel) -> Scene:
-    """Return the scene of the recordings of a panel."""
+def scene_of(panel: Panel, *, grounded: bool = False) -> Scene:
+    """Return the scene of the recordings of a panel, see `recorded`."""
+    readout = GroundedReadout(sense="all", drive_ohm=0.0, load_ohm=1000.0, noise_lsb=0.7)
     return Scene(
         panel,
-        TwoPointReadout(noise_lsb=0.7),
-        140.0,
+        readout if grounded else TwoPointReadout(noise_lsb=0.7),
+        0.0 if grounded else 140.0,
         response=PublishedResponse(),
         gain="estimated",
         ripple="estimated",

@@ -15,7 +15,6 @@ from scipy.special import expit, logit
 from lampest.apps.recognition.breath import breath
 from lampest.apps.recognition.breathing import MAX_LOG_ODDS, MIN_WINDOW_S, WINDOW_S, Breathing
 from lampest.apps.recognition.contacts import contacts_of
-from lampest.apps.recognition.disc_search import FULL_KPA
 from lampest.apps.recognition.hold import Hold
 from lampest.apps.recognition.hypotheses import NEVER_LOG_ODDS
 from lampest.apps.recognition.observation import Observation
@@ -26,7 +25,6 @@ from lampest.apps.recognition.swings import Patterns
 from lampest.apps.recognition.verdict import Verdict
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
 from lampest.panel.panel import Array, Panel
-from lampest.recording.shapes.disc import Disc
 
 Pair = tuple[float, float]
 # Largest ln odds of suction that one recognition leaves to later ones: all have the same film and
@@ -436,7 +434,7 @@ def _judged(load: Attachment, verdict: Verdict) -> Attachment:
     A contact without a diameter is a disc of the same area.
     """
     round_mm = load.width if load.diameter_mm else load.width * (4 / np.pi) ** 0.5
-    sucks = verdict.sucks_at(Disc(*load.place, round_mm, 0.0, *FULL_KPA, 0.0, 0.0))
+    sucks = verdict.sucks_at(load.place, round_mm)
     small = sucks <= 0.5 and not inner_cells(verdict.frame.panel, load.place, round_mm).any()
     odds = 0.0 if small else np.clip(logit(sucks), -MAX_LOOK_LOG_ODDS, MAX_LOOK_LOG_ODDS)
     begins = load.since_s if load.diameter_mm and sucks > 0.5 else None

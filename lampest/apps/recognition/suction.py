@@ -7,7 +7,7 @@ loads next to it, or on the film's curve.
 """
 
 from dataclasses import dataclass
-from math import log, pi
+from math import hypot, log, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,12 +89,13 @@ def suctions(frame: Observation) -> list[Suction]:
 
     Neighbouring cells that more probably have risen than not are a group, with neighbours that have
     by MIN_FALL and one standard deviation. With the likelihood ratio B of the clearest cell, beyond
-    the rise of its lines, it is under suction with the odds
+    the rise of its lines, and O of `_enclosure`, it is under suction with the odds
 
-        O / (N/B + e^−RISEN_LOG_ODDS),   O of `_enclosure`,
+        1 / (N / (B min(O, N)) + e^−RISEN_LOG_ODDS / O):
 
-    because any of the N cells may be the clearest one by chance. Nothing is concluded if the cells
-    of the unloaded panel are as uneven as under loads: a rising cell may then have been relieved.
+    any of the N cells may be the clearest one by chance, unless others enclose it, as in a ring,
+    too. Nothing is concluded if the cells of the unloaded panel are as uneven as under loads: a
+    rising cell may then have been relieved.
     """
     chance = log(frame.panel.present.sum())
     panel = frame.panel
@@ -107,11 +108,14 @@ def suctions(frame: Observation) -> list[Suction]:
         cells = clear | (around(panel, clear) & (change > np.maximum(MIN_FALL, sd)))
         if not around(panel, cells).any():
             continue  # the whole panel has risen
-        rise = float(_rise_evidence(change - _rise_of_lines(frame, cells), sd)[cells].max())
-        odds = _enclosure(frame, cells) - float(np.logaddexp(chance - rise, -RISEN_LOG_ODDS))
-        weight = change * cells
-        x, y = (float(np.nansum(weight * line) / weight.sum()) for line in panel.places_mm)
-        places.append(Suction(cells, odds, x, y))
+        lines = _rise_of_lines(frame, cells)
+        rise = float(_rise_evidence((change - lines)[cells], sd[cells], lines).max())
+        enclosure = _enclosure(frame, cells)
+        rise += min(enclosure - chance, 0.0)
+        odds = -float(np.logaddexp(-rise, -RISEN_LOG_ODDS - enclosure))
+        weight = change[cells] / change[cells].sum()
+        x, y = panel.places_mm[:, cells] @ weight
+        places.append(Suction(cells, odds, float(x), float(y)))
     places = [place for place in places if place.odds > 0]
     places.sort(key=lambda place: -float(change[place.cells].sum()))
     return _merged(panel, places)
@@ -154,26 +158,29 @@ def rise_odds(frame: Observation, cells: NDArray[np.bool_]) -> float:
     return max(float(evidence.max()), float(logit(UNRISEN)))
 
 
-def _rise_evidence(change: Array, sd: Array) -> Array:
+def _rise_evidence(change: Array, sd: Array, lines: float = 0.0) -> Array:
     """Return the ln likelihood ratio of cells under suction against unmoved ones.
 
     The posterior N(x, s²) of a cell has the prior N(0, 1), so its readings say ln r/r0 with the
     variance v = s²/(1 − s²) about y = x/(1 − s²). Under suction ln r/r0 is a positive N(0, S²), and
-    otherwise N(0, U²), with S of SUCTION_SD and U of UNMOVED_SD:
+    otherwise N(0, U²):
 
         ln 2 Φ(z) + ln N(y; 0, v + S²) − ln N(y; 0, v + U²),   z = y S / √(v (v + S²)).
 
-    A cell of which nothing is known, as under a dead line, has 0.
+    A cell of which nothing is known, as under a dead line, has 0. S is SUCTION_SD. U is UNMOVED_SD,
+    and as much more as whole lines have risen, because these rise unevenly.
 
     Parameters
     ----------
     change, sd : array
         x and s.
+    lines : float
+        Rise of the lines, by which x is less than ln r/r0.
     """
     own = np.maximum(1 - sd**2, np.finfo(float).eps)
     variance = sd**2 / own
     shown = change / own
-    lifted, unmoved = (variance + size**2 for size in (SUCTION_SD, UNMOVED_SD))
+    lifted, unmoved = (variance + size**2 for size in (SUCTION_SD, hypot(UNMOVED_SD, lines)))
     positive = log_ndtr(shown * SUCTION_SD / np.sqrt(variance * lifted))
     squares = shown**2 * (1 / unmoved - 1 / lifted)
     return np.asarray(log(2) + positive + (squares + np.log(unmoved / lifted)) / 2)

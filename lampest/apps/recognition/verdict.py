@@ -6,7 +6,7 @@ sucks is decided by its cells (`lampest.apps.recognition.suction`).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import hypot
+from math import dist
 
 import numpy as np
 from scipy.special import expit, logsumexp
@@ -18,7 +18,6 @@ from lampest.apps.recognition.sucking_disc import SuckingDisc
 from lampest.apps.recognition.suction import inner_cells, rise_odds
 from lampest.files.levels import NOISE_REACH
 from lampest.panel.panel import Array
-from lampest.recording.shapes.disc import Disc
 
 # χ² of a reading beyond which an explanation is refuted by its own misfit: films that keep a part
 # of a load have less (tests/apps/recognition/test_detector.py).
@@ -88,8 +87,8 @@ class Verdict:
             np.abs(cells) > NOISE_REACH * self.frame.free_sd, np.sign(cells) * agreed, 0.0
         )
 
-    def sucks_at(self, disc: Disc) -> float:
-        """Return the probability that a load at a disc's place sucks.
+    def sucks_at(self, centre: tuple[float, float], diameter_mm: float) -> float:
+        """Return the probability that a round load sucks, with its centre in mm.
 
         Its cells decide. A load without a cell that would show its suction has 1/2.
         """
@@ -97,9 +96,9 @@ class Verdict:
         near = [
             place.probability
             for place in places
-            if hypot(place.x_mm - disc.x_mm, place.y_mm - disc.y_mm) < disc.diameter_mm / 2
+            if dist((place.x_mm, place.y_mm), centre) < diameter_mm / 2
         ]
         if near:
             return max(near)
-        inner = inner_cells(self.frame.panel, (disc.x_mm, disc.y_mm), disc.diameter_mm)
+        inner = inner_cells(self.frame.panel, centre, diameter_mm)
         return float(expit(min(rise_odds(self.frame, inner), 0.0)))
