@@ -12,15 +12,14 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from lampest.cost.problem import Evaluation
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.trust_region import DENSE_CELLS, MAX_DENSE, restricted, steihaug
 from lampest.solvers.bounds import MILLIONTH, free_cells, lower_along, within_bounds
 from lampest.solvers.hessian import Hessian
-from lampest.solvers.preconditioners import Cholesky, Numbers, Preconditioner, TwoLevel
+from lampest.solvers.preconditioners import Cholesky, Preconditioner, TwoLevel
 
 # Of a cell's posterior standard deviation: allowed length of the remaining Newton step where the
 # noise is known.
@@ -305,7 +304,7 @@ class Modes:
         return cls(size, *np.linalg.eigh(unit))
 
     @property
-    def solid(self) -> NDArray[np.bool_]:
+    def solid(self) -> Mask:
         """Whether an eigenvalue is positive beyond rounding, (n,)."""
         return self.values > ROUNDING
 
@@ -373,7 +372,7 @@ def clear_of_rounding(triangle: Array, norm: float) -> bool:
 
 
 def _by_conjugate_gradients(
-    hessian: Hessian, free: NDArray[np.bool_], preconditioner: Preconditioner | None
+    hessian: Hessian, free: Mask, preconditioner: Preconditioner | None
 ) -> Certificate:
     """Return the certificate by conjugate gradients.
 
