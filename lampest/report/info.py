@@ -63,6 +63,7 @@ def describe(path: str | Path) -> Iterator[str]:
     change. The verdict on a recording's circuit comes last, because nothing else waits for it.
 
     All frames of a file that exceeds the memory are counted, and the first ones are described.
+    The check of a recording's circuit is written beside the file, unless it is kept there already.
     Raises InputError for a damaged file and for one that is neither a recording nor results.
     """
     path = Path(path)
