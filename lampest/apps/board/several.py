@@ -21,7 +21,7 @@ import numpy as np
 
 from lampest.apps.board.port import only_port
 from lampest.apps.board.protocol import Frame, Hello
-from lampest.apps.board.sample import USUAL, AnyFrame, AnySettings, LineOptions, Sample, Samples
+from lampest.apps.board.sample import USUAL, AnyFrame, LineOptions, Sample, Samples
 from lampest.apps.board.stream import RETRY_SECONDS, board_samples
 from lampest.files.errors import InputError
 from lampest.panel.panel import Modules
@@ -225,8 +225,12 @@ def _images(
                     listening.discard(board)
                 else:
                     states[board] = item
-            images = _new_images(scene, numbers, current, waits=bool(listening))
-            yield images
+            images = list[Sample]()
+            before = copy(current)
+            while (parts := current.frame(monotonic() if listening else np.inf)) is not None:
+                images.append(_image(scene, numbers, parts, before, current))
+                before = copy(current)
+            yield tuple(images)
             if images and current.missing:
                 gone = (
                     f"module {places[board]} at {ports[board]}: {states[board] or 'no frame came'}"
@@ -286,22 +290,6 @@ def _listeners(
             thread.join()
 
 
-def _new_images(
-    scene: Scene, numbers: Sequence[int], current: Alignment, *, waits: bool
-) -> tuple[Sample, ...]:
-    """Advance an alignment as far as its frames allow, and return the new images.
-
-    `waits` states whether boards may still send; without any, nothing is waited for.
-    """
-    images = list[Sample]()
-    while True:
-        before = copy(current)
-        parts = current.frame(monotonic() if waits else np.inf)
-        if parts is None:
-            return tuple(images)
-        images.append(_image(scene, numbers, parts, before, current))
-
-
 def _image(
     scene: Scene,
     numbers: Sequence[int],
@@ -325,9 +313,13 @@ def _image(
         places = [layout.place(numbers[board]) for board in inside if board not in outside]
         events += [f"{word}: {','.join(map(str, place))}" for place in places]
     own = {numbers[board]: sample for board, sample in parts.items()}
+    settings = first.hello
+    if isinstance(settings, Hello):
+        rows, columns = layout.shape
+        settings = replace(settings, rows=rows, columns=columns, estimates=False)
     return Sample(
         frame=replace(_joined(layout, own, first), sequence=before.frames, log_change=None),
-        hello=_settings(layout, first),
+        hello=settings,
         scene=scene,
         time=after.elapsed,
         host_time=max(sample.host_time for sample in parts.values()),
@@ -353,11 +345,3 @@ def _joined(layout: Modules, parts: Mapping[int, Sample], first: Sample) -> AnyF
     for number, sample in parts.items():
         recorded[number] = sample.recorded
     return replace(first.frame, missed=missed, recorded=layout.joined(recorded))
-
-
-def _settings(layout: Modules, first: Sample) -> AnySettings:
-    """Return the settings of the whole image, as those of a board."""
-    if not isinstance(first.hello, Hello):
-        return first.hello
-    rows, columns = layout.shape
-    return replace(first.hello, rows=rows, columns=columns, estimates=False)

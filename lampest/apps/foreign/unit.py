@@ -36,7 +36,7 @@ def understood_unit(
         Sentence for the user.
     """
     readout = None if scene is None else scene.readout
-    possible = RESISTANCES
+    possible: Sequence[str] = RESISTANCES
     if readout is not None:
         possible = tuple(FACTORS) if readout.unit == "ohm" else ("volt", "mV", "code")
     allowed = [unit for unit in possible if not named or unit in named]
