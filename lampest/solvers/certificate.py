@@ -160,9 +160,13 @@ def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) 
 
     `preconditioner` serves the conjugate gradients of large problems.
     """
-    of_reproduced = _of_reproduced(hessian)
-    if of_reproduced is not None:
-        return of_reproduced
+    # Plain least squares whose readings are all reproduced; if the noise is not known, cells nearby
+    # that reproduce them suffice.
+    missed = _relative_residuals(hessian)
+    if missed is not None and (not hessian.at.data.noise_known or _close(missed)):
+        of_reproduced = toward_readings(hessian)
+        if of_reproduced is not None:
+            return of_reproduced
     free = free_cells(hessian.at, hessian.gradient)
     chosen = np.flatnonzero(free)
     if not len(chosen):
@@ -170,17 +174,6 @@ def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) 
     if not hessian.dense:
         return _by_conjugate_gradients(hessian, free, preconditioner)
     return _by_factorisation(hessian, chosen)
-
-
-def _of_reproduced(hessian: Hessian) -> Certificate | None:
-    """Return the certificate of plain least squares whose readings are all reproduced, or None.
-
-    If the noise is not known, cells nearby that reproduce all readings suffice.
-    """
-    missed = _relative_residuals(hessian)
-    if missed is None or (hessian.at.data.noise_known and not _close(missed)):
-        return None
-    return toward_readings(hessian)
 
 
 def toward_readings(hessian: Hessian) -> Certificate | None:

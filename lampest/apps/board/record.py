@@ -25,6 +25,7 @@ from lampest.apps.board.sample import (
     UNFIT_SECONDS,
     USUAL,
     LineOptions,
+    Listening,
     Printing,
     Sample,
     Samples,
@@ -232,9 +233,10 @@ def record(  # noqa: PLR0913 # the options of a command
     states = [""]
     with ending_signals(lambda: tally.frames > 0 and not states[-1]) as ended_by:
         with _naming_what_is_kept(tally, out):
-            batches = samples_of(
-                urls, scene, period, states.append, lambda: bool(ended_by()), baseline, options
+            listening = Listening(
+                scene, period, states.append, lambda: bool(ended_by()), baseline, options
             )
+            batches = samples_of(urls, listening)
             with contextlib.closing(batches), contextlib.ExitStack() as stack:
                 journal: Journal | None = None
                 for batch in _wanted(batches, frames, seconds, period or 1.0):

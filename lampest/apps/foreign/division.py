@@ -71,26 +71,22 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
     unused = [
         unused_note(table.names[at], values) for at, values in _categories(table, arrangement)
     ]
-    check_count(table.source.source, len(groups) * shape[0] * shape[1])
-    return table.frames(
-        cells_of(groups, arrangement, table.width),
-        sorted(arrangement.cells),
-        timing,
-        [f"{arrangement.note}{''.join(f'; {note}' for note in notes)}", *unused],
-    )
-
-
-def cells_of(groups: Sequence[Placed], arrangement: TableLayout, width: int) -> Numbers:
-    """Return line · width + field of each reading, (frames, rows, columns); -1 where missing."""
-    rows, columns = arrangement.shape
+    rows, columns = shape
+    check_count(table.source.source, len(groups) * rows * columns)
+    # line · width + field of each reading; -1 where it is missing
     number = np.full((len(groups), rows * columns), -1)
     frame = np.repeat(np.arange(len(groups)), [len(group.lines) for group in groups])
     lines = np.array([line for group in groups for line in group.lines], dtype=np.intp)
     positions = np.array([at for group in groups for at in group.positions], dtype=np.intp)
     begin = positions * (rows * columns // arrangement.lines)
-    for at, (row, column) in arrangement.cells.items():
-        number[frame, begin + row * columns + column] = lines * width + at
-    return number.reshape(-1, rows, columns)
+    fields, places = arrangement.places
+    number[frame[:, None], begin[:, None] + places] = lines[:, None] * table.width + fields
+    return table.frames(
+        number.reshape(-1, rows, columns),
+        sorted(arrangement.cells),
+        timing,
+        [f"{arrangement.note}{''.join(f'; {note}' for note in notes)}", *unused],
+    )
 
 
 def learned_ends(table: ReadingsTable, arrangement: TableLayout) -> FrameEnds:

@@ -66,7 +66,7 @@ class Parsed(NamedTuple):
 
     def with_separator(self, lines: Mask) -> "Parsed":
         """Return the fields with the damaged one of some lines parted at its damaged byte."""
-        changed = Parsed(*(part.copy() for part in self))
+        changed = Parsed._make(part.copy() for part in self)
         for line in np.flatnonzero(lines).tolist():
             field = int(np.argmax(self.damaged[line]))
             for part in changed:

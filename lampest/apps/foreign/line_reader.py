@@ -159,7 +159,7 @@ class LineReader:
         self._kept: list[str] = []  # before the layout is understood, then titles between readings
         self._next_try = FIRST_TRY
         self._understanding: Understanding | None = None
-        self._segmenter: Segmenter | None = None
+        self._segmenter = Segmenter(FrameEnds(1))  # of the ends that are understood
         # Lines since the last frame: their table, and their row in it.
         self._tables: dict[int, tuple[ReadingsTable, int]] = {}
         self._last: list[str] = []
@@ -183,16 +183,16 @@ class LineReader:
         self._kept += lines[skipped:]
         if self._understanding is None:
             return self._frames_at_last() if len(self._kept) >= self._next_try else ()
-        return tuple(self._frames_of_lines())
+        return tuple(self._frames_of_lines(self._understanding))
 
     def close(self) -> tuple[TextFrame, ...]:
         """Return the frames that were waiting for a line that shows their end."""
         early = () if self._understanding else self._frames_at_last(ended=True)
-        if self._segmenter is None or self._understanding is None:
-            return early
+        known = self._understanding
         segment = self._segmenter.close()
-        whole = segment is not None and len(segment.lines) >= self._understanding.ends.lines
-        return (*early, *(self._frames_of(segment) if segment is not None and whole else ()))
+        if known is None or segment is None or len(segment.lines) < known.ends.lines:
+            return early
+        return (*early, *self._frames_of(known, segment))
 
     def _frames_at_last(self, *, ended: bool = False) -> tuple[TextFrame, ...]:
         """Return the frames of the first lines once they show the layout."""
@@ -223,16 +223,15 @@ class LineReader:
         modules = (f"{parts} parts of a line are the modules",) if joined else ()
         self.sentences = (*table.notes, arrangement.note, *modules)
         self.words = tuple(table.names)
-        self._understanding = Understanding(notation, table, arrangement, ends).with_times()
+        known = Understanding(notation, table, arrangement, ends).with_times()
+        self._understanding = known
         self._segmenter = Segmenter(ends)
-        ends = (lines.lines[at].texts[-1] for at in table.lines.tolist())
-        self._shortest = min((len(end) for end in ends if WRITTEN.fullmatch(end)), default=0)
-        return tuple(self._frames_of_lines())
+        last = (lines.lines[at].texts[-1] for at in table.lines.tolist())
+        self._shortest = min((len(text) for text in last if WRITTEN.fullmatch(text)), default=0)
+        return tuple(self._frames_of_lines(known))
 
-    def _frames_of_lines(self) -> Iterator[TextFrame]:
+    def _frames_of_lines(self, known: Understanding) -> Iterator[TextFrame]:
         """Yield the frames that the kept lines complete; a line without readings is a title."""
-        assert self._understanding is not None and self._segmenter is not None
-        known = self._understanding
         before = self._count - len(self._kept)
         lines = field_lines_in(known.notation, self._kept, self._source, before, header=False)
         table = later_lines(known.table, lines)
@@ -256,30 +255,27 @@ class LineReader:
                 table.values[row, table.columns == len(texts) - 1] = np.nan
             segment = self._segmenter.feed(number, keys)
             if segment is not None:
-                yield from self._frames_of(segment)
+                yield from self._frames_of(known, segment)
             self._tables[number] = (table, row)
             if self._segmenter.complete:
                 whole = self._segmenter.close()
                 assert whole is not None
-                yield from self._frames_of(whole)
+                yield from self._frames_of(known, whole)
 
-    def _frames_of(self, segment: Segment) -> Iterator[TextFrame]:
+    def _frames_of(self, known: Understanding, segment: Segment) -> Iterator[TextFrame]:
         """Yield the frames of lines; the first ones may be cut, and are left out then."""
-        assert self._understanding is not None
-        for group in placed(segment, self._understanding.ends):
-            values = self._values(group)
+        for group in placed(segment, known.ends):
+            values = self._values(known.arrangement, group)
             title = self._first and np.all(np.isnan(values))  # a greeting with separators
             cut = self._first and group.remark
             self._first = bool(title)
             if not title and not cut:
-                yield self._frame(group, values)
+                yield self._frame(known, group, values)
         for line in segment.lines:
             self._tables.pop(line, None)
 
-    def _values(self, group: Placed) -> Array:
+    def _values(self, arrangement: TableLayout, group: Placed) -> Array:
         """Return the readings of lines at their places."""
-        assert self._understanding is not None
-        arrangement = self._understanding.arrangement
         values = np.full(arrangement.shape[0] * arrangement.shape[1], np.nan)
         fields, places = arrangement.places
         share = values.size // arrangement.lines
@@ -289,19 +285,18 @@ class LineReader:
         frame = values.reshape(arrangement.shape)
         return frame if self._modules is None else self._modules.of_parts(frame)
 
-    def _frame(self, group: Placed, values: Array) -> TextFrame:
+    def _frame(self, known: Understanding, group: Placed, values: Array) -> TextFrame:
         """Return the readings of lines as a frame, with the time of the first one."""
-        assert self._understanding is not None
-        roles = self._understanding.arrangement.roles
+        roles = known.arrangement.roles
         table, row = self._tables[group.begin]
         printed = table.values[row, roles["frame"]] if "frame" in roles else np.nan
         number = int(printed) if np.isfinite(printed) else None
         remarks = (f"the frame {group.remark}",) if group.remark else ()
-        stamps = self._understanding.stamp(table, row)
+        stamps = known.stamp(table, row)
         if stamps is None:
             return TextFrame(values, None, number, remarks)
         last = self._stamp
         [self._stamp] = stamps.texts
-        step = self._understanding.step(last, self._stamp) if last else 0.0
+        step = known.step(last, self._stamp) if last else 0.0
         self._seconds += step or 0.0
         return TextFrame(values, None if step is None else self._seconds, number, remarks)

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -229,7 +229,11 @@ class ReadingsTable:
             name for at, name in enumerate(self.names) if at not in fields and names_pressure(name)
         )
         words = names if any(map(names_unit, names)) else (*filter(states_unit, titles), *beside)
-        words = words or tuple(f"values [{unit}]" for unit in self.stated_pressures)
+        if not words:
+            outside = set(range(len(self.source.lines))) - set(self.lines.tolist())
+            texts = (" ".join(self.source.lines[line].texts) for line in sorted(outside))
+            stated = filter(None, map(pressures_in, texts))
+            words = tuple(f"values [{unit}]" for unit in islice(stated, 1))
 
         def named(at: int) -> str:
             return self.source.source if at < 0 else self.place(*divmod(at, self.width))
@@ -237,13 +241,6 @@ class ReadingsTable:
         numbers = self.values.ravel()
         parts = self.source.parts if len(fields) == number[0].size else 1
         return Frames(numbers, number, named, timing, (*self.notes, *notes), words, parts)
-
-    @property
-    def stated_pressures(self) -> list[str]:
-        """First unit of pressure that lines without readings state; empty without any."""
-        outside = np.setdiff1d(np.arange(len(self.source.lines)), self.lines)
-        texts = dict.fromkeys(" ".join(self.source.lines[line].texts) for line in outside.tolist())
-        return list(filter(None, map(pressures_in, texts)))[:1]
 
     def refuse_words(self, fields: Iterable[int], most: float = 0.0) -> None:
         """Raise InputError with the place if more than a fraction of a field's texts are words."""
