@@ -107,7 +107,10 @@ def steihaug(
             negative = not curvature > 0
             length = norms.length_to(radius)
             if negative:
-                length = min(length, _length_to_largest_change(step, search))
+                # The least t at which an entry of s + t p can reach MAX_RELATIVE_CHANGE
+                room = np.maximum(MAX_RELATIVE_CHANGE - np.abs(step), 0.0)
+                with np.errstate(divide="ignore"):
+                    length = min(length, float(np.fmin.reduce(room / np.abs(search), initial=inf)))
             step = step + length * search
             residual = residual + length * image
             norms = replace(norms, step=norms.square_after(length))
@@ -165,13 +168,6 @@ class _Norms:
             mixed=ratio * (self.mixed + length * self.search),
             search=strength + ratio**2 * self.search,
         )
-
-
-def _length_to_largest_change(step: Array, search: Array) -> float:
-    """Return the least t at which an entry of s + t p can reach MAX_RELATIVE_CHANGE."""
-    with np.errstate(divide="ignore"):
-        reached = np.maximum(MAX_RELATIVE_CHANGE - np.abs(step), 0.0) / np.abs(search)
-    return float(np.fmin.reduce(reached, initial=inf))
 
 
 def backtracked(trial: Callable[[float], T | None], lengths: int) -> T | None:

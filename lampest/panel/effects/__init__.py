@@ -16,7 +16,6 @@ the readout's equations. `Shared` has those of a scene together.
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -193,7 +192,7 @@ def shared_effects() -> tuple[SharedEffect, ...]:
             taken = [*SHARED, *(error.setting for error in further)]
             if kind.setting in taken:
                 raise InputError(f"{named} needs a setting unlike {', '.join(taken)}")
-            further.append(_made(kind))
+            further.append(kind())
         elif not issubclass(kind, loaded("lampest.panel.effects.line_effect:LineEffect")):
             raise InputError(f"{named} is no effect, SharedEffect or LineEffect")
     return (*map(shared_effect_of, SHARED), *further)
@@ -204,15 +203,6 @@ def sized_effects(sizes: Systematic) -> tuple[SharedEffect, ...]:
 
     The files of the others are not loaded.
     """
-    # a notebook may define a class again
-    return _sized_effects(sizes, tuple(SharedEffect.__subclasses__()) if sizes.own else ())
-
-
-@cache
-def _sized_effects(
-    sizes: Systematic, kinds: tuple[type[SharedEffect], ...]
-) -> tuple[SharedEffect, ...]:
-    """Return the errors of `sized_effects`, where these kinds are defined."""
     keys = dict.fromkeys((*SHARED, *(key for key, _ in sizes.own)))
     chosen = (key for key in keys if sizes.entry(key) or key == REFERENCE)
     return tuple(map(shared_effect_of, chosen))
@@ -230,12 +220,6 @@ def shared_effect_of(setting: str) -> SharedEffect:
         if error.setting == setting:
             return error
     raise ValueError(f"{setting}: no installed effect has this key")
-
-
-@cache
-def _made(kind: type[SharedEffect]) -> SharedEffect:
-    """Return the one object of a kind."""
-    return kind()
 
 
 def error_columns(
@@ -352,10 +336,8 @@ def estimated_errors(scene: Scene) -> tuple[str, ...]:
     if not isinstance(scene.systematic, Systematic):
         return ()
     settings = (part.name for part in fields(Systematic) if part.name != "own")
-    entries = {name: getattr(scene.systematic, name) for name in settings} | dict(
-        scene.systematic.own
-    )
-    return tuple(name for name, size in entries.items() if size == ESTIMATED)
+    names = (*settings, *dict(scene.systematic.own))
+    return tuple(name for name in names if scene.systematic.entry(name) == ESTIMATED)
 
 
 @dataclass(frozen=True)
