@@ -91,13 +91,6 @@ def frames_of(text: str | None) -> range | None:
     return None if text is None else frames_named(text)
 
 
-def draw_without_help() -> None:
-    """Keep Matplotlib from writing the help of its classes, a sixth of the time of its import."""
-    from matplotlib import artist
-
-    artist.kwdoc = lambda artist: ""
-
-
 def documented(command: Callable[..., None]) -> tuple[str, inspect.Signature]:
     """Return the help of a command from its docstring, and the signature for typer.
 
