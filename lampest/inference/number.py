@@ -9,8 +9,11 @@ tried beside it and summed out:
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
 from lampest.panel.panel import Array
+
+MIN_ODDS = 20.0  # of an effect against none (tests/oracles/test_insignificant_effects.py)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,3 +121,23 @@ def parabola(values: Array, costs: Array) -> tuple[float, float]:
         return float(values[np.argmin(costs)]), np.inf
     slope = (above - below) / (2 * spacing)
     return float(values[middle]) - slope / curvature, float(np.sqrt(2 / curvature))
+
+
+def is_significant(mean: float, deviation: float, largest: float) -> bool:
+    """Return whether the odds of an estimated effect against none reach MIN_ODDS.
+
+    Elsewhere it corrects no readings, and widens error bars by its root mean square. With a uniform
+    prior up to `largest` and a normal posterior from 0 on, the odds are
+    √(2π) s exp(m²/2s²) Φ(m/s)/largest.
+
+    Parameters
+    ----------
+    mean, deviation : float
+        Those of the posterior, m and s.
+    largest : float
+    """
+    if not deviation:
+        return mean > 0
+    distance = mean / deviation
+    width = np.sqrt(2 * np.pi) * deviation / largest
+    return bool(distance**2 / 2 + np.log(width * ndtr(distance)) > np.log(MIN_ODDS))
