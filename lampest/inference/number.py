@@ -7,9 +7,9 @@ tried beside it and summed out:
 """
 
 from dataclasses import dataclass
+from math import erf
 
 import numpy as np
-from scipy.special import ndtr
 
 from lampest.panel.panel import Array
 
@@ -139,5 +139,6 @@ def is_significant(mean: float, deviation: float, largest: float) -> bool:
     if not deviation:
         return mean > 0
     distance = mean / deviation
-    width = np.sqrt(2 * np.pi) * deviation / largest
-    return bool(distance**2 / 2 + np.log(width * ndtr(distance)) > np.log(MIN_ODDS))
+    # √(2π) Φ(x) = √(π/2) (1 + erf(x/√2))
+    width = np.sqrt(np.pi / 2) * (1 + erf(distance / np.sqrt(2))) * deviation / largest
+    return bool(distance**2 / 2 + np.log(width) > np.log(MIN_ODDS))

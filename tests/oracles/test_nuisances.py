@@ -197,7 +197,7 @@ def test_differing_channels_under_a_mouth_are_not_taken_for_a_contact() -> None:
 
 
 def equal_keys(word: str, seed: int) -> Recording:
-    """Return equal presses on single cells of a film without scatter, read by a starter's circuit."""
+    """Return equal presses on single cells of a film without scatter, by a starter's circuit."""
     plan = drawn(seed, of_load("keys"))
     alike = np.full(plan.cells.shape, float(np.exp(np.mean(np.log(plan.cells)))))
     return with_starter(replace(plan, cells=alike), word).recording()
