@@ -12,11 +12,13 @@ from laws.recognised import every_frame, known_before
 
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
+from docs.studies.wrong_readings import drawn, of_load, with_starter
 from lampest import Block, Cells, Course, Recording, Scene, Simulation, TwoPointReadout, simulate
 from lampest.apps.recognition.detect.detection import Known, known_of
 from lampest.apps.studies.study import read_settings
 from lampest.audit.effects import unnamed_effects
 from lampest.files.levels import UNUSUAL
+from lampest.inference.effects.converter_ends import saturated
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import EachModule, Modules
 from tests.estimates import recording_of
@@ -192,3 +194,21 @@ def test_differing_channels_under_a_mouth_are_not_taken_for_a_contact() -> None:
             for line in Prepared(lampest.datasets.load(mouth)).warnings
             if "in one frame" not in line
         ]
+
+
+def equal_keys(word: str, seed: int) -> Recording:
+    """Return equal presses on single cells of a film without scatter, by a starter's circuit."""
+    plan = drawn(seed, of_load("keys"))
+    alike = np.full(plan.cells.shape, float(np.exp(np.mean(np.log(plan.cells)))))
+    return with_starter(replace(plan, cells=alike), word).recording()
+
+
+@pytest.mark.parametrize("seed", [910, 919, 928])
+def test_equal_loads_on_cells_that_are_alike_are_no_saturated_stage(seed: int) -> None:
+    words = {910: "parallel_mux", 919: "pull_ups", 928: "pull_downs_on_columns"}
+    assert saturated(equal_keys(words[seed], seed)) is None
+
+
+@pytest.mark.slow
+def test_the_second_order_of_coarse_readings_is_no_creep() -> None:
+    assert not unnamed_effects(Prepared(equal_keys("two_mux", 901)))

@@ -118,15 +118,19 @@ def saturated(recording: Recording) -> Saturated | None:
         moved = np.nan_to_num(most - resting, nan=0.0) > OUTLIER_THRESHOLD * width
         for channels, counted in ((most, moved), (resting, np.isfinite(resting))):
             at_end = _channels_at_end(channels, counted, width)
-            if at_end is not None:
-                end = float(np.nanmax(channels, initial=-np.inf))
-                near_end = np.broadcast_to(at_end, volt.shape) & (end - volt <= 2 * width)
-                level = float(np.median(volt[near_end]))
-                rail = max(sign * limit for limit in readout.range_volt)
-                if rail - level < float(np.mean(width)):
-                    continue
-                at_rest = int((np.abs(resting - level) <= width).sum())
-                return Saturated(sign * level, int((at_end & moved).sum()), at_rest, sign > 0)
+            # Cells that are alike end alike under equal loads, too.
+            if at_end is None or (
+                counted is moved and np.ptp(resting[at_end]) <= 2 * float(np.mean(width))
+            ):
+                continue
+            end = float(np.nanmax(channels, initial=-np.inf))
+            near_end = np.broadcast_to(at_end, volt.shape) & (end - volt <= 2 * width)
+            level = float(np.median(volt[near_end]))
+            rail = max(sign * limit for limit in readout.range_volt)
+            if rail - level < float(np.mean(width)):
+                continue
+            at_rest = int((np.abs(resting - level) <= width).sum())
+            return Saturated(sign * level, int((at_end & moved).sum()), at_rest, sign > 0)
     return None
 
 

@@ -43,6 +43,7 @@ from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed, est
 from lampest.inference.evidence import MOVED_COST, Changes, Chosen, mostly_still, usual_starts
 from lampest.inference.noise import NoiseEstimate, Share
 from lampest.inference.nuisances import Besides
+from lampest.inference.number import is_significant
 from lampest.inference.pair import FittedPair
 from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.effects import READINGS, estimated_errors, own_errors
@@ -234,6 +235,8 @@ def _share(
     reach = max(mean, min(float(means.max()) / reliability, 1.0)) if known is None else known
     # The share of the scan is anywhere between both.
     deviation = float(np.hypot(spread, (reach - mean) / np.sqrt(3)))
+    if known is None and not is_significant(mean, spread, 1.0):
+        mean, deviation = 0.0, float(np.hypot(mean, deviation))
     return Share(
         mean,
         deviation,
