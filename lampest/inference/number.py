@@ -103,6 +103,11 @@ def summed_out(costs: Array, axis: int | tuple[int, ...]) -> Array:
     return np.asarray(-2 * np.logaddexp.reduce(-costs / 2, axis=axis))
 
 
+def mean_cost(costs: Array) -> float:
+    """Return −2 ln of the mean density, from −2 ln of each."""
+    return -2 * float(np.logaddexp.reduce(-costs / 2, axis=None) - np.log(costs.size))
+
+
 def parabola(values: Array, costs: Array) -> tuple[float, float]:
     """Return the least of a parabola through the least cost and its neighbours, and its deviation.
 

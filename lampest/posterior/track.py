@@ -192,7 +192,8 @@ class Track(ReadOnlyArrays):
         pairs = zip(model.at.networks, measured, strict=True)
         columns = np.concatenate([self.shared.columns(*pair) for pair in pairs])
         own = columns.shape[1]
-        if self.shared.film_scatter:
+        scatter = 0.0 if self.shared.possible is None else self.shared.possible.film_scatter
+        if scatter:
             # one more error for each cell of a frame, which no reading has
             columns = np.pad(columns, ((0, 0), (0, cells[0].size)))
         previous = self.answers
@@ -207,10 +208,10 @@ class Track(ReadOnlyArrays):
             bars = bars.reaching(held, below, above)
         else:
             answer[model.free] = errors.answer(rows, previous)
-        if self.shared.film_scatter and errors.exact:
+        if scatter and errors.exact:
             from lampest.posterior.film_scatter import answer_to_scatter  # for errors of readings
 
-            answer[model.free, own:] += answer_to_scatter(errors, self.shared.film_scatter)
+            answer[model.free, own:] += answer_to_scatter(errors, scatter)
         # r ≥ R: the bound has its reading's error
         read = model.at_lower & (model.at.data.lower == measured).ravel()
         answer[read] = columns[read] / measured.ravel()[read, None]
