@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lampest.files.levels import MIN_EVIDENCE_GAIN
+from lampest.files.levels import DOUBTFUL_GAIN, MIN_EVIDENCE_GAIN
 from lampest.inference.cells_fit import SMALL_CHI_SQUARE, CellsFit, well_determined
 from lampest.inference.circuits.alternatives import (
     Alternative,
@@ -22,7 +22,6 @@ from lampest.inference.circuits.alternatives import (
 from lampest.inference.circuits.compared_frames import ComparedFrames, broken_law
 from lampest.inference.circuits.explanation import Explanation, alternative_fits
 from lampest.inference.circuits.parameters import (
-    DOUBTFUL_GAIN,
     some_in_series,
     with_converter_memory,
     with_series,

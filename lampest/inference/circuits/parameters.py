@@ -11,7 +11,7 @@ from operator import attrgetter
 import numpy as np
 
 from lampest.files.errors import BROKEN, InputError
-from lampest.files.levels import MIN_EVIDENCE_GAIN
+from lampest.files.levels import DOUBTFUL_GAIN, MIN_EVIDENCE_GAIN
 from lampest.inference.cells_fit import CellsFit
 from lampest.inference.circuits.alternatives import Alternative
 from lampest.inference.circuits.compared_frames import ComparedFrames, broken_law
@@ -22,9 +22,6 @@ from lampest.panel.effects import usual_size
 from lampest.panel.panel import Array
 from lampest.panel.sizes import SIZED
 
-# −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
-# with the right circuit nearly all gain less (docs/theory/model_check.md).
-DOUBTFUL_GAIN = 15.0
 # Of the largest resistance in series that readings allow: all of it would short the panel.
 MAX_SERIES_SHARE = 0.98
 SERIES_POINTS = 5  # resistances in series that are tried, before a search about the best one
