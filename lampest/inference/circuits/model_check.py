@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 
 from lampest.files.applications import applications
-from lampest.files.levels import MAD_TO_SIGMA, MIN_EVIDENCE_GAIN, SIGNIFICANT
+from lampest.files.levels import DOUBTFUL_GAIN, MAD_TO_SIGMA, MIN_EVIDENCE_GAIN, SIGNIFICANT
 from lampest.inference.cells_fit import well_determined
 from lampest.inference.circuits.better_alternative import better_alternative
 from lampest.inference.circuits.compared_frames import ComparedFrames, below_series, broken_law
 from lampest.inference.circuits.explanation import Explanation
 from lampest.inference.circuits.open_ends import UndeterminedEnds, undetermined_ends
-from lampest.inference.circuits.parameters import DOUBTFUL_GAIN
 from lampest.inference.nuisances import BetterExplanation, CircuitEffects, find_effects
 from lampest.inference.pair import FittedPair
 from lampest.panel.effects.line_effect import LineEffect
