@@ -22,7 +22,7 @@ from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.trust_region import DENSE_CELLS, MATRIX_CELLS
 from lampest.solvers.bounds import free_cells
 from lampest.solvers.smoothing import Smoothing
-from lampest.solvers.sparse_rows import squares
+from lampest.solvers.sparse_rows import SparseRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,7 +329,7 @@ class Hessian:
         entries = self._kinked.data[numbers] * cells.ravel()[columns]
         rows = sparse.csr_array((entries, columns, begins), (len(self._kinks), cells.size))
         if len(numbers) == self._kinked.nnz:
-            return squares(rows, self._kinks)
+            return SparseRows(rows).square(self._kinks)
         by_reading = self._kinked[:, cells.size :]
         return weighted_square(rows.toarray() + by_reading @ self.jacobian, self._kinks)
 
