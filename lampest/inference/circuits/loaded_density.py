@@ -33,7 +33,6 @@ from lampest.inference.evidence import (
     mostly_still,
     outline,
     select_changed,
-    usual_starts,
 )
 from lampest.inference.number import mean_cost
 from lampest.inference.pair import FittedPair
@@ -63,10 +62,10 @@ class LoadedDensity:
 
         Raises one of BROKEN where arithmetic fails.
         """
-        changes = self.pair.with_columns(self.pair.columns(()))
-        ends = [changes.selected([start])[1] for start in usual_starts(changes.change)]
-        distinct = {end.tobytes(): end for end in (self.pair.evidence.moved, *ends)}
-        cells = min(map(self._cost_of_cells, distinct.values()))
+        # Linear theory may see no change where a reading hardly depends on its cell: cells are
+        # taken away from all, too.
+        moved = self.pair.evidence.moved
+        cells = min(map(self._cost_of_cells, (moved, np.ones_like(moved))))
         field = self._cost_of(covariances_of_field(self.pair.place))
         return mean_cost(np.array([cells, field]))
 

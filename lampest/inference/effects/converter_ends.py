@@ -119,11 +119,11 @@ def saturated(recording: Recording) -> Saturated | None:
         for channels, counted in ((most, moved), (resting, np.isfinite(resting))):
             at_end = _channels_at_end(channels, counted, width)
             end = float(np.nanmax(channels, initial=-np.inf))
-            # A stage passes nothing beyond its limit, and cells that are alike end alike under
-            # equal loads, too.
+            # A stage passes nothing beyond its limit, but for an outlier, and cells that are alike
+            # end alike under equal loads, too.
             if (
                 at_end is None
-                or np.nanmax(sign * volts) - end > float(np.mean(width))
+                or np.sum(sign * volts - end > float(np.mean(width))) > 1
                 or (counted is moved and _alike(scene, sign * resting, sign * end, width, at_end))
             ):
                 continue
