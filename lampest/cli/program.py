@@ -65,6 +65,10 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
             for path in inputs:
                 if not path.exists():
                     raise InputError(f"{path}: no such file")
+        import numpy as np  # not needed by help
+
+        # SciPy takes every name of NumPy; this one would load a compiler of Fortran.
+        vars(np).setdefault("f2py", None)
         replaced = options.get("repair") or options.get("apply")  # these rewrite their inputs
         with sparing(() if replaced else inputs):
             refuse_inputs(

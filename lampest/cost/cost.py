@@ -13,7 +13,6 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.given import Given
 from lampest.cost.losses import Loss, Lowered
@@ -21,7 +20,7 @@ from lampest.cost.terms import State, Term, term_kind
 from lampest.files.errors import InputError
 from lampest.files.typed import ReadOnlyArrays
 from lampest.panel.compiled import Compiled, guarded
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Numbers, Panel
 
 
 @dataclass(frozen=True)
@@ -243,7 +242,7 @@ class CostFunctions:
     hessian: Compiled
     nonsmooth: Compiled
     nonsmooth_jacobian: Compiled
-    nonsmooth_terms: NDArray[np.intp]
+    nonsmooth_terms: Numbers
 
     @cached_property
     def entries(self) -> "Entries":
@@ -251,7 +250,7 @@ class CostFunctions:
         return Entries.of(*self.hessian.pattern, self.hessian.structure.shape[0] // 2)
 
     @cached_property
-    def nonsmooth_by_cells(self) -> tuple[NDArray[np.intp], ...]:
+    def nonsmooth_by_cells(self) -> tuple[Numbers, ...]:
         """Entries of `nonsmooth_jacobian` by cells: numbers row by row, columns, and row begins."""
         row, column = self.nonsmooth_jacobian.pattern
         rows, both = self.nonsmooth_jacobian.structure.shape
@@ -317,15 +316,15 @@ class Entries:
         Numbers and places of the nonzeros on the diagonal.
     """
 
-    cells: NDArray[np.intp]
-    at_cells: tuple[NDArray[np.intp], NDArray[np.intp]]
-    model: NDArray[np.intp]
-    at_model: NDArray[np.intp] | None
+    cells: Numbers
+    at_cells: tuple[Numbers, Numbers]
+    model: Numbers
+    at_model: Numbers | None
     crossed: bool
-    on_diagonal: tuple[NDArray[np.intp], NDArray[np.intp]]
+    on_diagonal: tuple[Numbers, Numbers]
 
     @classmethod
-    def of(cls, rows: NDArray[np.intp], columns: NDArray[np.intp], count: int) -> "Entries":
+    def of(cls, rows: Numbers, columns: Numbers, count: int) -> "Entries":
         """Return the places from (rows, columns) of all nonzeros."""
         cells = np.flatnonzero((rows < count) & (columns < count))
         model = np.flatnonzero((rows >= count) & (columns >= count))

@@ -10,7 +10,6 @@ from typing import cast
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from lampest.cost.cost import Cost
@@ -19,13 +18,13 @@ from lampest.files.errors import BROKEN, brief
 from lampest.files.typed import ReadOnlyArrays
 from lampest.panel.compiled import Compiled, guarded, with_entries
 from lampest.panel.network import Network, SolvedNetwork
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.wiring import Wiring
 
 ROUNDING = 1e-15  # relative rounding error of a residual: four last bits of double precision
 NO_DUAL = np.zeros(0)  # dual variables of a cost without absolute losses
-Panels = NDArray[np.intp] | int
+Panels = Numbers | int
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +69,7 @@ class Data(ReadOnlyArrays):
     noise_known: bool = False
     until: float = math.inf
     first: bool = False
-    parts: NDArray[np.intp] | None = None
+    parts: Numbers | None = None
     place: int = 0
 
     def __repr__(self) -> str:
@@ -135,7 +134,7 @@ class Data(ReadOnlyArrays):
         return np.asarray(self.given.sigma)
 
     @property
-    def plain(self) -> NDArray[np.bool_]:
+    def plain(self) -> Mask:
         """Whether a reading is a value, neither one-sided nor missing nor a substitute.
 
         The array is boolean, (frames, rows, columns).
@@ -454,7 +453,7 @@ class Part:
     """
 
     functions: Mapping[str, Compiled]
-    term: NDArray[np.intp]
+    term: Numbers
 
     def values(self, at: Evaluation) -> Array:
         """Return x at a point, (rows,)."""

@@ -68,9 +68,18 @@ class Document:
         return f"{self.source}:{line + 1}:{column + 1}"
 
     def error(self, location: tuple[int | str, ...], message: str) -> InputError:
-        """Return the error of a fault at `location`, for the caller to raise."""
-        path = ".".join(str(part) for part in location)
-        return InputError(f"{self.position(location)}: {path + ': ' if path else ''}{message}")
+        """Return the error of a fault at `location`, for the caller to raise.
+
+        A key at which the message begins is not said twice.
+        """
+        parts = [str(part) for part in location]
+        for depth in range(len(parts)):
+            if re.match(rf"{re.escape('.'.join(parts[depth:]))}(?![\w-])", message):
+                message = ".".join([*parts[:depth], message])
+                break
+        else:
+            message = ": ".join([".".join(parts), message]) if parts else message
+        return InputError(f"{self.position(location)}: {message}")
 
     def with_value(self, path: Sequence[str | int], value: Any) -> "Document":
         """Return a copy with `value` at `path` (keys of mappings, indices of lists).

@@ -53,6 +53,8 @@ FALSE_ALARM_RATE = 0.01
 # (docs/theory/model_check.md). By an error of the model mouths at their limits gain 23 where
 # nothing is wrong, and 76 where readings are off by 7 % each.
 MIN_EVIDENCE_GAIN = 36.0
+# In the same unit: another circuit may gain up to this without a doubt.
+DOUBTFUL_GAIN = 15.0
 
 # Standard deviations of half a 95 % interval of a normal distribution.
 TWO_SIDED = 1.959963984540054

@@ -161,24 +161,19 @@ class Circuit(ReadOnlyArrays):
         """Nodes that are not held at ground."""
         return np.setdiff1d(np.arange(self.count), self.terminals[self.held])
 
-    def potentials(self, lines: Numbers) -> Array:
-        """Return the given potentials of excited lines, (nodes, patterns).
+    def excitations(self, lines: Numbers) -> tuple[Array, Array]:
+        """Return what excites each of some lines; zero at all other nodes.
 
-        An excited line that is held has 1 V, all other nodes have 0.
+        Returns
+        -------
+        potentials, currents : arrays, shape (nodes, patterns)
+            1 V of a line that is held, 1 A of any other one.
         """
-        return self._at_nodes(lines, self.held)
-
-    def currents(self, lines: Numbers) -> Array:
-        """Return the given currents of excited lines, (nodes, patterns).
-
-        An excited line that is not held has 1 A, all other nodes have 0.
-        """
-        return self._at_nodes(lines, ~self.held)
-
-    def _at_nodes(self, lines: Numbers, of_lines: Mask) -> Array:
-        values = np.zeros((self.count, len(lines)))
-        values[self.points[lines], np.arange(len(lines))] = of_lines[lines]
-        return values
+        held, free = np.zeros((2, self.count, len(lines)))
+        patterns = np.arange(len(lines))
+        held[self.points[lines], patterns] = self.held[lines]
+        free[self.points[lines], patterns] = ~self.held[lines]
+        return held, free
 
     @cached_property
     def held_potentials(self) -> Array:
@@ -188,21 +183,10 @@ class Circuit(ReadOnlyArrays):
         volt[self.terminals[self.held], 0] = self.ends[self.held]
         return volt
 
-    def end_currents(self, tie: casadi.SX) -> casadi.SX:
-        """Return the currents t·V into the nodes from the ends of lines, (nodes, 1)."""
-        assert self.ends is not None
-        volt = casadi.DM(np.where(self.held, 0.0, self.ends))
-        return casadi.SX(self.at_terminals @ (tie * volt))
-
     @cached_property
     def incidence(self) -> casadi.DM:
         """B, (nodes, cells): +1 at a cell's node on the row, −1 at its node on the column."""
         return _symbolic(self._cell_incidence)
-
-    @cached_property
-    def wire_admittance(self) -> casadi.DM:
-        """Conductance matrix of the wire alone, (nodes, nodes) siemens."""
-        return _symbolic(self._wire_admittance)
 
     @cached_property
     def _cell_incidence(self) -> scipy.sparse.csc_array:
@@ -210,6 +194,7 @@ class Circuit(ReadOnlyArrays):
 
     @cached_property
     def _wire_admittance(self) -> scipy.sparse.csc_array:
+        """Conductance matrix of the wire alone, (nodes, nodes) siemens."""
         incidence = _incidence(self.count, self.wire_ends)
         return scipy.sparse.csc_array((incidence * self.wire_siemens) @ incidence.T)
 
@@ -228,7 +213,7 @@ class Circuit(ReadOnlyArrays):
         """
         out = current_balance(self.incidence, symbols.conductance, voltage)
         if len(self.wire_siemens):
-            out += symbols.scale * (self.wire_admittance @ voltage)
+            out += symbols.scale * (_symbolic(self._wire_admittance) @ voltage)
         return casadi.SX(out + casadi.diag(self.at_terminals @ symbols.tie) @ voltage)
 
     def voltages(self, cell_resistance: Array, tie: Array) -> Array:
@@ -257,8 +242,7 @@ class Circuit(ReadOnlyArrays):
             + scipy.sparse.diags_array(ground)
         )
         lines = np.arange(len(self.terminals))
-        volt = self.potentials(lines)
-        currents = self.currents(lines)
+        volt, currents = self.excitations(lines)
         if self.ends is not None:
             volt = np.hstack([volt, self.held_potentials])
             by_ends = np.where(self.held, 0.0, tie * self.ends)

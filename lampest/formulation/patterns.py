@@ -227,7 +227,7 @@ class PerPixel(Excitation):
         numbers = list(range(len(row)))
         if readout.two_point and not circuit.held.any():
             voltage = unknowns.new("pixel_voltage", circuit.count, len(row))
-            into = circuit.currents(row) - circuit.currents(column)
+            into = circuit.excitations(row)[1] - circuit.excitations(column)[1]
             balance = casadi.vec(circuit.balance(symbols, voltage) - casadi.DM(into))
             at_row, at_column = (
                 _chosen(voltage, circuit.terminals[line], numbers) for line in (row, column)
@@ -329,7 +329,8 @@ def _at_ends(
     if circuit.ends is None:
         return None, casadi.SX(0, 1)
     # In volt, where all other voltages are for unit currents in the unit of resistances
-    into = circuit.end_currents(symbols.tie)
+    volt = casadi.DM(np.where(circuit.held, 0.0, circuit.ends))
+    into = casadi.SX(circuit.at_terminals @ (symbols.tie * volt))
     given = circuit.held_potentials
     return _solved(unknowns, END_VOLTAGE, circuit, given, into, symbols, symbols.scale)
 
@@ -353,8 +354,8 @@ def _excited(
     The current balance is returned, too. K is the voltage of a line, or the current that a line at
     ground takes; see `DifferenceNetwork`.
     """
-    into = casadi.DM(circuit.currents(lines))
-    return _solved(unknowns, name, circuit, circuit.potentials(lines), into, symbols)
+    given, into = circuit.excitations(lines)
+    return _solved(unknowns, name, circuit, given, casadi.DM(into), symbols)
 
 
 def _solved(

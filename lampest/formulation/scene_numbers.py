@@ -273,8 +273,7 @@ def _ratio(at: Array, values: Array) -> Array:
     if not at.shape[1]:
         return np.array([values[0], 1.0])
     shape = (2,) * at.shape[1]
-    powers = list(np.ndindex(*shape))
-    terms = np.array([[_power(point, power) for power in powers] for point in at])
+    terms = _products(at)
     size = np.abs(values).max()
     # Σ a − f Σ b = 0 at every point: the vector of the least singular value
     null = np.linalg.svd(np.hstack([terms, -values[:, None] / size * terms]))[2][-1]
@@ -284,10 +283,14 @@ def _ratio(at: Array, values: Array) -> Array:
 
 def _at(coefficients: Array, at: Array) -> Array:
     """Return the values of a ratio at points, (points,)."""
-    powers = list(np.ndindex(*coefficients.shape[1:]))
-    terms = np.array([[_power(point, power) for power in powers] for point in at])
-    upper, lower = (terms @ polynomial.ravel() for polynomial in coefficients)
+    upper, lower = (_products(at) @ polynomial.ravel() for polynomial in coefficients)
     return np.asarray(upper / lower)
+
+
+def _products(at: Array) -> Array:
+    """Return the product of every subset of the numbers at points, (points, subsets)."""
+    powers = list(np.ndindex(*(2,) * at.shape[1]))
+    return np.array([[_power(point, power) for power in powers] for point in at])
 
 
 def _entries(scene: Scene, nominal: Scene, measured: Array) -> Array:

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from lampest.inference.assumptions import ASSUMED
+from lampest.inference.number import mean_cost
 from lampest.panel.panel import Array, Mask, Numbers
 from lampest.posterior.gaussian import Conditioned, Information
 from lampest.posterior.linear import inverse_and_volume, misfit_and_volume, swept
@@ -181,11 +182,11 @@ class Changes:
             Row and column of each cell.
         """
         fields = covariances_of_field(place)
-        logarithms = [
-            -sum(misfit_and_volume(self.covariance + fields.covariance(number), self.change)) / 2
+        costs = [
+            sum(misfit_and_volume(self.covariance + fields.covariance(number), self.change))
             for number in range(len(fields.shares))
         ]
-        return -2 * float(np.logaddexp.reduce(logarithms) - np.log(len(logarithms)))
+        return mean_cost(np.array(costs))
 
     def part(self, cells: Chosen) -> "Changes":
         """Return the changes of these cells alone."""
@@ -194,16 +195,12 @@ class Changes:
     @property
     def misfit(self) -> float:
         """χ² of the changes, dᵀ C⁻¹ d."""
-        return self._misfit_and_volume[0]
+        return misfit_and_volume(self.covariance, self.change)[0]
 
-    @cached_property
-    def _misfit_and_volume(self) -> tuple[float, float]:
-        """dᵀ C⁻¹ d and ln |C|."""
-        return misfit_and_volume(self.covariance, self.change)
-
-    def cost_of(self, still: Chosen) -> float:
-        """Return −2 ln likelihood of the changes of the still cells alone."""
-        return sum(self.part(still)._misfit_and_volume)
+    @property
+    def errors(self) -> Conditioned:
+        """The errors z, conditioned on the changes."""
+        return Conditioned.on(self.columns, self.noise, np.eye(self.columns.shape[1]))
 
     def posterior(self, still: Chosen) -> tuple[Array, Array]:
         """Return the posterior of z given the changes d_s of the still cells.
@@ -214,21 +211,26 @@ class Changes:
         covariance : array, shape (errors, errors)
         """
         part = self.part(still)
-        unit = np.eye(part.columns.shape[1])
-        errors = Conditioned.on(part.columns, part.noise, unit)
+        errors = part.errors
         return errors.mean(part.change), errors.covariance
 
 
-def smooth_covariance(square: Array, cells: float) -> Array:
-    """Return the covariance exp(−distance²/(2 ℓ²)) of smooth changes.
+def places_of(shape: tuple[int, ...]) -> Numbers:
+    """Return row and column of each cell of a panel of this shape, (cells, 2)."""
+    return np.argwhere(np.ones(shape, dtype=bool))
+
+
+def smooth_covariance(place: Numbers, cells: float) -> Array:
+    """Return the covariance exp(−distance²/(2 ℓ²)) of smooth changes, (n, n).
 
     Parameters
     ----------
-    square : array
-        Squared distances.
+    place : integer array, shape (n, 2)
+        Row and column of each cell.
     cells : float
         ℓ.
     """
+    square = ((place[:, None] - place) ** 2).sum(axis=-1)
     return np.asarray(np.exp(-square / (2 * cells**2)))
 
 
@@ -240,8 +242,7 @@ def covariance_of_load(place: Numbers) -> Array:
     place : integer array, shape (n, 2)
         Row and column of each cell.
     """
-    square = ((place[:, None] - place) ** 2).sum(axis=-1)
-    smooth = smooth_covariance(square, ASSUMED.slope_cells)
+    smooth = smooth_covariance(place, ASSUMED.slope_cells)
     return (1 - OWN_SHARE) * smooth + OWN_SHARE * np.eye(len(place))
 
 
@@ -290,8 +291,7 @@ def covariances_of_field(place: Numbers) -> Mixtures:
     place : integer array, shape (n, 2)
         Row and column of each cell.
     """
-    square = ((place[:, None] - place) ** 2).sum(axis=-1)
-    smooth = [smooth_covariance(square, cells) for cells in FIELD_CELLS]
+    smooth = [smooth_covariance(place, cells) for cells in FIELD_CELLS]
     tried = product(range(len(smooth)), OWN_SHARES, FIELD_DEVIATIONS)
     shares = np.zeros((len(smooth) * len(OWN_SHARES) * len(FIELD_DEVIATIONS), len(smooth) + 1))
     for row, (number, own, deviation) in zip(shares, tried, strict=True):

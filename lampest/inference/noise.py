@@ -64,7 +64,7 @@ class Share(NamedTuple):
     reach : float
         Mean of the share without attenuation: the interpolation is wrong over that time.
     gain : float
-        Decrease of −2 ln evidence from no motion to the most probable one.
+        Decrease of −2 ln evidence from no motion to the most probable share without jitter.
     jitter : float
         Relative standard deviation of the load within a scan.
     steady : float

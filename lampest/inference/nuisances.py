@@ -55,6 +55,8 @@ class BetterExplanation:
         noise.
     nearly : str
         A circuit in words that explains the readings better, but not significantly; ''.
+    alone : bool
+        Whether no other known circuit is likelier.
     addition : mapping
         Entries of a scene that state the circuit or the effects; empty where none do.
     """
@@ -65,6 +67,7 @@ class BetterExplanation:
     factors: Array = field(default_factory=lambda: np.ones(1))
     fits_noise: bool = True
     nearly: str = ""
+    alone: bool = True
     addition: Mapping[str, Any] = field(default_factory=dict)
 
     @property

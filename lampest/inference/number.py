@@ -7,10 +7,13 @@ tried beside it and summed out:
 """
 
 from dataclasses import dataclass
+from math import erf
 
 import numpy as np
 
 from lampest.panel.panel import Array
+
+MIN_ODDS = 20.0  # of an effect against none (tests/oracles/test_insignificant_effects.py)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +103,11 @@ def summed_out(costs: Array, axis: int | tuple[int, ...]) -> Array:
     return np.asarray(-2 * np.logaddexp.reduce(-costs / 2, axis=axis))
 
 
+def mean_cost(costs: Array) -> float:
+    """Return −2 ln of the mean density, from −2 ln of each."""
+    return -2 * float(np.logaddexp.reduce(-costs / 2, axis=None) - np.log(costs.size))
+
+
 def parabola(values: Array, costs: Array) -> tuple[float, float]:
     """Return the least of a parabola through the least cost and its neighbours, and its deviation.
 
@@ -118,3 +126,24 @@ def parabola(values: Array, costs: Array) -> tuple[float, float]:
         return float(values[np.argmin(costs)]), np.inf
     slope = (above - below) / (2 * spacing)
     return float(values[middle]) - slope / curvature, float(np.sqrt(2 / curvature))
+
+
+def is_significant(mean: float, deviation: float, largest: float) -> bool:
+    """Return whether the odds of an estimated effect against none reach MIN_ODDS.
+
+    Elsewhere it corrects no readings, and widens error bars by its root mean square. With a uniform
+    prior up to `largest` and a normal posterior from 0 on, the odds are
+    √(2π) s exp(m²/2s²) Φ(m/s)/largest.
+
+    Parameters
+    ----------
+    mean, deviation : float
+        Those of the posterior, m and s.
+    largest : float
+    """
+    if not deviation:
+        return mean > 0
+    distance = mean / deviation
+    # √(2π) Φ(x) = √(π/2) (1 + erf(x/√2))
+    width = np.sqrt(np.pi / 2) * (1 + erf(distance / np.sqrt(2))) * deviation / largest
+    return bool(distance**2 / 2 + np.log(width) > np.log(MIN_ODDS))

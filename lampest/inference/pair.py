@@ -22,10 +22,12 @@ from lampest.inference.evidence import (
     PARAMETER_COST,
     Changes,
     away_from_changed,
+    places_of,
     scores_with_errors,
     touching,
     usual_starts,
 )
+from lampest.inference.number import mean_cost
 from lampest.panel.effects import (
     CHANNELS,
     REFERENCE,
@@ -38,7 +40,6 @@ from lampest.panel.effects.line_effect import LineEffect
 from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.trust_region import backtracked
-from lampest.posterior.gaussian import Conditioned
 from lampest.recording.readings import Readings
 
 SETTLED_STEP = 0.1  # step of θ in standard deviations below which the iteration ends
@@ -221,7 +222,7 @@ class FittedPair:
         part = self.with_columns(self.columns(self.effects)).part(chosen)
         root = np.linalg.cholesky(noise[np.ix_(chosen, chosen)])
         unit = np.eye(part.columns.shape[1])
-        errors = Conditioned.on(part.columns, part.noise, unit)
+        errors = part.errors
         by_part = np.hstack([unit - errors.mean(part.columns), errors.mean(root)])
         stated = [effect.known for effect in self.effects]
         return np.where(stated, 0.0, np.linalg.norm(by_part, axis=1)[1:])
@@ -275,7 +276,7 @@ class FittedPair:
     @property
     def place(self) -> Numbers:
         """Row and column of each cell, (cells, 2)."""
-        return np.argwhere(np.ones(self.shape, dtype=bool))
+        return places_of(self.shape)
 
     @property
     def moved(self) -> Mask:
@@ -312,7 +313,7 @@ class FittedPair:
     @cached_property
     def density_of_loads(self) -> float:
         """`density` where the moved cells may be single ones, loads, or a smooth field."""
-        score = -2 * float(np.logaddexp(-self._score / 2, -self._score_of_field / 2) - np.log(2))
+        score = mean_cost(np.array([self._score, self._score_of_field]))
         return score - self.frames[1].log_volume + self._volume
 
     @property

@@ -25,6 +25,8 @@ from lampest.inference.evidence import (
     Chosen,
     away_from_changed,
     mostly_still,
+    places_of,
+    smooth_covariance,
 )
 from lampest.inference.number import Number, summed_out
 from lampest.panel.effects import (
@@ -277,16 +279,6 @@ def _steadied(scene: Scene, fit: CellsFit, near: Array) -> CellsFit:
     )
 
 
-def _smooth_loads(shape: tuple[int, ...], cells: float) -> Array:
-    """Return the covariance (cells, cells) of changes in the skirt of a load of unit size.
-
-    The covariance is exp(−distance²/(2 ℓ²)), with ℓ in `cells`.
-    """
-    row, column = (index.ravel() for index in np.indices(shape))
-    square = (row[:, None] - row) ** 2 + (column[:, None] - column) ** 2
-    return np.asarray(np.exp(-square / (2 * cells**2)))
-
-
 def _slope_of_load(change: Array, shape: tuple[int, ...]) -> Array:
     """Return the covariance (cells, cells) of changes on the slope around a load.
 
@@ -302,10 +294,10 @@ def _slope_of_load(change: Array, shape: tuple[int, ...]) -> Array:
     """
     size = np.abs(change - np.median(change))
     core = np.argwhere(size.reshape(shape) > size.max() / 2)
-    places = np.argwhere(np.ones(shape, dtype=bool))
+    places = places_of(shape)
     square = ((places[:, None] - core) ** 2).sum(axis=-1).min(axis=1)
     deviation = size.max() * np.exp(-square / (2 * ASSUMED.slope_cells**2))
-    smooth = _smooth_loads(shape, ASSUMED.skirt_cells)
+    smooth = smooth_covariance(places, ASSUMED.skirt_cells)
     return np.asarray(deviation[:, None] * smooth * deviation)
 
 
@@ -346,7 +338,7 @@ def error_costs(
     cells : float
         Distance over which changes in a skirt are correlated.
     """
-    loads = _smooth_loads(scene.panel.shape, cells)
+    loads = smooth_covariance(places_of(scene.panel.shape), cells)
     by_readings = moves.own @ moves.own.T
     costs = np.zeros((len(SKIRTS), len(factors), len(errors)))
     for skirt, of_skirt in zip(SKIRTS, costs, strict=True):

@@ -1,9 +1,11 @@
 """Errors of the readings by the unloaded panel: its cells follow a trend, to a scatter.
 
 Films differ from cell to cell, and their thickness changes slowly over a panel. The unloaded cells
-are log r ~ N(T β, s²) with the polynomials T of the place up to the second degree, whose
-coefficients β are free. Beside errors z ~ N(0, 1) with columns U their readings have the likelihood
-of the errors' sizes, and the posterior of z.
+are log r ~ N(T β, s²) with the polynomials T of the place up to the second degree. Their level is
+free; the other coefficients are β ~ N(0, n w²) of n cells, with an amplitude w that is open as s
+is: with free ones a circuit whose readings hardly depend on its cells would be the likelier one.
+Beside errors z ~ N(0, 1) with columns U their readings have the likelihood of the errors' sizes,
+and the posterior of z.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -46,6 +48,8 @@ MIN_OTHER_SHARE = 1e-9
 # error e would fill a gap between two of them.
 SCATTERS = np.geomspace(0.01, 2.0, 56)
 LOG_PRIOR = -np.square(np.log(SCATTERS / ASSUMED.scatter) / np.log(ASSUMED.scatter_factor)) / 2
+# Tried amplitudes w of a trend, equally probable: root mean squares of ln r over the panel.
+AMPLITUDES = np.array([0.001, 0.01, 0.1, 1.0])
 
 
 def unloaded_costs(
@@ -194,15 +198,15 @@ def costs_by_scatter(
     σ² + (e y')², where y' is the derivative of a reading with respect to the logarithm of its
     recorded value, and A = J/τ:
 
-        −2 log p(y | e, s) = aᵀV⁻¹a − aᵀV⁻¹B (BᵀV⁻¹B)⁻¹ BᵀV⁻¹a + log |V| + log |BᵀV⁻¹B| + Σ log τ²,
-        V = 1 + s² A Aᵀ,
+        −2 log p(y | e, s, w) = aᵀV⁻¹a − aᵀV⁻¹B P⁻¹ BᵀV⁻¹a + log |V| + log |P| − log |W| + Σ log τ²,
+        V = 1 + s² A Aᵀ,   P = BᵀV⁻¹B + W,
 
-    with a = t/τ and B = A T. u is the most probable point beside the nearest of a few errors, and
-    beside the scatter that is likeliest then; all spreads share it. Beside another error the most
-    probable cells are others where cells differ much, and linear theory about them makes cells
-    explain more readings than they can, or fewer. No likelihood exceeds that of the best fit, so
-    that −2 log p is at least χ²/max(τ/σ)² + Σ log τ². Where the cells are not alike, e is
-    overestimated rather than underestimated.
+    with a = t/τ, B = A T, and the precision W of β, averaged over the amplitudes w. u is the most
+    probable point beside the nearest of a few errors, and beside the scatter that is likeliest
+    then; all spreads share it. Beside another error the most probable cells are others where cells
+    differ much, and linear theory about them makes cells explain more readings than they can, or
+    fewer. No likelihood exceeds that of the best fit, so that −2 log p is at least χ²/max(τ/σ)² +
+    Σ log τ². Where the cells are not alike, e is overestimated rather than underestimated.
 
     Parameters
     ----------
@@ -329,18 +333,21 @@ def _linear_costs(scaled: Array, target: Array, trend: Array) -> Array:
     """
     both = np.column_stack([target, scaled @ trend])
     forms, volumes = forms_over_scales(scaled @ scaled.T, both, SCATTERS)
-    # BᵀV⁻¹B is the precision of β, which is integrated out.
-    precision = forms[:, 1:, 1:]
-    explained = np.linalg.solve(precision, forms[:, 1:, :1])[..., 0]
-    squares = forms[:, 0, 0] - np.sum(forms[:, 0, 1:] * explained, axis=1)
-    return np.asarray(squares + volumes + np.linalg.slogdet(precision)[1])
+    known = np.zeros((len(AMPLITUDES), trend.shape[1]))
+    known[:, 1:] = 1 / (AMPLITUDES[:, None] ** 2 * np.count_nonzero(trend[:, 0]))
+    # BᵀV⁻¹B + W is the precision of β, which is integrated out.
+    precision = forms[:, None, 1:, 1:] + known[:, :, None] * np.eye(trend.shape[1])
+    explained = np.linalg.solve(precision, forms[:, None, 1:, :1])[..., 0]
+    squares = forms[:, None, 0, 0] - np.sum(forms[:, None, 0, 1:] * explained, axis=-1)
+    costs = squares + np.linalg.slogdet(precision)[1] - np.log(known[:, 1:]).sum(axis=1)
+    return np.asarray(volumes - 2 * np.logaddexp.reduce(-costs / 2, axis=1))
 
 
 def _trend(data: Data) -> Array:
     """Return polynomials of the place up to the second degree, orthonormal over the panel's cells.
 
-    The shape is (cells, k); places without a cell are 0. A panel of one or two lines tells fewer of
-    them apart.
+    The shape is (cells, k); the first is the level, and places without a cell are 0. A panel of one
+    or two lines tells fewer of them apart.
     """
     free = data.lower[0] < data.upper[0]
     down, across = (
@@ -349,7 +356,8 @@ def _trend(data: Data) -> Array:
     )
     powers = (free, down, across, down**2, down * across, across**2)
     polynomials = np.stack([np.where(free, power, 0.0).ravel() for power in powers], axis=1)
-    basis, sizes, _ = np.linalg.svd(polynomials, full_matrices=False)
+    basis, triangle = np.linalg.qr(polynomials)
+    sizes = np.abs(np.diag(triangle))
     return np.asarray(basis[:, sizes > MIN_OTHER_SHARE * sizes[0]])
 
 

@@ -65,14 +65,15 @@ class DifferenceNetwork(SolvedNetwork):
         circuit: CircuitOfLines | None,
         sources: Array | None = None,
         wiring: Wiring | None = None,
+        wire: Wire | None = None,
     ) -> "DifferenceNetwork":
         """Return the network of cells (rows, columns) ohm, with wiring between them and terminals.
 
+        `wire` is that of the cells, which addresses share; None: the cells lie at the terminals.
         The currents of the terminals at potentials p are BC·p, and Z = (BC + diag t)⁻¹ with
         touching lines as one node. Raises numpy.linalg.LinAlgError if a line is not connected.
         """
         wiring = wiring or Wiring()
-        wire = None if wiring.at_terminals else Wire.of(cell_resistance, wiring)
         admittance = laplacian(1 / cell_resistance) if wire is None else wire.admittance
         leaks = wiring.leak_admittance(cell_resistance.shape)
         if leaks is not None:

@@ -28,7 +28,7 @@ ends that is furthest from the source.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import product
 from typing import Any, Self
@@ -247,7 +247,7 @@ class Equation:
     ties: Array
     read_at: Array
     together: Array | None
-    potentials: PotentialTerms | None = field(default=None)
+    potentials: PotentialTerms | None
 
     @property
     def plain(self) -> bool:

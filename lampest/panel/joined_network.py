@@ -125,7 +125,7 @@ class JoinedNetwork(Network):
                 sensitivity[part.square] = part.network.sensitivity()
             else:
                 assert isinstance(part.network, SolvedNetwork)
-                response = part.network.sensitivity_of(part.read)
+                response = part.network.sensitivity(part.read)
                 sensitivity[part.given[:, None], part.square[1]] = response
         return sensitivity
 

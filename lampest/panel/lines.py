@@ -135,7 +135,7 @@ def listed_lines(groups: Groups) -> list[int]:
     return [line for line in chain.from_iterable(groups) if line is not None]
 
 
-def check_apart(groups: Groups, key: str = "groups") -> None:
+def check_apart(groups: Groups, key: str) -> None:
     """Raise ValueError unless groups are not empty and name every line once."""
     if not groups or not all(listed_lines((group,)) for group in groups):
         raise ValueError(f"{key}: every multiplexer has at least one line")

@@ -431,34 +431,32 @@ class SolvedNetwork(Network):
         by_sources = self.source_differences.ravel() * conductance
         return *responses, row * by_sources, column * by_sources
 
-    def sensitivity(self) -> Array:
-        """Return J, (…, readings, cells); of two-point readings J = (D_jc − D_kc)²·g_c."""
+    def sensitivity(self, read: Mask | None = None) -> Array:
+        """Return J, (…, readings, cells); of two-point readings J = (D_jc − D_kc)²·g_c.
+
+        With `read`, (rows, columns), it has the rows alone of the readings that are True there.
+        """
+        response: Array
         if self.circuit is None:
-            response: Array = self.across_readings**2
+            response = self.across_readings**2
             response *= self.flat_conductance[..., None, :]
-            return response
-        response = self._sensitivity(EVERY_ROW, EVERY_COLUMN, self.slopes)
-        return response.reshape(-1, response.shape[-1])
-
-    def sensitivity_of(self, read: Mask) -> Array:
-        """Return the rows of J of the readings that are True in `read` (rows, columns)."""
-        if self.circuit is None:
-            return self.sensitivity()[read.ravel()]
-        j, k = np.nonzero(read)
-        return self._sensitivity(j, k, tuple(slope[read] for slope in self.slopes))
-
-    def _sensitivity(self, j: Any, k: Any, slopes: Entries) -> Array:
-        """Return ∂y/∂u of the readings at rows j and columns k, with their slopes of h."""
+            return response if read is None else response[read.ravel()]
         # ∂y_jk/∂u_c = h_p·g_c D_jc² + h_q·g_c D_kc² + h_t·g_c D_jc D_kc
+        j: Any = EVERY_ROW
+        k: Any = EVERY_COLUMN
+        slopes = self.slopes
+        if read is not None:
+            j, k = np.nonzero(read)
+            slopes = tuple(slope[read] for slope in slopes)
         row, column, mutual, *by_sources = self.entry_responses(j, k)
         of_row, of_column, of_mutual, *of_sources = (slope[..., None] for slope in slopes)
-        response: Array = of_mutual * mutual
+        response = of_mutual * mutual
         response += of_row * row[j]
         response += of_column * column[k]
         if by_sources:
             response += of_sources[0] * by_sources[0][j]
             response += of_sources[1] * by_sources[1][k]
-        return response
+        return response.reshape(-1, response.shape[-1])
 
     def own_response(self) -> Array:
         row, column = self.own_differences()

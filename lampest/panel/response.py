@@ -345,11 +345,6 @@ def ratio_from_pressure(pressure: ArrayLike, response: Response = PUBLISHED) -> 
     return np.exp(response.logarithm(pressure))
 
 
-def relative_change_from_pressure(pressure: ArrayLike) -> Array:
-    """Return ΔR/R0 = f(p) − 1 of the published curve for pressures in kPa, any shape."""
-    return ratio_from_pressure(pressure) - 1.0
-
-
 # Bent single cells: curvature in 1/m, unloaded resistance in ohm, and ΔR/R0 at 40 kPa (paper,
 # figure 2-a and -d).
 BENT = np.array(

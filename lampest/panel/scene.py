@@ -21,7 +21,7 @@ from lampest.panel.lines import (
     check_resistors,
     lines_text,
 )
-from lampest.panel.panel import Array, Mask, Modules, Numbers, Panel, connected_parts
+from lampest.panel.panel import Array, Mask, Numbers, Panel, connected_parts
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.wiring import Contacts, Lines, NeighbourLeaks, Wiring
 from lampest.panel.response import AnyResponse, Film
@@ -232,28 +232,24 @@ class Scene(Configuration):
         scenes = []
         for number in range(layout.count):
             own = owns.get(layout.place(number)) or OwnOfModule((0, 0))
-            scene = self._of_module(layout, number, own)
+            cells = layout.cells(number)
+            series = own.series_resistance_ohm
+            water = self.water
+            if water is not None:
+                _, row_centres = self.panel.centres_mm()
+                water = Water(water.top_row_depth_mm + row_centres[cells[0].start])
+            scene = replace(
+                self,
+                panel=self.panel.network,
+                modules=None,
+                readout=own.readout or self.readout,
+                series_resistance_ohm=self.series_resistance_ohm if series is None else series,
+                faults=(self.faults or Faults()).of_module(layout, number, own.faults),
+                water=water,
+                response=None if self.response is None else self.response.of_cells(cells),
+            )
             scenes.append(distinct.setdefault(scene, scene))
         return tuple(scenes)
-
-    def _of_module(self, layout: Modules, number: int, own: OwnOfModule) -> "Scene":
-        """Return the scene of one module, with its own deviations."""
-        cells = layout.cells(number)
-        series = own.series_resistance_ohm
-        water = self.water
-        if water is not None:
-            _, row_centres = self.panel.centres_mm()
-            water = Water(water.top_row_depth_mm + row_centres[cells[0].start])
-        return replace(
-            self,
-            panel=self.panel.network,
-            modules=None,
-            readout=own.readout or self.readout,
-            series_resistance_ohm=self.series_resistance_ohm if series is None else series,
-            faults=(self.faults or Faults()).of_module(layout, number, own.faults),
-            water=water,
-            response=None if self.response is None else self.response.of_cells(cells),
-        )
 
     @cached_property
     def alike(self) -> tuple[tuple["Scene", tuple[int, ...]], ...]:

@@ -168,15 +168,17 @@ class DenseErrors:
         return np.asarray(self._free_rows.toarray())
 
     @cached_property
-    def inverse(self) -> Array:
-        """A⁻¹, (free, free). Raises numpy.linalg.LinAlgError if A is not positive definite."""
-        # A = Jᵀ Ω J + Zᵀ Ω Z + ε s²; dsyrk fills the upper triangle.
-        if not len(self.model.free):
-            return np.zeros((0, 0))
+    def normal(self) -> Array:
+        """Upper triangle of A = Jᵀ Ω J + Zᵀ Ω Z + ε s², (free, free)."""
         matrix = blas.dsyrk(1.0, (self.jacobian * np.sqrt(self.model.data_curvature)[:, None]).T)
         matrix += (self._free_rows.T @ self._free_rows).toarray()
         matrix[np.diag_indices(len(matrix))] += self.model.ignorance * self.model.scale
-        return positive_inverse(matrix)
+        return np.asarray(matrix)
+
+    @cached_property
+    def inverse(self) -> Array:
+        """A⁻¹, (free, free). Raises numpy.linalg.LinAlgError if A is not positive definite."""
+        return positive_inverse(self.normal) if len(self.model.free) else np.zeros((0, 0))
 
     @cached_property
     def _by_readings(self) -> Array:

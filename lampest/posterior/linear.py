@@ -359,8 +359,17 @@ def inverse_and_volume(matrix: Array) -> tuple[Array, float]:
     if failed or broken or not np.all(np.isfinite(inverse)):
         raise np.linalg.LinAlgError("the cost is flat round the estimate")
     inverse = inverse + inverse.T  # its lower triangle is zero
-    inverse[np.diag_indices(len(inverse))] /= 2
+    np.einsum("ii->i", inverse)[...] /= 2
     return np.asarray(inverse), -2 * float(np.sum(np.log(np.diag(factor))))
+
+
+def inverse_root(matrix: Array) -> Array:
+    """Return W with A⁻¹ = W Wᵀ from the upper triangle of A. Raises as `positive_inverse`."""
+    factor, failed = lapack.dpotrf(matrix)
+    root, broken = lapack.dtrtri(factor)
+    if failed or broken or not np.all(np.isfinite(root)):
+        raise np.linalg.LinAlgError("the cost is flat round the estimate")
+    return np.asarray(root)
 
 
 def misfit_and_volume(covariance: Array, deviation: Array) -> tuple[float, float]:

@@ -30,8 +30,8 @@ from scipy.special import gammainc
 
 from lampest.panel.panel import Array
 from lampest.posterior.covariance import DenseErrors
-from lampest.posterior.linear import LinearModel, Sites, positive_inverse
-from lampest.solvers.sparse_rows import quadratic_forms, squares
+from lampest.posterior.linear import LinearModel, Sites, inverse_root
+from lampest.solvers.sparse_rows import SparseRows
 
 SHAPES = 0.5 ** np.arange(6)  # κ, each half of the one before
 SCALES = 30  # of V, in equal steps of ln V
@@ -41,7 +41,7 @@ VARIANCES = 60  # of v, in equal steps of ln v
 NEGLIGIBLE = 1e-4
 REACH = 100.0
 MAX_ROUNDS = 30
-SHARE = 0.7  # of a round's change of the sites: whole changes may swing
+SHARE = 0.7  # of a round's change of the sites, from where whole changes grow: they swing
 SETTLED = 0.01  # relative change of the variances of residuals at which the rounds end
 
 
@@ -181,6 +181,7 @@ def with_sites(errors: DenseErrors) -> DenseErrors:
     if not chosen.any():
         return errors
     rows = jacobian[chosen]
+    pairs = SparseRows(rows)
     residual = model.penalty[chosen]
     term = model.penalty_term[chosen]
     inherited = _inherited_variance(errors, chosen)
@@ -188,16 +189,20 @@ def with_sites(errors: DenseErrors) -> DenseErrors:
     curvature = np.where(chosen, 0.0, model.penalty_curvature) / model.scale
     size = np.sqrt(model.data_curvature / model.scale)
     data = errors.jacobian * size[:, None]
-    precision = data.T @ data + squares(jacobian, curvature)
+    precision = data.T @ data + SparseRows(jacobian).square(curvature)
     precision[np.diag_indices(len(precision))] += model.ignorance
     slope = -(rows.T @ model.half_slopes[chosen]) / model.scale
     weight = model.penalty_curvature[chosen] / model.scale
     shift = np.zeros(len(weight))
     priors = dict[int, SparsePrior]()
+    share = 1.0
+    last = np.inf
     for _ in range(MAX_ROUNDS):
-        covariance = positive_inverse(precision + squares(rows, weight))
-        mean = residual - rows @ (covariance @ (slope + rows.T @ (weight * residual - shift)))
-        variance = quadratic_forms(rows, covariance)
+        # Covariance W Wᵀ of the cells, and B W (B W)ᵀ of the residuals
+        root = inverse_root(precision + pairs.square(weight))
+        spread = rows @ root
+        mean = residual - spread @ (root.T @ (slope + rows.T @ (weight * residual - shift)))
+        variance = np.sum(spread**2, axis=1)
         # The cavity, and the errors of what the residual compares with
         cavity = 1 / np.maximum(1 / variance - weight, NEGLIGIBLE / variance)
         middle = cavity * (mean / variance - shift)
@@ -213,9 +218,13 @@ def with_sites(errors: DenseErrors) -> DenseErrors:
             narrowing = np.maximum(1 / spread - 1 / cavity[own], NEGLIGIBLE / cavity[own])
             total = narrowing + 1 / cavity[own]
             sites[:, own] = narrowing, centre * total - middle[own] / cavity[own]
-        change = SHARE * (sites - [weight, shift])
-        weight, shift = weight + change[0], shift + change[1]
-        if np.max(np.abs(change[0]) * variance) < SETTLED:
+        change = sites - [weight, shift]
+        size = float(np.linalg.norm(change[0] * variance))
+        if size > last:
+            share = SHARE
+        last = size
+        weight, shift = weight + share * change[0], shift + share * change[1]
+        if np.max(np.abs(share * change[0]) * variance) < SETTLED:
             break
     found = Sites(chosen, weight * model.scale, shift / weight)
     return replace(errors, model=replace(model, sites=found))

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from lampest.files.levels import TWO_SIDED
 from lampest.files.typed import ReadOnlyArrays
@@ -114,7 +115,7 @@ class Track(ReadOnlyArrays):
             answers=np.stack([answer, answer]),
         )
 
-    def advanced(self, model: LinearModel) -> tuple["Track", Bars]:
+    def advanced(self, model: LinearModel) -> tuple["Track", Bars, LinearModel]:
         """Return the track after a frame, or after a baseline and a first frame solved together.
 
         Raises numpy.linalg.LinAlgError if the cost is flat.
@@ -124,6 +125,8 @@ class Track(ReadOnlyArrays):
         track : Track
         bars : Bars
             Error bars of the frame.
+        model : LinearModel
+            The model with sites for absolute losses whose weights the data chose.
         """
         shape = model.at.cell_resistance[0].shape
         joint = len(model.at.cell_resistance) == 2
@@ -164,7 +167,8 @@ class Track(ReadOnlyArrays):
             from lampest.posterior.sparse_prior import Held
 
             held = Held.by(errors.model, errors.sensitivity)
-        return track, Bars(frame, change, errors.reading_deviation()[-1], held)
+        bars = Bars(frame, change, errors.reading_deviation()[-1], held)
+        return track, bars, errors.model
 
     def _errors(self, model: LinearModel, *, baseline: bool) -> DenseErrors:
         """Return the errors of an estimate, with V.
@@ -192,7 +196,8 @@ class Track(ReadOnlyArrays):
         pairs = zip(model.at.networks, measured, strict=True)
         columns = np.concatenate([self.shared.columns(*pair) for pair in pairs])
         own = columns.shape[1]
-        if self.shared.film_scatter:
+        scatter = 0.0 if self.shared.possible is None else self.shared.possible.film_scatter
+        if scatter:
             # one more error for each cell of a frame, which no reading has
             columns = np.pad(columns, ((0, 0), (0, cells[0].size)))
         previous = self.answers
@@ -207,10 +212,10 @@ class Track(ReadOnlyArrays):
             bars = bars.reaching(held, below, above)
         else:
             answer[model.free] = errors.answer(rows, previous)
-        if self.shared.film_scatter and errors.exact:
+        if scatter and errors.exact:
             from lampest.posterior.film_scatter import answer_to_scatter  # for errors of readings
 
-            answer[model.free, own:] += answer_to_scatter(errors, self.shared.film_scatter)
+            answer[model.free, own:] += answer_to_scatter(errors, scatter)
         # r ≥ R: the bound has its reading's error
         read = model.at_lower & (model.at.data.lower == measured).ravel()
         answer[read] = columns[read] / measured.ravel()[read, None]
@@ -228,7 +233,7 @@ def beyond_tangents(
     Parameters
     ----------
     model : LinearModel
-        Linear model about the estimate.
+        Linear model about the estimate, with the sites of its error bars.
     readings : Readings
         Readings of the frame, (rows, columns).
     missing : boolean array, shape (rows, columns)
@@ -282,7 +287,7 @@ def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = N
     samples = None if memory is None or memory.exact else memory
     if samples is None and model.at.cell_resistance.size <= MAX_DENSE:
         errors = DenseErrors(model, memory, drawn)
-        if not model.chosen_absolute.any():
+        if model.sites is not None or not model.chosen_absolute.any():
             return errors
         from lampest.posterior.sparse_prior import with_sites
 
@@ -322,8 +327,10 @@ def profile_end(errors: DenseErrors, cell: int, side: int) -> Array:
             break
         place = int(np.searchsorted(model.free, cell))
         # δ = −A⁻¹ ∇φ/2 + λ A⁻¹ e_c with λ such that δ_c = step
-        newton = -errors.inverse @ model.gradient[model.free] / 2
-        column = errors.inverse[:, place]
+        right = np.stack([-model.gradient[model.free] / 2, np.zeros(len(model.free))], axis=1)
+        right[place, 1] = 1.0
+        factor = cho_factor(errors.normal, check_finite=False)
+        newton, column = cho_solve(factor, right, check_finite=False).T
         force = float((step - newton[place]) / column[place])
         change = model.over_all(newton + force * column)
         change *= min(1.0, 2 * MAX_STEP / float(np.abs(change).max()))

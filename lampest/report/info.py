@@ -4,7 +4,7 @@ import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import chain, count
+from itertools import chain, count, repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +34,7 @@ from lampest.runs.provenance import digest
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
 
 if TYPE_CHECKING:
-    from lampest.inference.prepared import Prepared
+    from lampest.audit.advice import Audit
     from lampest.runs.checks import RecordingCheck
 
 MAX_ROWS = 48  # of a map
@@ -63,6 +63,7 @@ def describe(path: str | Path) -> Iterator[str]:
     change. The verdict on a recording's circuit comes last, because nothing else waits for it.
 
     All frames of a file that exceeds the memory are counted, and the first ones are described.
+    The check of a recording's circuit is written beside the file, unless it is kept there already.
     Raises InputError for a damaged file and for one that is neither a recording nor results.
     """
     path = Path(path)
@@ -125,17 +126,12 @@ def _recording_lines(
     The check is that kept for a file and its digest; without one it is computed, and kept beside
     the file.
     """
-    # Results do without these.
-    from lampest.audit.health import Health
-    from lampest.inference.prepared import Prepared
-    from lampest.runs.checks import RecordingCheck, keep_beside, kept_check
+    from lampest.runs.checks import RecordingCheck, keep_beside  # results do without it
 
-    prepared = Prepared(recording)
+    found = _found(recording, of_file)
     yield from _lines(_content(recording))
     with suppress(InputError):  # an estimate raises it; a description of the file does not
-        health = (("", line) for line in Health.of(recording).lines)
-        noise = ("noise", prepared.frame_noise.summary)
-        yield from _lines([("health", next(health)[1]), *health, noise])
+        yield from _lines(_health(found))
     strongest = strongest_readings(recording)
     if strongest is None:
         yield f"readings of frame 0 in {recording.scene.circuit.unit}:"
@@ -145,16 +141,40 @@ def _recording_lines(
         yield f"readings of {where}, the strongest change against the unloaded ones:"
         yield from shaded_map(strongest[1])
     with suppress(InputError):
-        yield from _lines(_estimated(prepared))
-        check = None if of_file is None else kept_check(*of_file)
-        if check is None:
-            from lampest.audit.advice import Audit  # loads the whole estimate
-
-            check = RecordingCheck.of(Audit(prepared))
+        yield from _lines(_estimated(recording, found))
+        if not isinstance(found, RecordingCheck):
+            found = RecordingCheck.of(found)
             if of_file is not None:
-                keep_beside(*of_file, check)
-        yield from _lines(_verdict(check))
-        yield from _advice(check.advice)
+                keep_beside(*of_file, found)
+        yield from _lines(_verdict(found))
+        yield from _advice(found.advice)
+
+
+def _found(recording: Recording, of_file: tuple[Path, str] | None) -> "Audit | RecordingCheck":
+    """Return the kept check of a recording, or its audit, which loads the whole estimate."""
+    from lampest.runs.checks import kept_check
+
+    kept = None if of_file is None else kept_check(*of_file)
+    if kept is not None:
+        return kept
+    from lampest.audit.advice import Audit
+    from lampest.inference.prepared import Prepared
+
+    return Audit(Prepared(recording))
+
+
+def _health(found: "Audit | RecordingCheck") -> Iterator[Sentence]:
+    """Yield the table of health, and the noise of the frames."""
+    from lampest.runs.checks import RecordingCheck
+
+    if isinstance(found, RecordingCheck):
+        lines: Iterable[str] = found.health.split("\n")
+        noise = found.noise
+    else:
+        lines = found.health.lines
+        noise = found.prepared.frame_noise.summary
+    yield from zip(chain(["health"], repeat("")), lines, strict=False)
+    yield "noise", noise
 
 
 def _content(recording: Recording) -> Iterator[Sentence]:
@@ -179,12 +199,17 @@ def _content(recording: Recording) -> Iterator[Sentence]:
     )
 
 
-def _estimated(prepared: "Prepared") -> Iterator[Sentence]:
+def _estimated(recording: Recording, found: "Audit | RecordingCheck") -> Iterator[Sentence]:
     """Yield sentences on processing by firmware, and on the numbers that the scene estimates."""
-    recording = prepared.recording
+    from lampest.runs.checks import RecordingCheck
+
     if (reason := _processing(recording)) and recording.scene.baseline is None:
         yield "warning", f"these are no readings as the converter gives them: {reason}"
-    yield from (("estimated", line) for line in estimated_lines(prepared.noise.estimated))
+    if isinstance(found, RecordingCheck):
+        lines: Iterable[str] = found.estimated.split("\n")
+    else:
+        lines = estimated_lines(found.prepared.noise.estimated)
+    yield from (("estimated", line) for line in lines)
 
 
 def _verdict(check: "RecordingCheck") -> Iterator[Sentence]:

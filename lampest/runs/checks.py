@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 from lampest.files.errors import InputError
 from lampest.files.whole import inner_folder, remove_own, write_whole
+from lampest.inference.estimated import estimated_lines
 from lampest.runs.case import StoredCase
 from lampest.runs.provenance import code_digest, library_versions
 
@@ -29,7 +30,7 @@ BESIDE = ".lampest-check.json"  # in place of the recording's suffix
 
 @dataclass(frozen=True)
 class RecordingCheck:
-    """Outcome of a check, in words.
+    """Outcome of a check, in words, with what it found about the recording on its way.
 
     Attributes
     ----------
@@ -45,6 +46,12 @@ class RecordingCheck:
         Its warnings without the check, one line each.
     widths : str
         Widths of error bars by their causes, one line each.
+    health : str
+        Table of health, one line a room.
+    noise : str
+        Noise of the frames.
+    estimated : str
+        Numbers that the scene leaves to the recording, one line each.
     """
 
     mark: str
@@ -53,6 +60,9 @@ class RecordingCheck:
     warnings: str
     without: str
     widths: str
+    health: str
+    noise: str
+    estimated: str
 
     @classmethod
     def of(cls, audit: "Audit") -> "RecordingCheck":
@@ -67,6 +77,9 @@ class RecordingCheck:
             "\n".join(prepared.warnings),
             "\n".join(prepared.warnings_without_check),
             "\n".join(width.sentence for width in widths_of(prepared)),
+            "\n".join(audit.health.lines),
+            prepared.frame_noise.summary,
+            "\n".join(estimated_lines(prepared.noise.estimated)),
         )
 
     def apply_to(self, case: StoredCase) -> StoredCase:

@@ -5,10 +5,9 @@ Source: Nocedal & Wright, Numerical Optimization, 2006, section 12.3 (multiplier
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.problem import Evaluation
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.trust_region import backtracked
 
 MILLIONTH = 1e-6  # relative error that a reading or a cell may have where the noise is not known
@@ -16,7 +15,7 @@ MAX_LENGTHS = 8  # tried lengths of a step that changes log r of the cell that m
 MIN_DECREASE_SHARE = 1e-12  # of the cost's scale: a smaller decrease is rounding
 
 
-def free_cells(at: Evaluation, gradient: Array) -> NDArray[np.bool_]:
+def free_cells(at: Evaluation, gradient: Array) -> Mask:
     """Return the cells that can move and that no bound holds, boolean (…, cells).
 
     A bound holds a cell if the cell is at the bound and the descent of the cost points beyond it.
@@ -25,11 +24,11 @@ def free_cells(at: Evaluation, gradient: Array) -> NDArray[np.bool_]:
     lower, upper = at.data.log_bounds
     slope = gradient.reshape(at.position.shape)
     held = ((at.position <= lower) & (slope > 0)) | ((at.position >= upper) & (slope < 0))
-    free: NDArray[np.bool_] = (lower < upper) & ~held
+    free: Mask = (lower < upper) & ~held
     return free.reshape(gradient.shape)
 
 
-def within_bounds(at: Evaluation, free: NDArray[np.intp], step: Array) -> Array:
+def within_bounds(at: Evaluation, free: Numbers, step: Array) -> Array:
     """Return a step of the free cells in u, clipped to the bounds, as a step of all cells.
 
     The free cells are given as numbers; the step returned has the shape (cells,).

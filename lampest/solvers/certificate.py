@@ -12,15 +12,14 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from lampest.cost.problem import Evaluation
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.trust_region import DENSE_CELLS, MAX_DENSE, restricted, steihaug
 from lampest.solvers.bounds import MILLIONTH, free_cells, lower_along, within_bounds
 from lampest.solvers.hessian import Hessian
-from lampest.solvers.preconditioners import Cholesky, Numbers, Preconditioner, TwoLevel
+from lampest.solvers.preconditioners import Cholesky, Preconditioner, TwoLevel
 
 # Of a cell's posterior standard deviation: allowed length of the remaining Newton step where the
 # noise is known.
@@ -161,9 +160,13 @@ def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) 
 
     `preconditioner` serves the conjugate gradients of large problems.
     """
-    of_reproduced = _of_reproduced(hessian)
-    if of_reproduced is not None:
-        return of_reproduced
+    # Plain least squares whose readings are all reproduced; if the noise is not known, cells nearby
+    # that reproduce them suffice.
+    missed = _relative_residuals(hessian)
+    if missed is not None and (not hessian.at.data.noise_known or _close(missed)):
+        of_reproduced = toward_readings(hessian)
+        if of_reproduced is not None:
+            return of_reproduced
     free = free_cells(hessian.at, hessian.gradient)
     chosen = np.flatnonzero(free)
     if not len(chosen):
@@ -171,17 +174,6 @@ def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) 
     if not hessian.dense:
         return _by_conjugate_gradients(hessian, free, preconditioner)
     return _by_factorisation(hessian, chosen)
-
-
-def _of_reproduced(hessian: Hessian) -> Certificate | None:
-    """Return the certificate of plain least squares whose readings are all reproduced, or None.
-
-    If the noise is not known, cells nearby that reproduce all readings suffice.
-    """
-    missed = _relative_residuals(hessian)
-    if missed is None or (hessian.at.data.noise_known and not _close(missed)):
-        return None
-    return toward_readings(hessian)
 
 
 def toward_readings(hessian: Hessian) -> Certificate | None:
@@ -305,7 +297,7 @@ class Modes:
         return cls(size, *np.linalg.eigh(unit))
 
     @property
-    def solid(self) -> NDArray[np.bool_]:
+    def solid(self) -> Mask:
         """Whether an eigenvalue is positive beyond rounding, (n,)."""
         return self.values > ROUNDING
 
@@ -373,7 +365,7 @@ def clear_of_rounding(triangle: Array, norm: float) -> bool:
 
 
 def _by_conjugate_gradients(
-    hessian: Hessian, free: NDArray[np.bool_], preconditioner: Preconditioner | None
+    hessian: Hessian, free: Mask, preconditioner: Preconditioner | None
 ) -> Certificate:
     """Return the certificate by conjugate gradients.
 

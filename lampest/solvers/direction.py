@@ -9,10 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.problem import Evaluation
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.trust_region import Linear, SubproblemStep, restricted, steihaug
 from lampest.solvers.iterate import Iterate
 from lampest.solvers.preconditioners import (
@@ -23,7 +22,6 @@ from lampest.solvers.preconditioners import (
 )
 from lampest.solvers.steps import STEPS
 
-Mask = NDArray[np.bool_]
 # (moving cells, step s, lowest and highest s) → cells that keep moving; the others stay at the
 # bound that they reached.
 ActiveSet = Callable[[Mask, Array, Array, Array], Mask]

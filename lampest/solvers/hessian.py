@@ -13,17 +13,16 @@ from functools import cached_property
 from math import prod
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from lampest.cost.problem import Evaluation, Part, residuals
 from lampest.panel.compiled import with_entries
 from lampest.panel.network import SecondOrder
-from lampest.panel.panel import Array, Numbers
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.trust_region import DENSE_CELLS, MATRIX_CELLS
 from lampest.solvers.bounds import free_cells
 from lampest.solvers.smoothing import Smoothing
-from lampest.solvers.sparse_rows import squares
+from lampest.solvers.sparse_rows import SparseRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +80,7 @@ class Hessian:
         return self.at.projected_gradients(self.gradient.reshape(self.at.cell_resistance.shape))
 
     @cached_property
-    def free(self) -> NDArray[np.bool_]:
+    def free(self) -> Mask:
         """Cells outside the active set of the bounds, boolean (…, cells)."""
         return free_cells(self.at, self.gradient)
 
@@ -330,7 +329,7 @@ class Hessian:
         entries = self._kinked.data[numbers] * cells.ravel()[columns]
         rows = sparse.csr_array((entries, columns, begins), (len(self._kinks), cells.size))
         if len(numbers) == self._kinked.nnz:
-            return squares(rows, self._kinks)
+            return SparseRows(rows).square(self._kinks)
         by_reading = self._kinked[:, cells.size :]
         return weighted_square(rows.toarray() + by_reading @ self.jacobian, self._kinks)
 

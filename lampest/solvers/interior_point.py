@@ -12,15 +12,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from lampest.cost.problem import Evaluation
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.trust_region import SUFFICIENT_DECREASE, backtracked, restricted, steihaug
 from lampest.solvers.certificate import ACCURACY
 from lampest.solvers.hessian import Hessian
-from lampest.solvers.preconditioners import Cholesky, Numbers, TwoLevel
+from lampest.solvers.preconditioners import Cholesky, TwoLevel
 from lampest.solvers.smoothing import Smoothing
 
 
@@ -143,7 +142,7 @@ class Barrier:
         return np.stack([self.conductance - 1 / data.upper, 1 / data.lower - self.conductance])
 
     @property
-    def moving(self) -> NDArray[np.bool_]:
+    def moving(self) -> Mask:
         """Whether the bounds of a cell differ, boolean (frames, rows, columns)."""
         return np.asarray(self.at.data.lower < self.at.data.upper)
 

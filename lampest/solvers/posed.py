@@ -5,7 +5,6 @@ from math import isfinite
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
@@ -13,7 +12,7 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import Term
 from lampest.files.errors import InputError
 from lampest.files.typed import Configuration
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.inequalities import least_cells, resolution
 from lampest.panel.readouts.starts import nearly_shorted
@@ -184,9 +183,7 @@ def cost_of_solve(
     return Cost(scene.panel.bare, terms, frames, broken, partial)
 
 
-def with_weights_of_missing(
-    readings: Readings, scene: Scene, stand_ins: NDArray[np.bool_]
-) -> Readings:
+def with_weights_of_missing(readings: Readings, scene: Scene, stand_ins: Mask) -> Readings:
     """Return the readings with weights `seen` for bounds and for substitutes of missing readings.
 
     The weight is the ratio of the frame's typical noise to the reading's own noise. A bound has its

@@ -12,13 +12,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import lapack
 
 from lampest.files.typed import ReadOnlyArrays
 from lampest.panel.kirchhoff import LineBlocks, line_sums
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.trust_region import Linear, restricted
 from lampest.solvers.hessian import Hessian
 
@@ -32,8 +31,6 @@ WEAK_WEIGHT = 1e-3
 WEAK_LINE_SHARE = 0.75
 SPARSE_SHIFT = 1e-9  # added to a unit diagonal before sparse LU
 TINY = 1e-300  # least square of a length, so that nothing is divided by zero
-Numbers = NDArray[np.intp]
-Free = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +55,7 @@ class Preconditioner(ReadOnlyArrays, ABC):
         return float(np.abs(np.log(cell_resistance / self.cell_resistance)).max())
 
     @abstractmethod
-    def over(self, free: Free, cell_resistance: Array) -> Linear:
+    def over(self, free: Mask, cell_resistance: Array) -> Linear:
         """Return the product M⁻¹·p in u = log r over the free cells, flat.
 
         M⁻¹ is symmetric and positive definite.
@@ -124,7 +121,7 @@ class Cholesky(Preconditioner):
         upper.flat[:: len(upper) + 1] /= 2
         return np.asarray((upper + upper.T) / self.size / self.size[:, None])
 
-    def over(self, free: Free, cell_resistance: Array) -> Linear:
+    def over(self, free: Mask, cell_resistance: Array) -> Linear:
         chosen = np.flatnonzero(free)
         if np.array_equal(chosen, self.cells):
             return self.solve
@@ -200,7 +197,7 @@ class TwoLevel(Preconditioner):
                 return cls(cells, sparse_inverse(level), lines)
         return cls(cells, sparse_inverse(local(hessian.own)))
 
-    def over(self, free: Free, cell_resistance: Array) -> Linear:
+    def over(self, free: Mask, cell_resistance: Array) -> Linear:
         chosen = np.flatnonzero(free)
         size = cell_resistance.ravel()[chosen]
         part = restricted(self._solved, chosen, free.size)
@@ -227,7 +224,7 @@ class Woodbury(Preconditioner):
     lines: "CoarseLines"
     mixed_inverse: LineBlocks
 
-    def over(self, free: Free, cell_resistance: Array) -> Linear:
+    def over(self, free: Mask, cell_resistance: Array) -> Linear:
         """Return (D + V S Vᵀ)⁻¹ = D⁻¹ − D⁻¹V (S⁻¹ + VᵀD⁻¹V)⁻¹ VᵀD⁻¹ over the free cells."""
         shape = self.diagonal.shape
         inverse = np.where(free.reshape(shape), 1 / self.diagonal, 0.0)
@@ -331,7 +328,7 @@ class CoarseLines:
         ).ravel()
 
 
-def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
+def preconditioner(hessian: Hessian, free: Mask) -> Preconditioner:
     """Return a new preconditioner at a point.
 
     The preconditioner acts on the free cells of small problems, and on all cells of large ones.
@@ -345,7 +342,7 @@ def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
 
 
 def gauss_newton_factor(
-    hessian: Hessian, free: Free, damping: float = SHIFTS[0]
+    hessian: Hessian, free: Mask, damping: float = SHIFTS[0]
 ) -> Cholesky | None:
     """Return the Cholesky factor of the Gauss–Newton matrix over the free cells.
 

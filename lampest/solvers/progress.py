@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lampest.cost.problem import Data
+from lampest.panel.panel import Mask
 from lampest.panel.trust_region import SUFFICIENT_DECREASE
 from lampest.solvers.bounds import MIN_DECREASE_SHARE
 from lampest.solvers.iterate import Iterate
@@ -28,7 +29,7 @@ def decreases_enough(
     objective: ArrayLike,
     residual: ArrayLike,
     trial_residual: ArrayLike,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Return whether steps are accepted, (…,).
 
     The cost must fall by a share SUFFICIENT_DECREASE of the predicted decrease. Where that decrease

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import NO_DUAL, Data, Evaluation
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.solvers.bounds import MILLIONTH
 from lampest.solvers.certificate import clear_of_rounding
 from lampest.solvers.direction import conductance_change, log_resistance_change
@@ -24,9 +24,6 @@ from lampest.solvers.progress import decreases_enough
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings
 from lampest.solvers.steps import STEPS
-
-Mask = NDArray[np.bool_]
-Numbers = NDArray[np.intp]
 
 MAX_STEPS = 40  # of a panel in a batch; the solver for single panels continues from there
 # Change of log r by which ∇²φ changes by about as much; its definiteness is then tested again.

@@ -106,7 +106,8 @@ class ProjectedNewton(Solver):
         """
         if start.data.start_minimises(start.cost):
             cells = start.data.start(start.cell_resistance)
-            start = start.elsewhere(np.clip(cells, start.data.lower, start.data.upper))
+            convex = start.elsewhere(np.clip(cells, start.data.lower, start.data.upper))
+            start = min(start, convex, key=lambda at: at.objective)
         iteration = 0
         if (self.from_afar and has_central_path(start)) or crowds_bounds(start):
             from lampest.solvers.interior_point import central_path  # for such a start alone

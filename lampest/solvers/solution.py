@@ -6,7 +6,6 @@ from enum import Enum
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
@@ -20,7 +19,7 @@ from lampest.files.typed import (
     check_ranges,
     typed,
 )
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.solvers.bounds import MILLIONTH
 from lampest.solvers.certificate import MIN_COST_SHARE, Certificate, Definiteness
 from lampest.solvers.preconditioners import Preconditioner
@@ -308,8 +307,8 @@ class Solution(ReadOnlyArrays):
     costs: Array
     objective: float
     kkt_residual: float
-    at_lower: NDArray[np.bool_]
-    open_cell: NDArray[np.bool_]
+    at_lower: Mask
+    open_cell: Mask
     status: Status
     iterations: int
     at: Evaluation | None = None

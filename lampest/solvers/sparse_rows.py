@@ -1,4 +1,7 @@
-"""Squares of sparse rows B of few entries each: BᵀDB and diag(B M Bᵀ), without sparse products."""
+"""Squares BᵀDB of sparse rows B of few entries each, without sparse products."""
+
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -6,41 +9,37 @@ from scipy import sparse
 from lampest.panel.panel import Array, Numbers
 
 
-def squares(rows: sparse.csr_array, weight: Array) -> Array:
-    """Return BᵀDB, dense (columns, columns), for rows B and diagonal weights D (rows,)."""
-    size = rows.shape[1]
-    if _crowded(rows):
-        dense = rows.toarray()
-        return np.asarray((dense * weight[:, None]).T @ dense)
-    first, second, row = _pairs(rows)
-    place = rows.indices[first].astype(np.intp) * size + rows.indices[second]
-    entries = rows.data[first] * rows.data[second] * weight[row]
-    summed = np.asarray(np.bincount(place, entries, size * size), dtype=float)
-    return summed.reshape(size, size)
+@dataclass(frozen=True, eq=False)
+class SparseRows:
+    """Rows B, (rows, columns), whose pairs of entries are listed once."""
 
+    rows: sparse.csr_array
 
-def quadratic_forms(rows: sparse.csr_array, matrix: Array) -> Array:
-    """Return diag(B M Bᵀ), (rows,), for rows B and M dense (columns, columns)."""
-    if _crowded(rows):
-        return np.asarray(np.sum((rows @ matrix) * rows.toarray(), axis=1))
-    first, second, row = _pairs(rows)
-    middle = matrix[rows.indices[first], rows.indices[second]]
-    entries = rows.data[first] * rows.data[second] * middle
-    return np.asarray(np.bincount(row, entries, rows.shape[0]), dtype=float)
+    def square(self, weight: Array) -> Array:
+        """Return BᵀDB, dense (columns, columns), for diagonal weights D (rows,)."""
+        if self._crowded is not None:
+            return np.asarray((self._crowded * weight[:, None]).T @ self._crowded)
+        place, row, product = self._pairs
+        size = self.rows.shape[1]
+        summed = np.bincount(place, product * weight[row], size * size)
+        return np.asarray(summed, dtype=float).reshape(size, size)
 
+    @cached_property
+    def _crowded(self) -> Array | None:
+        """B, dense, where its rows have more pairs of entries than BᵀDB has entries."""
+        counts = np.diff(self.rows.indptr).astype(float)
+        few = counts @ counts <= self.rows.shape[1] ** 2
+        return None if few else np.asarray(self.rows.toarray())
 
-def _crowded(rows: sparse.csr_array) -> bool:
-    """Return whether rows have more pairs of entries than BᵀDB has entries."""
-    counts = np.diff(rows.indptr).astype(float)
-    return bool(counts @ counts > rows.shape[1] ** 2)
-
-
-def _pairs(rows: sparse.csr_array) -> tuple[Numbers, Numbers, Numbers]:
-    """Return the numbers of both entries of all pairs within a row, and the number of the row."""
-    counts = np.diff(rows.indptr)
-    partners = np.repeat(counts, counts)
-    first = np.repeat(np.arange(rows.nnz), partners)
-    begin = np.repeat(np.repeat(rows.indptr[:-1], counts), partners)
-    within = np.arange(len(first)) - np.repeat(np.cumsum(partners) - partners, partners)
-    row = np.repeat(np.arange(rows.shape[0]), counts)[first]
-    return first, begin + within, row
+    @cached_property
+    def _pairs(self) -> tuple[Numbers, Numbers, Array]:
+        """Places in BᵀDB of all pairs of entries of a row, their rows, and their products."""
+        rows = self.rows
+        counts = np.diff(rows.indptr)
+        partners = np.repeat(counts, counts)
+        first = np.repeat(np.arange(rows.nnz), partners)
+        begin = np.repeat(np.repeat(rows.indptr[:-1], counts), partners)
+        second = begin + np.arange(len(first)) - np.repeat(np.cumsum(partners) - partners, partners)
+        row = np.repeat(np.arange(rows.shape[0]), counts)[first]
+        place = rows.indices[first].astype(np.intp) * rows.shape[1] + rows.indices[second]
+        return place, row, rows.data[first] * rows.data[second]

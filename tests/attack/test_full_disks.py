@@ -25,6 +25,7 @@ from lampest import InputError, Recording
 from lampest.apps.board import journal
 from lampest.apps.board.record import Progress, record
 from lampest.apps.board.recorder import Recorder
+from lampest.apps.board.sample import Listening
 from lampest.apps.board.stream import board_samples
 
 FRAMES = 100
@@ -234,7 +235,8 @@ def test_the_page_says_that_the_disk_is_full(
     with wild_board(hundred_a_second) as board:
         recorder = Recorder(tmp_path, 1, lambda sentence, running: sentences.append(sentence))
         recorder.ask("r")
-        samples = (sample for batch in board_samples(board.port, period=0.01) for sample in batch)
+        batches = board_samples(board.port, Listening(period=0.01))
+        samples = (sample for batch in batches for sample in batch)
         for sample in itertools.islice(samples, FRAMES):
             recorder.take(sample)
         recorder.close()

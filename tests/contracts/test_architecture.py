@@ -88,6 +88,7 @@ DOORS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("psutil", "threadpoolctl"), ("files.process",)),
     **dict.fromkeys(("pydantic", "ruamel"), ("files.document",)),
     "matplotlib": (
+        "files.process",
         "report.plots",
         "apps.page.all_frames",
         "apps.studies",

@@ -285,12 +285,15 @@ def errors_row(scene: lp.Scene) -> dict[str, Any]:
     )
     known = [
         None,
-        *(effects.Shared(replace(sizes, reading_error=size), scene) for size in (None, 0.01, 0.05)),
+        *(
+            effects.Shared(effects.Possible(replace(sizes, reading_error=size)), scene)
+            for size in (None, 0.01, 0.05)
+        ),
     ]
     return {
         "usual": sizes,
         "beyond": [
-            beyond and (beyond.systematic, beyond.contact_root)
+            beyond and (beyond.possible and beyond.possible.sizes, beyond.contact_root)
             for each in known
             for beyond in [shared.beyond(each)]
         ]

@@ -25,9 +25,10 @@ from lampest.panel.joined_network import JoinedNetwork
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts.floating import grounding
+from lampest.panel.readouts.ladder import Ladder
 from lampest.panel.readouts.two_point import ModulesReadout
 from lampest.panel.readouts.wired_network import wire_responses
-from lampest.panel.readouts.wiring import Lines
+from lampest.panel.readouts.wiring import Lines, Wiring
 
 SHAPES = ((1, 1), (1, 7), (4, 3), (5, 6), (9, 2))
 every_shape = pytest.mark.parametrize("shape", SHAPES)
@@ -224,3 +225,15 @@ def test_addresses_of_multiplexers_are_one_network(ends: Any, groups: Any) -> No
     one_by_one = JoinedNetwork.of(cells, alone, equation.read_at > 0)
     for first, second in zip(all_of(network), all_of(one_by_one), strict=True):
         assert_allclose(first, second, rtol=0, atol=1e-13 * np.abs(second).max())
+
+
+def test_addresses_share_the_factor_of_their_wire(monkeypatch: pytest.MonkeyPatch) -> None:
+    readout = GroundedReadout(groups=((0, 1), (2, None)))
+    cells = random_cells((4, 3))
+    ties = readout.ties(cells)
+    assert len(ties) > 1
+    factored = []
+    factor = Ladder.of
+    monkeypatch.setattr(Ladder, "of", lambda *given: factored.append(0) or factor(*given))
+    assert isinstance(readout.network(cells, ties, Wiring(Lines(1.0, 2.0))), JoinedNetwork)
+    assert len(factored) == 1

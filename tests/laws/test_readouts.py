@@ -275,7 +275,7 @@ def test_the_sensitivity_of_some_readings_is_that_part_of_the_whole(scene: Scene
         solved_ones = [address.network for part in network.parts for address in part.addresses]
     for solved in solved_ones:
         assert isinstance(solved, SolvedNetwork)
-        assert_allclose(solved.sensitivity_of(some), solved.sensitivity()[some.ravel()], rtol=1e-9)
+        assert_allclose(solved.sensitivity(some), solved.sensitivity()[some.ravel()], rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -346,7 +346,7 @@ def test_dividers_in_parallel_share_the_driven_row(input_ohm: float | None) -> N
         ),
         (
             "{kind: driven, groups: [[0, 1], [1, 2]]}",
-            "t.yaml:3:25: readout.groups: groups overlap: line 1",
+            "t.yaml:3:25: readout.groups overlap: line 1",
         ),
         ("{kind: driven, groups: [[0], [1]]}", "t.yaml:3:25: readout.groups: column 2 is left out"),
         (

@@ -7,9 +7,15 @@ import numpy as np
 import pytest
 
 import lampest
+from lampest.inference.effects.static_errors import estimating
+from lampest.panel.effects import SHARED
 
-KEYS = ("gain", "ripple", "motion", "creep", "leaks", "contacts", "ground_ohm")
-FAST = ("creep",)  # `make test` takes it
+SYSTEMATIC = tuple(f"systematic.{setting}" for setting in SHARED)
+KEYS = (
+    *("gain", "ripple", "motion", "creep", "leaks", "contacts", "ground_ohm", "converter_memory"),
+    *SYSTEMATIC,
+)
+FAST = ("creep", "converter_memory")  # `make test` takes them
 MAX_SHARE = 0.1  # of a cell's standard deviation
 SHAPE = (7, 6)
 
@@ -38,7 +44,11 @@ def recording(seed: int) -> lampest.Recording:
 def cells_of(seed: int, key: str) -> tuple[np.ndarray, np.ndarray]:
     """Return ln r of the loaded frames, and its deviations, where the scene estimates a key."""
     made = recording(seed)
-    scene = replace(made.scene, **({key: "estimated"} if key else {}))
+    scene = made.scene
+    if key in SYSTEMATIC:
+        scene = estimating(scene, key.removeprefix("systematic."))
+    elif key:
+        scene = replace(scene, **{key: "estimated"})
     found = lampest.reconstruct(replace(made, scene=scene))
     values = found.to_xarray()
     deviation = np.hypot(values["sigma_own"].values, values["sigma_common"].values)

@@ -7,6 +7,7 @@ import pytest
 from promises import promise
 
 from docs.studies.effects import LOADS, ROWS, Row, figures, recording
+from docs.studies.wrong_readings import drawn, of_load, with_starter
 from lampest import Systematic
 from lampest.audit.effects import unnamed_effects
 from lampest.audit.health import Health
@@ -82,6 +83,14 @@ def test_bars_hold_a_load_whose_jitter_moves_most_cells() -> None:
 def test_a_load_that_jitters_is_advised_to_be_named() -> None:
     jitter = Prepared(recording(500, LOADS["jitter"], Row(), {}))
     assert "motion: estimated" in {finding.line for finding in unnamed_effects(jitter)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("word", "seed"), [("two_mux", 6004), ("pull_ups", 6022)])
+def test_the_tail_of_feet_that_stand_is_not_advised_as_motion(word: str, seed: int) -> None:
+    """It resembles a load that jitters; no share of the time between frames explains it."""
+    feet = with_starter(drawn(seed, of_load("feet")), word).recording()
+    assert not unnamed_effects(Prepared(feet))
 
 
 @pytest.mark.parametrize(("seed", "advised"), [(500, True), (101, False)])

@@ -305,6 +305,23 @@ def test_leaks_that_do_not_fit_a_panel_are_refused() -> None:
         NeighbourLeaks()
 
 
+@pytest.mark.parametrize(
+    ("leaks", "sentence"),
+    [
+        ("{rows: [6000, 5000]}", ":2:12: leak_ohm.rows lists 2 numbers, but 4 rows have 3 gaps"),
+        ("{rows: -1}", ":2:1: leak_ohm.rows must be positive and finite"),
+        ("{}", ":2:1: leak_ohm names no leak: give rows, columns or both"),
+        ("5", ":2:1: leak_ohm: must be a mapping, not 5"),
+    ],
+)
+def test_a_sentence_says_its_key_once(leaks: str, sentence: str, tmp_path: Path) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(f"panel: {{rows: 4, columns: 3}}\nleak_ohm: {leaks}\n", encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_scene(scene)
+    assert str(refused.value) == f"{scene}{sentence}"
+
+
 @pytest.mark.parametrize("seed", range(0, COUNT, 10))
 def test_readings_of_extreme_cells_keep_their_digits(seed: int) -> None:
     circuit, cells = circuit_of(seed)

@@ -13,6 +13,7 @@ from promises import promise
 
 import lampest
 from docs.studies.model_check import named, sound, wrong
+from docs.studies.verdicts import read_by, told_wrong
 from docs.studies.wrong_readings import drawn as drawn_panel
 from docs.studies.wrong_readings import of_load
 from lampest import (
@@ -183,6 +184,31 @@ def test_a_right_circuit_is_not_called_wrong_under_palms_feet_keys_and_bars(
 ) -> None:
     check = Prepared(drawn_panel(seed, of_load(load)).recording()).check
     assert check.explains is not False, check.sentence
+
+
+# Films without scatter read alike, and so do those of circuits that hardly depend on their cells.
+@pytest.mark.slow
+def test_the_unloaded_panel_alone_rejects_no_circuit() -> None:
+    palm = read_by(drawn_panel(8002, of_load("palm")), "one load").recording()
+    assert Prepared(palm).check.mark == "doubtful"
+
+
+@pytest.mark.slow
+def test_loads_within_the_noise_compare_no_circuit() -> None:
+    check = Prepared(told_wrong(drawn_panel(8502, of_load("keys")), 8502)).check
+    assert check.mark == "yes" and not check.compared
+    assert "loads change too little beside the noise; press more cells" in check.sentence
+
+
+# Eight bits leave cells uncertain: changes by other circuits were taken for noise, and circuits
+# with fewer changed cells, or with a resistance in series beside, were compared in place of these.
+@pytest.mark.slow
+@pytest.mark.parametrize(("load", "mark"), [("places", "doubtful"), ("sweep", "yes")])
+def test_eight_bits_that_hardly_tell_a_wrong_circuit_do_not_exclude_the_right_one(
+    load: str, mark: str
+) -> None:
+    check = Prepared(told_wrong(drawn_panel(8000, of_load(load)), 8000)).check
+    assert check.mark == mark and "no other" not in check.sentence and not check.compared
 
 
 @pytest.mark.slow

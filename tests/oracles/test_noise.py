@@ -20,10 +20,9 @@ from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.studies.study import read_settings
 from lampest.audit.effects import unnamed_effects
 from lampest.estimate.sequence import reconstruct
-from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, TWO_SIDED, UNUSUAL
+from lampest.files.levels import DOUBTFUL_GAIN, NOISE_REACH, SIGNIFICANCE, TWO_SIDED, UNUSUAL
 from lampest.inference.cells_fit import CellsFit, fitted
 from lampest.inference.circuits.compared_frames import noise_factor
-from lampest.inference.circuits.parameters import DOUBTFUL_GAIN
 from lampest.inference.effects import static_errors
 from lampest.inference.prepared import Prepared
 from lampest.inference.readings.outliers import detect_outliers

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from promises import promise
 from scipy.integrate import quad
 
@@ -14,10 +15,12 @@ import lampest
 from docs.studies import effects
 from lampest.files.levels import MAD_TO_SIGMA
 from lampest.panel.panel import Array
+from lampest.posterior import sparse_prior
 from lampest.posterior.sparse_prior import SparsePrior
 
 LEAST_RATIO = 0.85  # of bars to errors; 0.91 to 1.24 measured over 30 recordings
 MOST_RATIO = 1.35
+SETTLED = 0.01  # of bars, for sites that stop within 1 % of a round's change
 
 
 def of_laplace(prior: SparsePrior, variance: float) -> SparsePrior:
@@ -69,3 +72,18 @@ def test_bars_of_cells_that_an_absolute_loss_holds_are_as_wide_as_their_errors(l
 def test_bars_of_plateaus_are_as_wide_as_their_errors() -> None:
     ratio = ratio_of_bars("small", 731, lampest.TotalVariationOfChange())
     assert LEAST_RATIO < ratio < MOST_RATIO
+
+
+def test_bars_are_those_of_settled_sites(monkeypatch: pytest.MonkeyPatch) -> None:
+    rod = lampest.Rod(centre_mm=(40, 45), diameter_mm=25, mass_g=300)
+    scene = lampest.Scene(lampest.Panel(10, 10), lampest.TwoPointReadout(readings=20), 140.0)
+    simulated = lampest.Simulation(1, 3, scene, baseline_frames=4, frames=3, loads=(rod,))
+    recording = lampest.simulate(simulated)
+    terms = [lampest.Misfit(weighting="noise"), lampest.LogRatio()]
+    stored = lampest.reconstruct(recording, terms, formulation="reduced").sigma_own
+    monkeypatch.setattr(sparse_prior, "SETTLED", 1e-7)
+    monkeypatch.setattr(sparse_prior, "MAX_ROUNDS", 400)
+    settled = lampest.reconstruct(recording, terms, formulation="reduced").sigma_own
+    assert stored is not None
+    assert settled is not None
+    assert_allclose(stored, settled, rtol=SETTLED)

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -179,15 +181,32 @@ def test_info_and_detect_read_the_check_that_a_run_has_kept(
     folder: Path, monkeypatch: pytest.MonkeyPatch, described: Iterator[str]
 ) -> None:
     warned = "a warning of the check"
-    stored = RecordingCheck("no", "the circuit is another one", "advised", warned, "", "wide")
+    stored = RecordingCheck(
+        "no",
+        "the circuit is another one",
+        "advised",
+        warned,
+        "",
+        "wide",
+        "lines: none dead\ncells: none shorted",
+        "as stated",
+        "gain: 0.1",
+    )
     task = CheckTask(
         folder / "mine.h5", digest(folder / "mine.h5"), "mine", folder / "results" / "run" / "cases"
     )
     task.folder.mkdir(parents=True)
     task.keep(stored)
     task.beside.unlink()  # as where that place cannot be written
+    monkeypatch.setattr(Health, "of", lambda recording: pytest.fail("health is kept, too"))
     lines = list(described)
     assert "width      wide" in lines
+    health = lines.index("health     lines: none dead")
+    assert lines[health + 1 : health + 3] == [
+        "           cells: none shorted",
+        "noise      as stated",
+    ]
+    assert "estimated  gain: 0.1" in lines
     assert "model      no: the circuit is another one" in lines
     assert "warning    a warning of the check" in lines and "advice     advised" in lines
     assert detect_recording(folder / "mine.h5").warnings == (warned,)
@@ -244,6 +263,24 @@ def test_a_check_beside_the_recording_serves_info_run_and_detect(
     beside.write_text(beside.read_text()[:100])
     assert list(describe(recording)) == lines and checked == ["mine"] * 2, "damaged, made again"
     assert list(describe(recording)) == lines and checked == ["mine"] * 2
+
+
+@pytest.mark.slow
+def test_a_kept_check_is_described_without_the_libraries_of_estimates(folder: Path) -> None:
+    code = "import sys; from lampest.report.info import describe; print(*describe('mine.h5')); "
+    absent = "assert not {'casadi', 'scipy.linalg', 'lampest.inference.prepared'} & {*sys.modules}"
+    for expected in ("", absent):  # the first one writes the check
+        subprocess.run([sys.executable, "-c", code + expected], cwd=folder, check=True)
+
+
+def test_info_looks_at_the_health_of_a_panel_once(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks: list[Any] = []
+    of = Health.of
+    monkeypatch.setattr(Health, "of", lambda recording: looks.append(recording) or of(recording))
+    list(describe(folder / "mine.h5"))
+    assert len(looks) == 1
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -33,7 +34,13 @@ from lampest import (
     write_results,
 )
 from lampest.apps.board.record import Progress, Recorded
-from lampest.apps.board.sample import LineOptions
+from lampest.apps.board.sample import (
+    CLOCK_JUMPED,
+    CLOCK_STOPPED,
+    HOST_CLOCK_SET,
+    OTHER_BOARD,
+    LineOptions,
+)
 from lampest.apps.live.engine import Engine
 from lampest.apps.live.run import from_recording
 from lampest.apps.recognition.commands import _with_checks
@@ -70,39 +77,36 @@ with whole_file(Path(sys.argv[1])) as unfinished:
     unfinished.write_text("half")
     os.kill(os.getpid(), signal.SIGKILL)
 """
-COUNTS = {
-    "frames": 7,
-    "lost": 2,
-    "restarts": 1,
-    "clock_jumps": 0,
-    "clock_stopped": False,
-    "host_clock_set": 0,
-    "other_board": False,
-    "parted": 0,
-    "behind": 0,
-}
-ENDED_RECORDING: Any = COUNTS | {"ended_by": "", "noise_lsb": 0.704, "silent": 0.0}
 RECORDED = Recorded(
-    path=Path("r.h5"), scene=Scene(Panel(3, 4), TwoPointReadout(), 140.0), **ENDED_RECORDING
+    path=Path("r.h5"),
+    scene=Scene(Panel(3, 4), TwoPointReadout(), 140.0),
+    frames=7,
+    lost=2,
+    restarts=1,
+    count=Counter(),
+    ended_by="",
+    noise_lsb=0.704,
+    silent=0.0,
+    unestimated=Counter(),
 )
 # What a recording ended with, and the warning that follows.
 ENDS_WITH_WARNINGS: tuple[tuple[dict[str, Any], str], ...] = (
     ({}, ""),
-    ({"clock_jumps": 1}, "1 jump of the board's clock; "),
-    ({"clock_jumps": 12}, "12 jumps of the board's clock; "),
-    ({"other_board": True}, "another board sends on the same line; "),
-    ({"host_clock_set": 1}, "this computer's clock was set 1 time; "),
-    ({"clock_stopped": True}, "the board's clock stood still; "),
-    ({"parted": 3}, "3 of the 7 frames lack a module; "),
+    ({"count": Counter({CLOCK_JUMPED: 1})}, "1 jump of the board's clock; "),
+    ({"count": Counter({CLOCK_JUMPED: 12})}, "12 jumps of the board's clock; "),
+    ({"count": Counter({OTHER_BOARD: 1})}, "another board sends on the same line; "),
+    ({"count": Counter({HOST_CLOCK_SET: 1})}, "this computer's clock was set 1 time; "),
+    ({"count": Counter({CLOCK_STOPPED: 1})}, "the board's clock stood still; "),
+    ({"count": Counter(parted=3)}, "3 of the 7 frames lack a module; "),
     (
-        {"unestimated": (("its arithmetic broke down", 2),)},
+        {"unestimated": Counter({"its arithmetic broke down": 2})},
         "the board did not estimate 2 of the 7 frames: its arithmetic",
     ),
     ({"silent": 1.26}, "no frame came in the last 1.3 s"),
     ({"scene": Scene(Panel(3, 4), TwoPointReadout())}, "no series resistance is assumed, "),
     ({"ended_by": "SIGINT"}, "SIGINT ended the recording; no frame was still in the port then"),
     (
-        {"ended_by": "SIGHUP", "behind": 4},
+        {"ended_by": "SIGHUP", "count": Counter(behind=4)},
         "SIGHUP ended the recording; 4 of the 7 frames were still in the port then",
     ),
 )

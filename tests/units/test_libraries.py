@@ -48,6 +48,11 @@ HELP = (
     "words = 'run simulate import compare plot show info'.split(); "
     "assert all(word in page.getvalue() for word in words)"
 )
+TERMS = (
+    "import contextlib, io, sys; from lampest import cli; sys.argv = ['lampest', 'show', 'terms']\n"
+    "with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit): cli.main()\n"
+    "import scipy.linalg"
+)
 ESTIMATE = (
     "import lampest; recording = lampest.Recording.load('tests/golden/recording.h5'); "
     "lampest.reconstruct(recording, [lampest.Misfit(), lampest.LogGradient()])"
@@ -171,6 +176,7 @@ def test_a_process_imports_only_needed_libraries() -> None:
             ("matplotlib", "xarray", "pandas", "typer"),
         ),
         (HELP, HEAVY),
+        (TERMS, ("numpy.f2py",)),
         # of a command whose standard error is no terminal
         ("from lampest.cli.screen import progress; progress('frames').__enter__()", ("rich",)),
         ("import lampest.runs.batch, lampest.runs.executors", ("dask", "distributed")),

@@ -93,8 +93,7 @@ def test_the_density_is_that_of_the_joint_distribution(changed: str) -> None:
     covariance = np.zeros((COUNT, COUNT))
     covariance[13, 13] = 1.0
     if changed == "a field":
-        square = ((place[:, None] - place) ** 2).sum(axis=-1)
-        covariance = 0.09 * (0.99 * smooth_covariance(square, 2.0) + 0.01 * np.eye(COUNT))
+        covariance = 0.09 * (0.99 * smooth_covariance(place, 2.0) + 0.01 * np.eye(COUNT))
     computed = LoadedDensity(pair)._cost_of(Mixtures.one(covariance))
     assert computed == pytest.approx(joint_cost(pair, covariance), abs=1.0)
 
@@ -112,9 +111,8 @@ def test_changed_cells_are_selected_about_the_most_probable_ones() -> None:
 def test_fields_are_tried_with_all_deviations_distances_and_shares() -> None:
     place = np.argwhere(np.ones((2, 3), dtype=bool))
     fields = covariances_of_field(place)
-    square = ((place[:, None] - place) ** 2).sum(axis=-1)
     last = 9.0 * (0.9 * np.ones((6, 6)) + 0.1 * np.eye(6))
-    first = 0.09 * ((1 - 1e-6) * smooth_covariance(square, 1.0) + 1e-6 * np.eye(6))
+    first = 0.09 * ((1 - 1e-6) * smooth_covariance(place, 1.0) + 1e-6 * np.eye(6))
     assert np.allclose(fields.covariance(0), first)
     assert np.allclose(fields.covariance(len(fields.shares) - 1), last)
     jacobian = np.random.default_rng(1).standard_normal((4, 6))

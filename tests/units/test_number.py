@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lampest.inference.number import Number, parabola, summed_out
+from lampest.inference.number import MIN_ODDS, Number, is_significant, parabola, summed_out
 
 VALUES = np.linspace(-2, 6, 81)
 MEAN = 1.7
@@ -55,3 +55,17 @@ def test_a_parabola_has_its_vertex_between_the_values() -> None:
     least, deviation = parabola(values, ((values - 0.4) / 0.1) ** 2)
     assert least == pytest.approx(0.4) and deviation == pytest.approx(0.1)
     assert parabola(values, -values)[1] == np.inf
+
+
+@pytest.mark.parametrize("deviation", [0.01, 0.1])
+def test_a_number_is_significant_from_the_odds_of_its_posterior_on(deviation: float) -> None:
+    """The odds are the mean likelihood under the prior over that of 0."""
+    values = np.linspace(0, 1, 20001)
+
+    def odds(mean: float) -> float:
+        likelihood = np.exp(-(((values - mean) / deviation) ** 2) / 2)
+        return float(likelihood.mean() / likelihood[0])
+
+    for mean in np.linspace(0, 6, 31) * deviation:
+        assert is_significant(float(mean), deviation, 1.0) == (odds(mean) > MIN_ODDS)
+    assert not is_significant(0.0, 0.0, 1.0)

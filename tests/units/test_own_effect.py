@@ -95,7 +95,7 @@ def test_its_setting_is_a_key_of_scenes(tmp_path: Path) -> None:
     path.write_text(text.replace("0.3", "3"))
     with pytest.raises(
         lampest.InputError,
-        match=r":2:.* crosstalk must lie between 0 and 0.5",
+        match=r":2:26: systematic.crosstalk must lie between 0 and 0.5",
     ):
         lampest.read_scene(path)
     path.write_text(text.replace("crosstalk", "crostalk"))

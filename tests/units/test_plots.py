@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from contracts.extensions import Histogram
 from golden.outputs import invented
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from support import invented_case
@@ -63,9 +64,12 @@ def test_a_picture_is_laid_out_and_drawn_once(monkeypatch: pytest.MonkeyPatch) -
 
     counted(ConstrainedLayoutEngine, "execute")
     counted(Figure, "draw")
-    figure = maps_figure([Tile("a", np.eye(3))], Panel(3, 3), signed_scale([np.eye(3)], "b", 1.0))
+    counted(Axes, "get_tightbbox")
+    tiles = [Tile(name, np.eye(3)) for name in "abc"]
+    figure = maps_figure(tiles, Panel(3, 3), signed_scale([np.eye(3)], "b", 1.0))
     assert style.data_uri(figure).startswith("data:image/png")
-    assert calls == ["execute", "draw"]
+    passes = 2  # of the layout, each of which measures the maps and their colour bar
+    assert calls == ["execute", *passes * (len(tiles) + 1) * ["get_tightbbox"], "draw"]
 
 
 def test_maps_have_ticks_where_numbers_stand_beside_them() -> None:

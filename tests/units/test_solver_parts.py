@@ -215,6 +215,22 @@ def test_the_time_limit_comes_before_a_stall() -> None:
     assert late_or_stalled(punctual, flat[1:]) is None  # type: ignore[arg-type]
 
 
+def test_a_frame_that_no_cells_give_is_not_solved_again_from_its_own_optimum() -> None:
+    """The lower of a given start and the convex one is taken: the optimum itself."""
+    readings = lampest.two_point_resistance(np.full(SCENE.panel.shape, OHM))
+    readings[2, 3] *= 3.0
+    estimator = lampest.Estimator((lampest.Misfit(),), "reduced")
+    measured = lampest.Readings.of(SCENE, readings)
+    data = estimator.data(measured.alone(), Background(SCENE))
+    first = evaluated(estimator.cost(SCENE, 1), data, data.uniform_start)
+    solver = ProjectedNewton(first.cost, Settings())
+    outcome = solver.solve(data, first)
+    again = solver.solve(data, first.elsewhere(outcome.cell_resistance))
+    assert outcome.status is again.status is Status.OPTIMUM
+    assert outcome.iterations > 1
+    assert again.iterations == 0
+
+
 def test_solvers_with_different_parts_are_different(start: Evaluation) -> None:
     """Solvers are kept by their value."""
     solver = ProjectedNewton(start.cost, Settings())

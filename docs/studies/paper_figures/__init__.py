@@ -18,7 +18,7 @@ from lampest.apps.studies import study
 from lampest.apps.studies.study import OnStep, read_settings
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
-from lampest.panel.response import Film, ratio_from_pressure, relative_change_from_pressure
+from lampest.panel.response import Film, ratio_from_pressure
 from lampest.recording.datasets import folder as shipped_folder
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation import run as simulated
@@ -449,7 +449,7 @@ def _response_beside(published: Published) -> Iterator[tuple[str, str, str, floa
 
 
 def _change(kpa: float) -> float:
-    return float(relative_change_from_pressure(kpa))
+    return float(ratio_from_pressure(kpa)) - 1
 
 
 def sheet(numbers: Sequence[PublishedNumber], names: Sequence[str]) -> Table:
@@ -496,15 +496,13 @@ def response_figure(published: Published) -> Figure:
     axes = figure.subplots()
     pressures = np.linspace(-10.0, 235.0, 981)
     fine = np.linspace(0, 60, 601)
-    _through(axes, pressures, 100 * relative_change_from_pressure(pressures), published.changes)
+    _through(axes, pressures, 100 * (ratio_from_pressure(pressures) - 1), published.changes)
     style.dressed(axes, "pressure [kPa]", "relative change of resistance ΔR/R₀ [%]")
     axes.legend(
         fontsize=style.SMALL_POINT, frameon=False, loc="upper left", bbox_to_anchor=(0.12, 1.0)
     )
     inset = axes.inset_axes((0.42, 0.38, 0.55, 0.52))
-    inset.plot(
-        fine, np.gradient(relative_change_from_pressure(fine), fine), color=style.BLUE, lw=1.1
-    )
+    inset.plot(fine, np.gradient(ratio_from_pressure(fine), fine), color=style.BLUE, lw=1.1)
     look: dict[str, Any] = {"color": style.ORANGE, "lw": 3, "alpha": 0.6, "solid_capstyle": "butt"}
     for part in published.slopes:
         inset.plot([part.from_kpa, part.to_kpa], [part.per_kpa] * 2, **look)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lampest.cli import screen
-from lampest.files.errors import InputError, counted
+from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
     from lampest.apps.board.record import Progress, Recorded
@@ -128,70 +128,10 @@ def report_recorded(done: "Recorded") -> None:
     )
     if done.understood:
         screen.say(screen.as_options(f"the board prints: {done.understood}"))
-    for sentence in _warnings(done):
+    for sentence in done.warnings():
         screen.warn(sentence)
     if done.ended_by:
         raise typer.Exit(screen.INTERRUPTED)
-
-
-def _warnings(done: "Recorded") -> list[str]:
-    """Return what went wrong while a recording was made, a sentence each."""
-    jumps = "1 jump" if done.clock_jumps == 1 else f"{done.clock_jumps} jumps"
-    parted, behind = (
-        f"{count} of the {done.frames} frames" for count in (done.parted, done.behind)
-    )
-    bare = done.scene.circuit.unit == "ohm" and not done.scene.series_resistance_ohm
-    sentences = (
-        (
-            done.damaged,
-            f"{done.damaged} of the {done.frames} frames have a reading that the converter cannot "
-            "give, as lost bytes make; it is missing, and events mark where",
-        ),
-        (
-            done.cut,
-            f"{done.cut} of the {done.frames} frames lack lines; events mark where",
-        ),
-        (
-            done.too_fast,
-            "lines came faster than this computer read them; "
-            "the lost frames are counted, and events mark where",
-        ),
-        (
-            done.clock_jumps,
-            f"{jumps} of the board's clock; events mark where, and time goes on by the period",
-        ),
-        (
-            done.clock_stopped,
-            "the board's clock stood still; "
-            "an event marks since when, and time goes on by this computer's clock",
-        ),
-        (
-            done.host_clock_set,
-            f"this computer's clock was set {counted(done.host_clock_set, 'time')}; "
-            "events mark where, and no time of a frame depends on it",
-        ),
-        (
-            done.other_board,
-            "another board sends on the same line; its frames are left out, and events mark where",
-        ),
-        (done.parted, f"{parted} lack a module; events mark which was gone, and when it was back"),
-        *(
-            (True, f"the board did not estimate {count} of the {done.frames} frames: {reason}")
-            for reason, count in done.unestimated
-        ),
-        (done.silent, f"no frame came in the last {done.silent:.1f} s"),
-        (
-            bare,
-            "no series resistance is assumed, because the scene names none; "
-            "two multiplexer channels have some 140 ohm, which lampest calibrate measures",
-        ),
-        (
-            done.ended_by,
-            f"{done.ended_by} ended the recording; "
-            f"{f'{behind} were' if done.behind else 'no frame was'} still in the port then",
-        ),
-    )
-    return [sentence for holds, sentence in sentences if holds]
 
 
 def repaired_sentence(file: Path) -> str:

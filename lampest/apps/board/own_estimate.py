@@ -1,10 +1,9 @@
 """Comparison of a board's own estimate with lampest's."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import joined
 from lampest.report.words import digits
@@ -41,9 +40,7 @@ def board_sentence(recording: Recording) -> str:
         return f"{count}; not compared: {error}"
 
 
-def _difference(
-    recording: Recording, unloaded: NDArray[np.bool_], estimated: NDArray[np.intp]
-) -> str:
+def _difference(recording: Recording, unloaded: Mask, estimated: Numbers) -> str:
     """Return the difference in words. Raises InputError where lampest has no estimate."""
     # With all of the estimate, which results do without.
     from lampest.estimate.estimator import Estimator
@@ -58,7 +55,7 @@ def _difference(
     return difference_sentence(estimate.result(), recording.board_log_change[chosen], chosen)
 
 
-def difference_sentence(case: CaseResult, board_log_change: Array, frames: NDArray[np.intp]) -> str:
+def difference_sentence(case: CaseResult, board_log_change: Array, frames: Numbers) -> str:
     """Return the difference of a board's cells from those of a case in words.
 
     Parameters

@@ -194,7 +194,7 @@ class Printer:
         if not frames:
             return ()
         if self._printing is None:
-            self._settle([stamped.frame for stamped in frames], frames)
+            self._settle(frames)
         samples = tuple[Sample, ...]()
         for place, stamped in enumerate(frames):
             if np.isnan(stamped.frame.values[self.scene.panel.present]).all():
@@ -203,9 +203,9 @@ class Printer:
             samples += (self._sample(stamped, len(frames) - place),)
         return samples
 
-    def _settle(self, frames: Sequence[TextFrame], stamped: Sequence[Stamped]) -> None:
+    def _settle(self, stamped: Sequence[Stamped]) -> None:
         """Understand unit and period by the first frames. Raises InputError."""
-        values = np.stack([frame.values for frame in frames])
+        values = np.stack([item.frame.values for item in stamped])
         reason = f"unit {self.unit}, as specified"
         if self.unit is None:
             named = named_units(self._reader.words, self.url)
@@ -215,7 +215,7 @@ class Printer:
         if np.mean(impossible) > MAX_IMPOSSIBLE:
             recorded_values(values, self.unit, self.scene, self._place, self.url)
         arrivals = [item.arrived for item in stamped if item.arrived is not None]
-        stamps = [frame.seconds for frame in frames if frame.seconds is not None]
+        stamps = [item.frame.seconds for item in stamped if item.frame.seconds is not None]
         how = "time: a frame's arrival"
         if self.period is not None:
             how = f"time: a frame every {self.period:g} s, as specified"
@@ -247,7 +247,9 @@ class Printer:
             elapsed = self._elapsed(stamped, now, together)
             now = now if stamped.arrived is None else self.last.arrived + elapsed
             restarted = frame.seconds is None and self._stamp is not None
-            by_stamp = self._stamp_step(frame)
+            by_stamp = 0.0
+            if frame.seconds is not None and self._stamp is not None:
+                by_stamp = max(frame.seconds - self._stamp, 0.0)
             at = self.last.time + (self.period or by_stamp or elapsed)
             session = self.last.session + restarted
             events = (*events, *((RESTARTED,) if restarted else ()))
@@ -282,12 +284,6 @@ class Printer:
         if stamped.arrived is None:
             return self._printing.period
         return max((now - self.last.arrived) / together, MIN_STEP)
-
-    def _stamp_step(self, frame: TextFrame) -> float | None:
-        """Return the time since the last frame by the board's stamps in s, where these grow."""
-        if frame.seconds is None or self._stamp is None or frame.seconds <= self._stamp:
-            return None
-        return frame.seconds - self._stamp
 
     def _check(self, waited: float, *, may_wait: bool) -> None:
         """Raise InputError if too long no lines are understood, or none come."""

@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from lampest.apps.board.journal import Journal, UnwrittenError, finished, journal_for
 from lampest.apps.board.sample import (
@@ -26,6 +25,7 @@ from lampest.apps.board.sample import (
     UNFIT_SECONDS,
     USUAL,
     LineOptions,
+    Listening,
     Printing,
     Sample,
     Samples,
@@ -35,6 +35,25 @@ from lampest.files.errors import InputError
 from lampest.files.process import ending_signals
 from lampest.files.whole import check_output
 from lampest.panel.scene import Scene
+
+# Count of a recording → its warning: {n} is the count, {s} its plural, {frames} that of all frames.
+WARNINGS = {
+    DAMAGED: "{n} of the {frames} frames have a reading that the converter cannot give, "
+    "as lost bytes make; it is missing, and events mark where",
+    LINES_LOST: "{n} of the {frames} frames lack lines; events mark where",
+    TOO_FAST: "lines came faster than this computer read them; "
+    "the lost frames are counted, and events mark where",
+    CLOCK_JUMPED: "{n} jump{s} of the board's clock; "
+    "events mark where, and time goes on by the period",
+    CLOCK_STOPPED: "the board's clock stood still; "
+    "an event marks since when, and time goes on by this computer's clock",
+    HOST_CLOCK_SET: "this computer's clock was set {n} time{s}; "
+    "events mark where, and no time of a frame depends on it",
+    OTHER_BOARD: "another board sends on the same line; "
+    "its frames are left out, and events mark where",
+    "parted": "{n} of the {frames} frames lack a module; "
+    "events mark which was gone, and when it was back",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,32 +68,21 @@ class Recorded:
         Frames in the file.
     lost : int
         Frames known to be missing.
-    restarts, clock_jumps : int
-        Restarts of the board, and jumps of its clock.
-    clock_stopped : bool
-        Whether the board's clock stood still at any time.
-    host_clock_set : int
-        Number of frames before which this computer's clock was set.
-    other_board : bool
-        Whether frames of another board came on the same line; they are left out.
-    parted : int
-        Frames without the readings of a module.
-    behind : int
-        Frames that the port still contained at the end.
+    restarts : int
+        Restarts of the board.
+    count : Counter
+        Frames without the readings of a module ('parted'), frames that the port still contained at
+        the end ('behind'), and events by their labels.
     ended_by : str
         Signal that ended the recording, such as SIGINT (Ctrl-C), or ''.
     noise_lsb : float, or None
         Noise of one reading from the baseline's repeats, if these suffice.
     silent : float
         Time without frames at the end of the requested duration, in s.
-    unestimated : tuple of (str, int)
-        Reasons why a board that estimates did not estimate frames, and their numbers.
+    unestimated : Counter
+        Reasons why a board that estimates did not estimate frames.
     understood : str
         How the lines of a board that prints were read, in words; '' of another one.
-    damaged, cut : int
-        Frames of which a reading was no number of the converter, and frames that lack lines.
-    too_fast : bool
-        Whether lines were lost because they came faster than they were read.
     """
 
     path: Path
@@ -82,20 +90,32 @@ class Recorded:
     frames: int
     lost: int
     restarts: int
-    clock_jumps: int
-    clock_stopped: bool
-    host_clock_set: int
-    other_board: bool
-    parted: int
-    behind: int
+    count: Counter[str]
     ended_by: str
     noise_lsb: float | None
     silent: float
-    unestimated: tuple[tuple[str, int], ...] = ()
+    unestimated: Counter[str]
     understood: str = ""
-    damaged: int = 0
-    cut: int = 0
-    too_fast: bool = False
+
+    def warnings(self) -> Iterator[str]:
+        """Yield what went wrong while the recording was made, a sentence each."""
+        for name, sentence in WARNINGS.items():
+            n = self.count[name]
+            if n:
+                yield sentence.format(n=n, s="" if n == 1 else "s", frames=self.frames)
+        for reason, n in self.unestimated.items():
+            yield f"the board did not estimate {n} of the {self.frames} frames: {reason}"
+        if self.silent:
+            yield f"no frame came in the last {self.silent:.1f} s"
+        if self.scene.circuit.unit == "ohm" and not self.scene.series_resistance_ohm:
+            yield (
+                "no series resistance is assumed, because the scene names none; "
+                "two multiplexer channels have some 140 ohm, which lampest calibrate measures"
+            )
+        if self.ended_by:
+            unread = self.count["behind"]
+            frames = f"{unread} of the {self.frames} frames were" if unread else "no frame was"
+            yield f"{self.ended_by} ended the recording; {frames} still in the port then"
 
 
 @dataclass(frozen=True)
@@ -156,20 +176,6 @@ class Tally:
         """
         return Progress(sample, self.frames - pending, self.count["lost"], state)
 
-    def results(self) -> dict[str, Any]:
-        """Return the counts by the names of `Recorded`."""
-        return {
-            **{name: self.count[name] for name in ("frames", "lost", "parted", "behind")},
-            "clock_jumps": self.count[CLOCK_JUMPED],
-            "clock_stopped": self.count[CLOCK_STOPPED] > 0,
-            "host_clock_set": self.count[HOST_CLOCK_SET],
-            "other_board": self.count[OTHER_BOARD] > 0,
-            "unestimated": tuple(self.unestimated.items()),
-            "damaged": self.count[DAMAGED],
-            "cut": self.count[LINES_LOST],
-            "too_fast": self.count[TOO_FAST] > 0,
-        }
-
 
 def record(  # noqa: PLR0913 # the options of a command
     ports: str | Sequence[str] | None,
@@ -227,9 +233,10 @@ def record(  # noqa: PLR0913 # the options of a command
     states = [""]
     with ending_signals(lambda: tally.frames > 0 and not states[-1]) as ended_by:
         with _naming_what_is_kept(tally, out):
-            batches = samples_of(
-                urls, scene, period, states.append, lambda: bool(ended_by()), baseline, options
+            listening = Listening(
+                scene, period, states.append, lambda: bool(ended_by()), baseline, options
             )
+            batches = samples_of(urls, listening)
             with contextlib.closing(batches), contextlib.ExitStack() as stack:
                 journal: Journal | None = None
                 for batch in _wanted(batches, frames, seconds, period or 1.0):
@@ -281,7 +288,10 @@ def _finished(tally: Tally, out: Path, ended_by: str, seconds: float | None) -> 
         path=out,
         scene=scene,
         restarts=tally.last.session,
-        **tally.results(),
+        frames=tally.frames,
+        lost=tally.count["lost"],
+        count=tally.count,
+        unestimated=tally.unestimated,
         ended_by=ended_by,
         noise_lsb=noise,
         silent=round(silent, 3),

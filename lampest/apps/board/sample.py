@@ -1,6 +1,6 @@
 """Frames of a board, of lampest's own or of one that prints, with their place in a recording."""
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
 from lampest.apps.board.protocol import Frame, Hello
@@ -89,6 +89,35 @@ class LineOptions:
 
 
 USUAL = LineOptions()
+
+
+@dataclass(frozen=True)
+class Listening:
+    """How boards are listened to.
+
+    Attributes
+    ----------
+    scene : Scene or None
+        Scene that the board must fit; None: the board's own.
+    period : float or None
+        Time between frames in s.
+    on_state : callable
+        Called with a sentence when a board disappears.
+    ending : callable
+        Called repeatedly; once it returns True, the messages that the port has received follow as a
+        last batch.
+    baseline : int
+        Number of unloaded frames at the beginning, for a board that estimates as well.
+    options : LineOptions
+        How the port is read.
+    """
+
+    scene: Scene | None = None
+    period: float | None = None
+    on_state: Callable[[str], None] = lambda sentence: None
+    ending: Callable[[], bool] = lambda: False
+    baseline: int = 0
+    options: LineOptions = USUAL
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ absent board is missing from the image until it returns.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from copy import copy
 from dataclasses import replace
@@ -21,7 +21,7 @@ import numpy as np
 
 from lampest.apps.board.port import only_port
 from lampest.apps.board.protocol import Frame, Hello
-from lampest.apps.board.sample import USUAL, AnyFrame, AnySettings, LineOptions, Sample, Samples
+from lampest.apps.board.sample import AnyFrame, Listening, Sample, Samples
 from lampest.apps.board.stream import RETRY_SECONDS, board_samples
 from lampest.files.errors import InputError
 from lampest.panel.panel import Modules
@@ -35,30 +35,22 @@ Stamped = tuple[float, Sample]  # start of the scan in s on the host's steady cl
 Arrived = SimpleQueue[tuple[int, Sample | str | InputError | None]]
 
 
-def samples_of(
-    ports: Sequence[str],
-    scene: Scene | None = None,
-    period: float | None = None,
-    on_state: Callable[[str], None] = lambda sentence: None,
-    ending: Callable[[], bool] = lambda: False,
-    baseline: int = 0,
-    options: LineOptions = USUAL,
-) -> Samples:
+def samples_of(ports: Sequence[str], listening: Listening) -> Samples:
     """Return samples as `board_samples`, of one board or of one for each module in order.
 
     The one board is by default the only one. Of modules the boards' own estimates are left out; one
     board that prints (`options.lines`) may print all of them.
     """
+    scene = listening.scene
     modules = None if scene is None else scene.panel.modules
-    if scene is None or modules is None or (options.lines and len(ports) == 1 < modules.count):
+    joined = listening.options.lines and len(ports) == 1
+    if scene is None or modules is None or (joined and modules.count > 1):
         if len(ports) > 1:
             raise InputError(
                 "--port: several boards need a scene with panel: "
                 "{modules: ...}, a board for each module"
             )
-        return board_samples(
-            ports[0] if ports else only_port(), scene, period, on_state, ending, baseline, options
-        )
+        return board_samples(ports[0] if ports else only_port(), listening)
     numbers = [number for number in range(modules.count) if number not in scene.dead_modules]
     if len(ports) != len(numbers):
         named = ", ".join(str(list(modules.place(number))) for number in numbers[:4])
@@ -76,7 +68,7 @@ def samples_of(
         raise InputError(
             "modules that are recorded together need a readout with one number of readings for all"
         )
-    return _images(scene, numbers, ports, period, on_state, ending, options)
+    return _images(scene, numbers, ports, listening)
 
 
 class Alignment:
@@ -190,13 +182,7 @@ class Alignment:
 
 
 def _images(
-    scene: Scene,
-    numbers: Sequence[int],
-    ports: Sequence[str],
-    period: float | None,
-    on_state: Callable[[str], None],
-    ending: Callable[[], bool],
-    options: LineOptions,
+    scene: Scene, numbers: Sequence[int], ports: Sequence[str], listening: Listening
 ) -> Samples:
     """Yield samples of the whole image in batches; see `board_samples`.
 
@@ -208,10 +194,10 @@ def _images(
     ended = Event()
     arrived = Arrived()
     states = [""] * len(numbers)
-    listening = set(range(len(numbers)))
-    with _listeners(scene, numbers, ports, period, options, arrived, ended):
-        while listening or not arrived.empty():
-            if ending():
+    present = set(range(len(numbers)))
+    with _listeners(scene, numbers, ports, listening, arrived, ended):
+        while present or not arrived.empty():
+            if listening.ending():
                 ended.set()
             with suppress(Empty):
                 board, item = arrived.get(timeout=POLL_SECONDS)
@@ -222,17 +208,21 @@ def _images(
                 elif isinstance(item, InputError):
                     raise item
                 elif item is None:
-                    listening.discard(board)
+                    present.discard(board)
                 else:
                     states[board] = item
-            images = _new_images(scene, numbers, current, waits=bool(listening))
-            yield images
+            images = list[Sample]()
+            before = copy(current)
+            while (parts := current.frame(monotonic() if present else np.inf)) is not None:
+                images.append(_image(scene, numbers, parts, before, current))
+                before = copy(current)
+            yield tuple(images)
             if images and current.missing:
                 gone = (
                     f"module {places[board]} at {ports[board]}: {states[board] or 'no frame came'}"
                     for board in current.missing
                 )
-                on_state("; ".join(gone))
+                listening.on_state("; ".join(gone))
                 yield ()
 
 
@@ -241,8 +231,7 @@ def _listeners(
     scene: Scene,
     numbers: Sequence[int],
     ports: Sequence[str],
-    period: float | None,
-    options: LineOptions,
+    listening: Listening,
     arrived: Arrived,
     ended: Event,
 ) -> Iterator[None]:
@@ -258,14 +247,14 @@ def _listeners(
         while not ended.is_set():
             before = sessions
             try:
-                samples = board_samples(
-                    ports[board],
-                    scene.of_modules[numbers[board]],
-                    period,
-                    lambda sentence: arrived.put((board, sentence)),
-                    ended.is_set,
-                    options=options,
+                how = replace(
+                    listening,
+                    scene=scene.of_modules[numbers[board]],
+                    on_state=lambda sentence: arrived.put((board, sentence)),
+                    ending=ended.is_set,
+                    baseline=0,
                 )
+                samples = board_samples(ports[board], how)
                 with closing(samples) as batches:
                     for sample in chain.from_iterable(batches):
                         sessions = before + sample.session + 1
@@ -284,22 +273,6 @@ def _listeners(
         ended.set()
         for thread in threads:
             thread.join()
-
-
-def _new_images(
-    scene: Scene, numbers: Sequence[int], current: Alignment, *, waits: bool
-) -> tuple[Sample, ...]:
-    """Advance an alignment as far as its frames allow, and return the new images.
-
-    `waits` states whether boards may still send; without any, nothing is waited for.
-    """
-    images = list[Sample]()
-    while True:
-        before = copy(current)
-        parts = current.frame(monotonic() if waits else np.inf)
-        if parts is None:
-            return tuple(images)
-        images.append(_image(scene, numbers, parts, before, current))
 
 
 def _image(
@@ -325,9 +298,13 @@ def _image(
         places = [layout.place(numbers[board]) for board in inside if board not in outside]
         events += [f"{word}: {','.join(map(str, place))}" for place in places]
     own = {numbers[board]: sample for board, sample in parts.items()}
+    settings = first.hello
+    if isinstance(settings, Hello):
+        rows, columns = layout.shape
+        settings = replace(settings, rows=rows, columns=columns, estimates=False)
     return Sample(
         frame=replace(_joined(layout, own, first), sequence=before.frames, log_change=None),
-        hello=_settings(layout, first),
+        hello=settings,
         scene=scene,
         time=after.elapsed,
         host_time=max(sample.host_time for sample in parts.values()),
@@ -353,11 +330,3 @@ def _joined(layout: Modules, parts: Mapping[int, Sample], first: Sample) -> AnyF
     for number, sample in parts.items():
         recorded[number] = sample.recorded
     return replace(first.frame, missed=missed, recorded=layout.joined(recorded))
-
-
-def _settings(layout: Modules, first: Sample) -> AnySettings:
-    """Return the settings of the whole image, as those of a board."""
-    if not isinstance(first.hello, Hello):
-        return first.hello
-    rows, columns = layout.shape
-    return replace(first.hello, rows=rows, columns=columns, estimates=False)

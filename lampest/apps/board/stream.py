@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,9 +15,8 @@ from lampest.apps.board.sample import (
     HOST_CLOCK_SET,
     OTHER_BOARD,
     UNFIT_SECONDS,
-    USUAL,
     AnyFrame,
-    LineOptions,
+    Listening,
     Sample,
     Samples,
 )
@@ -320,15 +319,7 @@ def _since(before: AnyFrame, frame: AnyFrame) -> tuple[int, int]:
     ) % COUNTER
 
 
-def board_samples(
-    url: str,
-    scene: Scene | None = None,
-    period: float | None = None,
-    on_state: Callable[[str], None] = lambda sentence: None,
-    ending: Callable[[], bool] = lambda: False,
-    baseline: int = 0,
-    options: LineOptions = USUAL,
-) -> Samples:
+def board_samples(url: str, listening: Listening) -> Samples:
     """Yield samples as they arrive, in batches, which may be empty.
 
     Closing the generator stops the board.
@@ -340,26 +331,14 @@ def board_samples(
     ----------
     url : str
         Port, as `lampest.apps.board.source.source_at` opens it.
-    scene : Scene or None
-        Scene that the board must fit.
-    period : float or None
-        Time between frames in s.
-    on_state : callable
-        Called with a sentence when the board disappears.
-    ending : callable
-        Called repeatedly; once it returns True, the messages that the port has received follow as a
-        last batch.
-    baseline : int
-        Number of unloaded frames at the beginning, for a board that estimates as well.
-    options : LineOptions
-        How the port is read.
+    listening : Listening
     """
-    line = _Line(url, scene, period, ending, baseline, options)
-    while not ending():
+    line = _Line(url, listening)
+    while not listening.ending():
         line.heard = 0
         try:
             with opened_source(url, line.baud) as source:
-                yield from line.connection(source, on_state)
+                yield from line.connection(source)
                 return
         except OSError as error:
             if line.last is None:
@@ -374,7 +353,7 @@ def board_samples(
         if not line.heard:
             line.renew()
         line.check()
-        on_state(reason)
+        listening.on_state(reason)
         yield ()
         time.sleep(RETRY_SECONDS)
 
@@ -399,21 +378,11 @@ class _Line:
     frames.
     """
 
-    def __init__(
-        self,
-        url: str,
-        scene: Scene | None,
-        period: float | None,
-        ending: Callable[[], bool],
-        baseline: int = 0,
-        options: LineOptions = USUAL,
-    ) -> None:
+    def __init__(self, url: str, listening: Listening) -> None:
         self._url = url
-        self._scene = scene
-        self._period = period
-        self._ending = ending
-        self._baseline = baseline
-        self._options = options
+        self._how = listening
+        self._scene = listening.scene
+        options = listening.options
         self._printer: Printer | None = None
         self.baud = options.baud or (PRINTED_BAUDS[0] if options.lines else BAUD)
         self.heard = 0  # bytes of the current connection
@@ -438,10 +407,10 @@ class _Line:
                 f"though the line is not silent ({came})"
             )
 
-    def connection(self, source: ByteSource, on_state: Callable[[str], None]) -> Samples:
+    def connection(self, source: ByteSource) -> Samples:
         """Yield samples until the board disappears or the end is requested."""
-        if self._printer is not None or self._options.lines or source.one_way:
-            yield from self._printed(source, b"", on_state)
+        if self._printer is not None or self._how.options.lines or source.one_way:
+            yield from self._printed(source, b"")
             return
         board = Board(source, self._url)
         try:
@@ -451,16 +420,15 @@ class _Line:
                 return
         finally:
             self.heard = board.heard
-        yield from self._printed(source, board.first, on_state)
+        yield from self._printed(source, board.first)
 
-    def _printed(
-        self, source: ByteSource, heard: bytes, on_state: Callable[[str], None]
-    ) -> Samples:
+    def _printed(self, source: ByteSource, heard: bytes) -> Samples:
         """Yield samples of a board that prints; `heard` are the bytes that were read before."""
         if self.last is not None and self._printer is None:
             raise NoBoardError(f"{self._url}: no lampest board answers any more")
+        how = self._how
         if self._printer is None and not source.one_way:
-            heard = text_at_some_rate(source, heard, self._url, self._options.baud)
+            heard = text_at_some_rate(source, heard, self._url, how.options.baud)
         if self._scene is None:
             first = line_text(heard.strip().partition(b"\n")[0].strip())
             prints = f"prints {first[:MAX_SHOWN]!r} first" if first else "printed nothing yet"
@@ -469,8 +437,8 @@ class _Line:
                 "--scene says the rows, columns and circuit of a board that prints"
             )
         if self._printer is None:
-            self._printer = Printer(self._url, self._scene, self._options.unit, self._period)
-        for samples in self._printer.samples(source, heard, on_state, self._ending):
+            self._printer = Printer(self._url, self._scene, how.options.unit, how.period)
+        for samples in self._printer.samples(source, heard, how.on_state, how.ending):
             if samples:
                 self.heard = 1
                 self.last = samples[-1]
@@ -482,9 +450,10 @@ class _Line:
             while True:
                 agreed = scene_of(hello, self._scene)
                 readings = agreed.readout.readings if agreed.readout else hello.readings
-                requested = None if self._period is None else round(self._period * 1e6)
+                period = self._how.period
+                requested = None if period is None else round(period * 1e6)
                 # A board that comes back may be loaded.
-                unloaded = self._baseline if self.last is None else 0
+                unloaded = self._how.baseline if self.last is None else 0
                 settings = board.start(
                     agreed.panel.rows, agreed.panel.columns, readings, requested, unloaded
                 )
@@ -493,7 +462,7 @@ class _Line:
                         self.last = samples[-1]
                         self._scene = agreed
                     yield samples
-                if self._ending():
+                if self._how.ending():
                     return
                 yield ()
                 self.check(settings.period)
@@ -510,7 +479,7 @@ class _Line:
         silent_after = max(SILENCE_SECONDS, 3 * hello.period)
         heard = time.monotonic()
         while True:
-            ending = self._ending()
+            ending = self._how.ending()
             samples, over = self._taken(run, board.stop() if ending else board.messages())
             if over or ending:
                 samples += run.last_sample()

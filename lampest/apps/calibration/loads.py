@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.apps.calibration.calibration import MIN_SAMPLE, Calibration, common_scene
 from lampest.apps.calibration.known_loads import KnownLoad, KnownLoads
@@ -28,7 +27,7 @@ from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError, first_and_more
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT, UNUSUAL
 from lampest.panel.conditions import water_pressure
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.response import PUBLISHED, Response
 from lampest.recording.recording import Recording
 
@@ -124,7 +123,7 @@ def calibrate_loads(
 
 
 def _all_responses(
-    recordings: Sequence[Recording], loads: Sequence[KnownLoad], place: NDArray[np.intp]
+    recordings: Sequence[Recording], loads: Sequence[KnownLoad], place: Numbers
 ) -> tuple[Array, Array, Array]:
     """Return the responses to all loads, as `_responses` does.
 
@@ -160,7 +159,7 @@ def _explaining_fit(loaded: Loaded) -> FittedResponse:
     return fitted
 
 
-def _doubt(sentence: str, odd: NDArray[np.bool_]) -> str:
+def _doubt(sentence: str, odd: Mask) -> str:
     """Return the sentence on the loads that are odd, (loads,); '' without any."""
     if not odd.any():
         return ""
@@ -184,7 +183,7 @@ def _result_in_words(fitted: FittedResponse, loads: int) -> Iterator[str]:
         yield f"{blank} cells felt no load: they have the common curve and the spread"
 
 
-def _odd_loads(loaded: Loaded, fitted: FittedResponse) -> NDArray[np.bool_]:
+def _odd_loads(loaded: Loaded, fitted: FittedResponse) -> Mask:
     """Return whether each load's response deviates far more than usual, (loads,).
 
     The deviation is that from the fit to all others.
@@ -216,9 +215,7 @@ def _unlike_first_guess(fitted: FittedResponse, pressure: Array, base: Response)
     return f"at {middle[0]:.3g} kPa the film answers {times} than the first guess: {UNITS}"
 
 
-def _beside(
-    change: Array, felt: NDArray[np.bool_], pressure_sd: Array, simultaneous: NDArray[np.bool_]
-) -> Array:
+def _beside(change: Array, felt: Mask, pressure_sd: Array, simultaneous: Mask) -> Array:
     """Return the largest response beside each foot over the median under it, (loads,).
 
     The ratio is 0 without cells.
@@ -243,7 +240,7 @@ def _beside(
     return ratio
 
 
-def _places(names: Sequence[str], loads: Sequence[KnownLoad]) -> NDArray[np.intp]:
+def _places(names: Sequence[str], loads: Sequence[KnownLoad]) -> Numbers:
     """Return the index of each load's recording, (loads,).
 
     Raises InputError where it is ambiguous or unknown.

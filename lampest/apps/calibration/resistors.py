@@ -147,8 +147,19 @@ def noise_of(trials: Sequence[Trial]) -> float | tuple[float, ...] | None:
 def _check_fit(fit: CircuitFit) -> None:
     """Raise InputError where no such circuit explains the readings with the known resistors."""
     trials = fit.problem.trials
+    readout = fit.problem.scene.circuit
     for trial in trials:
-        _check_unused(fit, trial)
+        # Something else than known resistors may join lines.
+        unused = ~trial.used & np.isfinite(trial.volt)
+        missed = np.abs(trial.volt - fit.problem.volt(fit.unknowns, trial.cells))
+        missed = np.where(unused, missed, 0.0)
+        if missed.max() > MAX_UNUSED_SHARE * readout.full_scale_volt:
+            row, column = (int(part) for part in np.unravel_index(missed.argmax(), missed.shape))
+            raise InputError(
+                f"{trial.name}: no calibration: "
+                f"row {row}, column {column} reads {_recorded(readout, trial.volt[row, column])}, "
+                "but no known resistor leads there; was the panel unplugged?"
+            )
     if fit.freedom < 0 or not fit.readings:
         count = f"only {fit.readings} readings"
         if not fit.readings:
@@ -167,28 +178,11 @@ def _check_fit(fit: CircuitFit) -> None:
     places = [(trial.name, *place) for trial in trials for place in np.argwhere(trial.used)]
     name, row, column = places[index]
     measured = fit.problem.measured[index]
-    readout = fit.problem.scene.circuit
     raise InputError(
         f"{name}: no calibration: row {row}, column {column} reads {_recorded(readout, measured)}, "
         "but behind the circuit that fits best "
         f"the known resistors give {_recorded(readout, measured - fit.residual[index])}; noise "
         f"and tolerances explain {100 * np.mean(deviation < NOISE_REACH):.0f} % of the readings"
-    )
-
-
-def _check_unused(fit: CircuitFit, trial: Trial) -> None:
-    """Raise InputError where something else than known resistors joins lines of a trial."""
-    readout = fit.problem.scene.circuit
-    unused = ~trial.used & np.isfinite(trial.volt)
-    deviation = np.abs(trial.volt - fit.problem.volt(fit.unknowns, trial.cells))
-    missed = np.where(unused, deviation, 0.0)
-    if not missed.max() > MAX_UNUSED_SHARE * readout.full_scale_volt:
-        return
-    row, column = (int(part) for part in np.unravel_index(missed.argmax(), missed.shape))
-    raise InputError(
-        f"{trial.name}: no calibration: "
-        f"row {row}, column {column} reads {_recorded(readout, trial.volt[row, column])}, "
-        "but no known resistor leads there; was the panel unplugged?"
     )
 
 

@@ -15,10 +15,9 @@ from functools import cached_property
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.response import PUBLISHED, Response, TableResponse
 
 # Ends of the intervals, kPa: thirds of octaves. Within an interval the curve has the form of the
@@ -64,7 +63,7 @@ class Loaded:
     base: Response = PUBLISHED
 
     @cached_property
-    def felt(self) -> tuple[NDArray[np.intp], ...]:
+    def felt(self) -> tuple[Numbers, ...]:
         """Indices of the load and of the cell of each response, (n,) each.
 
         A response counts if a load may touch the cell, and its change is known.
@@ -154,7 +153,7 @@ class FittedResponse:
     covariance: Array
     spread: float
     scatter: float
-    touched: NDArray[np.bool_]
+    touched: Mask
 
     @property
     def gains(self) -> Array:

@@ -6,14 +6,13 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.apps.calibration.calibration import MIN_SAMPLE
 from lampest.files.errors import InputError
 from lampest.files.levels import MAD_TO_SIGMA
 from lampest.files.whole import note_read
 from lampest.panel.lines import Side
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Mask, Panel
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import (
     ENDLESS,
@@ -119,13 +118,13 @@ class Trial:
         return np.nan_to_num(np.maximum(self.known, SHORT_OHM), nan=OPEN_OHM)
 
     @cached_property
-    def used(self) -> NDArray[np.bool_]:
+    def used(self) -> Mask:
         """Whether a reading exists and both of its lines lead to a resistor, (rows, columns)."""
         rows = self.connected("rows")[:, None]
         columns = self.connected("columns")[None, :]
         return np.asarray((self.everywhere | (rows & columns)) & np.isfinite(self.volt))
 
-    def connected(self, side: Side) -> NDArray[np.bool_]:
+    def connected(self, side: Side) -> Mask:
         """Return whether each line of a side leads to a resistor, (lines,)."""
         return np.asarray(np.isfinite(self.known).any(axis=1 if side == "rows" else 0))
 
@@ -152,13 +151,13 @@ def usable_range(readout: Readout) -> tuple[float, float]:
     return margin, min(readout.full_scale_volt, readout.range_volt[1]) - margin
 
 
-def within_rails(readout: Readout, volt: Array) -> NDArray[np.bool_]:
+def within_rails(readout: Readout, volt: Array) -> Mask:
     """Return whether mean voltages, of any shape, are unbiased by the rails of the converter."""
     low, high = usable_range(readout)
     return np.asarray((volt > low) & (volt < high))
 
 
-def _valid(name: str, readout: Readout, volt: Array, across: int) -> NDArray[np.bool_]:
+def _valid(name: str, readout: Readout, volt: Array, across: int) -> Mask:
     """Return the readings that exist and are no spikes, (frames, rows, columns).
 
     Raises InputError where there are too many outliers to be spikes.

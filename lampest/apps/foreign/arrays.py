@@ -25,7 +25,7 @@ from lampest.apps.foreign.words import role_of
 from lampest.files import hdf5
 from lampest.files.errors import InputError, counted, first_and_more
 from lampest.files.typed import Validated, real_array
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 
 MAX_NOTES = 20  # of a folder (tests/contracts/test_import_files.py)
 MAX_BYTES = 500_000_000  # of a file, unpacked, and of its values in memory (tests/attack)
@@ -47,7 +47,6 @@ COUNTS = {"count", "counts", "frames", "nframes", "samples", "nsamples", "length
 
 Arrays = dict[str, NDArray[Any]]
 Shape = tuple[int, int]
-Index = NDArray[np.intp]
 Timing = Callable[[str | None], Clock] | None
 
 
@@ -60,7 +59,7 @@ class Frames:
     numbers : array
         All numbers of the file, in its unit and order; NaN if missing; infinite numbers are kept.
     number : array, shape (frames, rows, columns)
-        Index into `numbers`; -1 for a cell without a number.
+        Numbers into `numbers`; -1 for a cell without a number.
     named : callable
         Function index → place in the file; -1 → the file.
     timing : callable, or None
@@ -75,7 +74,7 @@ class Frames:
     """
 
     numbers: Array
-    number: Index
+    number: Numbers
     named: Callable[[int], str]
     timing: Timing
     notes: tuple[str, ...]
@@ -96,7 +95,7 @@ class Frames:
             else f"{self.named(-1)}: row {row}, column {column} of frame {frame}"
         )
 
-    def arranged(self, number: Index, note: str) -> "Frames":
+    def arranged(self, number: Numbers, note: str) -> "Frames":
         """Return the frames with another arrangement of the same numbers, and a note on it."""
         return replace(self, number=number, notes=(*self.notes, note))
 
@@ -425,7 +424,7 @@ def frames_of_arrays(path: Path, arrays: Arrays, shape: Shape, variable: str | N
         raise InputError(f"{where}: is {_by(array.shape)}, which {ways}")
     check_count(where, array.size)
     layout, *alternatives = fits[name]
-    indices: Index = np.arange(array.size).reshape(array.shape)
+    indices: Numbers = np.arange(array.size).reshape(array.shape)
     if layout == TIMED:
         number = indices[:, 1:].reshape(-1, *shape)
     else:

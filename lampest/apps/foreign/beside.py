@@ -14,7 +14,7 @@ from lampest.apps.foreign.clocks import EPOCH as LEAST_EPOCH
 from lampest.apps.foreign.clocks import grows, is_stamp, unwrapped
 from lampest.apps.foreign.table import ReadingsTable
 from lampest.apps.foreign.words import MAX_CUT, PART_OF_CLOCK, line_of, parted
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 
 MAX_BESIDE = 8  # fields beside the readings of a line that names none
 MIN_WRAP = 0.9  # of a counter's range that its number falls by where it wraps
@@ -63,8 +63,8 @@ def _clocked(table: ReadingsTable, fields: Mapping[str, int]) -> ReadingsTable:
     others = [at for at in range(table.width) if at not in fields.values()]
     parts = ", ".join(table.names[at] or f"field {at + 1}" for at in fields.values())
     whole = "date" if "year" in fields else "time"
-    notes = (*table.notes, f"{parts} are one {whole}")
-    return replace(table.only(columns=others), clock={**table.clock, **clock}, notes=notes)
+    clocked = replace(table.only(columns=others), clock={**table.clock, **clock})
+    return clocked.with_notes(f"{parts} are one {whole}")
 
 
 def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
@@ -121,18 +121,15 @@ def _named(table: ReadingsTable, names: Sequence[str], lead: int) -> ReadingsTab
     if marks:
         notes.append(f"{', '.join(marks)} left out: beside the readings, and no time")
     every = (*names, *[""] * (table.width - len(names)))
-    table = replace(table.only(columns=order), names=every, notes=(*table.notes, *notes))
+    table = replace(table.only(columns=order), names=every).with_notes(*notes)
     parts = {name: at for at, name in enumerate(names) if name in (*CLOCK, *EPOCH)}
     if parts:
-        kept = table.notes
-        table = replace(_clocked(table, parts), notes=kept)
-        note = f"{', '.join(parts)} are one time"
-        table = replace(table, notes=(*kept, note))
+        table = _clocked(table, parts)
     return table.only(columns=[at for at, name in enumerate(table.names) if name != SKIPPED])
 
 
 def _names_beside(
-    table: ReadingsTable, fields: Sequence[int], lead: int, rows: int, marks: NDArray[np.bool_]
+    table: ReadingsTable, fields: Sequence[int], lead: int, rows: int, marks: Mask
 ) -> list[str] | None:
     """Return names of the additional fields; None if one is unclear.
 

@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.apps.foreign.words import (
     MAX_CUT,
@@ -19,12 +18,11 @@ from lampest.apps.foreign.words import (
     parted,
 )
 from lampest.files.errors import InputError, first_and_more
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.recording.acquisition import COUNTER
 
 # Least time in s since 1970, in 2001; a board's own clock would have run for thirty years.
 EPOCH = 1e9
-DAY = 24 * 3600.0
 DAYS_UNTIL_1970 = 25_569  # of Excel's, which begin at 1899-12-30
 EXCEL_DAYS = (36_526, 73_050)  # of the years 2000 to 2099
 MIN_STRETCH = 8  # times that grow, of a clock that begins again
@@ -150,7 +148,7 @@ def _clock_of_stamps(stamps: Sequence[str], way: str, first: str, where: Where) 
             zone += changed
         sentence = f"{way}, s from the first, which is {stamps[0]}{zone}"
     else:  # across midnight
-        day = 24 * SECONDS["h"]
+        day = SECONDS["d"]
         seconds[1:] += day * np.cumsum(np.diff(seconds) < -day / 2)
         sentence = (
             f"time of day, s from the first; it began at {first}, the date is not in the file"
@@ -234,21 +232,17 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
     if unit is None:
         unit, how = _counted_unit(values, largest, restarted=bool(restarts[-1]))
     if unit is None and _are_days(values):
-        first = _date_of((float(values[0]) - DAYS_UNTIL_1970) * DAY, where(0))
-        seconds, cut = _growing((values - values[0]) * DAY, where)
-        return Clock(seconds, first, f"Excel's days, s from the first, which is {first}{cut}", "d")
-    if unit is None and largest >= EPOCH:  # 1.7e9 s, 1.7e12 ms, 1.7e15 us since 1970
+        unit = "d"
+    elif unit is None and largest >= EPOCH:  # 1.7e9 s, 1.7e12 ms, 1.7e15 us since 1970
         unit = ("s", "ms", "us", "ns")[min(int(np.log10(largest / EPOCH) // 3), 3)]
     scale = SECONDS[unit or "s"]
     if largest * scale >= EPOCH:
-        first = _date_of(float(values[0]) * scale, where(0))
+        days = DAYS_UNTIL_1970 if unit == "d" else 0.0
+        first = _date_of((float(values[0]) - days) * scale, where(0))
         seconds, cut = _growing((values - values[0]) * scale, where)
-        return Clock(
-            seconds,
-            first,
-            f"{unit or 's'} since 1970, s from the first, which is {first}{cut}",
-            unit or "s",
-        )
+        kind = "Excel's days" if days else f"{unit or 's'} since 1970"
+        sentence = f"{kind}, s from the first, which is {first}{cut}"
+        return Clock(seconds, first, sentence, unit or "s")
     wraps = restarts if unit in ("ms", "us") else 0 * restarts
     seconds, cut = _growing((values + COUNTER * wraps) * scale, where)
     times = "once" if wraps[-1] == 1 else f"{wraps[-1]} times"
@@ -375,7 +369,7 @@ def unwrapped(values: Array) -> Array:
     return np.asarray(values + COUNTER * _restarts(values))
 
 
-def _restarts(values: Array) -> NDArray[np.intp]:
+def _restarts(values: Array) -> Numbers:
     """Return how often a counter of 32 bits began again until each of its values."""
     with np.errstate(invalid="ignore"):  # of two infinite numbers
         return np.cumsum(np.diff(values, prepend=values[:1]) < -COUNTER / 2)
@@ -386,7 +380,7 @@ def grows(values: Array) -> bool:
     return bool(np.mean(_longest_growing(values)) >= 1 - MAX_CUT)
 
 
-def _longest_growing(values: Array) -> NDArray[np.bool_]:
+def _longest_growing(values: Array) -> Mask:
     """Return the longest increasing subsequence of values, boolean (n,).
 
     If several are equally long, the last one is returned.

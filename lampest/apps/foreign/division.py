@@ -2,19 +2,19 @@
 
 from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
+from math import inf, nan
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lampest.apps.foreign.arrays import Frames, Index, Shape, check_count
+from lampest.apps.foreign.arrays import Frames, Shape, check_count
 from lampest.apps.foreign.breaks import whole_parts
 from lampest.apps.foreign.clocks import seconds_of
 from lampest.apps.foreign.layouts import TableLayout, arranged
 from lampest.apps.foreign.segments import (
+    ANY,
     MIN_SHARE,
-    Changes,
     FrameEnds,
     LineKeys,
     Placed,
@@ -29,52 +29,27 @@ from lampest.apps.foreign.segments import (
     unused_note,
 )
 from lampest.apps.foreign.table import ReadingsTable, kind_of
-from lampest.apps.foreign.words import MAX_CUT
 from lampest.files.errors import InputError, counted, first_and_more
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 
 MIN_PAUSE = 1.5  # times the steps of the time within a frame that the step between frames is
 MAX_REMARKS = 5  # on single frames
-ANY = "any"  # title, in place of titles of one kind
 
 
-@dataclass(frozen=True, eq=False)
-class Marks:
-    """Marks by which the frames of a table end.
-
-    Attributes
-    ----------
-    ends : FrameEnds
-    keys : tuple of str
-        Those of 'frame' and 'time' that all lines of a frame share.
-    titles : frozenset of str
-        Kinds of the titles between frames; 'any' for titles of any kind.
-    timed : bool
-        Whether steps of the time between single lines count.
-    """
-
-    ends: FrameEnds
-    keys: tuple[str, ...] = ()
-    titles: frozenset[str] = frozenset()
-    timed: bool = False
-
-    def line_keys(self, table: ReadingsTable, arrangement: TableLayout) -> list[LineKeys]:
-        """Return the keys of each line of a table."""
-        count = len(table.lines)
-        positions = arrangement.positions(table)
-        texts = {"time": [""] * count, **_key_texts(table, arrangement)}
-        shared: list[Hashable] = [None] * count
-        if self.keys:
-            of_lines = zip(*(texts[key] for key in self.keys), strict=True)
-            shared = [line if all(line) else None for line in of_lines]
-        seconds = (
-            [seconds_of(text, comma=table.comma) for text in texts["time"]]
-            if self.timed
-            else [float("nan")] * count
-        )
-        places = [-1] * count if positions is None else positions.tolist()
-        marked = _marked(table, self.titles) if self.titles else [False] * count
-        return list(map(LineKeys, shared, places, marked, seconds))
+def line_keys(table: ReadingsTable, arrangement: TableLayout, ends: FrameEnds) -> list[LineKeys]:
+    """Return the keys by which the lines of a table end frames."""
+    count = len(table.lines)
+    positions = arrangement.positions(table)
+    texts = {"time": [""] * count, **_key_texts(table, arrangement)}
+    shared: list[Hashable] = [None] * count
+    if ends.shared:
+        of_lines = zip(*(texts[key] for key in ends.shared), strict=True)
+        shared = [line if all(line) else None for line in of_lines]
+    seconds = [nan] * count
+    if ends.max_step < inf:
+        seconds = [seconds_of(text, comma=table.comma) for text in texts["time"]]
+    places = [-1] * count if positions is None else positions.tolist()
+    return list(map(LineKeys, shared, places, _marked(table, ends.titles), seconds))
 
 
 def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
@@ -88,39 +63,33 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
     table = _without_doubled(_with_merged_keys(table, arrangement), arrangement)
     table = _without_swapped(table, arrangement)
     grouped = _grouped_by_name(table, arrangement)
-    marks = learned_marks(table, arrangement) if grouped is None else Marks(FrameEnds(1))
-    groups, notes = grouped or _divided(table, arrangement, marks)
+    ends = learned_ends(table, arrangement) if grouped is None else FrameEnds(1)
+    groups, notes = grouped or _divided(table, arrangement, ends)
     _refuse_two_sources(table, arrangement, groups)
     begins = [group.begin for group in groups]
-    title = next(iter(marks.titles), None)
-    timing = table.timing(arrangement.times, begins)
-    timing = timing or table.title_timing(begins, None if title == ANY else title)
+    timing = table.timing(table.times(arrangement.times, begins, ends.title), begins)
     unused = [
         unused_note(table.names[at], values) for at, values in _categories(table, arrangement)
     ]
-    check_count(table.source.source, len(groups) * shape[0] * shape[1])
+    rows, columns = shape
+    check_count(table.source.source, len(groups) * rows * columns)
+    # line · width + field of each reading; -1 where it is missing
+    number = np.full((len(groups), rows * columns), -1)
+    frame = np.repeat(np.arange(len(groups)), [len(group.lines) for group in groups])
+    lines = np.array([line for group in groups for line in group.lines], dtype=np.intp)
+    positions = np.array([at for group in groups for at in group.positions], dtype=np.intp)
+    begin = positions * (rows * columns // arrangement.lines)
+    fields, places = arrangement.places
+    number[frame[:, None], begin[:, None] + places] = lines[:, None] * table.width + fields
     return table.frames(
-        cells_of(groups, arrangement, table.width),
+        number.reshape(-1, rows, columns),
         sorted(arrangement.cells),
         timing,
         [f"{arrangement.note}{''.join(f'; {note}' for note in notes)}", *unused],
     )
 
 
-def cells_of(groups: Sequence[Placed], arrangement: TableLayout, width: int) -> Index:
-    """Return line · width + field of each reading, (frames, rows, columns); -1 where missing."""
-    rows, columns = arrangement.shape
-    number = np.full((len(groups), rows * columns), -1)
-    frame = np.repeat(np.arange(len(groups)), [len(group.lines) for group in groups])
-    lines = np.array([line for group in groups for line in group.lines], dtype=np.intp)
-    positions = np.array([at for group in groups for at in group.positions], dtype=np.intp)
-    begin = positions * (rows * columns // arrangement.lines)
-    for at, (row, column) in arrangement.cells.items():
-        number[frame, begin + row * columns + column] = lines * width + at
-    return number.reshape(-1, rows, columns)
-
-
-def learned_marks(table: ReadingsTable, arrangement: TableLayout) -> Marks:
+def learned_ends(table: ReadingsTable, arrangement: TableLayout) -> FrameEnds:
     """Return what says in a table where frames end.
 
     A number, a time or a title counts if most of its runs are whole frames, or if it changes where
@@ -130,18 +99,15 @@ def learned_marks(table: ReadingsTable, arrangement: TableLayout) -> Marks:
     """
     lines = arrangement.lines
     if lines == 1:
-        return Marks(FrameEnds(1))
+        return FrameEnds(1)
     positions = arrangement.positions(table)
     texts = _key_texts(table, arrangement)
     changes = {key: changes_of(values) for key, values in texts.items()}
     if positions is None:
-        titles, marked = _titles_of_blocks(table, lines, changes)
+        titles = _titles_of_blocks(table, lines, changes)
         keys = tuple(key for key in changes if are_whole(changes[key], lines))
-        step = _pause(texts, lines, table) if not keys else np.inf
-        ends = FrameEnds(
-            lines, shared=bool(keys), marked=marked, paused=bool(step < np.inf), max_step=step
-        )
-        return Marks(ends, keys, titles, timed=bool(step < np.inf))
+        step = inf if keys else _pause(texts, lines, table)
+        return FrameEnds(lines, {}, keys, titles, step)
     often = np.bincount(positions[positions >= 0], minlength=1)
     usual = int(np.sum(2 * often >= often.max()))
     kinds = {
@@ -155,7 +121,7 @@ def learned_marks(table: ReadingsTable, arrangement: TableLayout) -> Marks:
     ranks = scan_order(positions.tolist(), parts)
     falls = _falls(positions, ranks)
 
-    def ends_frames(changed: Changes) -> bool:
+    def ends_frames(changed: Mask) -> bool:
         return are_whole(changed, usual) or bool(
             np.any(changed[1:]) and np.mean(falls[1:][changed[1:]]) >= MIN_SHARE
         )
@@ -166,16 +132,8 @@ def learned_marks(table: ReadingsTable, arrangement: TableLayout) -> Marks:
         if ends_frames(changed) or (key == "frame" and not np.all(changed[1:]))
     )
     titles = frozenset(kind for kind, marked in kinds.items() if ends_frames(marked))
-    step = _max_step(texts, falls, table) if not keys else np.inf
-    ends = FrameEnds(
-        usual,
-        ranks,
-        shared=bool(keys),
-        marked=bool(titles),
-        gapless=usual == len(ranks),
-        max_step=step,
-    )
-    return Marks(ends, keys, titles, timed=bool(step < np.inf))
+    step = inf if keys else _max_step(texts, falls, table)
+    return FrameEnds(usual, ranks, keys, titles, step, gapless=usual == len(ranks))
 
 
 def _key_texts(table: ReadingsTable, arrangement: TableLayout) -> dict[str, Sequence[str]]:
@@ -183,7 +141,7 @@ def _key_texts(table: ReadingsTable, arrangement: TableLayout) -> dict[str, Sequ
     texts: dict[str, Sequence[str]] = {}
     if "frame" in arrangement.roles:
         texts["frame"] = table.fields[:, arrangement.roles["frame"]].tolist()
-    stamps = table.stamps(arrangement.times)[0]
+    stamps = table.stamps(arrangement.times).texts
     if any(stamps):
         texts["time"] = stamps
     return texts
@@ -194,13 +152,13 @@ def _marked(table: ReadingsTable, titles: frozenset[str]) -> list[bool]:
     return [bool(kinds) if ANY in titles else bool(kinds & titles) for kinds in table.kinds]
 
 
-def _falls(positions: Index, ranks: Mapping[int, int]) -> Changes:
+def _falls(positions: Numbers, ranks: Mapping[int, int]) -> Mask:
     """Return whether the position of a line does not rise, boolean (lines,)."""
     rank = np.array([ranks.get(position, -1) for position in positions.tolist()])
     return np.append(False, rank[1:] <= rank[:-1])
 
 
-def _max_step(texts: dict[str, Sequence[str]], falls: Changes, table: ReadingsTable) -> float:
+def _max_step(texts: dict[str, Sequence[str]], falls: Mask, table: ReadingsTable) -> float:
     """Return the largest step of the time within a frame; ∞ where times do not resolve it.
 
     A longer step is that of lines that were lost: half a frame's duration.
@@ -208,10 +166,10 @@ def _max_step(texts: dict[str, Sequence[str]], falls: Changes, table: ReadingsTa
     steps = _steps(texts, table)
     inner = steps[~falls[1:]] if len(steps) else steps
     if not np.any(steps > 0) or not np.any(falls) or not len(inner):
-        return np.inf
+        return inf
     period = float(np.nansum(np.maximum(steps, 0))) / float(np.sum(falls))
     limit = float(np.nanmedian(inner)) + period / 2
-    return limit if period / 2 > float(np.min(steps[steps > 0])) else np.inf
+    return limit if period / 2 > float(np.min(steps[steps > 0])) else inf
 
 
 def _pause(texts: dict[str, Sequence[str]], lines: int, table: ReadingsTable) -> float:
@@ -219,12 +177,12 @@ def _pause(texts: dict[str, Sequence[str]], lines: int, table: ReadingsTable) ->
     steps = _steps(texts, table)
     frames = len(steps) // lines
     if frames < 2 or not np.all(np.isfinite(steps)):
-        return np.inf
+        return inf
     largest = np.sort(steps)[::-1]
     pause, inner = (float(np.median(part)) for part in (largest[:frames], largest[frames:]))
     limit = (pause + inner) / 2
     apart = pause > MIN_PAUSE * inner and are_whole(np.append(False, steps > limit), lines)
-    return limit if apart else np.inf
+    return limit if apart else inf
 
 
 def _steps(texts: dict[str, Sequence[str]], table: ReadingsTable) -> Array:
@@ -234,10 +192,8 @@ def _steps(texts: dict[str, Sequence[str]], table: ReadingsTable) -> Array:
     return np.diff([seconds_of(text, comma=table.comma) for text in texts["time"]])
 
 
-def _titles_of_blocks(
-    table: ReadingsTable, lines: int, changes: dict[str, Changes]
-) -> tuple[frozenset[str], bool]:
-    """Return the kinds of the titles between blocks of lines without names, and whether some are.
+def _titles_of_blocks(table: ReadingsTable, lines: int, changes: dict[str, Mask]) -> frozenset[str]:
+    """Return the kinds of the titles between blocks of lines without names.
 
     Titles are those that give most whole frames, if these are not fewer than without any.
     """
@@ -245,11 +201,11 @@ def _titles_of_blocks(
     often = Counter(kind for of_line in kinds[1:] for kind in of_line)
     options = [frozenset([ANY]), *(frozenset([kind]) for kind, _ in often.most_common(8))]
 
-    def runs(titles: frozenset[str]) -> NDArray[np.intp]:
+    def runs(titles: frozenset[str]) -> Numbers:
         marked = np.flatnonzero(_marked(table, titles)[1:]) + 1
         return np.diff([0, *marked, len(kinds)])
 
-    def whole(run: NDArray[np.intp]) -> int:
+    def whole(run: Numbers) -> int:
         """Return the number of complete frames; lines of a single group may be cut at the end."""
         return int(np.sum(run[run % lines == 0] // lines)) if len(run) > 1 else int(run[0] // lines)
 
@@ -257,14 +213,14 @@ def _titles_of_blocks(
     run = runs(best)
     single = np.array([len(kinds)])
     if len(run) == 1 or len(run) == len(kinds) or 2 * len(run) < whole(single):
-        return frozenset(), False
+        return frozenset()
     if np.any(run > lines) and not whole(run):
         number = int(np.argmax(run > lines))
         raise InputError(
             f"{table.place(int(np.sum(run[:number])), None)}: "
             f"a block of {run[number]} lines, where the panel has {lines} rows"
         )
-    return best, True
+    return best
 
 
 def _segmented(lines: Iterable[int], keys: Sequence[LineKeys], ends: FrameEnds) -> Iterator[Placed]:
@@ -276,34 +232,34 @@ def _segmented(lines: Iterable[int], keys: Sequence[LineKeys], ends: FrameEnds) 
 
 
 def _divided(
-    table: ReadingsTable, arrangement: TableLayout, marks: Marks
+    table: ReadingsTable, arrangement: TableLayout, ends: FrameEnds
 ) -> tuple[list[Placed], list[str]]:
     """Return the frames of a table and notes on those that are missing or left out.
 
     Raises InputError if nothing says where frames begin, and lines are lost.
     """
-    keys = marks.line_keys(table, arrangement)
+    keys = line_keys(table, arrangement, ends)
     notes: list[str] = []
     groups: list[Placed] = []
     parts = [range(len(keys))]
-    if marks.ends.counted and marks.ends.lines > 1:
+    if ends.counted and ends.lines > 1:
         parts, notes = _parts_by_readings(table, arrangement)
     for number, part in enumerate(parts):
         if number:
             groups.append(Placed(parts[number - 1].stop, (), (), ""))
-        groups.extend(_segmented(part, keys, marks.ends))
-    if marks.ends.lines > 1:
-        groups, remarks = _trimmed(table, groups, marks.ends)
+        groups.extend(_segmented(part, keys, ends))
+    if ends.lines > 1:
+        groups, remarks = _trimmed(table, groups, ends)
         notes = [*remarks, *notes]
-    if marks.titles and ANY not in marks.titles:
+    if ends.title is not None:
         skipped = [
             place
             for before in table.before[1:]
             for text, place in before.items()
-            if text and kind_of(text) not in marks.titles
+            if text and kind_of(text) not in ends.titles
         ]
         notes += [f"skipped between rows: {first_and_more(skipped)}"] if skipped else []
-    if marks.ends.ranks and not marks.ends.shared and not marks.ends.marked:
+    if ends.ranks and not ends.shared and not ends.titles:
         position = "cell" if len(arrangement.cells) == 1 else "row"
         notes.append(f"a new frame begins where a {position} comes again")
     return groups, notes
@@ -323,10 +279,7 @@ def _parts_by_readings(
             "leave the lines before the first whole frame and behind the last one out "
             "(`skip_lines` leaves out those at the beginning)"
         )
-
-    def called(line: int) -> str:
-        return table.source.called(int(table.lines[line]))
-
+    called = table.called
     notes = [
         f"nothing says where a frame begins: every {lines} lines from {called(parts[0].begin)} on "
         "are taken as one; `skip_lines` leaves out lines before the first frame"
@@ -349,22 +302,20 @@ def _trimmed(
     whole = [not group.remark for group in groups]
     if ends.gapless or not ends.ranks:
         if len(groups) > 1 and not whole[0]:
-            notes.append(f"the first frame ({_called(table, groups[0])}) is cut and left out")
+            notes.append(f"the first frame ({table.called(groups[0].begin)}) is cut and left out")
             groups = groups[1:]
         if len(groups) > 1 and groups[-1].remark:
-            notes.append(f"the last frame ({_called(table, groups[-1])}) is cut and left out")
+            notes.append(f"the last frame ({table.called(groups[-1].begin)}) is cut and left out")
             groups = groups[:-1]
     else:
         return groups, notes
     odd = [group for group in groups if group.remark]
-    notes += [f"the frame at {_called(table, group)} {group.remark}" for group in odd[:MAX_REMARKS]]
+    notes += [
+        f"the frame at {table.called(group.begin)} {group.remark}" for group in odd[:MAX_REMARKS]
+    ]
     if len(odd) > MAX_REMARKS:
         notes.append(f"so have {counted(len(odd) - MAX_REMARKS, 'more frame')}")
     return groups, notes
-
-
-def _called(table: ReadingsTable, group: Placed) -> str:
-    return table.source.called(int(table.lines[group.begin]))
 
 
 def _with_merged_keys(table: ReadingsTable, arrangement: TableLayout) -> ReadingsTable:
@@ -388,11 +339,7 @@ def _without_doubled(table: ReadingsTable, arrangement: TableLayout) -> Readings
         return table
     same = np.append(False, np.all(table.fields[1:] == table.fields[:-1], axis=1))
     same &= np.any(table.fields != "", axis=1)
-    if not 0 < same.sum() <= MAX_CUT * len(same):
-        return table
-    places = [table.source.called(int(line)) for line in table.lines[same]]
-    note = f"left out: {first_and_more(places)}, which repeat the line before"
-    return replace(table.only(~same), notes=(*table.notes, note))
+    return table.without(same, "repeat the line before")
 
 
 def _without_swapped(table: ReadingsTable, arrangement: TableLayout) -> ReadingsTable:
@@ -405,11 +352,7 @@ def _without_swapped(table: ReadingsTable, arrangement: TableLayout) -> Readings
         values = np.array([seconds_of(text, comma=table.comma) for text in texts])
         before, last, this, after = values[:-3], values[1:-2], values[2:-1], values[3:]
         swapped[2:-1] |= (before < this) & (this < last) & (last < after)
-    if not 0 < swapped.sum() <= MAX_CUT * len(swapped):
-        return table
-    places = [table.source.called(int(line)) for line in table.lines[swapped]]
-    note = f"left out: {first_and_more(places)}, which belong before the previous line"
-    return replace(table.only(~swapped), notes=(*table.notes, note))
+    return table.without(swapped, "belong before the previous line")
 
 
 def _grouped_by_name(
@@ -452,10 +395,10 @@ def _categories(table: ReadingsTable, arrangement: TableLayout) -> Iterator[tupl
             yield at, values
 
 
-def refuse_several_boards(table: ReadingsTable, arrangement: TableLayout, marks: Marks) -> None:
+def refuse_several_boards(table: ReadingsTable, arrangement: TableLayout, ends: FrameEnds) -> None:
     """Raise InputError if the first lines of a port are those of several boards."""
-    keys = marks.line_keys(table, arrangement)
-    groups = [*_segmented(range(len(keys)), keys, marks.ends)]
+    keys = line_keys(table, arrangement, ends)
+    groups = [*_segmented(range(len(keys)), keys, ends)]
     _refuse_two_sources(table, arrangement, groups)
 
 

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.apps.foreign.arrays import Index
 from lampest.apps.foreign.clocks import is_stamp
 from lampest.apps.foreign.lines import DAMAGED, WRITTEN, FieldLines
 from lampest.apps.foreign.notation import SAMPLED
@@ -23,7 +22,7 @@ from lampest.apps.foreign.words import (
     parted,
 )
 from lampest.files.errors import InputError, counted, first_and_more
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 
 MAX_BROKEN = 0.01  # of the lines may be parts of others; more are titles
 # Words before rows of a sheet that are computed from others.
@@ -49,8 +48,8 @@ class Parsed(NamedTuple):
 
     texts: NDArray[Any]
     values: Array
-    words: NDArray[np.bool_]
-    damaged: NDArray[np.bool_]
+    words: Mask
+    damaged: Mask
 
     @classmethod
     def of(cls, fields: NDArray[Any], *, comma: bool) -> "Parsed":
@@ -65,20 +64,16 @@ class Parsed(NamedTuple):
         words = np.array([number is None for number in numbers], dtype=bool).reshape(fields.shape)
         return cls(fields, values, words, damaged)
 
-    def with_separator(self, lines: NDArray[np.bool_]) -> "Parsed":
+    def with_separator(self, lines: Mask) -> "Parsed":
         """Return the fields with the damaged one of some lines parted at its damaged byte."""
-        if not np.any(lines):
-            return self
-        changed = Parsed(
-            self.texts.copy(), self.values.copy(), self.words.copy(), self.damaged.copy()
-        )
+        changed = Parsed._make(part.copy() for part in self)
         for line in np.flatnonzero(lines).tolist():
             field = int(np.argmax(self.damaged[line]))
             for part in changed:
                 part[line, field + 1 :] = part[line, field:-1].copy()
         return changed
 
-    def without(self, missing: NDArray[np.bool_]) -> "Parsed":
+    def without(self, missing: Mask) -> "Parsed":
         """Return the fields without those of some lines, (lines, 1), or some of them."""
         if not np.any(missing):
             return self
@@ -114,7 +109,10 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     data = _data_lines(source, parsed, usual, alone=alone)
     fields = parsed.texts
     complete = source.counts == usual
-    width = _width(fields[data & complete], usual)
+    # Fields that are empty at the end of all complete lines are none.
+    width = usual
+    while width > 1 and np.all(fields[data & complete, width - 1] == ""):
+        width -= 1
     header = _header_line(fields, data, width, source.lines[0].number)
     form = Form(comma, usual, width, alone, names=("",) * width)
     first = 0
@@ -127,7 +125,11 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
         width = max(width, min(usual, 1 + int(named.max(initial=-1))))
         names, has_units_line = _names(fields[:, :width], header)
         form = replace(form, width=width, header=tuple(fields[header]), names=tuple(names))
-        note = _header_note(source, header, units=has_units_line)
+        if source.lines[header].number == 0:  # of records, whose names are no line
+            note = f"{source.word}s name their fields"
+        else:
+            above = ", with the names of the line above" if has_units_line else ""
+            note = f"{source.called(header)} taken as header{above}"
     if not np.any(data & ~np.all(fields == fields[header], axis=1) if header is not None else data):
         raise InputError(f"{source.source}: holds a header but no values")
     table = lines_of_form(form, source, parsed, first)
@@ -177,8 +179,8 @@ def lines_of_form(
     # Only the empty fields at the end may be left out.
     ended = (source.counts >= form.width) & (fields[:, form.width - 1] != "")
     short = data & (source.counts < form.usual) & ~ended & ~separated & (not source.padded)
-    if since is not None:
-        _refuse_long(source, long, data, form.width)
+    if since is not None and long.sum() > MAX_CUT * data.sum():
+        raise _mismatch(source, int(np.argmax(long)), int(np.argmax(data & ~long)), form.width)
     doubtful = short | long
     parsed = parsed.without(doubtful[:, None])
     excluded = ~data & ~titles & ~source.comment & np.any(fields != "", axis=1)
@@ -209,16 +211,10 @@ def lines_of_form(
     return replace(table.only(data, slice(form.width)), names=form.names)
 
 
-def _refuse_long(
-    source: FieldLines, long: NDArray[np.bool_], data: NDArray[np.bool_], width: int
-) -> None:
-    """Raise InputError if more than a few lines of data are longer than the others."""
-    if long.sum() <= MAX_CUT * data.sum():
-        return
-    line = int(np.argmax(long))
-    usual_line = int(np.argmax(data & ~long))
-    mismatch = f"{source.counts[line]} fields, where {source.called(usual_line)} has {width}"
-    raise InputError(f"{source.at(source.lines[line].number, None)}: {mismatch}")
+def _mismatch(source: FieldLines, long: int, usual: int, width: int) -> InputError:
+    """Return the error of a line that is longer than the usual ones, of which one is named."""
+    mismatch = f"{source.counts[long]} fields, where {source.called(usual)} has {width}"
+    return InputError(f"{source.at(source.lines[long].number, None)}: {mismatch}")
 
 
 def _laid_out(table: ReadingsTable, layout: str) -> ReadingsTable:
@@ -235,20 +231,10 @@ def _laid_out(table: ReadingsTable, layout: str) -> ReadingsTable:
         return table
     note = f"fields {first_and_more([field + 1 for field in skipped])} left out, as `layout` says"
     named = [field for field in range(table.width) if field not in skipped]
-    return replace(table.only(columns=named), notes=(*table.notes, note))
+    return table.only(columns=named).with_notes(note)
 
 
-def _width(fields: NDArray[Any], usual: int) -> int:
-    """Return the number of fields without the last ones that are empty in all complete lines."""
-    width = usual
-    while width > 1 and np.all(fields[:, width - 1] == ""):
-        width -= 1
-    return width
-
-
-def _broken_fields(
-    fields: NDArray[Any], counts: Index, whole: NDArray[np.bool_], others: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def _broken_fields(fields: NDArray[Any], counts: Numbers, whole: Mask, others: Mask) -> Mask:
     """Return the fields of whole lines that a break within a number cut, (lines, fields).
 
     A few lines of numbers alone stand before or behind such lines, and their number and that of
@@ -273,17 +259,7 @@ def _broken_fields(
     return broken
 
 
-def _header_note(source: FieldLines, header: int | None, *, units: bool) -> str:
-    """Return the sentence on the line that is the header; '' without one."""
-    if header is None:
-        return ""
-    if source.lines[header].number == 0:  # of records, whose names are no line
-        return f"{source.word}s name their fields"
-    above = ", with the names of the line above" if units else ""
-    return f"{source.called(header)} taken as header{above}"
-
-
-def _line_note(source: FieldLines, lines: NDArray[np.bool_], sentence: str) -> str:
+def _line_note(source: FieldLines, lines: Mask, sentence: str) -> str:
     """Return a sentence on lines, (lines,), with their numbers; '' without any."""
     if not np.any(lines):
         return ""
@@ -291,7 +267,7 @@ def _line_note(source: FieldLines, lines: NDArray[np.bool_], sentence: str) -> s
     return sentence.format(f"in {source.word} {first_and_more(numbers)} are")
 
 
-def _excluded_note(source: FieldLines, fields: NDArray[Any], excluded: NDArray[np.bool_]) -> str:
+def _excluded_note(source: FieldLines, fields: NDArray[Any], excluded: Mask) -> str:
     """Return the sentence on lines that are left out, (lines,); '' without any."""
     lines = np.flatnonzero(excluded)
     if not len(lines):
@@ -317,9 +293,7 @@ def _names(fields: NDArray[Any], header: int) -> tuple[list[str], bool]:
     return [f"{name} {unit}".strip() for name, unit in zip(above, names, strict=True)], True
 
 
-def _data_lines(
-    source: FieldLines, parsed: Parsed, usual: int, *, alone: bool
-) -> NDArray[np.bool_]:
+def _data_lines(source: FieldLines, parsed: Parsed, usual: int, *, alone: bool) -> Mask:
     """Return whether a line has data, boolean (lines,).
 
     A line of data has a number or, in place of all `usual` ones, words for missing ones, and few
@@ -345,9 +319,7 @@ def _data_lines(
     return np.asarray(few & ~source.comment & (filled & ~words).any(axis=1))
 
 
-def _header_line(
-    fields: NDArray[Any], data: NDArray[np.bool_], width: int, first_number: int
-) -> int | None:
+def _header_line(fields: NDArray[Any], data: Mask, width: int, first_number: int) -> int | None:
     """Return the number of the header's line; None without a header.
 
     The header is the first data line or the line before, and names or counts the fields. Names of

@@ -33,7 +33,7 @@ from lampest.files.errors import InputError, counted, first_and_more, meant, pri
 from lampest.files.typed import installed, typed
 from lampest.files.whole import note_read
 from lampest.inference.readings.garbled import garbled_lines
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Mask, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.processed import AS_CONVERTED, normalised, processing_of, restored
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -437,9 +437,7 @@ def _clock(frames: Frames, period: float | None, unit: str | None, path: Path) -
     return frames.timing(unit)
 
 
-def _without_missing(
-    blank: NDArray[np.bool_], missing: str, path: Path
-) -> tuple[NDArray[np.bool_], str]:
+def _without_missing(blank: Mask, missing: str, path: Path) -> tuple[Mask, str]:
     """Return the frames that are kept, boolean (frames,), and a note.
 
     Raises InputError if none would be kept.

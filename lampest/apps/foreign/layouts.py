@@ -6,18 +6,18 @@ A layout is data, an `TableLayout`; `lampest.apps.foreign.division` divides the 
 import dataclasses
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from lampest.apps.foreign.arrays import Index, Shape
+from lampest.apps.foreign.arrays import Shape
 from lampest.apps.foreign.beside import described, with_one_clock
 from lampest.apps.foreign.clocks import is_stamp
 from lampest.apps.foreign.table import ReadingsTable
 from lampest.apps.foreign.words import COLUMN, MAX_CUT, ROW, cell_of, line_of, role_of
 from lampest.files.errors import InputError, counted
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 
 Cells = dict[int, tuple[int, int]]
 
@@ -57,12 +57,12 @@ class TableLayout:
     first: int = 0
 
     @cached_property
-    def places(self) -> tuple[Index, Index]:
+    def places(self) -> tuple[Numbers, Numbers]:
         """Fields with readings, and the place of each behind the cell at which its line begins."""
         places = [row * self.shape[1] + column for row, column in self.cells.values()]
         return np.array([*self.cells], dtype=np.intp), np.array(places, dtype=np.intp)
 
-    def positions(self, table: ReadingsTable) -> Index | None:
+    def positions(self, table: ReadingsTable) -> Numbers | None:
         """Return the position of each line, -1 where it is missing; None if lines name none."""
         if "row" in self.roles and "column" not in self.roles:
             rows = table.line_numbers(self.roles["row"]) - self.first
@@ -90,7 +90,7 @@ def arranged(table: ReadingsTable, shape: Shape) -> tuple[ReadingsTable, TableLa
     if _begins_with_a_separator(table, shape):
         note = "a separator before the first value of every line"
         shorter = table.only(columns=list(range(1, table.width)))
-        return arranged(replace(shorter, notes=(*table.notes, note)), shape)
+        return arranged(shorter.with_notes(note), shape)
     # One value a line; else one frame a line; else one row a line; else again without empty
     # columns.
     order = _single_values(table, shape)
@@ -115,7 +115,7 @@ def arranged(table: ReadingsTable, shape: Shape) -> tuple[ReadingsTable, TableLa
         empty = ", ".join(names[at] or f"field {at + 1}" for at in np.flatnonzero(~filled))
         shorter = table.only(columns=np.flatnonzero(filled))
         note = f"empty columns left out: {empty}"
-        return arranged(replace(shorter, notes=(*table.notes, note)), shape)
+        return arranged(shorter.with_notes(note), shape)
     panels = table.width // cells
     several = f"they may be {panels} panels, which a scene with `modules` reads as one image; "
     raise InputError(
@@ -208,8 +208,11 @@ def _frames_in_lines(
         values = [at for at, role in enumerate(roles) if role not in ("date", "time", "frame")]
         values = (values if len(values) >= cells else list(range(table.width)))[-cells:]
         unnamed = not times and values[0] == 1 and roles[0] != "frame"
-        if unnamed and (names[0] or not any(names)) and _begins_with_times(table):
-            # One field more than cells; where a header leaves it without a name it is a counter.
+        # One field more than cells, of numbers or stamps and not of names of boards alone; where a
+        # header leaves it without a name it is a counter.
+        texts = table.fields[table.words[:, 0], 0]
+        timed = len(texts) < len(table.lines) or any(map(is_stamp, texts))
+        if unnamed and (names[0] or not any(names)) and timed:
             times = [0]
         unknown = (
             f"; {names[values[0]]!r} and the other names tell no cells"
@@ -228,12 +231,6 @@ def _frames_in_lines(
     return TableLayout(shape, 1, named[0], note, frame, tuple(times))
 
 
-def _begins_with_times(table: ReadingsTable) -> bool:
-    """Return whether the first field has numbers or stamps, and not names of boards alone."""
-    texts = table.fields[table.words[:, 0], 0]
-    return len(texts) < len(table.lines) or any(map(is_stamp, texts))
-
-
 def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
     """Return the fields of a table of single values by role, or None.
 
@@ -249,8 +246,12 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
         order = {role: roles.index(role) for role in reversed(roles) if role is not None}
         has_place = {"row", "column"} <= set(order) or "cell" in order
         return order if "value" in order and has_place else None
-    if table.width == 2 and shape[1] > 2 and _count_cells(table, cells):
-        return {"cell": 0, "value": 1}
+    if table.width == 2 and shape[1] > 2:
+        numbers = table.values[:, 0]
+        first = numbers[0]
+        counts = first in (0, 1) and numbers.max() - first == cells - 1
+        if counts and np.all(numbers == np.round(numbers)):
+            return {"cell": 0, "value": 1}
     if table.width not in (3, 4) or table.width in (cells, cells + 1):
         return None
     places = _places_by_values(table, shape)
@@ -291,17 +292,6 @@ def _counter_role(numbers: Array) -> str:
     whole = np.all(distinct == np.round(distinct))
     return (
         "frame" if whole and np.median(np.diff(distinct, prepend=distinct[:1] - 1)) == 1 else "time"
-    )
-
-
-def _count_cells(table: ReadingsTable, cells: int) -> bool:
-    """Return whether the first field counts all cells of a frame."""
-    numbers = table.values[:, 0]
-    first = numbers[0]
-    return bool(
-        first in (0, 1)
-        and numbers.max() - first == cells - 1
-        and np.all(numbers == np.round(numbers))
     )
 
 

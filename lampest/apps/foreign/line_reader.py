@@ -9,13 +9,13 @@ import numpy as np
 
 from lampest.apps.foreign.arrays import Shape
 from lampest.apps.foreign.clocks import clock_of
-from lampest.apps.foreign.division import ANY, Marks, learned_marks, refuse_several_boards
+from lampest.apps.foreign.division import learned_ends, line_keys, refuse_several_boards
 from lampest.apps.foreign.form import later_lines, readings_table
 from lampest.apps.foreign.layouts import TableLayout, arranged
 from lampest.apps.foreign.lines import WRITTEN, field_lines_in, notation_of
 from lampest.apps.foreign.notation import Notation
-from lampest.apps.foreign.segments import Placed, Segment, Segmenter, placed
-from lampest.apps.foreign.table import ReadingsTable
+from lampest.apps.foreign.segments import FrameEnds, Placed, Segment, Segmenter, placed
+from lampest.apps.foreign.table import ReadingsTable, Stamps
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Modules
 
@@ -59,7 +59,7 @@ class Understanding:
     table : ReadingsTable
         The first lines.
     arrangement : TableLayout
-    marks : Marks
+    ends : FrameEnds
     name : str
         Name of the times, which may contain their unit.
     unit : str or None
@@ -69,27 +69,22 @@ class Understanding:
     notation: Notation
     table: ReadingsTable
     arrangement: TableLayout
-    marks: Marks
+    ends: FrameEnds
     name: str = ""
     unit: str | None = None
 
-    def stamp(self, table: ReadingsTable, row: int = 0) -> tuple[str, str]:
-        """Return the time of a line of a table as text, and its name; '' without one."""
-        texts, name, _, _ = table.stamps(self.arrangement.times)
-        if texts[row]:
-            return texts[row], name
-        title = next(iter(self.marks.titles), None)
-        stamps = table.title_stamps([row], None if title == ANY else title)
-        return ("", "") if stamps is None else (stamps[0][0], stamps[1])
+    def stamp(self, table: ReadingsTable, row: int = 0) -> Stamps | None:
+        """Return the time of a line of a table; None without one."""
+        return table.times(self.arrangement.times, [row], self.ends.title)
 
     def with_times(self) -> "Understanding":
         """Return the understanding with the unit of the times."""
         lines = range(1, len(self.table.lines))
-        read = [self.stamp(self.table.only([line])) for line in lines]
-        texts = list(dict.fromkeys(text for text, _ in read if text))
-        if not texts:
+        read = [*filter(None, (self.stamp(self.table.only([line])) for line in lines))]
+        if not read:
             return self
-        name = next(name for text, name in read if text)
+        texts = list(dict.fromkeys(stamps.texts[0] for stamps in read))
+        name = read[0].name
         with suppress(InputError):
             clock = clock_of(texts, name, str, comma=self.table.comma, unit=None)
             return replace(self, name=name, unit=clock.unit)
@@ -164,7 +159,7 @@ class LineReader:
         self._kept: list[str] = []  # before the layout is understood, then titles between readings
         self._next_try = FIRST_TRY
         self._understanding: Understanding | None = None
-        self._segmenter: Segmenter | None = None
+        self._segmenter = Segmenter(FrameEnds(1))  # of the ends that are understood
         # Lines since the last frame: their table, and their row in it.
         self._tables: dict[int, tuple[ReadingsTable, int]] = {}
         self._last: list[str] = []
@@ -188,16 +183,16 @@ class LineReader:
         self._kept += lines[skipped:]
         if self._understanding is None:
             return self._frames_at_last() if len(self._kept) >= self._next_try else ()
-        return tuple(self._frames_of_lines())
+        return tuple(self._frames_of_lines(self._understanding))
 
     def close(self) -> tuple[TextFrame, ...]:
         """Return the frames that were waiting for a line that shows their end."""
         early = () if self._understanding else self._frames_at_last(ended=True)
-        if self._segmenter is None or self._understanding is None:
-            return early
+        known = self._understanding
         segment = self._segmenter.close()
-        whole = segment is not None and len(segment.lines) >= self._understanding.marks.ends.lines
-        return (*early, *(self._frames_of(segment) if segment is not None and whole else ()))
+        if known is None or segment is None or len(segment.lines) < known.ends.lines:
+            return early
+        return (*early, *self._frames_of(known, segment))
 
     def _frames_at_last(self, *, ended: bool = False) -> tuple[TextFrame, ...]:
         """Return the frames of the first lines once they show the layout."""
@@ -208,17 +203,17 @@ class LineReader:
             raw = readings_table(lines, self._layout)
             table, arrangement = arranged(raw, self._shape)
             table.refuse_words(arrangement.cells, MAX_WORDS)
-            marks = learned_marks(table, arrangement)
-            refuse_several_boards(table, arrangement, marks)
+            ends = learned_ends(table, arrangement)
+            refuse_several_boards(table, arrangement, ends)
         except InputError as error:
             self.refusal = str(error)
             if len(self._kept) > MAX_LINES:
                 raise
             return ()
         # A lost line among few may hide that a pause, a time or a title ends frames.
-        counted = marks.ends.counted and marks.ends.lines > 1
+        counted = ends.counted and ends.lines > 1
         least = 1 if ended else MIN_COUNTED if counted else MIN_FRAMES
-        if len(table.lines) < (least + 1) * marks.ends.lines:
+        if len(table.lines) < (least + 1) * ends.lines:
             return ()
         self.refusal = ""
         parts = notation.parts if arrangement.lines == 1 else 1
@@ -228,16 +223,15 @@ class LineReader:
         modules = (f"{parts} parts of a line are the modules",) if joined else ()
         self.sentences = (*table.notes, arrangement.note, *modules)
         self.words = tuple(table.names)
-        self._understanding = Understanding(notation, table, arrangement, marks).with_times()
-        self._segmenter = Segmenter(marks.ends)
-        ends = (lines.lines[at].texts[-1] for at in table.lines.tolist())
-        self._shortest = min((len(end) for end in ends if WRITTEN.fullmatch(end)), default=0)
-        return tuple(self._frames_of_lines())
+        known = Understanding(notation, table, arrangement, ends).with_times()
+        self._understanding = known
+        self._segmenter = Segmenter(ends)
+        last = (lines.lines[at].texts[-1] for at in table.lines.tolist())
+        self._shortest = min((len(text) for text in last if WRITTEN.fullmatch(text)), default=0)
+        return tuple(self._frames_of_lines(known))
 
-    def _frames_of_lines(self) -> Iterator[TextFrame]:
+    def _frames_of_lines(self, known: Understanding) -> Iterator[TextFrame]:
         """Yield the frames that the kept lines complete; a line without readings is a title."""
-        assert self._understanding is not None and self._segmenter is not None
-        known = self._understanding
         before = self._count - len(self._kept)
         lines = field_lines_in(known.notation, self._kept, self._source, before, header=False)
         table = later_lines(known.table, lines)
@@ -247,7 +241,7 @@ class LineReader:
         numbers = [lines.lines[at].number for at in table.lines]
         self._kept = self._kept[numbers[-1] - before :]
         keyed = known.arrangement.used > set(known.arrangement.cells)
-        all_keys = known.marks.line_keys(table, known.arrangement)
+        all_keys = line_keys(table, known.arrangement, known.ends)
         for row, (number, keys) in enumerate(zip(numbers, all_keys, strict=True)):
             fields = table.fields[row].tolist()
             if keyed and fields == self._last:
@@ -261,30 +255,27 @@ class LineReader:
                 table.values[row, table.columns == len(texts) - 1] = np.nan
             segment = self._segmenter.feed(number, keys)
             if segment is not None:
-                yield from self._frames_of(segment)
+                yield from self._frames_of(known, segment)
             self._tables[number] = (table, row)
             if self._segmenter.complete:
                 whole = self._segmenter.close()
                 assert whole is not None
-                yield from self._frames_of(whole)
+                yield from self._frames_of(known, whole)
 
-    def _frames_of(self, segment: Segment) -> Iterator[TextFrame]:
+    def _frames_of(self, known: Understanding, segment: Segment) -> Iterator[TextFrame]:
         """Yield the frames of lines; the first ones may be cut, and are left out then."""
-        assert self._understanding is not None
-        for group in placed(segment, self._understanding.marks.ends):
-            values = self._values(group)
+        for group in placed(segment, known.ends):
+            values = self._values(known.arrangement, group)
             title = self._first and np.all(np.isnan(values))  # a greeting with separators
             cut = self._first and group.remark
             self._first = bool(title)
             if not title and not cut:
-                yield self._frame(group, values)
+                yield self._frame(known, group, values)
         for line in segment.lines:
             self._tables.pop(line, None)
 
-    def _values(self, group: Placed) -> Array:
+    def _values(self, arrangement: TableLayout, group: Placed) -> Array:
         """Return the readings of lines at their places."""
-        assert self._understanding is not None
-        arrangement = self._understanding.arrangement
         values = np.full(arrangement.shape[0] * arrangement.shape[1], np.nan)
         fields, places = arrangement.places
         share = values.size // arrangement.lines
@@ -294,24 +285,18 @@ class LineReader:
         frame = values.reshape(arrangement.shape)
         return frame if self._modules is None else self._modules.of_parts(frame)
 
-    def _frame(self, group: Placed, values: Array) -> TextFrame:
+    def _frame(self, known: Understanding, group: Placed, values: Array) -> TextFrame:
         """Return the readings of lines as a frame, with the time of the first one."""
-        assert self._understanding is not None
-        roles = self._understanding.arrangement.roles
+        roles = known.arrangement.roles
         table, row = self._tables[group.begin]
         printed = table.values[row, roles["frame"]] if "frame" in roles else np.nan
         number = int(printed) if np.isfinite(printed) else None
         remarks = (f"the frame {group.remark}",) if group.remark else ()
-        return TextFrame(values, self._time(table, row), number, remarks)
-
-    def _time(self, table: ReadingsTable, row: int) -> float | None:
-        """Return the time of a line of a table since the first frame by its stamp."""
-        assert self._understanding is not None
-        stamp, _ = self._understanding.stamp(table, row)
-        if not stamp:
-            return None
+        stamps = known.stamp(table, row)
+        if stamps is None:
+            return TextFrame(values, None, number, remarks)
         last = self._stamp
-        self._stamp = stamp
-        step = self._understanding.step(last, stamp) if last else 0.0
+        [self._stamp] = stamps.texts
+        step = known.step(last, self._stamp) if last else 0.0
         self._seconds += step or 0.0
-        return None if step is None else self._seconds
+        return TextFrame(values, None if step is None else self._seconds, number, remarks)

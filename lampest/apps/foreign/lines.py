@@ -17,11 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.apps.foreign.arrays import Index, check_archive, reading
+from lampest.apps.foreign.arrays import check_archive, reading
 from lampest.apps.foreign.clocks import is_stamp
 from lampest.apps.foreign.notation import MAX_LINE, SAMPLED_LINES, Notation, stamp_and_content
 from lampest.apps.foreign.words import line_of
 from lampest.files.errors import InputError, counted, extra
+from lampest.panel.panel import Mask, Numbers
 
 DAMAGED = "\ufffd"  # in place of a byte that no text holds
 # Share of such bytes; a serial line loses one now and then, and binary files have many more.
@@ -108,20 +109,11 @@ class FieldLines:
     notes: tuple[str, ...]
     lines: Sequence[FieldLine]
     fields: NDArray[Any]
-    counts: Index
-    comment: NDArray[np.bool_]
-    blank: NDArray[np.bool_]
+    counts: Numbers
+    comment: Mask
+    blank: Mask
     padded: bool = False
     parts: int = 1
-
-    @property
-    def without_the_last(self) -> "FieldLines":
-        """All lines but the last one."""
-        parts = {
-            name: getattr(self, name)[:-1]
-            for name in ("lines", "fields", "counts", "comment", "blank")
-        }
-        return replace(self, **parts)
 
     def called(self, line: int) -> str:
         """Return the name of a line: 'line 3'."""
@@ -181,7 +173,9 @@ def lines_of_text(path: Path, skip: int = 0) -> FieldLines:
     if len(lines.lines) < 2 or not cut:
         return lines
     note = f"left out: line {lines.lines[-1].number}, the last one, which is cut off"
-    return replace(lines.without_the_last, notes=(*lines.notes, note))
+    parts = ("lines", "fields", "counts", "comment", "blank")
+    whole = {name: getattr(lines, name)[:-1] for name in parts}
+    return replace(lines, notes=(*lines.notes, note), **whole)
 
 
 def _is_cut(lines: FieldLines) -> bool:
@@ -262,7 +256,11 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
     count = max(data.count(b"\n"), data.count(b"\r"))
     if count > MAX_FIELDS:
         raise InputError(f"{path}: {count} lines, more than {MAX_FIELDS} are not imported")
-    encoding = _utf16_of(data)
+    encoding = ""
+    if data[:2] == b"\xff\xfe" or data[1:2] == b"\0":
+        encoding = "utf-16-le"
+    elif data[:2] == b"\xfe\xff" or data[:1] == b"\0":
+        encoding = "utf-16-be"
     data = data[: len(data) // 2 * 2] if encoding else data
     text = (
         data.decode(encoding or "utf-8", errors="replace")
@@ -279,17 +277,6 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
             f"{path}:{line}: no text table ({wrong}; text is read in UTF-8 and UTF-16). {READ}"
         )
     return text, ["UTF-16"] if encoding else []
-
-
-def _utf16_of(data: bytes) -> str:
-    """Return the byte order of UTF-16 by its mark or its zero bytes; '' for another encoding."""
-    if data[:2] == b"\xff\xfe":
-        return "utf-16-le"
-    if data[:2] == b"\xfe\xff":
-        return "utf-16-be"
-    if data[1:2] == b"\0":
-        return "utf-16-le"
-    return "utf-16-be" if data[:1] == b"\0" else ""
 
 
 def lines_of_sheets(path: Path, name: str | None) -> dict[str, FieldLines]:

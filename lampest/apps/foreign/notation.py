@@ -126,7 +126,9 @@ class Notation:
                 if "\0" not in name and often[name] > 1 and not line.keys().isdisjoint(usual)
             )
             names = tuple(dict.fromkeys([*usual, *others]))
-            return cls(",", names=names, usual=len(usual), parts=_equal_lists(usual))
+            lists = _lengths(usual)
+            parts = len(lists) if len(set(lists.values())) == 1 else 1
+            return cls(",", names=names, usual=len(usual), parts=parts)
         sample = [_plain(content) for content in sample]
         delimiter = _delimiter(sample)
         # Lines may agree in their number of fields only if consecutive tabs are one.
@@ -257,12 +259,6 @@ def _values_of_list(values: list[Any]) -> Iterator[str]:
 def _lengths(names: Iterable[str]) -> Counter[str]:
     """Return the number of values of each list among names."""
     return Counter(name.partition("\0")[0] for name in names if "\0" in name)
-
-
-def _equal_lists(names: Iterable[str]) -> int:
-    """Return the number of lists among names if all are equally long; else 1."""
-    lengths = _lengths(names)
-    return len(lengths) if len(set(lengths.values())) == 1 else 1
 
 
 def _text_of_json(value: Any) -> str:

@@ -168,16 +168,13 @@ def text_of_value(value: Any) -> str:
 def _of_json(path: Path) -> Content:
     """Return the value of a JSON file, or its lines of one value each, and notes."""
     text = _text_of(path)
-    try:
-        return json.loads(text), ()
-    except ValueError as error:
-        if "Extra data" in str(error) and "\n" in text.strip():
-            return _of_json_lines(path)  # one value a line under the name of one value
-        with reading(path):
-            raise
-    except RecursionError:
-        with reading(path):
-            raise
+    with reading(path):
+        try:
+            return json.loads(text), ()
+        except ValueError as error:
+            if "Extra data" not in str(error) or "\n" not in text.strip():
+                raise
+    return _of_json_lines(path)  # one value a line under the name of one value
 
 
 def _of_json_lines(path: Path) -> Content:
@@ -210,28 +207,22 @@ def _text_of(path: Path) -> str:
         return path.read_text(encoding="utf-8-sig")
 
 
-def _of_parquet(path: Path) -> Content:
-    """Return the rows of a Parquet file, and notes."""
+def _of_arrow(path: Path) -> Content:
+    """Return the rows of a Parquet or Feather file, and notes."""
     with extra("export"):
-        from pyarrow import parquet
+        from pyarrow import feather, parquet
     with reading(path):
+        if path.suffix.lower() == ".feather":
+            return feather.read_table(path).to_pylist(), ()
         known = parquet.read_metadata(path)
         check_count(path, known.num_rows * known.num_columns)
         return parquet.read_table(path).to_pylist(), ()
-
-
-def _of_feather(path: Path) -> Content:
-    """Return the rows of a Feather file, and notes."""
-    with extra("export"):
-        from pyarrow import feather
-    with reading(path):
-        return feather.read_table(path).to_pylist(), ()
 
 
 READERS: dict[str, Callable[[Path], Content]] = {
     ".json": _of_json,
     ".jsonl": _of_json_lines,
     ".ndjson": _of_json_lines,
-    ".parquet": _of_parquet,
-    ".feather": _of_feather,
+    ".parquet": _of_arrow,
+    ".feather": _of_arrow,
 }

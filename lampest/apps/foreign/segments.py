@@ -16,15 +16,16 @@ from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from math import inf, nan
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.errors import first_and_more
+from lampest.panel.panel import Mask
 
+ANY = "any"  # title, in place of titles of one kind
 MAX_VALUES = 8  # of a field that tells boards or trials apart
-Changes = NDArray[np.bool_]
 
 # Falls that orders of the scan may have less than the true one, which a frame that is cut at the
 # beginning costs one: ascending, descending, another from the lowest position, or from the first.
@@ -50,7 +51,7 @@ class LineKeys(NamedTuple):
     shared: Hashable = None
     position: int = -1
     marked: bool = False
-    seconds: float = float("nan")
+    seconds: float = nan
 
 
 @dataclass(frozen=True)
@@ -63,30 +64,33 @@ class FrameEnds:
         Lines of a whole frame, usually.
     ranks : mapping
         Position → its place in the order of the scan; empty for lines without positions.
-    shared : bool
-        Whether all lines of a frame share a number or a time.
-    marked : bool
-        Whether titles or blank lines stand between frames.
-    paused : bool
-        Whether frames are apart by a longer step of the time.
+    shared : tuple of str
+        Those of 'frame' and 'time' that all lines of a frame share.
+    titles : frozenset of str
+        Kinds of the titles between frames; ANY for titles and blank lines of any kind.
+    max_step : float
+        Largest step of the time within a frame; infinite where the time shows no end of a frame.
     gapless : bool
         Whether frames have lines of all positions, so that a gap shows lost lines.
-    max_step : float
-        Largest step of the time within a frame.
     """
 
     lines: int
     ranks: Mapping[int, int] = field(default_factory=dict)
-    shared: bool = False
-    marked: bool = False
-    paused: bool = False
+    shared: tuple[str, ...] = ()
+    titles: frozenset[str] = frozenset()
+    max_step: float = inf
     gapless: bool = False
-    max_step: float = float("inf")
 
     @property
     def counted(self) -> bool:
         """Whether nothing but the count of lines says where frames begin."""
-        return not (self.ranks or self.shared or self.marked or self.paused)
+        return not (self.ranks or self.shared or self.titles or self.max_step < inf)
+
+    @property
+    def title(self) -> str | None:
+        """Kind of a title between frames; None for any kind."""
+        kind = next(iter(self.titles), ANY)
+        return None if kind == ANY else kind
 
 
 class Segment(NamedTuple):
@@ -213,7 +217,7 @@ def placed(segment: Segment, ends: FrameEnds) -> Iterator[Placed]:
     yield Placed(begin, lines, positions, remark)
 
 
-def scan_order(positions: Sequence[int], parts: Changes) -> Mapping[int, int]:
+def scan_order(positions: Sequence[int], parts: Mask) -> Mapping[int, int]:
     """Return positions with their ranks in the order in which they are scanned.
 
     The order is ascending or descending, or another one that parts between marks, or the lines
@@ -271,7 +275,7 @@ def _falls(read: Sequence[tuple[int, bool]], ranks: Mapping[int, int]) -> int:
     )
 
 
-def are_whole(changes: Changes, lines: int) -> bool:
+def are_whole(changes: Mask, lines: int) -> bool:
     """Return whether most runs between changes of a key, (lines,), are whole frames."""
     begins = np.flatnonzero(changes[1:]) + 1
     runs = np.diff([0, *begins, len(changes)])
@@ -279,7 +283,7 @@ def are_whole(changes: Changes, lines: int) -> bool:
     return len(runs) > 1 and bool(np.mean(inner == lines) >= MIN_SHARE) and lines > 1
 
 
-def changes_of(texts: Sequence[str]) -> Changes:
+def changes_of(texts: Sequence[str]) -> Mask:
     """Return whether a text differs from that of the previous line, boolean (lines,)."""
     return np.array([False, *(text != last for last, text in pairwise(texts))])
 

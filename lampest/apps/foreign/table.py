@@ -5,16 +5,17 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.apps.foreign.arrays import Frames, Index, Timing
+from lampest.apps.foreign.arrays import Frames, Timing
 from lampest.apps.foreign.clocks import clock_of, is_stamp
 from lampest.apps.foreign.lines import FieldLines
 from lampest.apps.foreign.words import (
+    MAX_CUT,
     line_of,
     names_pressure,
     names_unit,
@@ -23,8 +24,8 @@ from lampest.apps.foreign.words import (
     role_of,
     states_unit,
 )
-from lampest.files.errors import InputError
-from lampest.panel.panel import Array
+from lampest.files.errors import InputError, first_and_more
+from lampest.panel.panel import Array, Mask, Numbers
 
 # 'Frame 3, t = 1250 ms', 'Frame 3 @ 1250 ms', 'Measurement Time(sec),0.120', 'time: 2025-01-31
 # 12:00:01', 'millis=123'
@@ -66,6 +67,31 @@ class Form:
     names: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class Stamps:
+    """Times as texts.
+
+    Attributes
+    ----------
+    texts : list of str
+        '' where there is none.
+    name : str
+        Name of the times, which may contain the unit of numbers.
+    origin : str
+        Their place in words.
+    comma : bool
+        Whether they have a decimal comma.
+    field : int or None
+        Field that holds them.
+    """
+
+    texts: list[str]
+    name: str
+    origin: str
+    comma: bool
+    field: int | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class ReadingsTable:
     """Lines and columns of a file with readings.
@@ -99,11 +125,11 @@ class ReadingsTable:
     """
 
     source: FieldLines
-    lines: Index
-    columns: Index
+    lines: Numbers
+    columns: Numbers
     fields: NDArray[Any]
     values: Array
-    words: NDArray[np.bool_]
+    words: Mask
     comma: bool
     names: tuple[str, ...]
     notes: tuple[str, ...]
@@ -174,7 +200,7 @@ class ReadingsTable:
 
     def frames(
         self,
-        number: Index,
+        number: Numbers,
         fields: Sequence[int],
         timing: Timing,
         notes: Sequence[str],
@@ -203,7 +229,11 @@ class ReadingsTable:
             name for at, name in enumerate(self.names) if at not in fields and names_pressure(name)
         )
         words = names if any(map(names_unit, names)) else (*filter(states_unit, titles), *beside)
-        words = words or tuple(f"values [{unit}]" for unit in self.stated_pressures)
+        if not words:
+            outside = set(range(len(self.source.lines))) - set(self.lines.tolist())
+            texts = (" ".join(self.source.lines[line].texts) for line in sorted(outside))
+            stated = filter(None, map(pressures_in, texts))
+            words = tuple(f"values [{unit}]" for unit in islice(stated, 1))
 
         def named(at: int) -> str:
             return self.source.source if at < 0 else self.place(*divmod(at, self.width))
@@ -212,13 +242,6 @@ class ReadingsTable:
         parts = self.source.parts if len(fields) == number[0].size else 1
         return Frames(numbers, number, named, timing, (*self.notes, *notes), words, parts)
 
-    @property
-    def stated_pressures(self) -> list[str]:
-        """First unit of pressure that lines without readings state; empty without any."""
-        outside = np.setdiff1d(np.arange(len(self.source.lines)), self.lines)
-        texts = dict.fromkeys(" ".join(self.source.lines[line].texts) for line in outside.tolist())
-        return list(filter(None, map(pressures_in, texts)))[:1]
-
     def refuse_words(self, fields: Iterable[int], most: float = 0.0) -> None:
         """Raise InputError with the place if more than a fraction of a field's texts are words."""
         for at in fields:
@@ -226,7 +249,7 @@ class ReadingsTable:
             if np.mean(words) > most:
                 self.refuse(words, at, f"{{0!r}} is no number (field {at + 1} of the line)")
 
-    def refuse(self, bad: NDArray[np.bool_], field: int, why: str) -> None:
+    def refuse(self, bad: Mask, field: int, why: str) -> None:
         """Raise InputError with the place of the first bad line.
 
         `why` is a template for the field's text.
@@ -237,50 +260,59 @@ class ReadingsTable:
                 f"{why.format(self.fields[line, field][:40] or 'nothing')}"
             )
 
-    def stamps(self, columns: Sequence[int]) -> tuple[list[str], str, int | None, str]:
-        """Return the time of each line as text, the name of its column, its field, its origin.
+    def called(self, line: int) -> str:
+        """Return the name of a line in the file: 'line 3'."""
+        return self.source.called(int(self.lines[line]))
+
+    def with_notes(self, *notes: str) -> "ReadingsTable":
+        """Return the table with further notes."""
+        return replace(self, notes=(*self.notes, *notes))
+
+    def without(self, lines: Mask, why: str) -> "ReadingsTable":
+        """Return the table without a few lines, which a note names; unchanged if there are more."""
+        if not 0 < lines.sum() <= MAX_CUT * len(lines):
+            return self
+        places = first_and_more([self.called(line) for line in np.flatnonzero(lines).tolist()])
+        return self.only(~lines).with_notes(f"left out: {places}, which {why}")
+
+    def stamps(self, columns: Sequence[int]) -> Stamps:
+        """Return the time of each line.
 
         The columns may be two, date and time of day. Without any, parts of a clock in columns of
         their own count, otherwise a terminal's stamps.
         """
         if self.clock:
-            return clock_texts(self.clock, self.numbers), "", None, ""
+            return Stamps(clock_texts(self.clock, self.numbers), "", "", self.comma)
         if not columns:
             texts = [self.source.lines[line].stamp for line in self.lines]
-            return texts, "s", None, "the terminal's, "
+            return Stamps(texts, "s", "the terminal's, ", self.comma)
         dates = [column for column in columns if role_of(self.names[column]) == "date"]
         chosen = [*dates[:1], *[column for column in columns if column not in dates][:1]]
         texts = [" ".join(line) for line in self.fields[:, chosen]]
         name = self.names[chosen[-1]]
-        return texts, name, chosen[-1], f"column {name!r} in " if name else "first field in "
+        origin = f"column {name!r} in " if name else "first field in "
+        return Stamps(texts, name, origin, self.comma, chosen[-1])
 
-    def timing(self, columns: Sequence[int], lines: Sequence[int]) -> Timing:
-        """Return the times of frames that begin at lines; None if the lines have none."""
-        texts, name, at, origin = self.stamps(columns)
-        of_frames = [texts[line] for line in lines]
-        if not any(of_frames) or (not columns and not self.clock and not all(of_frames)):
-            return None
-        return self._timing(of_frames, name, lines, at, origin)
+    def times(
+        self, columns: Sequence[int], lines: Sequence[int], title: str | None
+    ) -> Stamps | None:
+        """Return the times of frames that begin at lines; None if the lines have none.
 
-    def title_timing(self, begins: Sequence[int], title: str | None) -> Timing:
-        """Return the times of frames from titles of a kind before each block.
-
-        The result is None if a block has none.
+        Parameters
+        ----------
+        columns : sequence of int
+            See `stamps`.
+        lines : sequence of int
+            First line of each frame.
+        title : str or None
+            Kind of the titles before the lines, which are read if the lines themselves have no
+            times; None for titles of any kind.
         """
-        stamps = self.title_stamps(begins, title)
-        if stamps is None:
-            return None
-        texts, name, comma = stamps
-        return self._timing(texts, name, begins, None, "before each block in ", comma=comma)
-
-    def title_stamps(
-        self, begins: Sequence[int], title: str | None
-    ) -> tuple[list[str], str, bool] | None:
-        """Return the times in titles of a kind before lines, and their name.
-
-        With them comes whether a comma is their decimal sign. None if a line has none.
-        """
-        before = [self.before[line] for line in begins]
+        stamps = self.stamps(columns)
+        texts = [stamps.texts[line] for line in lines]
+        if any(texts) and (columns or self.clock or all(texts)):
+            return replace(stamps, texts=texts)
+        before = [self.before[line] for line in lines]
         time_texts = [
             " ".join(text for text in passed if title in (None, kind_of(text))) for passed in before
         ]
@@ -289,31 +321,25 @@ class ReadingsTable:
             for text, passed in zip(time_texts, before, strict=True)
         ]
         texts = [match["stamp"] or match["value"].rstrip(".,") for match in matches if match]
-        if len(texts) < len(begins) or not matches or not matches[0]:
+        if len(texts) < len(lines) or not matches or not matches[0]:
             return None
         name = matches[0]["inner"] or matches[0]["unit"] or matches[0]["word"] or ""
         # Titles may have a decimal comma where readings are whole numbers; '0,120' is no 120.
         comma = any(text.startswith("0,") or number_of(text, comma=False) is None for text in texts)
-        return texts, name, comma and not any(map(is_stamp, texts))
+        comma = self.comma or (comma and not any(map(is_stamp, texts)))
+        return Stamps(texts, name, "before each block in ", comma)
 
-    def _timing(
-        self,
-        texts: Sequence[str],
-        name: str,
-        lines: Sequence[int],
-        field: int | None,
-        origin: str,
-        *,
-        comma: bool = False,
-    ) -> Timing:
-        """Return the function (unit) → the clock that the texts in lines of a field show."""
+    def timing(self, stamps: Stamps | None, lines: Sequence[int]) -> Timing:
+        """Return the function (unit) → the clock that the stamps of lines show."""
+        if stamps is None:
+            return None
         return lambda unit: clock_of(
-            texts,
-            name,
-            lambda at: self.place(lines[at], field),
-            comma=self.comma or comma,
+            stamps.texts,
+            stamps.name,
+            lambda at: self.place(lines[at], stamps.field),
+            comma=stamps.comma,
             unit=unit,
-        ).read_from(origin)
+        ).read_from(stamps.origin)
 
 
 def kind_of(text: str) -> str:

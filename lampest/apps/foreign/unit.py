@@ -36,7 +36,10 @@ def understood_unit(
         Sentence for the user.
     """
     readout = None if scene is None else scene.readout
-    allowed = [unit for unit in _possible_units(readout) if not named or unit in named]
+    possible: Sequence[str] = RESISTANCES
+    if readout is not None:
+        possible = tuple(FACTORS) if readout.unit == "ohm" else ("volt", "mV", "code")
+    allowed = [unit for unit in possible if not named or unit in named]
     if len(named) == 1 or not allowed:
         check_unit(named[0], scene, source)
         return named[0], f"unit {named[0]}, as the header says"
@@ -61,13 +64,6 @@ def understood_unit(
         )
     how = "assumed" if fitting[0] == "ohm" and readout is None else "guessed"
     return fitting[0], f"unit {fitting[0]}, {how}: {span} ({reason})"
-
-
-def _possible_units(readout: Readout | None) -> Sequence[str]:
-    """Return the units in which a readout's values may be stored."""
-    if readout is None:
-        return RESISTANCES
-    return tuple(FACTORS) if readout.unit == "ohm" else ("volt", "mV", "code")
 
 
 def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tuple[list[str], str]:

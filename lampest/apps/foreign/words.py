@@ -34,7 +34,7 @@ PART_OF_CLOCK = _by_word(
 )
 # Names that permit two units.
 QUANTITIES = {"resistance": ("ohm", "kohm"), "voltage": ("volt", "mV")}
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
 TIME_UNIT_OF_WORD = _by_word(
     s="s sec secs second seconds sekunde sekunden",
     ms="ms milli millis millisecond milliseconds msec",

@@ -15,7 +15,6 @@ from threading import Event
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.apps.live.handover import Beside, Errand, Newest
 from lampest.apps.live.message import HISTORY_FRAMES, Picture, Point, View, with_detected
@@ -26,6 +25,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.files.errors import InputError
 from lampest.inference.prepared import Prepared
 from lampest.inference.readings.judge import Cleaned
+from lampest.panel.panel import Mask
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 
@@ -67,7 +67,7 @@ class Engine:
         self._estimator = estimator
         self._baseline = baseline
         self._unloaded: list[Scan] = []
-        self._frozen: NDArray[np.bool_] = np.zeros((), dtype=bool)
+        self._frozen: Mask = np.zeros((), dtype=bool)
         self._arrivals: Newest[Scan | None] = Newest(None)
         self._pool = ThreadPoolExecutor(1, "lampest-solver")
         self._solving: Future[None] | None = None

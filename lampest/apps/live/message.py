@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lampest.apps.film.pressure import Force
 from lampest.apps.recognition.detect.answer import ANSWERS, Detected, alarming
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Mask, Panel
 
 FORMAT = "lampest stream 1"
 MAP_UNITS = {"change": "percent", "pressure": "kPa", "cells": "ohm"}
@@ -91,7 +91,7 @@ class Picture:
     arrived: float
     measured_change: Array
     relative_change: Array
-    open_cell: NDArray[np.bool_]
+    open_cell: Mask
     force: Force
     status: str
     seconds: float

@@ -14,7 +14,7 @@ import numpy as np
 from lampest.apps.board.port import only_port
 from lampest.apps.board.record import Progress, Recorded, record
 from lampest.apps.board.recorder import Recorder
-from lampest.apps.board.sample import USUAL, LineOptions, Printing, Sample
+from lampest.apps.board.sample import USUAL, LineOptions, Listening, Printing, Sample
 from lampest.apps.board.several import samples_of
 from lampest.apps.live.engine import Engine, FrameSource
 from lampest.apps.live.message import acknowledged
@@ -275,15 +275,10 @@ def from_board(
     Raises InputError as `lampest.apps.board.stream.stream`.
     """
     engine.say(f"waiting for the board at {', '.join(board.ports)}")
-    arriving = samples_of(
-        board.ports,
-        board.scene,
-        board.period,
-        engine.say,
-        baseline=board.baseline,
-        options=board.options,
+    listening = Listening(
+        board.scene, board.period, engine.say, baseline=board.baseline, options=board.options
     )
-    with closing(arriving) as samples:
+    with closing(samples_of(board.ports, listening)) as samples:
         noted = False
         for sample in islice((sample for batch in samples for sample in batch), frames):
             if isinstance(sample.hello, Printing) and not noted:

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.apps.film.pressure import Force, Pressure, PressureTrack, total_force
 from lampest.apps.live.message import BOTH, NOTHING, PRESSING, SUCKING, UNKNOWN, Picture
@@ -15,7 +14,7 @@ from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.files.levels import OUTLIER_THRESHOLD
 from lampest.inference.readings.outliers import FramesBefore
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.scene import Scene
 from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
@@ -380,9 +379,7 @@ def read_load(
     return pressure, total_force(load.scene, replace(barred, saturated=pressure.saturated))
 
 
-def verdict_of(
-    readings: Readings, resting: Readings, ratio: Array, open_cell: NDArray[np.bool_]
-) -> str:
+def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: Mask) -> str:
     """Return the verdict on a solved frame, one of `message.VERDICTS`.
 
     NOTHING: no reading differs from its unloaded value by more than OUTLIER_THRESHOLD standard

@@ -55,21 +55,17 @@ REFERENCE = "reduced"
 class TradeoffLimits(Configuration):
     """Largest side, max(rows, columns), of panels for each formulation; 0: none.
 
-    `reduced` is always measured.
+    All others are measured on every panel.
 
     Attributes
     ----------
-    naive, scaled, linearised, truncated, nodal, per_pixel : int
+    nodal, per_pixel : int
         Largest side for the formulation of this name.
     joint : int
         Largest side for methods that compare frames, whose joint first pair takes minutes on larger
         panels.
     """
 
-    naive: int = common.MAX_SIDE
-    scaled: int = common.MAX_SIDE
-    linearised: int = common.MAX_SIDE
-    truncated: int = common.MAX_SIDE
     nodal: int = 16
     per_pixel: int = 10
     joint: int = 16

@@ -319,7 +319,7 @@ class Method(Configuration):
         begin = perf_counter()
         if track is not None and model is not None:
             with suppress(*BROKEN):
-                advanced, bars = track.advanced(model)
+                advanced, bars, model = track.advanced(model)
                 if readings.partial:
                     bars = bars.reaching_farther(*self._beyond(state, readings, step, model))
                 track = advanced

@@ -4,12 +4,13 @@ An alternative counts if its evidence is larger by MIN_EVIDENCE_GAIN. Its resist
 the memory of its converter are those of largest evidence.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from operator import attrgetter
 
 import numpy as np
 
-from lampest.files.levels import MIN_EVIDENCE_GAIN
+from lampest.files.levels import DOUBTFUL_GAIN, MIN_EVIDENCE_GAIN
 from lampest.inference.cells_fit import SMALL_CHI_SQUARE, CellsFit, well_determined
 from lampest.inference.circuits.alternatives import (
     Alternative,
@@ -22,7 +23,6 @@ from lampest.inference.circuits.alternatives import (
 from lampest.inference.circuits.compared_frames import ComparedFrames, broken_law
 from lampest.inference.circuits.explanation import Explanation, alternative_fits
 from lampest.inference.circuits.parameters import (
-    DOUBTFUL_GAIN,
     some_in_series,
     with_converter_memory,
     with_series,
@@ -72,7 +72,13 @@ def better_alternative(frames: ComparedFrames, specified: Explanation | None) ->
                 replace(explanation, alternative=alternative), frames
             )
             candidates += [remembering] if remembering.alternative is not alternative else []
-    best = _best_candidate(candidates, frames, at_fault=specified is None)
+    linear = attrgetter("linear_evidence")
+    best = _best_candidate(candidates, frames, linear, at_fault=specified is None)
+    if best is not None and specified is not None and best.pair is not None:
+        # Linear theory costs little, and most candidates gain nothing by it.
+        limit = specified.linear_evidence - DOUBTFUL_GAIN * best.pair.excess
+        likely = [candidate for candidate in candidates if candidate.linear_evidence < limit]
+        best = _best_candidate(likely, frames, attrgetter("evidence"), at_fault=False) or best
     return BetterExplanation() if best is None else _compared(specified, best, frames)
 
 
@@ -141,7 +147,8 @@ def _likely_alternatives(
         if explanation is not None and explanation.score < limit
     ]
     # Circuits that differ in words alone keep the order in which they are tried.
-    best = sorted(better, key=lambda each: round(each.score, COST_DIGITS))[:MAX_CANDIDATES]
+    best = sorted(better, key=lambda each: round(each.linear_evidence, COST_DIGITS))
+    best = best[:MAX_CANDIDATES]
     return [explanation.final for explanation in best]
 
 
@@ -161,9 +168,13 @@ def _without_twins(candidates: Sequence[Explanation]) -> list[Explanation]:
 
 
 def _best_candidate(
-    candidates: Sequence[Explanation], frames: ComparedFrames, *, at_fault: bool
+    candidates: Sequence[Explanation],
+    frames: ComparedFrames,
+    evidence: Callable[[Explanation], float],
+    *,
+    at_fault: bool,
 ) -> Explanation | None:
-    """Return the candidate with the largest linear evidence, less the costs of its parameters.
+    """Return the candidate with the largest evidence, less the costs of its parameters.
 
     Candidates do not count whose inequalities the readings break, or that do not differ from the
     scene's circuit. Where the scene's circuit is at fault, most cells have to stand still, the best
@@ -174,6 +185,8 @@ def _best_candidate(
     ----------
     candidates : sequence of Explanation
     frames : ComparedFrames
+    evidence : callable
+        Returns −2 ln evidence of a candidate.
     at_fault : bool
         Whether the scene's circuit does not explain the readings.
     """
@@ -193,7 +206,7 @@ def _best_candidate(
         has_series = candidate.alternative.in_series is not None
         has_memory = candidate.alternative.scene.converter_memory != specified_memory
         rises = RISING_COST * (reversible and _only_rises(candidate))
-        return candidate.linear_evidence + PARAMETER_COST * (has_series + has_memory) + rises
+        return evidence(candidate) + PARAMETER_COST * (has_series + has_memory) + rises
 
     # of circuits that differ in the names of lines alone, the one that keeps the file's order
     least = min(map(cost, valid), default=0.0)
@@ -256,13 +269,7 @@ def _compared(
         return BetterExplanation(
             best.alternative.name, evidence=best.evidence, addition=best.alternative.addition
         )
-    if specified.pair is None or not best.pair.has_load:
-        return BetterExplanation()
-    # Linear theory costs little, and most candidates gain nothing by it.
-    if specified.linear_evidence - best.linear_evidence <= DOUBTFUL_GAIN * best.pair.excess:
-        return BetterExplanation()
-    gain = _gain(specified, best)
-    if not gain > DOUBTFUL_GAIN:
+    if specified.pair is None:
         return BetterExplanation()
     # A resistance in series follows hidden errors of the circuit, a memory the edge of a load:
     # alone, neither is a doubt, and both need cells that touch no moved ones.
@@ -270,6 +277,11 @@ def _compared(
         best.alternative.scene.converter_memory == frames.specified.scene.converter_memory
     )
     other_circuit = bool(best.alternative.kind) and as_specified
+    gain = (specified.linear_evidence - best.linear_evidence) / best.pair.excess
+    if gain > DOUBTFUL_GAIN:
+        gain = _gain(specified, best)
+    if not (gain > DOUBTFUL_GAIN and best.pair.has_load):
+        return BetterExplanation(alone=not (other_circuit and gain > 0))
     apart = other_circuit or specified.pair.gain_apart(best.pair) > DOUBTFUL_GAIN
     if not gain > MIN_EVIDENCE_GAIN or not apart or not _confirmed(specified, best, frames):
         return BetterExplanation(nearly=best.alternative.name if other_circuit else "")

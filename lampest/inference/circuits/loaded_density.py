@@ -33,8 +33,8 @@ from lampest.inference.evidence import (
     mostly_still,
     outline,
     select_changed,
-    usual_starts,
 )
+from lampest.inference.number import mean_cost
 from lampest.inference.pair import FittedPair
 from lampest.inference.unloaded_cells import AtRest, most_probable_cells
 from lampest.panel.panel import Array
@@ -62,12 +62,12 @@ class LoadedDensity:
 
         Raises one of BROKEN where arithmetic fails.
         """
-        changes = self.pair.with_columns(self.pair.columns(()))
-        ends = [changes.selected([start])[1] for start in usual_starts(changes.change)]
-        distinct = {end.tobytes(): end for end in (self.pair.evidence.moved, *ends)}
-        cells = min(map(self._cost_of_cells, distinct.values()))
+        # Linear theory may see no change where a reading hardly depends on its cell: cells are
+        # taken away from all, too.
+        moved = self.pair.evidence.moved
+        cells = min(map(self._cost_of_cells, (moved, np.ones_like(moved))))
         field = self._cost_of(covariances_of_field(self.pair.place))
-        return _of_either(cells, field)
+        return mean_cost(np.array([cells, field]))
 
     def _cost_of_cells(self, changed: Chosen) -> float:
         """Return the least −2 ln density of changed cells, beginning at these.
@@ -89,14 +89,14 @@ class LoadedDensity:
         """Return −2 ln density where these cells changed, as single ones or as a load."""
         count = int(changed.sum())
         single = Mixtures.one(np.diag(changed.astype(float)))
-        as_cells = MOVED_COST * count + _mean_cost(near.costs(single))
+        as_cells = MOVED_COST * count + mean_cost(near.costs(single))
         if not (count and mostly_still(changed)):
             return as_cells
         place = self.pair.place
         covariance = np.zeros((len(place), len(place)))
         covariance[np.ix_(changed, changed)] = covariance_of_load(place[changed])
         as_load = OUTLINE_COST * outline(place, changed) + self._cost_of(Mixtures.one(covariance))
-        return _of_either(as_cells, as_load)
+        return mean_cost(np.array([as_cells, as_load]))
 
     @cached_property
     def _at_rest(self) -> AtRest:
@@ -138,7 +138,7 @@ class LoadedDensity:
             if likeliest == taken:
                 break
             mean = near.cells
-        return _mean_cost(costs)
+        return mean_cost(costs)
 
     def _linearised(self, change: Array, start: Array) -> "_LinearReadings":
         """Return the readings at the most probable cells where changes have this covariance.
@@ -210,13 +210,3 @@ class _LinearReadings:
         precision = inverse_and_volume(self.unchanged[int(costs.argmin())])[0]
         weighted = self.jacobian.T @ precision
         return select_changed(weighted @ self.errors, weighted @ self.jacobian, [changed])[1]
-
-
-def _mean_cost(costs: Array) -> float:
-    """Return −2 ln of the mean density, from −2 ln of each."""
-    return -2 * float(np.logaddexp.reduce(-costs / 2, axis=None) - np.log(costs.size))
-
-
-def _of_either(first: float, second: float) -> float:
-    """Return −2 ln density where two models are equally probable, from that of each."""
-    return _mean_cost(np.array([first, second]))

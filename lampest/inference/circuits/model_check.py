@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 
 from lampest.files.applications import applications
-from lampest.files.levels import MAD_TO_SIGMA, MIN_EVIDENCE_GAIN, SIGNIFICANT
+from lampest.files.levels import DOUBTFUL_GAIN, MAD_TO_SIGMA, MIN_EVIDENCE_GAIN, SIGNIFICANT
 from lampest.inference.cells_fit import well_determined
 from lampest.inference.circuits.better_alternative import better_alternative
 from lampest.inference.circuits.compared_frames import ComparedFrames, below_series, broken_law
 from lampest.inference.circuits.explanation import Explanation
 from lampest.inference.circuits.open_ends import UndeterminedEnds, undetermined_ends
-from lampest.inference.circuits.parameters import DOUBTFUL_GAIN
 from lampest.inference.nuisances import BetterExplanation, CircuitEffects, find_effects
 from lampest.inference.pair import FittedPair
 from lampest.panel.effects.line_effect import LineEffect
@@ -204,11 +203,11 @@ class Question(ComparedFrames):
         ends = UndeterminedEnds()
         if explains and self.explanation is not None:
             ends = undetermined_ends(self.explanation, self)
-        likely = best.nearly or ends.doubts
-        compared = explains and not (likely or self._uncompared)
+        alone = best.alone and not (best.nearly or ends.doubts)
+        compared = explains and alone and not self._uncompared
         check = ModelCheck(
             explains,
-            "; ".join((self._verdict(best, alone=not likely), *ends.remarks)),
+            "; ".join((self._verdict(best, alone=alone), *ends.remarks)),
             best.name,
             self.widening,
             besides.common_change,
@@ -261,7 +260,7 @@ class Question(ComparedFrames):
         ----------
         best : BetterExplanation
         alone : bool
-            Whether no other known circuit is about as likely.
+            Whether no other known circuit is likelier, or about as likely.
         """
         if self.fault:
             if not self._complete:
@@ -288,10 +287,11 @@ class Question(ComparedFrames):
         pair = self.explanation.pair
         if pair is None:
             return "the panel is too large"
-        # none has to be tried where none can gain enough evidence
-        gains = pair.beyond_noise >= MIN_EVIDENCE_GAIN
-        badly = gains and not well_determined(self.explanation.fits)
-        return "cells are not determined well enough" if badly else ""
+        if pair.beyond_noise < MIN_EVIDENCE_GAIN:  # none can gain as much
+            return "loads change too little beside the noise; press more cells"
+        if not well_determined(self.explanation.fits):
+            return "cells are not determined well enough"
+        return ""
 
     def effects(self, kinds: Sequence[type[LineEffect]]) -> CircuitEffects:
         """Return the effects beside the circuit, of some kinds.

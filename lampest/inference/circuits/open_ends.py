@@ -11,17 +11,19 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import inf
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lampest.files.document import in_one_line
-from lampest.inference.circuits.compared_frames import ComparedFrames
-from lampest.inference.circuits.explanation import Explanation
-from lampest.inference.circuits.parameters import DOUBTFUL_GAIN
+from lampest.files.levels import DOUBTFUL_GAIN
 from lampest.panel.lines import as_tuple, opposite
 from lampest.panel.readouts.wiring import NeighbourLeaks
 from lampest.panel.scene import Scene
+
+if TYPE_CHECKING:
+    from lampest.inference.circuits.compared_frames import ComparedFrames
+    from lampest.inference.circuits.explanation import Explanation
 
 # −2 ln odds beyond which an end is excluded
 EXCLUDED = 12.0
@@ -183,7 +185,7 @@ class UndeterminedEnds:
     remarks: tuple[str, ...] = ()
 
 
-def undetermined_ends(specified: Explanation, frames: ComparedFrames) -> UndeterminedEnds:
+def undetermined_ends(specified: "Explanation", frames: "ComparedFrames") -> UndeterminedEnds:
     """Return the ends that the scene leaves out and that the frames do not exclude.
 
     Parameters
@@ -210,12 +212,16 @@ def undetermined_ends(specified: Explanation, frames: ComparedFrames) -> Undeter
     return UndeterminedEnds(tuple(doubts), tuple(remarks))
 
 
-def _possible(end: LeftOutEnd, specified: Explanation, frames: ComparedFrames) -> list[TriedEnd]:
+def _possible(
+    end: LeftOutEnd, specified: "Explanation", frames: "ComparedFrames"
+) -> list[TriedEnd]:
     """Return the sizes of an end that the frames do not exclude.
 
     The search ends at a size with which no cells give the readings, or that is less probable than
     the best one by twice EXCLUDED: larger ones are still less probable.
     """
+    from lampest.inference.circuits.explanation import Explanation  # a scene's words do without
+
     assert specified.pair is not None
     without = specified.pair.density_of_loads
     tried: list[TriedEnd] = []
@@ -235,7 +241,7 @@ def _possible(end: LeftOutEnd, specified: Explanation, frames: ComparedFrames) -
     return [one for one in tried if one.gain > most - EXCLUDED]
 
 
-def _shift(specified: Explanation, further: Explanation) -> float:
+def _shift(specified: "Explanation", further: "Explanation") -> float:
     """Return the larger of the medians of ln of the cells' factor; see `TriedEnd`."""
     resting, loaded = (
         np.log(changed.cells / fit.cells)

@@ -11,7 +11,7 @@ from operator import attrgetter
 import numpy as np
 
 from lampest.files.errors import BROKEN, InputError
-from lampest.files.levels import MIN_EVIDENCE_GAIN
+from lampest.files.levels import DOUBTFUL_GAIN, MIN_EVIDENCE_GAIN
 from lampest.inference.cells_fit import CellsFit
 from lampest.inference.circuits.alternatives import Alternative
 from lampest.inference.circuits.compared_frames import ComparedFrames, broken_law
@@ -21,10 +21,8 @@ from lampest.inference.readings.free_tests import largest_series_ohm
 from lampest.panel.effects import usual_size
 from lampest.panel.panel import Array
 from lampest.panel.sizes import SIZED
+from lampest.panel.trust_region import golden_section
 
-# −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
-# with the right circuit nearly all gain less (docs/theory/model_check.md).
-DOUBTFUL_GAIN = 15.0
 # Of the largest resistance in series that readings allow: all of it would short the panel.
 MAX_SERIES_SHARE = 0.98
 SERIES_POINTS = 5  # resistances in series that are tried, before a search about the best one
@@ -37,7 +35,6 @@ MIN_MEMORY = MEMORIES[0] / 2 * 1.1
 MAX_MEMORY = MEMORIES[-1] * 1.9
 MIN_LINEAR_SHARE = 0.5  # of the gain by a memory that linear theory gives at least
 MEMORY_ACCURACY = 0.03  # of the search about the best one, as a share of it
-GOLDEN = (5**0.5 - 1) / 2  # share of a range that golden sections keep
 SERIES_ACCURACY = 0.05  # of that search, as a share of their distance
 
 
@@ -197,18 +194,8 @@ class _ParameterSearch:
         return explanation.linear_evidence
 
     def between(self, lower: float, upper: float, accuracy: float) -> None:
-        """Search between two values by golden sections, until these are nearer than `accuracy`."""
-        values = [upper - GOLDEN * (upper - lower), lower + GOLDEN * (upper - lower)]
-        scores = [self.score(value) for value in values]
-        while upper - lower > 2 * accuracy:
-            if scores[0] < scores[1]:
-                upper = values[1]
-                values = [upper - GOLDEN * (upper - lower), values[0]]
-                scores = [self.score(values[0]), scores[0]]
-            else:
-                lower = values[0]
-                values = [values[1], lower + GOLDEN * (upper - lower)]
-                scores = [scores[1], self.score(values[1])]
+        """Search between two values, up to `accuracy`."""
+        golden_section(self.score, lower, upper, 2 * accuracy)
 
 
 def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool:

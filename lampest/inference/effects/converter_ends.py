@@ -118,15 +118,22 @@ def saturated(recording: Recording) -> Saturated | None:
         moved = np.nan_to_num(most - resting, nan=0.0) > OUTLIER_THRESHOLD * width
         for channels, counted in ((most, moved), (resting, np.isfinite(resting))):
             at_end = _channels_at_end(channels, counted, width)
-            if at_end is not None:
-                end = float(np.nanmax(channels, initial=-np.inf))
-                near_end = np.broadcast_to(at_end, volt.shape) & (end - volt <= 2 * width)
-                level = float(np.median(volt[near_end]))
-                rail = max(sign * limit for limit in readout.range_volt)
-                if rail - level < float(np.mean(width)):
-                    continue
-                at_rest = int((np.abs(resting - level) <= width).sum())
-                return Saturated(sign * level, int((at_end & moved).sum()), at_rest, sign > 0)
+            end = float(np.nanmax(channels, initial=-np.inf))
+            # A stage passes nothing beyond its limit, but for an outlier, and cells that are alike
+            # end alike under equal loads, too.
+            if (
+                at_end is None
+                or np.sum(sign * volts - end > float(np.mean(width))) > 1
+                or (counted is moved and _alike(scene, sign * resting, sign * end, width, at_end))
+            ):
+                continue
+            near_end = np.broadcast_to(at_end, volt.shape) & (end - volt <= 2 * width)
+            level = float(np.median(volt[near_end]))
+            rail = max(sign * limit for limit in readout.range_volt)
+            if rail - level < float(np.mean(width)):
+                continue
+            at_rest = int((np.abs(resting - level) <= width).sum())
+            return Saturated(sign * level, int((at_end & moved).sum()), at_rest, sign > 0)
     return None
 
 
@@ -157,6 +164,34 @@ def _channels_at_end(volt: Array, counted: Mask, width: Array) -> Mask | None:
     crowded = count >= MIN_CROWD * (with_next - count)
     wide = extent > MIN_EXTENT * float(np.mean(width))
     return at_end if wide and crowded and lines > 1 and chance < SIGNIFICANCE else None
+
+
+def _alike(scene: Scene, resting: Array, end: float, width: Array, chosen: Mask) -> bool:
+    """Return whether channels differ at rest by no more than two widths are worth at an end.
+
+    Equal loads change ln r alike, and a reading near the end of its range hardly depends on it.
+
+    Parameters
+    ----------
+    scene : Scene
+    resting : array, shape (rows, columns)
+        Voltages at rest.
+    end : float
+        Voltage under load.
+    width : array
+        Width within which voltages count as equal, V.
+    chosen : boolean array, shape (rows, columns)
+        The channels.
+    """
+    circuit = scene.circuit
+    reach = 2 * float(np.mean(width))
+    ends = [np.full(resting.shape, end + step) for step in (-reach, 0.0, reach)]
+    with np.errstate(all="ignore"):
+        recorded = circuit.recorded_from_volt(np.stack([resting, *ends]))
+        apparent = circuit.apparent_resistance(circuit.from_recorded(recorded, scene))
+        logarithm = np.log(apparent[:, chosen])
+    at_end = np.abs(np.diff(logarithm[1:], axis=0)).max(axis=1)
+    return bool(np.ptp(logarithm[0]) <= np.fmin.reduce(at_end))
 
 
 def with_saturated_stage(recording: Recording) -> Recording:

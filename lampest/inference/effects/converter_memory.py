@@ -7,7 +7,7 @@ before, relative to the misfit of still cells. Nothing is determined where most 
 share then explains them.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from lampest.inference.circuits.parameters import may_gain_by_memory
 from lampest.inference.effects.effect import Determined, Gathered, SceneEffect, Unnamed
 from lampest.inference.evidence import PARAMETER_COST, mostly_still
 from lampest.inference.noise import NoiseEstimate
-from lampest.inference.number import parabola
+from lampest.inference.number import is_significant, parabola
 from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.effects.converter_memory import KeptShare
 from lampest.panel.panel import Array
@@ -58,8 +58,8 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
         return f"the panel has more than {MAX_CELLS} cells: estimate it on a part of it"
     plain = replace(recording, scene=replace(recording.scene, converter_memory=None))
     frames = ComparedFrames.of(plain, np.zeros(recording.recorded.shape, dtype=bool))
-    coarse = [_cost(explanation) for explanation in _explanations(frames, MEMORIES)]
-    best = float(MEMORIES[np.argmin(coarse)])
+    tried = _explanations(frames, MEMORIES)
+    best = float(MEMORIES[np.argmin([_cost(explanation) for explanation in tried])])
     step = float(MEMORIES[1])
     shares = np.linspace(max(best - step, 0.0), max(best, step) + step, FINER)
     explanations = _explanations(frames, shares)
@@ -72,7 +72,13 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
     least, deviation = parabola(shares, costs / nearest.pair.excess)
     if deviation > MAX_DEVIATION:
         return "the load changes all channels alike: press a few cells"
-    return max(least, 0.0), float(np.hypot(deviation, EDGE_ERROR))
+    least = max(least, 0.0)
+    known = float(np.hypot(deviation, EDGE_ERROR))
+    # Cells apart from a load show a memory that its edge is not.
+    error = deviation if _gain(tried[0], explanations) > 0 else known
+    if is_significant(least, error, float(MEMORIES[-1])):
+        return least, known
+    return 0.0, float(np.hypot(least, known))
 
 
 def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
@@ -97,12 +103,17 @@ def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
     # Only where noise does not give the misfit without a memory, it counts with one
     patient = not all(fit.within_noise for fit in without.fits)
     tried = _explanations(frames, np.array(TRIED), without, patient=patient)
+    return _gain(without, tried)
+
+
+def _gain(without: Explanation | None, tried: Sequence[Explanation | None]) -> float:
+    """Return the gain of the best explanation with a memory; 0 unless cells apart show it."""
+    best = min(tried, key=_cost)
+    if without is None or without.pair is None or best is None or best.pair is None:
+        return 0.0
     pairs = [of_share.pair for of_share in tried if of_share is not None and of_share.pair]
     apart = (without.pair.gain_apart(pair) - PARAMETER_COST * pair.excess for pair in pairs)
-    best = min(tried, key=_cost)
-    if best is None or best.pair is None or max(apart) < 0:
-        return 0.0
-    return (_cost(without) - _cost(best)) / best.pair.excess
+    return 0.0 if max(apart) < 0 else (_cost(without) - _cost(best)) / best.pair.excess
 
 
 def _explanations(

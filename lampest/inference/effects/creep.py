@@ -78,7 +78,8 @@ class CommonCreep(SceneEffect):
 def common_change(pair: FittedPair, noise: FrameNoise | None) -> tuple[float, float]:
     """Return the change of ln r of all cells that no load touches, and its standard deviation.
 
-    Errors that the readings of a frame share, such as its gain, change all cells, too.
+    Errors that the readings of a frame share, such as its gain, change all cells, too, and so does
+    the second order of noise, by up to half the variance of ln r.
 
     Parameters
     ----------
@@ -89,9 +90,12 @@ def common_change(pair: FittedPair, noise: FrameNoise | None) -> tuple[float, fl
     change, deviation = (
         float(ASSUMED.common_change * part[0]) for part in (pair.evidence.size, pair.evidence.sd)
     )
+    still = ~pair.evidence.moved
+    resting, loaded = (np.diag(frame.covariance)[still] for frame in pair.frames)
+    if still.any():
+        deviation = float(np.hypot(deviation, np.median(loaded - resting) / 2))
     if noise is None:
         return change, deviation
-    still = ~pair.evidence.moved
     for frame, baseline in zip(pair.frames, (True, False), strict=True):
         columns = noise.columns(frame.readings.value[None], baseline=baseline)
         by_error = (frame.gain @ columns)[still].mean(axis=0)

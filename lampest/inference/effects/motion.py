@@ -43,6 +43,7 @@ from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed, est
 from lampest.inference.evidence import MOVED_COST, Changes, Chosen, mostly_still, usual_starts
 from lampest.inference.noise import NoiseEstimate, Share
 from lampest.inference.nuisances import Besides
+from lampest.inference.number import is_significant
 from lampest.inference.pair import FittedPair
 from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.effects import READINGS, estimated_errors, own_errors
@@ -70,9 +71,6 @@ POINTS = 201  # of a posterior over the shares
 # Probability of a steady load below which jitter is shown: that of NOISE_REACH in a normal
 # distribution.
 STEADY_ODDS = 0.0027
-# Below, a jitter is the least that is searched: a smaller one has more evidence, and errors other
-# than those of loads resemble it.
-MIN_JITTER = 1.01 * JITTERS[0]
 LOADED_SHARE = 0.15  # of the largest change: a cell that changes by more is under the load
 # Error of a value interpolated between two frames, over √(τ(1 − τ)) times the second difference of
 # the frames: 0.7 for a change at once, 0.2 to 0.4 for one that takes a frame or longer.
@@ -234,11 +232,13 @@ def _share(
     reach = max(mean, min(float(means.max()) / reliability, 1.0)) if known is None else known
     # The share of the scan is anywhere between both.
     deviation = float(np.hypot(spread, (reach - mean) / np.sqrt(3)))
+    if known is None and not is_significant(mean, spread, 1.0):
+        mean, deviation = 0.0, float(np.hypot(mean, deviation))
     return Share(
         mean,
         deviation,
         reach,
-        2 * (search.likeliest((0.0, 0.0)).cost - likely[int(log_odds.argmax())].cost),
+        2 * (search.likeliest((0.0, 0.0)).cost - likely[0].cost),
         float(np.sqrt(odds @ [motion.position[1] for motion in likely])),
         float(odds[0]),
     )
@@ -645,8 +645,6 @@ class ScanMotion(SceneEffect):
             resting_cells=evidence.noise.resting_cells,
         )
         share = search()
-        if share is not None and _jitters_alone(share) and share.jitter < MIN_JITTER:
-            return
         # Errors of readings explain some of what seems to be motion: they are tried where some is.
         if share is not None and share.gain > MIN_EVIDENCE_GAIN and not named:
             share = search(unknown_errors=True)

@@ -26,10 +26,9 @@ from typing import Any
 import numpy as np
 
 from lampest.files.errors import BROKEN
-from lampest.files.levels import MIN_EVIDENCE_GAIN
+from lampest.files.levels import DOUBTFUL_GAIN, MIN_EVIDENCE_GAIN
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted
-from lampest.inference.circuits.parameters import DOUBTFUL_GAIN
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides

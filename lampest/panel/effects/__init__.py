@@ -193,7 +193,7 @@ def shared_effects() -> tuple[SharedEffect, ...]:
             taken = [*SHARED, *(error.setting for error in further)]
             if kind.setting in taken:
                 raise InputError(f"{named} needs a setting unlike {', '.join(taken)}")
-            further.append(_made(kind))
+            further.append(kind())
         elif not issubclass(kind, loaded("lampest.panel.effects.line_effect:LineEffect")):
             raise InputError(f"{named} is no effect, SharedEffect or LineEffect")
     return (*map(shared_effect_of, SHARED), *further)
@@ -230,12 +230,6 @@ def shared_effect_of(setting: str) -> SharedEffect:
         if error.setting == setting:
             return error
     raise ValueError(f"{setting}: no installed effect has this key")
-
-
-@cache
-def _made(kind: type[SharedEffect]) -> SharedEffect:
-    """Return the one object of a kind."""
-    return kind()
 
 
 def error_columns(
@@ -352,10 +346,8 @@ def estimated_errors(scene: Scene) -> tuple[str, ...]:
     if not isinstance(scene.systematic, Systematic):
         return ()
     settings = (part.name for part in fields(Systematic) if part.name != "own")
-    entries = {name: getattr(scene.systematic, name) for name in settings} | dict(
-        scene.systematic.own
-    )
-    return tuple(name for name, size in entries.items() if size == ESTIMATED)
+    names = (*settings, *dict(scene.systematic.own))
+    return tuple(name for name in names if scene.systematic.entry(name) == ESTIMATED)
 
 
 @dataclass(frozen=True)
@@ -364,26 +356,16 @@ class Shared:
 
     Attributes
     ----------
-    systematic : Systematic or None
-        Sizes of the errors.
+    possible : Possible or None
+        The errors with a size.
     scene : Scene
     contact_root : array, shape (lines, n), or None
         Root of the covariance of the contact resistances, ohm.
-    estimated : tuple of str
-        Fields of `Systematic` of the errors with a joint posterior.
-    root : array, shape (n, n), or None
-        Lower triangular root of the covariance of these errors, in units of their sizes; None: they
-        are independent, with their sizes as standard deviations.
-    film_scatter : float
-        Scatter of log r of the unloaded cells beside each reading's own error; 0 where unknown.
     """
 
-    systematic: Systematic | None
+    possible: Possible | None
     scene: Scene
     contact_root: Array | None = None
-    estimated: tuple[str, ...] = ()
-    root: Array | None = None
-    film_scatter: float = 0.0
 
     @classmethod
     def of(cls, scene: Scene, possible: Possible | None = None) -> "Shared | None":
@@ -394,34 +376,27 @@ class Shared:
         """
         contacts = scene.contact_prior
         possible = Possible(systematic_of(scene) or Systematic()) if possible is None else possible
-        sizes = None if possible.sizes == Systematic() else possible.sizes
-        if sizes is None and contacts is None:
+        sized = None if possible.sizes == Systematic() else possible
+        if sized is None and contacts is None:
             return None
         contact_root = None if contacts is None else np.diag(contacts.deviation(scene.panel.shape))
-        return cls(
-            sizes,
-            scene,
-            contact_root,
-            possible.settings,
-            possible.root,
-            possible.film_scatter,
-        )
+        return cls(sized, scene, contact_root)
 
     def beyond(self, known: "Shared | None") -> "Shared | None":
         """Return the errors that remain if a method has unknowns for the errors `known`.
 
         The result is None if none remain.
         """
-        if self.systematic is None:
+        if self.possible is None:
             return None
-        if known is None or known.systematic is None:
+        if known is None or known.possible is None:
             return replace(self, contact_root=None)
-        total = self.systematic.size(READINGS)
-        modelled = known.systematic.size(READINGS)
+        total = self.possible.sizes.size(READINGS)
+        modelled = known.possible.sizes.size(READINGS)
         if not total > modelled:
             return None
         remaining = float(np.sqrt(total**2 - modelled**2))
-        return Shared(Systematic(reading_error=remaining), self.scene)
+        return Shared(Possible(Systematic(reading_error=remaining)), self.scene)
 
     def columns(self, network: Network, measured: Array) -> Array:
         """Return U, (cells, n), in the readings' unit.
@@ -434,20 +409,14 @@ class Shared:
             from lampest.panel.readouts.wired_network import contact_responses  # for contacts alone
 
             parts.append(contact_responses([network]) @ self.contact_root)
-        if self.systematic is not None:
-            errors = sized_effects(self.systematic)
-            joint = () if self.root is None else self.estimated
-            apart = [error for error in errors if error.setting not in joint]
-            together = [error for error in errors if error.setting in joint]
-            parts.append(self._of_errors(apart, network, measured))
-            if self.root is not None:
-                parts.append(self._of_errors(together, network, measured) @ self.root)
+        if self.possible is not None:
+            sizes, root = self.possible.sizes, self.possible.root
+            joint = () if root is None else self.possible.settings
+            for is_joint in (False, True):
+                errors = (
+                    each for each in sized_effects(sizes) if (each.setting in joint) is is_joint
+                )
+                columns = error_columns(errors, network, measured, self.scene, sizes)
+                part = columns.reshape(len(columns), measured.size).T
+                parts.append(part @ root if is_joint and root is not None else part)
         return np.concatenate(parts, axis=1) if parts else np.zeros((measured.size, 0))
-
-    def _of_errors(
-        self, errors: Iterable[SharedEffect], network: Network, measured: Array
-    ) -> Array:
-        """Return U of some errors, (cells, n), in the readings' unit."""
-        assert self.systematic is not None
-        columns = error_columns(errors, network, measured, self.scene, self.systematic)
-        return columns.reshape(len(columns), measured.size).T

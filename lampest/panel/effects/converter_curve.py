@@ -54,16 +54,15 @@ class ConverterCurve(SharedEffect):
     ) -> Array:
         """Return simulated voltages with a drawn curve, (frames, rows, columns)."""
         (inl_lsb,) = sizes
-        curve = drawn_curve(volt / readout.full_scale_volt, random)
-        return np.asarray(volt + inl_lsb * readout.lsb_volt * curve)
+        weights = random.standard_normal(SINES)
 
+        def curve(at: Array) -> Array:
+            """Return the drawn curve at shares of the converter's range."""
+            waves = (
+                weight * np.sin(np.pi * number * at) for number, weight in enumerate(weights, 1)
+            )
+            return sum(waves, np.zeros_like(at))
 
-def drawn_curve(share: Array, random: np.random.Generator) -> Array:
-    """Return a drawn curve of largest deviation 1, at shares of a converter's range."""
-    weights = random.standard_normal(SINES)
-
-    def sines(at: Array) -> Array:
-        waves = (weight * np.sin(np.pi * number * at) for number, weight in enumerate(weights, 1))
-        return sum(waves, np.zeros_like(at))
-
-    return np.asarray(sines(share) / np.abs(sines(np.linspace(0, 1, 1001))).max())
+        largest = np.abs(curve(np.linspace(0, 1, 1001))).max()
+        deviation = curve(volt / readout.full_scale_volt) / largest
+        return np.asarray(volt + inl_lsb * readout.lsb_volt * deviation)

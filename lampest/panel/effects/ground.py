@@ -38,28 +38,21 @@ class SharedGround(LineEffect):
         return f"a ground of {self.size:.2g} ohm that idle driven lines share"
 
     def added(self, scene: Scene, network: Network) -> Array:
-        if not self._is_modelled(scene):
-            return np.zeros(network.conductance.shape)
-        with_ground, without = (
-            _grounded(scene, network, ohm)[0] for ohm in (self.size + MIN_OHM, MIN_OHM)
-        )
-        return with_ground - without
+        return np.zeros(network.conductance.shape) + self._change(scene, network)[0]
 
     def added_sensitivity(self, scene: Scene, network: Network) -> Array | float:
-        if not self._is_modelled(scene):
-            return 0.0
-        with_ground, without = (
-            _grounded(scene, network, ohm)[1] for ohm in (self.size + MIN_OHM, MIN_OHM)
-        )
-        return with_ground - without
+        return self._change(scene, network)[1]
 
-    @staticmethod
-    def _is_modelled(scene: Scene) -> bool:
-        """Return whether idle driven lines of a scene's circuit may share a ground."""
+    def _change(self, scene: Scene, network: Network) -> tuple[Array | float, Array | float]:
+        """Return the changes of the readings and of their derivatives; 0 where none is modelled."""
         ends = nominal_terminations(scene.circuit)
         unlike = scene.circuit.unit == "ohm" or ends.diode is not None or ends.driving.follows
         shared = ends.driving.connected(own=False).size > 0
-        return shared and not unlike and scene.wiring is None
+        if not shared or unlike or scene.wiring is not None:
+            return 0.0, 0.0
+        reading, slope = _grounded(scene, network, self.size + MIN_OHM)
+        without, slope_without = _grounded(scene, network, MIN_OHM)
+        return reading - without, slope - slope_without
 
 
 def _grounded(scene: Scene, network: Network, ohm: float) -> tuple[Array, Array]:

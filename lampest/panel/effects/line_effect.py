@@ -37,8 +37,6 @@ class LineEffect(ABC):
         Standard deviation of the size.
     unit : str
         Unit of the size.
-    positive : bool
-        Whether the size is never negative.
     may_begin : bool
         Whether it may begin after the unloaded frames.
 
@@ -62,8 +60,12 @@ class LineEffect(ABC):
     key: ClassVar[str] = ""
     prior: ClassVar[float]
     unit: ClassVar[str] = ""
-    positive: ClassVar[bool] = False
     may_begin: ClassVar[bool] = True
+
+    @property
+    def positive(self) -> bool:
+        """Whether the size is never negative."""
+        return False
 
     @classmethod
     @abstractmethod

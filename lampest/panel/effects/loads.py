@@ -44,8 +44,13 @@ class LoadTolerance(SharedEffect):
             errors = [together * along(side, lines) for lines in resistors]
         else:
             unchanged = circuit.exact_reading(cells, scene.wiring)
-            changed = (with_resistors(circuit, 1 + deviation * lines) for lines in resistors)
-            errors = [each.exact_reading(cells, scene.wiring) - unchanged for each in changed]
+            name = circuit.of_sensed[0]
+            errors = []
+            for lines in resistors:
+                ohm = per_line(name, getattr(circuit, name), len(lines))
+                changes: dict[str, Any] = {name: tuple((ohm * (1 + deviation * lines)).tolist())}
+                actual = replace(circuit, **changes)
+                errors.append(actual.exact_reading(cells, scene.wiring) - unchanged)
         return np.array(errors).reshape(-1, *measured.shape)
 
 
@@ -77,11 +82,3 @@ def resistors_of(circuit: Readout, shape: tuple[int, ...]) -> Array:
         resistors = []
     several = entry(circuit, circuit.of_sensed[0]) is not None and len(resistors) > 1
     return np.array(resistors if several else np.zeros((0, sensed)), dtype=float)
-
-
-def with_resistors(circuit: Readout, factors: Array) -> Readout:
-    """Return a circuit whose resistors of sensed lines are larger by factors, (sensed,)."""
-    name = circuit.of_sensed[0]
-    larger = factors * per_line(name, getattr(circuit, name), len(factors))
-    changes: dict[str, Any] = {name: tuple(larger.tolist())}
-    return replace(circuit, **changes)

@@ -18,6 +18,11 @@ class LooseContact(LineEffect):
     prior = 100.0
     unit = "ohm"
 
+    @property
+    def positive(self) -> bool:
+        """Whether it is a contact that loosened; less resistance is a load on the whole line."""
+        return self.since
+
     @classmethod
     def places(cls, rows: int, columns: int) -> Iterator[tuple[int, ...]]:
         yield from ((line,) for line in range(rows + columns))

@@ -4,7 +4,6 @@ The readings are R = Z_jj + Z_kk − 2 Z_jk. ∂R_i/∂u_c = g_c D_ic² with the
 BᵀZB. As D is symmetric, one operator serves as forward and as adjoint product.
 """
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,7 +15,13 @@ from lampest.files.typed import typed
 from lampest.panel.kirchhoff import Stencil, line_sums, log_determinant
 from lampest.panel.network import SolvedNetwork
 from lampest.panel.panel import Array, Mask, Numbers
-from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, backtracked, steihaug
+from lampest.panel.trust_region import (
+    DENSE_CELLS,
+    SUFFICIENT_DECREASE,
+    backtracked,
+    restricted,
+    steihaug,
+)
 
 MAX_ITERATIONS = 30  # 6 suffice from the uniform start at 10 × 10 to 32 × 32 without noise
 MAX_LENGTHS = 20  # tried lengths of a step; smaller ones change the cost by rounding
@@ -164,8 +169,8 @@ def _step(network: SolvedNetwork, gradient: Array, free: Mask, accuracy: float) 
     (D∘D)·p = −(∂R/∂g)·p. `accuracy` is that of the step of a large panel, relative to the gradient.
     """
     step = np.zeros(gradient.shape)
+    chosen = np.flatnonzero(free)
     if gradient.size <= DENSE_CELLS:
-        chosen = np.flatnonzero(free)
         transfer = network.transfer
         transfer = transfer if len(chosen) == free.size else transfer[np.ix_(chosen, chosen)]
         curvature = (transfer * transfer).T  # symmetric; the transpose has LAPACK's memory order
@@ -174,20 +179,15 @@ def _step(network: SolvedNetwork, gradient: Array, free: Mask, accuracy: float) 
         return step
     # Large panels: conjugate gradients on (D∘D)·p with the stencil as preconditioner.
     stencil = Stencil.of(network.conductance, network.reading(), free)
-
-    def over_panel(linear: Callable[[Array], Array], values: Array) -> Array:
-        full = np.zeros(gradient.shape)
-        full[free] = values
-        return linear(full)[free]
-
-    step[free] = steihaug(
-        lambda search: over_panel(
-            lambda full: network.forward(full * network.cell_resistance), search
-        ),
-        lambda residual: over_panel(stencil.solve, residual),
-        gradient[free],
-        accuracy,
-    ).step
+    resistance = network.cell_resistance
+    product, inverse = (
+        restricted(linear, chosen, free.size)
+        for linear in (
+            lambda step: network.forward(step.reshape(free.shape) * resistance).ravel(),
+            lambda residual: stencil.solve(residual.reshape(free.shape)).ravel(),
+        )
+    )
+    step[free] = steihaug(product, inverse, gradient[free], accuracy).step
     return step
 
 

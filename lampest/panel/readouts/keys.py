@@ -61,13 +61,6 @@ def load_ends(readout: Any, count: int) -> Ends:
     return load if input_ohm is None else load.beside(Ends.of(np.full(count, input_ohm)))
 
 
-def idle_load_ends(readout: Any, count: int) -> Ends:
-    """Return the ends of idle sensed lines that have one of their own, else floating ones."""
-    ohm = entry(readout, "idle_load_ohm")
-    _, volt = load_volts(readout)
-    return Ends.of(per_line("idle_load_ohm", inf if ohm is None else ohm, count), volt)
-
-
 def ends_with_loads(
     readout: Any, drive: Ends, idle: Ends, together: Ends, sensed: int, *, loads_stay: bool
 ) -> Terminations:
@@ -85,11 +78,15 @@ def ends_with_loads(
     sensed : int
         Number of sensed lines.
     loads_stay : bool
-        Whether idle sensed lines keep their loads, or else end as `idle_load_ends`.
+        Whether idle sensed lines keep their loads, or else end in idle_load_ohm, or float.
     """
     load = load_ends(readout, sensed)
     total = load.behind(per_line("sense_ohm", entry(readout, "sense_ohm") or 0.0, sensed))
-    idle_load = total if loads_stay else idle_load_ends(readout, sensed)
+    idle_load = total
+    if not loads_stay:
+        ohm = entry(readout, "idle_load_ohm")
+        idle_ohm = per_line("idle_load_ohm", inf if ohm is None else ohm, sensed)
+        idle_load = Ends.of(idle_ohm, load_volts(readout)[1])
     at_far_end = entry(readout, "read_at") == "far_end"
     with np.errstate(invalid="ignore"):
         gain = np.where(np.isinf(load.ohm) | at_far_end, 1.0, load.ohm / total.ohm)

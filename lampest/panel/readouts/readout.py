@@ -238,23 +238,37 @@ class Readout(Completed, ABC):
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
         """Return the solved network of cells (rows, columns) ohm, with `wiring` before them.
 
-        The ties are those of `ties`. Raises numpy.linalg.LinAlgError if a line is not connected.
+        The ties are those of `ties`. Cells and ties of two-point readings may have leading axes,
+        for many panels. Raises numpy.linalg.LinAlgError if a line is not connected.
         """
-        if self.two_point:
-            return self._solved_network(cell_resistance, ties, wiring)
-        equation = equation_of(self, *cell_resistance.shape)
-        ties = np.atleast_2d(ties)
+        equation = equation_of(self, *cell_resistance.shape[-2:])
         excited = equation.excitations(ties)
+        circuit = None if self.two_point else self
+        wire = None
+        if wiring is not None and not wiring.at_terminals:
+            from lampest.panel.readouts.ladder import Wire  # for wire
+
+            wire = Wire.of(cell_resistance, wiring)
 
         def of_bases(bases: Any, cells: Array = cell_resistance) -> SolvedNetwork:
+            """Return the network of one state of the lines, or of many as its leading axis."""
+            tied = ties[bases]
             sources = None if excited is None else excited[bases]
-            return self._solved_network(cells, ties[bases], wiring, sources)
+            if wire is None and not np.isinf(tied).any():
+                leaks = None if wiring is None else wiring.leak_admittance(cells.shape[-2:])
+                return SolvedNetwork.tied(cells, tied, circuit, sources, leaks)
+            from lampest.panel.difference_network import DifferenceNetwork  # wire and held lines
 
+            return DifferenceNetwork.of(cells, tied, circuit, sources, wiring, wire)
+
+        if self.two_point:
+            return of_bases(slice(None))
+        ties = np.atleast_2d(ties)
         if len(ties) == 1:
             return of_bases(0)
         from lampest.panel.joined_network import JoinedNetwork  # for several bases
 
-        if (wiring is None or wiring.at_terminals) and not np.isinf(ties).any():
+        if wire is None and not np.isinf(ties).any():
             cells = np.broadcast_to(cell_resistance, equation.read_at.shape)
             networks = [of_bases(slice(None), cells)]
         else:
@@ -280,27 +294,6 @@ class Readout(Completed, ABC):
         ties = np.squeeze(equation.ties_of_parts(parts, lambda: np.array(USUAL_OHM)))
         with np.errstate(divide="ignore"):
             return self.network(cell_resistance, ties, wiring).reading()
-
-    def _solved_network(
-        self,
-        cell_resistance: Array,
-        ties: Array,
-        wiring: Wiring | None = None,
-        sources: Array | None = None,
-    ) -> SolvedNetwork:
-        """Return the network of one state of the lines, or of many as its leading axis.
-
-        Infinite ties hold lines at ground, and `sources` are the excitations of the lines by the
-        potentials in which they end, (…, lines); see `network`. Many states have neither wire nor
-        held lines.
-        """
-        circuit = None if self.two_point else self
-        if (wiring is None or wiring.at_terminals) and not np.isinf(ties).any():
-            leaks = None if wiring is None else wiring.leak_admittance(cell_resistance.shape[-2:])
-            return SolvedNetwork.tied(cell_resistance, ties, circuit, sources, leaks)
-        from lampest.panel.difference_network import DifferenceNetwork  # for wire and held lines
-
-        return DifferenceNetwork.of(cell_resistance, ties, circuit, sources, wiring)
 
     # Cells at which solves begin, and their bounds.
 

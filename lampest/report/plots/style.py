@@ -155,13 +155,34 @@ def _laid_out(figure: Figure) -> Iterator[Any]:
     canvas = FigureCanvasAgg(figure)
     figure.dpi = DOTS_PER_INCH
     if engine is not None:
+        measured = [_measured_once(axes) for axes in figure.axes]
         engine.execute(figure)
+        for axes in measured:
+            del axes.get_tightbbox
     figure.set_layout_engine("none")
     try:
         yield canvas
     finally:
         figure.set_layout_engine(engine)
         figure.dpi = dots
+
+
+def _measured_once(axes: Any) -> Any:
+    """Return axes that keep their extent at each place where they are measured.
+
+    Layouts measure a colour bar anew for every map beside it.
+    """
+    measure = axes.get_tightbbox
+    extents = dict[Any, Any]()
+
+    def kept(*arguments: Any, **named: Any) -> Any:
+        place = axes.get_position(original=True).bounds
+        if place not in extents:
+            extents[place] = measure(*arguments, **named)
+        return extents[place]
+
+    axes.get_tightbbox = kept
+    return axes
 
 
 @contextmanager

@@ -26,7 +26,7 @@ from printing_board import (
 
 from lampest import Array, InputError, LoadedColumnsReadout, Panel, Recording, Scene, import_file
 from lampest.apps.board.record import Recorded, record
-from lampest.apps.board.sample import LineOptions
+from lampest.apps.board.sample import TOO_FAST, LineOptions
 from lampest.files.document import to_yaml
 from lampest.panel.panel import EachModule, Modules
 
@@ -196,7 +196,7 @@ def test_bytes_that_come_too_fast_are_counted(
     lines = printed(frame_with_millis, codes)
     with in_datagrams([*lines[:30], b"".join(lines[30:40]), *lines[40:]], period=0.05) as url:
         summary, recording = recorded(url, tmp_path / "r.h5", frames=45)
-    assert summary.too_fast
+    assert summary.count[TOO_FAST]
     whole = np.concatenate([codes[:30], codes[40:55]])
     np.testing.assert_array_equal(codes_of(recording), whole)
 

@@ -24,7 +24,15 @@ from lampest.apps.board.port import NoBoardError
 from lampest.apps.board.protocol import Estimate, Frame, Garbage, Hello, message
 from lampest.apps.board.record import Progress, Recorded, _wanted, record
 from lampest.apps.board.recorder import Recorder
-from lampest.apps.board.sample import CLOCK_JUMPED, CLOCK_STOPPED, HOST_CLOCK_SET, Sample, Samples
+from lampest.apps.board.sample import (
+    CLOCK_JUMPED,
+    CLOCK_STOPPED,
+    HOST_CLOCK_SET,
+    OTHER_BOARD,
+    Listening,
+    Sample,
+    Samples,
+)
 from lampest.apps.board.several import LATE_SECONDS, Alignment, samples_of
 from lampest.apps.board.stream import Scanning, scene_of
 from lampest.files import process
@@ -341,7 +349,7 @@ def test_frames_of_another_board_on_the_line_are_left_out_with_a_warning(
     recording = Recording.load(tmp_path / "r.h5")
     assert np.all(recording.raw_sums == 707) and (summary.frames, summary.lost) == (40, 0)
     assert recording.acquisition.sequence.tolist() == list(range(40))
-    assert summary.other_board and "another board" in recording.acquisition.event_label
+    assert summary.count[OTHER_BOARD] and "another board" in recording.acquisition.event_label
 
 
 @pytest.mark.parametrize("step_s", [-86_400.0, -3600.0, 3600.0, 86_400.0])
@@ -505,7 +513,7 @@ def test_ports_and_modules_must_have_equal_numbers() -> None:
         ),
     ):
         with pytest.raises(InputError, match=words):
-            samples_of(ports, scene)
+            samples_of(ports, Listening(scene))
 
 
 def sent(number: int, at: float, arrived: float | None = None) -> Sample:
@@ -622,21 +630,20 @@ def image_of(
     silent = set[str]()
     waiting = {port: iter(samples) for port, samples in boards.items()}
 
-    def samples(port: str, *arguments: Any, **options: Any) -> Samples:
+    def samples(port: str, listening: Listening) -> Samples:
         for sample in waiting[port]:
             if isinstance(sample, InputError):
                 raise sample
             yield (sample,)
         silent.add(port)
-        while not arguments[-1]():
+        while not listening.ending():
             time.sleep(1e-3)
 
     monkeypatch.setattr(several, "board_samples", samples)
     monkeypatch.setattr(several, "monotonic", lambda: 0.0)
     monkeypatch.setattr(several, "RETRY_SECONDS", 0.0)
-    batches = samples_of(
-        [*boards], SCENE, PERIOD, states.append, lambda: len(silent) == len(boards)
-    )
+    listening = Listening(SCENE, PERIOD, states.append, lambda: len(silent) == len(boards))
+    batches = samples_of([*boards], listening)
     return [sample for batch in batches for sample in batch], states
 
 
@@ -770,19 +777,11 @@ def test_a_recording_summary_counts_its_events(
         samples[number] = replace(samples[number], **change)
     calls: list[Any] = []
 
-    def arriving(
-        urls: object,
-        scene: object,
-        period: object,
-        on_state: Any,
-        ending: Any,
-        baseline: int,
-        options: object,
-    ) -> Samples:
-        calls.append((urls, scene, period, ending(), baseline))
+    def arriving(urls: object, how: Listening) -> Samples:
+        calls.append((urls, how.scene, how.period, how.ending(), how.baseline))
         yield tuple(samples[:2])
-        on_state("the board does not answer")
-        on_state("the board is gone")
+        how.on_state("the board does not answer")
+        how.on_state("the board is gone")
         yield ()
         yield tuple(samples[2:])
         yield ()
@@ -800,8 +799,9 @@ def test_a_recording_summary_counts_its_events(
             "on_progress": lambda at: steps.append((at.frames, at.lost, at.state)),
         }
         summary = record(ports, tmp_path / name, **limits)
-        counts = {"frames": 5, "lost": 2, "restarts": 3, "clock_jumps": 1, "parted": 1, "behind": 0}
-        assert {key: getattr(summary, key) for key in counts} == counts and summary.clock_stopped
+        assert (summary.frames, summary.lost, summary.restarts) == (5, 2, 3)
+        assert (summary.count[CLOCK_JUMPED], summary.count[CLOCK_STOPPED]) == (1, 1)
+        assert (summary.count["parted"], summary.count["behind"]) == (1, 0)
         assert (summary.path, summary.ended_by, summary.noise_lsb) == (tmp_path / name, "", None)
         assert summary.silent == (1.55 if name == "a" else 0.0)
         assert steps == [
@@ -828,7 +828,7 @@ def batches_of(*sizes: int) -> Samples:
 
 
 def test_invalid_messages_are_counted_by_kind_until_a_valid_frame() -> None:
-    line = stream._Line("url", None, None, lambda: False)
+    line = stream._Line("url", Listening())
     idle = replace(IDLE, running=True)
     fit, misshapen = (Frame(2, 9, 50, 0, np.ones(shape, np.uint16)) for shape in ((3, 4), (3, 5)))
     unfit = (Garbage(3), misshapen, misshapen, Garbage(1), Garbage(2), idle, idle, idle, idle)
@@ -852,7 +852,7 @@ def test_invalid_messages_are_counted_by_kind_until_a_valid_frame() -> None:
 
 def test_a_frame_has_the_estimate_sent_before_it() -> None:
     """A lost, garbled, late or failed estimate costs only itself, and the line stays in use."""
-    line = stream._Line("url", None, None, lambda: False)
+    line = stream._Line("url", Listening())
     run = Scanning(replace(IDLE, running=True), BOARD_SCENE, 0, None)
     change = np.arange(12, dtype=np.float32).reshape(3, 4)
     frames = [
@@ -890,7 +890,7 @@ def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch
 
         board: Any = SimpleNamespace(messages=messages.__next__, identify=identify, heard=5)
         board.stop = lambda: (replace(FIT, sequence=10, device_ms=1050),)
-        line = stream._Line("url", None, None, ends.__next__)
+        line = stream._Line("url", Listening(ending=ends.__next__))
         batches = line._run(board, RUNNING, BOARD_SCENE)
         taken = [*itertools.islice(batches, len(sizes))]
         assert [len(batch) for batch in taken] == sizes
@@ -901,7 +901,7 @@ def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch
     line.last = replace(sent(3, 0.0), session=4)
     board.messages = [(FIT,)].pop
     board.identify = lambda: IDLE
-    line._ending = lambda: False
+    line._how = Listening()
     assert [
         sample.session for batch in line._run(board, RUNNING, BOARD_SCENE) for sample in batch
     ] == [5]

@@ -9,6 +9,7 @@ import pytest
 
 from lampest import Array, InputError, Layout, import_file
 from lampest.apps.foreign import importing
+from lampest.apps.foreign.line_reader import LineReader
 
 
 @dataclass(frozen=True)
@@ -65,3 +66,17 @@ def test_infinite_numbers_among_readings_are_refused_without_a_warning(tmp_path:
     path.write_text("0,-1e999,0,1e999\novf,-1e999,1e999,1e999\n1e999,0,1e999,ovf\n")
     with pytest.raises(InputError, match=r"m\.csv"):
         import_file(path, 2, 3)
+
+
+def test_days_of_excel_are_times_of_lines_that_come_one_after_the_other() -> None:
+    """Frames every half a second, in days since 1899-12-30 with nine decimals."""
+    reader = LineReader((2, 3))
+    frames = [
+        frame
+        for number in range(20)
+        for frame in reader.feed(
+            f"{45_000 + number / 172_800:.9f},500,510,520,530,540,5{number:02}"
+        )
+    ]
+    seconds = np.array([frame.seconds for frame in frames], dtype=float)
+    assert len(frames) == 20 and np.allclose(seconds, np.arange(20) / 2, atol=1e-4)
