@@ -24,13 +24,16 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.special import expit, logsumexp
 
 from lampest.apps.recognition.hypotheses import (
+    BESIDE,
     BREATH,
     BREATHING_SD,
     CAUSES,
     EVIDENCE_SHARE,
     LEAK_SD,
     LEAK_SHARE,
+    MOVES,
     RATES_HZ,
+    RIM,
     TREMBLE_SD,
     WANDER,
     Cause,
@@ -49,6 +52,7 @@ MIN_FRAMES = 13  # that determine a rhythm: six numbers of wave and trend, and a
 MIN_RATE_HZ = 3.8  # frames per second: four with a slow clock; they resolve rates up to 2 Hz
 # Largest suction that counts over that of the recognised frame, and the inverse of the smallest.
 MAX_PULL = 3.0
+SIZES = 13  # of a cause that are compared
 DEPTH_ROUNDS = 4  # of weights at the depth of the round before
 
 Pair = tuple[float, float]
@@ -292,7 +296,7 @@ class _Window(NamedTuple):
         hertz_sd = float(np.hypot(spread, RATE_STEP / lasted / 12**0.5))
         return Breath(
             odds=float(logsumexp(odds) - log(len(odds))),
-            suction=_suction(steadied, swings @ whitening.T, 1.0, mean_gain),
+            suction=_suction(steadied, swings @ whitening.T, mean_gain),
             hertz=(float(self.hertz[best]), hertz_sd),
             depth=_depth(self.patterns, self.changes, self.waves[best], within, loud / mean_gain),
         )
@@ -510,61 +514,73 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
     return np.asarray(logsumexp(fits + volume, axis=0))
 
 
-def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> float:
+def _suction(patterns: Patterns, swings: Array, gain: float) -> float:
     """Return the probability that suction oscillates with its rim, against all other causes.
 
     Each cause is taken at its own best rate, because the square of a movement oscillates at twice
-    its rate.
+    its rate. Cells beside the load may swing in any case, by the size that explains the swing best
+    at the rate of the suction.
 
     Parameters
     ----------
     patterns : Patterns
     swings : array, shape (rates, 2, readings)
-        Projections of the readings on sine and cosine.
-    noise : float
-        Variance of the swings.
+        Projections of the readings on sine and cosine, with noise of unit variance.
     gain : float
         Square of the swings at unit amplitude.
     """
+    best = np.argmax(
+        logsumexp(_explained(gain**0.5 * patterns.own, BREATH.largest, swings), axis=0)
+    )
+    beside = gain**0.5 * patterns.beside
+    by_size = _explained(beside, BESIDE.largest, swings[best : best + 1])[:, 0]
+    size = _sizes(BESIDE.largest)[np.argmax(by_size)]
+    root = cholesky(np.eye(len(beside)) + size**2 * beside @ beside.T, lower=True)
+    whitening = solve_triangular(root, np.eye(len(root)), lower=True)
     evidence = {
         cause: float(
-            _explained(
-                gain**0.5 * getattr(patterns, cause.pattern), cause.largest, swings, noise
+            logsumexp(
+                _explained(
+                    gain**0.5 * whitening @ getattr(patterns, cause.pattern),
+                    cause.largest,
+                    swings @ whitening.T,
+                ),
+                axis=0,
             ).max()
         )
-        for cause in CAUSES
+        - log(SIZES)
+        for cause in (BREATH, RIM, MOVES)
     }
 
     def odds(cause: Cause) -> float:
         before = cause.odds_adjoined if patterns.adjoins else cause.odds
-        return EVIDENCE_SHARE * (evidence[BREATH] - evidence[cause]) + log(before)
+        return EVIDENCE_SHARE * (evidence[BREATH] - evidence.get(cause, 0.0)) + log(before)
 
     # 1/w = 1 + Σ_causes (E_cause/E_breath)^½/odds
     return float(expit(-logsumexp([-odds(cause) for cause in CAUSES if cause is not BREATH])))
 
 
-def _explained(root: Array, most: float, swings: Array, noise: float) -> Array:
-    """Return ln of the ratio of P(swings | cause) to P(swings | noise), (rates,).
+def _sizes(largest: float) -> Array:
+    """Return sizes of a cause up to its largest, each as probable as the others, (SIZES,)."""
+    return np.geomspace(TREMBLE_SD, largest, SIZES)
 
-    The likelihood of the cause is averaged over sizes up to `most`.
+
+def _explained(root: Array, largest: float, swings: Array) -> Array:
+    """Return ln of the ratio of P(swings | size of a cause) to P(swings | noise), (SIZES, rates).
 
     Parameters
     ----------
     root : array, shape (readings, n)
         Root B of the cause's covariance at unit amplitude.
-    most : float
+    largest : float
         Largest size a.
     swings : array, shape (rates, 2, readings)
-    noise : float
-        Variance σ² of the swings.
+        With noise of unit variance.
     """
     along, lengths, _ = np.linalg.svd(root, full_matrices=False)
-    square = (swings @ along) ** 2 / noise
-    sizes = np.geomspace(TREMBLE_SD, most, 13)
-    wide = (sizes[:, None] * lengths) ** 2 / noise
-    # swings ~ N(0, σ² + a² B Bᵀ): ½ Σ z² w/(1 + w) − ½ · 2 Σ ln(1 + w), with w = a² l²/σ² along
-    # each axis of B, for sine and cosine
-    evidence = np.tensordot(square.sum(axis=1), wide / (1 + wide), (1, 1)) / 2 - np.log1p(wide).sum(
-        axis=1
-    )
-    return np.asarray(logsumexp(evidence, axis=1, b=1 / len(sizes)))
+    square = (swings @ along) ** 2
+    wide = (_sizes(largest)[:, None] * lengths) ** 2
+    # swings ~ N(0, 1 + a² B Bᵀ): ½ Σ z² w/(1 + w) − ½ · 2 Σ ln(1 + w), with w = a² l² along each
+    # axis of B, for sine and cosine
+    power = square.sum(axis=1)
+    return np.asarray((wide / (1 + wide)) @ power.T / 2 - np.log1p(wide).sum(axis=1)[:, None])

@@ -70,11 +70,9 @@ BREATH = Cause("own", 0.15, 1.0, 1.0)
 # What sucks and breathes always does, while rims and places swing at one rate only where something
 # pushes them. A rim swings by all of its pressure, a place ten times as far as usual, and the
 # resistance of a cell beside by 5 %.
-CAUSES = (
-    BREATH,
-    Cause("rim", 1.0, 10.0, 0.1),
-    Cause("moves", 10.0, 10.0, 0.1),
-    Cause("beside", 0.05, 30.0, 0.1),
-)
+RIM = Cause("rim", 1.0, 10.0, 0.1)
+MOVES = Cause("moves", 10.0, 10.0, 0.1)
+BESIDE = Cause("beside", 0.05, 30.0, 0.1)
+CAUSES = (BREATH, RIM, MOVES, BESIDE)
 # of breath, against all other causes together
 PRIOR_ODDS = 1 / sum(1 / cause.odds for cause in CAUSES[1:])
