@@ -27,7 +27,6 @@ from lampest.apps.recognition.hypotheses import (
     BESIDE,
     BREATH,
     BREATHING_SD,
-    CAUSES,
     EVIDENCE_SHARE,
     LEAK_SD,
     LEAK_SHARE,
@@ -175,6 +174,8 @@ def _steady_breath(
         tapered=_tapered(even_waves, within),
         changes=changes,
         patterns=own_patterns,
+        with_bodies=_without(trend, recorded),
+        bodies=patterns,
     )
     freedom = len(times) - trend.shape[1]
     breaths = [window.breath(*rates, freedom) for rates in window.rates(level, rate)]
@@ -204,6 +205,10 @@ class _Window(NamedTuple):
     changes : array, shape (frames, readings)
         Whitened changes of ln y.
     patterns : Patterns
+    with_bodies : array, shape (frames, readings)
+        Changes with those of other loads and bodies.
+    bodies : Patterns
+        Patterns with these.
     """
 
     times: Array
@@ -218,6 +223,8 @@ class _Window(NamedTuple):
     tapered: Array
     changes: Array
     patterns: Patterns
+    with_bodies: Array
+    bodies: Patterns
 
     @property
     def distance(self) -> float:
@@ -296,10 +303,46 @@ class _Window(NamedTuple):
         hertz_sd = float(np.hypot(spread, RATE_STEP / lasted / 12**0.5))
         return Breath(
             odds=float(logsumexp(odds) - log(len(odds))),
-            suction=_suction(steadied, swings @ whitening.T, mean_gain),
+            suction=_suction(
+                steadied,
+                swings @ whitening.T,
+                mean_gain,
+                self._rates_of(best),
+                self._pushed(best, mean_gain),
+            ),
             hertz=(float(self.hertz[best]), hertz_sd),
             depth=_depth(self.patterns, self.changes, self.waves[best], within, loud / mean_gain),
         )
+
+    def _rates_of(self, best: int) -> NDArray[np.bool_]:
+        """Return the rates of movements that may oscillate at one rate, (2, rates).
+
+        The first row has the rate itself, the second its half as well, also beyond half the frame
+        rate, because the square of a movement oscillates at twice its rate.
+        """
+        hertz = self.hertz[best]
+        lasted = float(self.times[-1] - self.times[0])
+        frames_hz = (len(self.times) - 1) / lasted
+        same = np.abs(self.hertz - hertz) < 1 / (2 * lasted)
+        halves = np.array([hertz / 2, (frames_hz - hertz) / 2])[:, None]
+        return np.stack([same, same | (np.abs(self.hertz - halves) < 1 / (4 * lasted)).any(axis=0)])
+
+    def _pushed(self, best: int, gain: float) -> float:
+        """Return the probability that a body that adjoins the load swings at one rate.
+
+        It moves the load at the rates at which it moves itself.
+        """
+        if not self.bodies.adjoins:
+            return 0.0
+        breathing = BREATHING_SD**2 * gain * self.bodies.own @ self.bodies.own.T
+        root = cholesky(np.eye(len(breathing)) + breathing, lower=True)
+        swing = self.axes[best : best + 1] @ self.with_bodies
+        white = solve_triangular(
+            root, np.hstack([swing[0].T, gain**0.5 * self.bodies.others[:, 1:]]), lower=True
+        )
+        by_size = _explained(white[:, 2:], BREATH.largest, white[None, :, :2].swapaxes(1, 2))
+        evidence = float(logsumexp(by_size)) - log(SIZES)
+        return float(expit(EVIDENCE_SHARE * evidence - log(RIM.odds)))
 
     def _rhythm(self, weights: Array, whitening: Array, near: NDArray[np.bool_]) -> "_Rhythm":
         """Return the oscillations of the suction that weights (readings,) sum to."""
@@ -514,12 +557,13 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
     return np.asarray(logsumexp(fits + volume, axis=0))
 
 
-def _suction(patterns: Patterns, swings: Array, gain: float) -> float:
+def _suction(
+    patterns: Patterns, swings: Array, gain: float, rates: NDArray[np.bool_], pushed: float
+) -> float:
     """Return the probability that suction oscillates with its rim, against all other causes.
 
-    Each cause is taken at its own best rate, because the square of a movement oscillates at twice
-    its rate. Cells beside the load may swing in any case, by the size that explains the swing best
-    at the rate of the suction.
+    Cells beside the load may swing in any case, by the size that explains the swing best at the
+    rate of the suction.
 
     Parameters
     ----------
@@ -528,36 +572,36 @@ def _suction(patterns: Patterns, swings: Array, gain: float) -> float:
         Projections of the readings on sine and cosine, with noise of unit variance.
     gain : float
         Square of the swings at unit amplitude.
+    rates : boolean array, shape (2, rates)
+        Rates of the suction, and of other causes.
+    pushed : float
+        Probability that a body beside the load oscillates.
     """
-    best = np.argmax(
-        logsumexp(_explained(gain**0.5 * patterns.own, BREATH.largest, swings), axis=0)
-    )
+    own, others = (swings[which] for which in rates)
+    best = np.argmax(logsumexp(_explained(gain**0.5 * patterns.own, BREATH.largest, own), axis=0))
     beside = gain**0.5 * patterns.beside
-    by_size = _explained(beside, BESIDE.largest, swings[best : best + 1])[:, 0]
+    by_size = _explained(beside, BESIDE.largest, own[best : best + 1])[:, 0]
     size = _sizes(BESIDE.largest)[np.argmax(by_size)]
     root = cholesky(np.eye(len(beside)) + size**2 * beside @ beside.T, lower=True)
     whitening = solve_triangular(root, np.eye(len(root)), lower=True)
-    evidence = {
-        cause: float(
-            logsumexp(
-                _explained(
-                    gain**0.5 * whitening @ getattr(patterns, cause.pattern),
-                    cause.largest,
-                    swings @ whitening.T,
-                ),
-                axis=0,
-            ).max()
-        )
-        - log(SIZES)
-        for cause in (BREATH, RIM, MOVES)
-    }
 
-    def odds(cause: Cause) -> float:
-        before = cause.odds_adjoined if patterns.adjoins else cause.odds
-        return EVIDENCE_SHARE * (evidence[BREATH] - evidence.get(cause, 0.0)) + log(before)
+    def evidence(cause: Cause, swings: Array) -> float:
+        pattern = gain**0.5 * whitening @ getattr(patterns, cause.pattern)
+        by_rate = logsumexp(_explained(pattern, cause.largest, swings @ whitening.T), axis=0)
+        return float(by_rate.max()) - log(SIZES)
 
+    breathes = evidence(BREATH, own)
     # 1/w = 1 + Σ_causes (E_cause/E_breath)^½/odds
-    return float(expit(-logsumexp([-odds(cause) for cause in CAUSES if cause is not BREATH])))
+    against = [
+        EVIDENCE_SHARE * (explained - breathes)
+        + np.log(pushed / cause.odds_adjoined + (1 - pushed) / cause.odds)
+        for cause, explained in (
+            (RIM, evidence(RIM, others)),
+            (MOVES, evidence(MOVES, others)),
+            (BESIDE, 0.0),
+        )
+    ]
+    return float(expit(-logsumexp(against)))
 
 
 def _sizes(largest: float) -> Array:
