@@ -64,6 +64,7 @@ CUP_MOVING = "cup in moving water"
 LEAKING = "leaking cup"
 IRREGULAR = "irregular breath"
 STRONGLY_PULLED = "strongly pulled mouth"
+PAUSING = "pausing mouth"
 LIMPET = "limpet"
 PLANT = "waving plant"
 IN_WATER = (WATER, MOVING, CUP_MOVING)
@@ -87,8 +88,9 @@ KINDS = (
     STRONGLY_PULLED,
     LIMPET,
     PLANT,
+    PAUSING,
 )
-LIVING = (*MOUTHS, PUMPING, SLIDING, PULLED, CURRENT, MOVING, IRREGULAR, STRONGLY_PULLED)
+LIVING = (*MOUTHS, PUMPING, SLIDING, PULLED, CURRENT, MOVING, IRREGULAR, STRONGLY_PULLED, PAUSING)
 # their shapes
 OF_COURSE = {
     SHAKEN: "cup",
@@ -109,6 +111,7 @@ OF_COURSE |= {
     LEAKING: "cup",
     IRREGULAR: "wavy mouth",
     STRONGLY_PULLED: "wavy mouth",
+    PAUSING: "wavy mouth",
     PLANT: "fin",
 }
 # kPa: common pressure of the water on all cells; gradients have half of it
@@ -125,6 +128,7 @@ SLIDES_MM = 15.0
 SLIDES_S = (6.0, 8.0)
 SUCKING = ("mouth", "cup", IRREGULAR, LIMPET)
 TABLE = (PUMPING, "cup", BUMPED, SHAKEN, "rod", "hand")
+PAUSES_S = (10.0, 20.0)  # from one pause of breath to the next; two fifths of the time are pauses
 BLOCK = 3600  # frames that are read at once
 POISSON_95 = (3.0, 4.74, 6.30, 7.75)  # upper limits of a mean of which so many events were seen
 # between pumps (Shi et al. 2021), and the part that is lost until one
@@ -220,7 +224,10 @@ def courses(
     if kind in LIVING:
         if kind in (IRREGULAR, STRONGLY_PULLED):
             phase = _breath_by_breath(own, time, hertz)
-        breath = 1 + depth * np.sin(phase)
+        swing = np.sin(phase)
+        if kind == PAUSING:
+            swing *= np.sin(2 * np.pi * (since / own.uniform(*PAUSES_S) + own.random())) > -0.3
+        breath = 1 + depth * swing
         suck = suck * (_pumped(rng, since, pumps) if kind == PUMPING else 1.0)
         if kind == PULLED:
             begin = rng.uniform(3, 9)
@@ -320,11 +327,19 @@ def delayed(pressure: Array) -> Array:
     )
 
 
+def saturated(pressure: Array) -> Array:
+    """r/r0 that under suction ends at 5, as of a film whose patches keep an edge in contact."""
+    published = ratio_from_pressure(pressure)
+    most = np.log(5.0)
+    return np.where(pressure < 0, np.exp(most * -np.expm1(-np.log(published) / most)), published)
+
+
 DRAWN = "drawn"
 CURVES: dict[str, Callable[[Array], Array]] = {
     "published": ratio_from_pressure,
     "straight": straight,
     "delayed": delayed,
+    "saturated": saturated,
 }
 
 

@@ -29,6 +29,7 @@ from docs.studies.attachments import (
     LIMPET,
     LIVING,
     MOVING,
+    PAUSING,
     PLANT,
     SHAKEN,
     SUCKING,
@@ -43,7 +44,7 @@ LEVELS = (0.0, 0.9, 0.93, 0.97, 0.99, 1.0)  # of P, between which answers are co
 
 # Drawn kinds: mouths, other things that suck, and things that press.
 OF_DRAWN = (
-    *("uneven mouth", "pressed mouth", "mouth and body", CURRENT, MOVING, IRREGULAR),
+    *("uneven mouth", "pressed mouth", "mouth and body", CURRENT, MOVING, IRREGULAR, PAUSING),
     *("cup", SHAKEN, CUP_CURRENT, CUP_MOVING, LEAKING, LIMPET),
     *("rod", "ring", "hand", "rock", "fish", PLANT),
 )
