@@ -338,7 +338,7 @@ class _Window(NamedTuple):
         root = cholesky(np.eye(len(breathing)) + breathing, lower=True)
         swing = self.axes[best : best + 1] @ self.with_bodies
         white = solve_triangular(
-            root, np.hstack([swing[0].T, gain**0.5 * self.bodies.others[:, 1:]]), lower=True
+            root, np.hstack([swing[0].T, gain**0.5 * self.bodies.others[:, 1:-1]]), lower=True
         )
         by_size = _explained(white[:, 2:], BREATH.largest, white[None, :, :2].swapaxes(1, 2))
         evidence = float(logsumexp(by_size)) - log(SIZES)

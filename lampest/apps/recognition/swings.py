@@ -31,6 +31,7 @@ OWN_SD = 0.1
 CURVE_SD = 0.27
 # Suction from which an alternative curve through the published point may begin, instead of 0 kPa.
 THRESHOLD_KPA = -2.0
+WAVE_KPA = 0.2  # pressure of a wave, by which slopes are taken
 # Distances of a body's cells to the nearest of a load, in pitches, at which it may move the rim.
 # Nearer ones may be of the rim itself.
 ADJOINS_PITCHES = (1.5, 3.2)
@@ -200,7 +201,9 @@ def patterns_of(verdict: Verdict, whitening: Array) -> list[Patterns]:
             slopes=slopes[:, under],
             spread=spread[under],
             moves=moves,
-            others=np.column_stack([whitening.sum(axis=1), by_cell[:, beside]]),
+            others=np.column_stack(
+                [whitening.sum(axis=1), by_cell[:, beside], by_cell @ _by_water(frame, rise)]
+            ),
             curve=curve,
         )
         patterns.append(
@@ -218,6 +221,14 @@ def adjoin(panel: Panel, body: NDArray[np.bool_], load: NDArray[np.bool_]) -> bo
     nearest = np.fmin.reduce(distance, axis=1, initial=np.inf)
     least, most = ADJOINS_PITCHES
     return bool(np.any((nearest > least) & (nearest < most)))
+
+
+def _by_water(frame: Observation, rise: Array) -> Array:
+    """Return ∂(ln r/r0)/∂p of all cells at x = `rise`, (cells,) 1/kPa: waves press on all alike."""
+    response = frame.baseline.response
+    pressure = response.pressure(rise / response.gains + response.logarithm(frame.water))
+    more, less = (response.logarithm(pressure + by) for by in (WAVE_KPA, -WAVE_KPA))
+    return np.asarray(response.gains * (more - less) / (2 * WAVE_KPA)).ravel()
 
 
 def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
