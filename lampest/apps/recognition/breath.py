@@ -332,13 +332,13 @@ class _Window(NamedTuple):
 
         It moves the load at the rates at which it moves itself.
         """
-        if not self.bodies.adjoins:
+        if not self.bodies.bodies.size:
             return 0.0
         breathing = BREATHING_SD**2 * gain * self.bodies.own @ self.bodies.own.T
         root = cholesky(np.eye(len(breathing)) + breathing, lower=True)
         swing = self.axes[best : best + 1] @ self.with_bodies
         white = solve_triangular(
-            root, np.hstack([swing[0].T, gain**0.5 * self.bodies.others[:, 1:-1]]), lower=True
+            root, np.hstack([swing[0].T, gain**0.5 * self.bodies.bodies]), lower=True
         )
         by_size = _explained(white[:, 2:], BREATH.largest, white[None, :, :2].swapaxes(1, 2))
         evidence = float(logsumexp(by_size)) - log(SIZES)

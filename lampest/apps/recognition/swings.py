@@ -57,8 +57,9 @@ class Patterns(NamedTuple):
         Cells that neither the load nor `others` contain, each by itself; none in `of`.
     curve : float
         Relative standard deviation of the depth by a curve under suction that was not measured.
-    adjoins : bool
-        Whether another load, or a body, adjoins the load and may move its rim.
+    bodies : array
+        The part of `others` by loads and bodies that adjoin the load and may move its rim; none in
+        `of`.
     """
 
     own: Array
@@ -66,8 +67,8 @@ class Patterns(NamedTuple):
     moves: Array
     others: Array
     beside: Array
+    bodies: Array
     curve: float = 0.0
-    adjoins: bool = False
 
     @classmethod
     def of(
@@ -109,7 +110,7 @@ class Patterns(NamedTuple):
             [moves.T, np.diag(EDGE_SD * np.hypot(changes, np.sqrt(np.mean(changes**2))))]
         )
         none = np.zeros((len(by_cell), 0))
-        return cls(by_cell @ suction, by_cell @ rigid, by_cell @ moving, others, none, curve)
+        return cls(by_cell @ suction, by_cell @ rigid, by_cell @ moving, others, none, none, curve)
 
     def beside_others(self, changes: Array) -> tuple["Patterns", Array]:
         """Project patterns and changes (frames, readings) on the complement of `others`.
@@ -208,7 +209,8 @@ def patterns_of(verdict: Verdict, whitening: Array) -> list[Patterns]:
         )
         patterns.append(
             pattern._replace(
-                beside=by_cell[:, ~(under | beside)], adjoins=adjoin(panel, beside, under)
+                beside=by_cell[:, ~(under | beside)],
+                bodies=by_cell[:, beside & adjoin(panel, beside, under)],
             )
         )
     return patterns
