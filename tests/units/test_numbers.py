@@ -1,5 +1,6 @@
 """Numbers that the pages state are those of the package."""
 
+from math import exp
 from pathlib import Path
 
 import pytest
@@ -79,6 +80,7 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
         ("its prior probability of 0.81", round(breathing.PRIOR_SUCTION, 2), 0.81),
         ("excludes a breath of 3 % or more", hypotheses.MIN_DEPTH, 0.03),
         ("its depth and 1.645 standard deviations", breathing.ONE_SIDED, 1.645),
+        ("w = ln(0.1 + 0.9 B)", exp(-hypotheses.SILENT_LOG_ODDS), 0.1),
         ("with A = 4.5 % for breathing", hypotheses.BREATHING_SD, 0.045),
         ("and 0.2 % without", hypotheses.TREMBLE_SD, 0.002),
         ("a is at most 15 % of the suction", hypotheses.BREATH.largest, 0.15),

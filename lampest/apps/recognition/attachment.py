@@ -16,7 +16,7 @@ from lampest.apps.recognition.breath import breath
 from lampest.apps.recognition.breathing import MAX_LOG_ODDS, MIN_WINDOW_S, WINDOW_S, Breathing
 from lampest.apps.recognition.contacts import contacts_of
 from lampest.apps.recognition.hold import Hold
-from lampest.apps.recognition.hypotheses import NEVER_LOG_ODDS
+from lampest.apps.recognition.hypotheses import SILENT_LOG_ODDS
 from lampest.apps.recognition.observation import Observation
 from lampest.apps.recognition.pumping import BLOCK_S, Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without_water
@@ -160,8 +160,8 @@ class Attachment:
 
         Its odds are the product of those of breath and of pumps.
         """
-        # one mouth in twenty never shows its breath; ln odds of pumps add
-        breathes = max(float(logit(self.breathes)), -NEVER_LOG_ODDS)
+        # one mouth in ten never shows its breath; ln odds of pumps add
+        breathes = max(float(logit(self.breathes)), -SILENT_LOG_ODDS)
         return 1 / (1 + exp(-breathes - self._pumping))
 
     @property

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import expit, logit
 
 from lampest.apps.recognition.breath import Breath, Pair
-from lampest.apps.recognition.hypotheses import NEVER_LOG_ODDS, PAUSE_LOG_ODDS, PRIOR_ODDS
+from lampest.apps.recognition.hypotheses import PRIOR_ODDS, SILENT_LOG_ODDS
 
 # duration over which a rhythm is steady, and the least that determines one
 WINDOW_S = 8.0
@@ -116,8 +116,8 @@ class Breathing:
     def after(self, breath: Breath | None, time: float, *, full: bool) -> "Breathing":
         """Return the breath after a window that ends at a time in s.
 
-        The odds of a full window are kept. Assumptions: one mouth in twenty never shows its breath,
-        because it is faint or at half the frame rate, and a mouth pauses in one window of twenty.
+        The odds of a full window are kept. Assumptions: one mouth in ten never shows its breath,
+        because it is faint or at half the frame rate, and a mouth pauses in one window of ten.
         Of incomplete windows, two successive ones have to agree that the suction oscillates: with
         the last one alone, two of 75 shaken cups were taken for lampreys for a second.
         One that speaks against the window before shows nothing: a few
@@ -134,9 +134,9 @@ class Breathing:
 
     def _with_window(self, breath: Breath, *, full: bool) -> "Breathing":
         """Return the breath with that of one more window."""
-        # w = ln(0.05 + 0.95 B), B the odds of the window
-        window = np.logaddexp(-PAUSE_LOG_ODDS, np.log1p(-exp(-PAUSE_LOG_ODDS)) + breath.odds)
-        odds = self._together(self.previous_odds, float(window), -NEVER_LOG_ODDS)
+        # w = ln(0.1 + 0.9 B), B the odds of the window
+        window = np.logaddexp(-SILENT_LOG_ODDS, np.log1p(-exp(-SILENT_LOG_ODDS)) + breath.odds)
+        odds = self._together(self.previous_odds, float(window), -SILENT_LOG_ODDS)
         # Where nothing oscillates, a window shows no cause.
         suction = breath.suction if breath.odds > 0 else PRIOR_SUCTION
         against_last = suction < PRIOR_SUCTION < self.last

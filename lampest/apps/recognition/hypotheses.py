@@ -30,9 +30,8 @@ TREMBLE_SD = 0.002
 # Smallest depth of a mouth's breath, assumed: what may breathe as deep is not surely a cup.
 MIN_DEPTH = 0.03
 # −ln of the shares of mouths that never show their breath, because it is faint or at half the frame
-# rate, and of windows in which a mouth pauses: one in twenty each, assumed.
-NEVER_LOG_ODDS = log(20)
-PAUSE_LOG_ODDS = log(20)
+# rate, and of windows in which a mouth pauses: one in ten each, assumed.
+SILENT_LOG_ODDS = log(10)
 # Share of windows in which a suction that does not breathe begins to leak, and how fast, 1/s:
 # assumed. The bend of such a suction resembles a slow breath.
 LEAK_SHARE = 0.05
