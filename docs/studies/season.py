@@ -5,7 +5,11 @@ limpet that settles slowly and a waving plant, in a drawn order. Meanwhile the l
 the temperature drifts by 2 °C an hour, and a dead row of the panel is declared. Pressures, films
 and electronics are those of `docs.studies.attachments`.
 
+With --rounds the loads come again, other ones each time, and --idle lengthens the times between
+them.
+
     python -m docs.studies.season --seasons 2 --rates 4 1
+    python -m docs.studies.season --seasons 1 --rates 1 --rounds 5 --idle 45
 """
 
 import argparse
@@ -52,8 +56,10 @@ AGAIN_S = 30.0  # between two visits of one mouth
 DEPTH_MM = 200.0
 LEVEL_KPA = 0.00981 * 300  # 30 cm of water
 LEVEL_S = 300.0
-# of ln r in an hour: 2 °C at 0.4 % per degree, a tenth of it different from cell to cell
+# of ln r in an hour: 2 °C at 0.4 % per degree, a tenth of it different from cell to cell; it
+# returns within a day
 DRIFT = 0.008
+DAY_S = 86400.0
 PLANT = "plant"
 IN_TIME_S = 2.0
 MATCH_MM = 15.0  # between a visit and its row
@@ -110,7 +116,10 @@ class Season:
 
     def add(self, kind: str, made: Made, begin: float, lasts: float) -> None:
         """Add the visit of a load."""
-        course, _, _ = courses(self.rng, kind, self.time - begin + TOUCH_S, lasts)
+        # beyond it courses are 0, and its pumps would be drawn in vain
+        near = np.abs(self.time - begin - lasts / 2) < lasts / 2 + 2 * TOUCH_S
+        course = np.zeros((len(self.time), 3))
+        course[near], _, _ = courses(self.rng, kind, self.time[near] - begin + TOUCH_S, lasts)
         if kind == LIMPET:
             settles = np.clip((self.time - begin) / self.rng.uniform(1, 30), 0, 1)
             course = course * settles[:, None]
@@ -191,7 +200,8 @@ class Season:
         response = np.log(curve(pressure) / curve(depth))
         resistance = answered_film(self.rng, self.layer, response, time)
         own = DRIFT * (1 + 0.1 * self.rng.standard_normal(self.panel.shape))
-        resistance *= np.exp(-own * time[:, None, None] / 3600)
+        day = DAY_S / (2 * np.pi)
+        resistance *= np.exp(-own * day * np.sin(time[:, None, None] / day) / 3600)
         resistance[:, self.dead] = 1e12
         with np.errstate(divide="ignore"):  # of the row that is not read
             readings = recorded(self.rng, resistance, time)
@@ -207,11 +217,16 @@ def _overlap(first: Made, second: Made) -> bool:
     return bool(distance < reach)
 
 
-def drawn(seed: int, rate: float, side: int = 10) -> tuple[Season, Array]:
-    """Return a season, and the pressure of the rising water over that at first, (frames,) kPa."""
+def drawn(
+    seed: int, rate: float, side: int = 10, rounds: int = 1, idle: float = 1.0
+) -> tuple[Season, Array]:
+    """Return a season, and the pressure of the rising water over that at first, (frames,) kPa.
+
+    Its loads come in `rounds`, and times between them are `idle` times as long.
+    """
     rng = np.random.default_rng([seed, side, round(10 * rate)])
     panel = Panel(side, side)
-    longest = 1800.0
+    longest = 1800.0 * rounds * idle
     time = np.arange(UNLOADED + HEAD + round(longest * rate)) / rate
     dead = int(rng.integers(side))
     season = Season(rng, panel, time, film(rng, "real"), dead, [], [])
@@ -224,8 +239,9 @@ def drawn(seed: int, rate: float, side: int = 10) -> tuple[Season, Array]:
         season.plant,
     ]
     begin = (UNLOADED + HEAD) / rate
-    for number in rng.permutation(len(acts)):
-        begin = acts[number](begin + rng.uniform(40, 80))
+    for _ in range(rounds):
+        for number in rng.permutation(len(acts)):
+            begin = acts[number](begin + idle * rng.uniform(40, 80))
     frames = np.searchsorted(time, begin + 40)
     water = LEVEL_KPA * np.clip((time[:frames] - rng.uniform(0.2, 0.7) * begin) / LEVEL_S, 0, 1)
     return season, water
@@ -284,10 +300,12 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=7100)
     parser.add_argument("--rates", type=float, nargs="+", default=[4.0], help="frames a second")
     parser.add_argument("--side", type=int, default=10, help="rows and columns of the panel")
+    parser.add_argument("--rounds", type=int, default=1, help="in which the loads come")
+    parser.add_argument("--idle", type=float, default=1.0, help="factor of the times between them")
     given = parser.parse_args()
     for rate in given.rates:
         for seed in range(given.seed, given.seed + given.seasons):
-            season, water = drawn(seed, rate, given.side)
+            season, water = drawn(seed, rate, given.side, given.rounds, given.idle)
             record = season.recording(water)
             begin = process_time()
             answer = rows_of(record)
