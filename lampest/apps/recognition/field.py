@@ -17,7 +17,7 @@ from lampest.panel.panel import Array, Panel
 # Assumed standard deviations of ln r/r0 in the four states: no load, half a kPa, a few kPa, tens of
 # kPa.
 SD = np.array([0.005, 0.08, 0.4, 1.6])
-# Assumed standard deviation of ln r/r0 by an equal pressure on all cells, as of 5 kPa.
+# Assumed standard deviation of ln r/r0 by a change that all cells share, as by 5 kPa.
 UNIFORM_SD = 1.0
 
 
@@ -75,12 +75,23 @@ class CellsUnderPrior:
 def without_load(frame: Observation) -> list[CellsUnderPrior]:
     """Return the explanations by no load, and by an equal pressure on all cells.
 
-    The latter resembles a drift of the whole panel.
+    The latter is a level of the water, and resembles a drift of the whole panel. Cells deviate from
+    it as films respond differently.
     """
-    cells = frame.measured.size
+    response = frame.baseline.response
+    at_rest = response.logarithm(frame.water)
+    pressures = response.pressure(at_rest + frame.free_map / response.gains) - frame.water
+    pressure = np.median(pressures[frame.panel.present])
     start = np.zeros(frame.measured.shape)
-    priors = np.zeros((cells, cells)), np.full((cells, cells), UNIFORM_SD**2)
-    return [CellsUnderPrior.of(frame, start, covariance) for covariance in priors]
+    risen, _ = frame.change(start + pressure)
+    return [CellsUnderPrior.of(frame, start, _about(frame, change)) for change in (start, risen)]
+
+
+def _about(frame: Observation, change: Array) -> Array:
+    """Return the covariance of ln r of cells that follow a change in proportion."""
+    unit = change.ravel() / max(float(np.abs(np.median(change))), np.finfo(float).tiny)
+    uneven, _ = frame.baseline.film_parts(np.stack([change, *np.zeros((2, *change.shape))]))
+    return UNIFORM_SD**2 * np.outer(unit, unit) + frame.baseline.model_errors.response**2 * uneven
 
 
 def field_fit(frame: Observation) -> tuple[CellsUnderPrior, Observation]:
