@@ -1,13 +1,12 @@
 """Estimation of a converter's memory, its share of the previous channel's voltage.
 
-The estimate follows from the unloaded panel and a loaded frame. With a wrong share every change of
-a cell appears in the next channel, too, so that more cells seem to have moved. The evidence of the
-pair of frames (`lampest.inference.pair`) is compared over MEMORIES, all equally probable
-before, relative to the misfit of still cells. Nothing is determined where most cells moved: any
-share then explains them.
+The estimate follows from the unloaded panel and a loaded frame. With a wrong share every cell
+appears in the next channel, too, so that unloaded cells are less alike, and loads less smooth. The
+evidence of both frames (`Explanation.linear_evidence`) is compared over MEMORIES, all equally
+probable before, relative to the misfit of still cells.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -18,9 +17,9 @@ from lampest.inference.circuits.explanation import Explanation
 from lampest.inference.circuits.parameters import MEMORIES as TRIED
 from lampest.inference.circuits.parameters import may_gain_by_memory
 from lampest.inference.effects.effect import Determined, Gathered, SceneEffect, Unnamed
-from lampest.inference.evidence import PARAMETER_COST, mostly_still
+from lampest.inference.evidence import PARAMETER_COST
 from lampest.inference.noise import NoiseEstimate
-from lampest.inference.number import is_significant, parabola
+from lampest.inference.number import MIN_ODDS, parabola
 from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.effects.converter_memory import KeptShare
 from lampest.panel.panel import Array
@@ -34,6 +33,8 @@ MEMORIES = np.linspace(0.0, 0.3, 16)
 FINER = 9  # points between the neighbours of the most probable one
 # Of the share, where edges of loads look like a memory (docs/studies/effects.md).
 EDGE_ERROR = 0.012
+# With less evidence a memory that the scene calls `estimated` corrects no reading.
+MIN_GAIN = PARAMETER_COST + 2 * float(np.log(MIN_ODDS))
 MAX_DEVIATION = 0.05  # of the share: with more, the recording does not determine it
 
 
@@ -67,17 +68,13 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
     nearest = explanations[int(np.argmin(costs))]
     if not np.isfinite(costs).all() or nearest is None or nearest.pair is None:
         return "no cells explain the unloaded panel and a loaded frame"
-    if not mostly_still(nearest.pair.moved):
-        return "the load touches most cells: press a few cells"
-    least, deviation = parabola(shares, costs / nearest.pair.excess)
+    excess = nearest.pair.excess
+    least, deviation = parabola(shares, costs / excess)
     if deviation > MAX_DEVIATION:
         return "the load changes all channels alike: press a few cells"
-    least = max(least, 0.0)
     known = float(np.hypot(deviation, EDGE_ERROR))
-    # Cells apart from a load show a memory that its edge is not.
-    error = deviation if _gain(tried[0], explanations) > 0 else known
-    if is_significant(least, error, float(MEMORIES[-1])):
-        return least, known
+    if _cost(tried[0]) - costs.min() > MIN_GAIN * excess:
+        return max(least, 0.0), known
     return 0.0, float(np.hypot(least, known))
 
 
@@ -85,9 +82,7 @@ def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
     """Return the decrease of −2 ln evidence by the best of the memories TRIED against none.
 
     The decrease is relative to the misfit of still cells, which errors that the scene does not name
-    increase. The edge of a load looks like a memory: the result is 0 unless cells that touch no
-    moved ones show the memory, too. Where linear theory promises no gain, no share is tried, and
-    the result is 0.
+    increase. Where linear theory promises no gain, no share is tried, and the result is 0.
 
     Parameters
     ----------
@@ -103,17 +98,10 @@ def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
     # Only where noise does not give the misfit without a memory, it counts with one
     patient = not all(fit.within_noise for fit in without.fits)
     tried = _explanations(frames, np.array(TRIED), without, patient=patient)
-    return _gain(without, tried)
-
-
-def _gain(without: Explanation | None, tried: Sequence[Explanation | None]) -> float:
-    """Return the gain of the best explanation with a memory; 0 unless cells apart show it."""
     best = min(tried, key=_cost)
-    if without is None or without.pair is None or best is None or best.pair is None:
+    if best is None or best.pair is None:
         return 0.0
-    pairs = [of_share.pair for of_share in tried if of_share is not None and of_share.pair]
-    apart = (without.pair.gain_apart(pair) - PARAMETER_COST * pair.excess for pair in pairs)
-    return 0.0 if max(apart) < 0 else (_cost(without) - _cost(best)) / best.pair.excess
+    return (_cost(without) - _cost(best)) / best.pair.excess
 
 
 def _explanations(
@@ -140,17 +128,14 @@ def _explanations(
 
 
 def _cost(explanation: Explanation | None) -> float:
-    """Return −2 ln density of the loaded frames given the unloaded ones.
-
-    Without an explanation the cost is infinite.
-    """
+    """Return −2 ln density of the frames; infinite without an explanation."""
     if explanation is None or explanation.pair is None:
         return np.inf
-    # p(recorded) = p(freed) |∂freed/∂recorded|. The score has the readings relative to their σ,
+    # p(recorded) = p(freed) |∂freed/∂recorded|. The evidence has the readings relative to their σ,
     # which is √(1 + m²) |∂freed/∂recorded| times that of the recorded ones.
-    count = float(np.sum(explanation.fits[-1].readings.seen > 0))
+    count = sum(int(np.sum(fit.readings.seen > 0)) for fit in explanation.fits)
     memory = explanation.alternative.scene.known_memory or 0.0
-    return explanation.score + count * float(np.log1p(memory**2))
+    return explanation.linear_evidence + count * float(np.log1p(memory**2))
 
 
 class ConverterMemory(SceneEffect):
