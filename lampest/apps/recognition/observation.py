@@ -200,10 +200,11 @@ class Baseline:
         mean[:cells] = np.log(np.median(circuit.uniform_start(measured)))
         # Their mean is open: σ = 3.
         prior[:cells, :cells] = 9.0 + model_errors.cell_spread**2 * np.eye(cells)
-        # crossings without a cell are fixed at a nearly infinite resistance
-        absent = np.flatnonzero(~scene.panel.present)
-        mean[absent] += MAX_LOG_CHANGE
-        prior[absent] = prior[:, absent] = 0.0
+        # Crossings that do not conduct have nearly no conductance: the readings that an open line
+        # would then have lie within the σ of readings that do not count.
+        opened = np.flatnonzero(scene.open_cells)
+        mean[opened] += np.log(DROPPED_FACTOR)
+        prior[opened] = prior[:, opened] = 0.0
         shared = 0.0 if common is None else common @ common.T
         noise = sigma.ravel() ** 2
 

@@ -60,5 +60,9 @@ class RecognitionScene(Protocol):
         """Whether a crossing has no cell to be estimated, (rows, columns)."""
 
     @property
+    def open_cells(self) -> NDArray[np.bool_]:
+        """Whether a crossing does not conduct, (rows, columns)."""
+
+    @property
     def of_modules(self) -> "tuple[RecognitionScene, ...]":
         """Scenes of all modules, by their numbers."""

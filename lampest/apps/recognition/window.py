@@ -57,8 +57,13 @@ class WindowScene:
     @property
     def broken(self) -> NDArray[np.bool_]:
         """Whether a crossing has no cell to be estimated, (rows, columns)."""
+        return self._joined(lambda scene, part: scene.broken + part, np.zeros(self.panel.shape)) > 0
+
+    @property
+    def open_cells(self) -> NDArray[np.bool_]:
+        """Whether a crossing does not conduct, (rows, columns)."""
         return (
-            self._joined(lambda scene, part: scene.broken.astype(float), np.zeros(self.panel.shape))
+            self._joined(lambda scene, part: scene.open_cells + part, np.zeros(self.panel.shape))
             > 0
         )
 

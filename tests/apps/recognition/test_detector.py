@@ -17,6 +17,7 @@ from docs.studies.attachments import recording as attached
 from lampest import (
     Array,
     Block,
+    Faults,
     Film,
     GroundedReadout,
     LoadedColumnsReadout,
@@ -44,11 +45,12 @@ from lampest.apps.recognition.field import (
     without_load,
 )
 from lampest.apps.recognition.model_errors import ModelErrors
-from lampest.apps.recognition.observation import Baseline, Observation
+from lampest.apps.recognition.observation import Baseline, Observation, counting
 from lampest.apps.recognition.verdict import Verdict
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.files.levels import MAX_MEAN_SQUARE
+from lampest.panel.response import CURVE
 from lampest.recording.shapes.disc import Disc
 from lampest.recording.simulation.measure import Unmodelled, measured
 from lampest.recording.simulation.simulation import Course, Simulation, simulate
@@ -321,6 +323,37 @@ def test_voltages_leave_a_large_error_of_the_reference_to_the_cells() -> None:
     resting = np.exp(np.median(doubtful.baseline.logarithm))
     assert resting == pytest.approx(3050, rel=0.1)
     np.testing.assert_allclose(doubtful.free_map, exact.free_map, atol=0.02)
+
+
+def test_a_dead_row_that_the_scene_names_leaves_the_other_cells_certain() -> None:
+    """Its cells do not conduct; where they may have any resistance, all others are uncertain."""
+    frames = []
+    for scene in (SQUARE, replace(SQUARE, faults=Faults(dead_rows=(7,)))):
+        made = simulate(Simulation(schema=1, seed=3, scene=scene, frames=1, loads=(SMALL_ROD,)))
+        readings = made.readings()
+        value = np.where(scene.broken, 600.0, readings.value)
+        sigma = counting(np.where(scene.broken, np.inf, readings.sigma[0]), value[0])
+        baseline = Baseline.of(value[:3].mean(axis=0), sigma, scene, ModelErrors())
+        frames.append(Observation(value[3], sigma, baseline, np.zeros(scene.panel.shape), 2.0))
+    whole, dead = frames
+    read = np.s_[:7]
+    assert np.median(dead.free_sd[read]) < 1.2 * np.median(whole.free_sd[read])
+    np.testing.assert_allclose(dead.free_map[read], whole.free_map[read], atol=0.03)
+
+
+@pytest.mark.parametrize("rise_kpa", [-1.0, 3.0])
+def test_a_level_of_the_water_is_no_load(rise_kpa: float) -> None:
+    """Cells at different depths, on films of their own, respond differently to it."""
+    rng = np.random.default_rng(5)
+    water = 2.0 + 0.1 * np.arange(9.0)[:, None] + np.zeros(PANEL.shape)
+    response = np.log(np.interp(water + rise_kpa, *CURVE.T) / np.interp(water, *CURVE.T))
+    change = response * np.exp(0.1 * rng.standard_normal(PANEL.shape))
+    made = recorded(SMALL_ROD, frames=1)
+    resting = made.readings()[[0, 1, 2]].mean()
+    baseline = Baseline.of(resting.value, resting.sigma, made.scene, ModelErrors())
+    levelled = baseline.network(change).reading()
+    frame = Observation(levelled, resting.sigma, baseline, water, 60.0)
+    assert Detector(6.0).verdict(frame).nothing > 0.99
 
 
 def test_no_load_is_no_verdict_where_its_misfit_refutes_it() -> None:
