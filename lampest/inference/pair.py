@@ -257,17 +257,6 @@ class FittedPair:
             sd = np.sqrt(np.diag(covariance))
         return Evidence(score + self._prior, moved, mean, sd)
 
-    def cost_with(self, columns: Array) -> float:
-        """Return −2 ln evidence with further effects, see `with_columns`.
-
-        The moved cells may be single ones, loads, or a smooth field.
-        """
-        changes = self.with_columns(columns)
-        cells = self.explained(columns)
-        as_cells = cells.score - changes.gain_of_loads(cells.moved, self.place)
-        as_field = changes.cost_of_field(self.place) + self._prior
-        return mean_cost(np.array([as_cells, as_field]))
-
     @cached_property
     def evidence(self) -> Evidence:
         """The evidence without further effects."""

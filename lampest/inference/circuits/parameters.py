@@ -213,7 +213,7 @@ def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool
 
 
 def _linear_gain(explanation: Explanation, response: Array | None) -> float:
-    """Return the gain of a parameter in evidence by linear theory; infinite where it is unknown.
+    """Return the gain of a parameter in score by linear theory; infinite where it is unknown.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def _linear_gain(explanation: Explanation, response: Array | None) -> float:
     if explanation.pair is None or response is None:
         return np.inf
     pair = explanation.pair
-    return pair.cost_with(pair.columns(())) - pair.cost_with(response[:, None])
+    return pair.evidence.score - pair.explained(response[:, None]).score
 
 
 def _response_to_series(explanation: Explanation, ohm: float) -> Array | None:

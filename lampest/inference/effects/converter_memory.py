@@ -15,7 +15,6 @@ from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.circuits.compared_frames import ComparedFrames
 from lampest.inference.circuits.explanation import Explanation
 from lampest.inference.circuits.parameters import MEMORIES as TRIED
-from lampest.inference.circuits.parameters import may_gain_by_memory
 from lampest.inference.effects.effect import Determined, Gathered, SceneEffect, Unnamed
 from lampest.inference.evidence import PARAMETER_COST
 from lampest.inference.noise import NoiseEstimate
@@ -82,7 +81,7 @@ def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
     """Return the decrease of −2 ln evidence by the best of the memories TRIED against none.
 
     The decrease is relative to the misfit of still cells, which errors that the scene does not name
-    increase. Where linear theory promises no gain, no share is tried, and the result is 0.
+    increase. Larger memories are tried while the evidence grows: it has one maximum.
 
     Parameters
     ----------
@@ -93,14 +92,15 @@ def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
     """
     if frames.specified.scene.readout is None or without is None or without.pair is None:
         return 0.0
-    if not may_gain_by_memory(without, frames):
-        return 0.0
     # Only where noise does not give the misfit without a memory, it counts with one
     patient = not all(fit.within_noise for fit in without.fits)
-    tried = _explanations(frames, np.array(TRIED), without, patient=patient)
-    best = min(tried, key=_cost)
-    if best is None or best.pair is None:
-        return 0.0
+    best = without
+    for share in TRIED:
+        (further,) = _explanations(frames, np.array([share]), best, patient=patient)
+        if further is None or not _cost(further) < _cost(best):
+            break
+        best = further
+    assert best.pair is not None
     return (_cost(without) - _cost(best)) / best.pair.excess
 
 
