@@ -132,7 +132,7 @@ def _drawn(path: Path, results: Results, plot: Plot) -> dict[str, Callable[[], F
 
     Raises InputError if there is none.
     """
-    drawn = {}
+    drawn: dict[str, Callable[[], Figure]] = {}
     for name in results.recordings():
         cases = plot.drawable(results.of(name))
         if cases:
