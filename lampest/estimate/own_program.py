@@ -244,6 +244,17 @@ def program(
     bounds = bounds or (Bounds(lower="none") if numbers else Bounds())
     estimator = _checked_estimator(terms, formulation, bounds, solver or Settings())
     prepared = Prepared.of(recording)
+    return _of_frames(prepared, estimator, frames, formulation, numbers)
+
+
+def _of_frames(
+    prepared: Prepared,
+    estimator: Estimator,
+    frames: Sequence[int] | None,
+    formulation: str,
+    numbers: Mapping[str, float] | None,
+) -> OwnProgram:
+    """Return the program of frames by an estimator whose weights may still be chosen."""
     scene = prepared.resolved.scene
     estimator = estimator.for_outliers(scene)
     if scene.panel.modules is not None:
@@ -262,9 +273,9 @@ def program(
         usual = readings[enough].mean()
         known = enough[:, None, None] | (readings.seen > 0)
         value = np.where(known, readings.value, usual.value)
-        sigma = None
-        if readings.sigma is not None:
-            sigma = np.where(known, readings.sigma, usual.known_sigma)
+        sigma = readings.sigma
+        if sigma is not None:
+            sigma = np.where(known, sigma, usual.known_sigma)
         readings = replace(readings, value=value, sigma=sigma)
     if estimator.relative:
         resting = readings[prepared.recording.role == UNLOADED].mean()
@@ -272,20 +283,17 @@ def program(
             unread = dict.fromkeys(range(len(chosen)), Status.UNRESTED)
         unloaded = scene.circuit.uniform_start(resting.value)
         background = Background(scene, previous=unloaded, baseline=unloaded)
-    evaluations = []
-    for frame in chosen:
-        data = estimator.data(readings[frame].alone(), background)
-        cost = estimator.cost(scene, 1, partial=readings.partial)
-        evaluations.append(evaluated(cost, data, data.uniform_start))
+    cost = estimator.cost(scene, 1, partial=readings.partial)
+    data = [estimator.data(readings[frame].alone(), background) for frame in chosen]
+    evaluations = tuple(evaluated(cost, each, each.uniform_start) for each in data)
     circuits = Circuit.of_readout(scene.circuit, scene.panel.shape, scene.wiring)
     symbolic = None
     if numbers:
-        typical = readings[chosen].mean().value
-        symbolic = SymbolicReadout.of(scene, numbers, typical)
+        symbolic = SymbolicReadout.of(scene, numbers, readings[chosen].mean().value)
     symbols = Program.build(
         cost, scene.circuit, circuits, EXCITATIONS[formulation], len(chosen), symbolic
     )
-    return OwnProgram(symbols, tuple(evaluations), circuits, estimator.solver, formulation, unread)
+    return OwnProgram(symbols, evaluations, circuits, estimator.solver, formulation, unread)
 
 
 def _checked_estimator(

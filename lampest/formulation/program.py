@@ -267,13 +267,12 @@ class Program(CasadiOwner):
         )
         conductance = casadi.SX.sym("conductance", rows * columns, frames)
         equation = equation_of(readout, rows, columns) if symbolic is None else symbolic
+        of_readout = casadi.SX(*tie.shape) if symbolic is None else scale * symbolic.tie
         networks = []
         for frame in range(frames):
             addresses = []
             for number, circuit in enumerate(circuits):
-                tied = tie[:, frame * len(circuits) + number]
-                if symbolic is not None:
-                    tied = tied + scale * symbolic.tie[:, number]
+                tied = tie[:, frame * len(circuits) + number] + of_readout[:, number]
                 symbols = ConductanceSymbols(conductance[:, frame], tied, scale, equation.reading)
                 addresses.append(patterns.network(circuit, readout, symbols))
             networks.append(joined_addresses(circuits, addresses))

@@ -284,7 +284,7 @@ def estimate_noise(
         Those that the scene names.
     """
     scene = recording.scene
-    readout = recording.scene.readout
+    readout = scene.readout
     unloaded = int((recording.role == UNLOADED).sum())
     unscaled = NoiseEstimate(outliers, (), cleaned)
     requested = readout is not None and readout.noise_lsb == ESTIMATED
@@ -294,36 +294,39 @@ def estimate_noise(
             unscaled = effect.in_frames(unscaled, recording, None)
         reason = "record five or more unloaded frames"
         return unscaled.undetermined("readout.noise_lsb", reason) if requested else unscaled
-    ratio = parts.own
     precision = np.sqrt(2 * parts.own_freedom)  # of a standard deviation, over its error
     factor = 1.0
-    message = ""
-    of_scene = readout is None or states_noise(readout)
-    specified = of_scene or recording.sigma is not None
+    size, shown = (0.0, 1.0) if readout is None else shown_noise(readout, parts.own)
+    specified = readout is None or states_noise(readout) or recording.sigma is not None
     enough_frames = MIN_REQUESTED_FRAMES if requested else MIN_UNLOADED_FRAMES
     if specified and not excludes_model_error(scene):
         factor = _contradicting_factor(recording, parts)
-        message = "" if factor == 1 else _contradiction_in_words(readout, ratio, unloaded)
-    elif readout is not None and not specified and unloaded >= enough_frames:
-        factor = shown_noise(readout, ratio)[1]
+        if factor != 1:
+            words = _contradiction_in_words(readout, parts.own, unloaded)
+            unscaled = unscaled.with_warnings(words)
+    elif not specified and unloaded >= enough_frames:
+        factor = shown
     scaled = replace(cleaned, sigma=factor * cleaned.sigma)
     if readout is not None and scaled.constant is not None and factor != 1:
         # noise as large as the shown one dithers the rounding
-        share = constant_share(readout, shown_noise(readout, ratio)[0])
-        scaled = replace(scaled, constant=share * scaled.known_sigma)
+        scaled = replace(scaled, constant=constant_share(readout, size) * scaled.known_sigma)
+    error = parts.own / precision
     noise = replace(
-        unscaled, readings=scaled, factor=ratio, factor_error=ratio / precision, sigma_factor=factor
+        unscaled, readings=scaled, factor=parts.own, factor_error=error, sigma_factor=factor
     )
-    noise = noise.with_warnings(message)
-    if readout is not None and requested:
-        size = shown_noise(readout, ratio)[0]
+    if requested:
         hidden = unseen_noise(parts.own_freedom)
         deviation = size / precision if size > hidden else hidden
         noise = noise.determined("readout.noise_lsb", (size, deviation))
     for effect in effects:
         noise = effect.in_frames(noise, recording, parts)
-    if not parts.motion.size:
-        return noise
+    return _with_motion(noise, scene, unloaded, parts) if parts.motion.size else noise
+
+
+def _with_motion(
+    noise: NoiseEstimate, scene: Scene, unloaded: int, parts: Scatter
+) -> NoiseEstimate:
+    """Return the noise with the motion of readings at rest."""
     from lampest.posterior.frame_noise import FrameNoise  # for frames that move
 
     none = np.zeros((len(parts.common_ripple), 0))

@@ -196,27 +196,22 @@ def shared_changes(scene: Scene, frames: SharedFrames, sizes: Systematic) -> Sha
     steadied = frames.steadied
     if resting is None or fit is None or steadied is None:
         return None
-    requested = estimated_errors(scene)
     further = [
         error
         for error in sized_effects(sizes)
         if error.setting != READINGS and sizes.size(error.setting)
     ]
-    estimated = tuple(
-        error for error in further if error.setting in requested and error.setting != REFERENCE
-    )
-    fixed = tuple(error for error in further if error not in estimated)
-    groups = (fixed, *((error,) for error in estimated))
+    requested = {*estimated_errors(scene)} - {REFERENCE}
+    estimated = tuple(error for error in further if error.setting in requested)
+    fixed = [error for error in further if error not in estimated]
     # Each reading's own error is a column of the gain.
     own_at_rest, own_under_load = (
         each.gain * recorded_share(each.readings.value, scene).ravel()
         for each in (resting, steadied)
     )
-    at_rest, under_load = (
-        [each.response_to(errors, sizes) for errors in groups] for each in (resting, steadied)
-    )
     of_fixed, *of_estimated = (
-        of_frame - of_rest for of_frame, of_rest in zip(under_load, at_rest, strict=True)
+        steadied.response_to(errors, sizes) - resting.response_to(errors, sizes)
+        for errors in (fixed, *([error] for error in estimated))
     )
     size = resting.cells.size
     # The unloaded panel and the frame have errors of their own; creep, and a common change of all
@@ -227,18 +222,15 @@ def shared_changes(scene: Scene, frames: SharedFrames, sizes: Systematic) -> Sha
         + ASSUMED.creep**2 * np.eye(size)
         + ASSUMED.common_change**2
     )
-    reach = float(np.median(np.linalg.norm(own_at_rest, axis=1)))
     counts = {
         error.setting: part.shape[1] for error, part in zip(estimated, of_estimated, strict=True)
     }
-    hidden = np.hstack([np.zeros((size, 0)), *of_estimated])
-    change = np.log(fit.cells / resting.cells).ravel()
     return SharedChanges(
-        change,
+        np.log(fit.cells / resting.cells).ravel(),
         covariance + of_fixed @ of_fixed.T,
-        hidden,
+        np.hstack([np.zeros((size, 0)), *of_estimated]),
         own_under_load - own_at_rest,
-        reach,
+        float(np.median(np.linalg.norm(own_at_rest, axis=1))),
         estimated,
         counts,
     )

@@ -8,7 +8,7 @@ Beside errors z ~ N(0, 1) with columns U their readings have the likelihood of t
 and the posterior of z.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -28,7 +28,7 @@ from lampest.panel.effects import (
 )
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.network import Network
-from lampest.panel.panel import Array, Numbers
+from lampest.panel.panel import Array
 from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.scene import Scene
 from lampest.posterior.gaussian import forms_over_scales, lower_root
@@ -114,7 +114,7 @@ def at_rest(possible: Possible, scene: Scene, resting: Readings, fit: CellsFit |
         E[z] = R Aᵀ P t,   cov z = R (1 − Aᵀ P A) Rᵀ.
 
     Readings are corrected by the mean of their own errors; the root is that of E[z zᵀ] about the
-    correction.
+    correction. Raises errors of `BROKEN`.
 
     Parameters
     ----------
@@ -126,63 +126,44 @@ def at_rest(possible: Possible, scene: Scene, resting: Readings, fit: CellsFit |
         Mean of the unloaded frames, (rows, columns).
     fit : CellsFit or None
         Fit of the unloaded panel, at whose cells the search begins.
-
-    Raises
-    ------
-    Errors of `BROKEN`.
     """
     data = data_of_cells(scene, resting)
-    trend = _trend(data)
+    sizes = possible.sizes
     near = np.log(data.uniform_start[0] if fit is None else fit.cells)
-    own = own_errors(resting.value, scene, possible.sizes.size(READINGS))
-    deviation = np.where(resting.plain, np.hypot(resting.known_sigma, own), np.inf)
-    scatter = possible.film_scatter
-    cells, _, jacobian = most_probable_cells(
-        data, resting.value, deviation, _unlike(data, scatter), near
-    )
+    own = own_errors(resting.value, scene, sizes.size(READINGS))
+    cells, jacobian, target = _linearised(data, resting, own, possible.film_scatter, near)
     network = data.network(0, np.exp(cells))
-    missed = resting.value - network.reading()
-    plain = resting.plain.ravel()
-    target = (missed.ravel() + jacobian @ cells.ravel())[plain]
-    jacobian = jacobian[plain]
-    errors = sized_effects(possible.sizes)
     parts = {
-        error.setting: error_columns((error,), network, resting.value, scene, possible.sizes)
-        for error in errors
+        error.setting: error_columns((error,), network, resting.value, scene, sizes)[
+            :, resting.plain
+        ]
+        for error in sized_effects(sizes)
     }
-    places = _places(parts)
-    root = np.eye(sum(map(len, parts.values())))
+    ends = np.cumsum([len(part) for part in parts.values()])
+    places = dict(zip(parts, np.split(np.arange(ends[-1]), ends[:-1]), strict=True))
+    root = np.eye(ends[-1])
     if possible.root is not None:
         estimated = np.concatenate([places[setting] for setting in possible.settings])
         root[np.ix_(estimated, estimated)] = possible.root
-    columns = np.concatenate([*parts.values()]).reshape(len(root), -1).T[plain] @ root
-    variance = np.diag(resting.known_sigma.ravel()[plain] ** 2) + columns @ columns.T
-    whitening = np.linalg.cholesky(variance + scatter**2 * jacobian @ jacobian.T)
-    both = np.column_stack([columns, target])
-    whitened = np.linalg.solve(whitening, np.column_stack([both, jacobian @ trend]))
-    basis, _ = np.linalg.qr(whitened[:, both.shape[1] :])
-    beyond = whitened[:, : both.shape[1]]
-    beyond = beyond - basis @ (basis.T @ beyond)
-    mean = root @ (beyond[:, :-1].T @ beyond[:, -1])
-    covariance = root @ (np.eye(len(root)) - beyond[:, :-1].T @ beyond[:, :-1]) @ root.T
-    own_places = places[READINGS]
-    log_factor = possible.sizes.size(READINGS) * mean[own_places]
-    mean[own_places] = 0.0
+    columns = np.concatenate([*parts.values()]).T @ root
+    variance = np.diag(resting.known_sigma[resting.plain] ** 2) + columns @ columns.T
+    whitening = np.linalg.cholesky(variance + possible.film_scatter**2 * jacobian @ jacobian.T)
+    trend = jacobian @ _trend(data)
+    whitened = np.linalg.solve(whitening, np.column_stack([trend, columns, target]))
+    of_trend, others = np.split(whitened, [trend.shape[1]], axis=1)
+    basis, _ = np.linalg.qr(of_trend)
+    others = others - basis @ (basis.T @ others)
+    shown = others[:, :-1].T
+    mean = root @ (shown @ others[:, -1])
+    covariance = root @ (np.eye(len(root)) - shown @ shown.T) @ root.T
+    log_factor = sizes.size(READINGS) * mean[places[READINGS]]
+    mean[places[READINGS]] = 0.0
     return replace(
         possible,
         settings=tuple(parts),
         root=lower_root(covariance + np.outer(mean, mean)),
         log_factor=log_factor.reshape(resting.value.shape),
     )
-
-
-def _places(parts: Mapping[str, Array]) -> dict[str, Numbers]:
-    """Return the numbers of the columns of each error among those of all."""
-    ends = np.cumsum([len(part) for part in parts.values()])
-    return {
-        setting: np.arange(end - len(part), end)
-        for (setting, part), end in zip(parts.items(), ends, strict=True)
-    }
 
 
 def costs_by_scatter(
@@ -194,19 +175,11 @@ def costs_by_scatter(
 ) -> Array:
     """Return −2 ln likelihood of errors and SCATTERS, (spreads, errors, scatters).
 
-    The readings are linearised at the most probable log cells u, with t = y − f(u) + J u. Let τ² =
-    σ² + (e y')², where y' is the derivative of a reading with respect to the logarithm of its
-    recorded value, and A = J/τ:
-
-        −2 log p(y | e, s, w) = aᵀV⁻¹a − aᵀV⁻¹B P⁻¹ BᵀV⁻¹a + log |V| + log |P| − log |W| + Σ log τ²,
-        V = 1 + s² A Aᵀ,   P = BᵀV⁻¹B + W,
-
-    with a = t/τ, B = A T, and the precision W of β, averaged over the amplitudes w. u is the most
-    probable point beside the nearest of a few errors, and beside the scatter that is likeliest
-    then; all spreads share it. Beside another error the most probable cells are others where cells
-    differ much, and linear theory about them makes cells explain more readings than they can, or
-    fewer. No likelihood exceeds that of the best fit, so that −2 log p is at least χ²/max(τ/σ)² +
-    Σ log τ². Where the cells are not alike, e is overestimated rather than underestimated.
+    The readings are linearised at the most probable log cells u beside the nearest of a few errors,
+    and beside the scatter that is likeliest then; all spreads share it. Beside another error the
+    most probable cells are others where cells differ much, and linear theory about them makes cells
+    explain more readings than they can, or fewer. Where the cells are not alike, e is overestimated
+    rather than underestimated. Raises errors of `BROKEN`.
 
     Parameters
     ----------
@@ -218,73 +191,48 @@ def costs_by_scatter(
     tried : array, shape (errors,)
         Values of e.
     channels_ohm : array, shape (spreads,)
-        Standard deviations c of the resistance of each line's channel. With the columns C of one
-        ohm each, the covariance of the readings is τ² + c² C Cᵀ in place of τ². A spread that
-        moves a cell beyond LINEAR_LIMIT counts as the largest that does not.
-
-    Raises
-    ------
-    Errors of `BROKEN`.
+        Standard deviations c of the resistance of each line's channel. A spread that moves a cell
+        beyond LINEAR_LIMIT counts as the largest that does not.
     """
     data = data_of_cells(scene, resting)
-    share = np.abs(recorded_share(resting.value, scene))
-    least = 0.0 if fit is None else fit.chi_square
     trend = _trend(data)
-    columns = _of_channels(scene, resting, fit)
-    most = _most_linear(columns, resting, fit)
-    channels = [min(ohm, most) * columns if ohm else columns[:, :0] for ohm in channels_ohm]
-    middle = channels[len(channels) // 2 : len(channels) // 2 + 1]
-    points = np.asarray(tried)
-    if len(tried) > 1:
-        # errors below the noise leave the most probable cells where they are without any
-        over_noise = LINEARISED_AT * np.median((share / resting.known_sigma)[resting.plain])
-        points = LINEARISED_AT[(over_noise == 0) | (over_noise > MIN_OVER_NOISE)]
+    share = np.abs(recorded_share(resting.value, scene))
+    sigma = resting.known_sigma[resting.plain]
+    least = 0.0 if fit is None else fit.chi_square
+    noises = _noise_with_channels(scene, resting, fit, channels_ohm)
+    points = _points(tried, share[resting.plain] / sigma)
 
-    def linearised(error: float, scatter: float, near: Array) -> tuple[Array, Array, Array]:
-        deviation = np.where(resting.plain, np.hypot(resting.known_sigma, error * share), np.inf)
-        cells, given, jacobian = most_probable_cells(
-            data, resting.value, deviation, _unlike(data, scatter), near
-        )
-        missed = resting.value - given
-        return cells, jacobian, missed.ravel() + jacobian @ cells.ravel()
+    def costs(error: float, noise: Array, jacobian: Array, target: Array) -> Array:
+        covariance = noise + np.diag((error * share[resting.plain]) ** 2)
+        return _linear_costs(covariance, sigma, least, jacobian, target, trend)
 
-    def costs(errors: Array, columns: Sequence[Array], jacobian: Array, target: Array) -> Array:
-        plain = resting.plain.ravel()
-        sigma = resting.known_sigma.ravel()[plain]
-        both = np.column_stack([jacobian, target])[plain]
-        each = np.empty((len(columns), len(errors), len(SCATTERS)))
-        for number, of_channels in enumerate(columns):
-            for place, error in enumerate(errors):
-                tau = np.hypot(sigma, error * share.ravel()[plain])
-                if of_channels.size:
-                    root = np.linalg.cholesky(np.diag(tau**2) + of_channels @ of_channels.T)
-                    whitened = np.linalg.solve(root, both)
-                    tau = np.linalg.norm(root, axis=1)
-                    logarithms = 2 * np.log(np.diag(root)).sum()
-                else:
-                    whitened = both / tau[:, None]
-                    logarithms = 2 * np.log(tau).sum()
-                linear = _linear_costs(whitened[:, :-1], whitened[:, -1], trend)
-                widening = np.max(tau / sigma)
-                each[number, place] = np.maximum(linear, least / widening**2) + logarithms
-        return each
-
-    nearest = np.abs(np.subtract.outer(_place(tried), _place(points))).argmin(axis=1)
-    each = np.empty((len(channels), len(tried), len(SCATTERS)))
     near = np.log(data.uniform_start[0] if fit is None else fit.cells)
     likeliest = int(np.abs(np.log(SCATTERS / max(float(near.std()), SCATTERS[0]))).argmin())
+    linearised = []
     # The most probable cells beside an error are the start of those beside the next larger one.
-    for number in range(len(points)):
+    for error in points:
         for _ in range(MAX_ROUNDS):
             scatter = likeliest
-            near, *point = linearised(float(points[number]), float(SCATTERS[scatter]), near)
-            of_scatters = costs(points[number : number + 1], middle, *point)[0, 0]
+            near, *linear = _linearised(data, resting, error * share, SCATTERS[scatter], near)
+            of_scatters = costs(error, noises[len(noises) // 2], *linear)
             likeliest = int(np.argmin(of_scatters - 2 * LOG_PRIOR))
             if abs(likeliest - scatter) <= SAME_SCATTER:
                 break
-        group = nearest == number
-        each[:, group] = costs(tried[group], channels, *point)
-    return each
+        linearised.append(linear)
+    nearest = np.abs(np.subtract.outer(_place(tried), _place(points))).argmin(axis=1)
+    errors = [*zip(tried, nearest, strict=True)]
+    return np.array(
+        [[costs(error, noise, *linearised[place]) for error, place in errors] for noise in noises]
+    )
+
+
+def _points(tried: Array, over_noise: Array) -> Array:
+    """Return the errors beside which the readings are linearised; e = 1 has sizes over the noise.
+
+    Errors below the noise leave the most probable cells where they are without any.
+    """
+    sizes = LINEARISED_AT * np.median(over_noise)
+    return tried if len(tried) == 1 else LINEARISED_AT[(sizes == 0) | (sizes > MIN_OVER_NOISE)]
 
 
 def _place(errors: Array) -> Array:
@@ -292,46 +240,72 @@ def _place(errors: Array) -> Array:
     return np.asarray(np.log(np.maximum(errors, READING_ERRORS[1] ** 2 / READING_ERRORS[2])))
 
 
-def _of_channels(scene: Scene, resting: Readings, fit: CellsFit | None) -> Array:
-    """Return changes of the plain readings by one ohm in each channel, (readings, channels).
+def _linearised(
+    data: Data, resting: Readings, own: Array, scatter: float, near: Array
+) -> tuple[Array, Array, Array]:
+    """Return the most probable log cells u beside errors `own`, and J and t of the plain readings.
 
-    The changes are those about their mean, which is a resistance in series. With a mean, negative
-    channels beside larger cells, which differ less, would explain an uneven panel.
+    The shapes are (rows, columns), (readings, cells) and (readings,), with t = y − f(u) + J u.
     """
+    deviation = np.where(resting.plain, np.hypot(resting.known_sigma, own), np.inf)
+    cells, given, jacobian = most_probable_cells(
+        data, resting.value, deviation, _unlike(data, scatter), near
+    )
+    target = (resting.value - given).ravel() + jacobian @ cells.ravel()
+    plain = resting.plain.ravel()
+    return cells, jacobian[plain], target[plain]
+
+
+def _noise_with_channels(
+    scene: Scene, resting: Readings, fit: CellsFit | None, channels_ohm: Sequence[float] | Array
+) -> list[Array]:
+    """Return σ² + c² C Cᵀ of the plain readings for spreads c of channels; C are those of one ohm.
+
+    C are the changes about their mean, which is a resistance in series. With a mean, negative
+    channels beside larger cells, which differ less, would explain an uneven panel. Without a fit
+    there are none.
+    """
+    noise = np.diag(resting.known_sigma[resting.plain] ** 2)
     if fit is None:
-        return np.zeros((int(resting.plain.sum()), 0))
-    circuit, cells = scene.circuit, fit.network.cell_resistance
-    columns = tolerance_errors(circuit, cells, resting.value, scene, 0.0, 1.0)[1:]
-    columns -= columns.mean(axis=0)
-    return columns.reshape(len(columns), -1).T[resting.plain.ravel()]
+        return [noise] * len(channels_ohm)
+    cells = fit.network.cell_resistance
+    columns = tolerance_errors(scene.circuit, cells, resting.value, scene, 0.0, 1.0)[1:]
+    columns = (columns - columns.mean(axis=0))[:, resting.plain].T
+    # Beside cells of little resistance large ones are moved most.
+    moved = np.linalg.norm(fit.gain[:, resting.plain.ravel()] @ columns, axis=1).max()
+    most = LINEAR_LIMIT / max(moved, np.finfo(float).tiny)
+    return [noise + min(ohm, most) ** 2 * columns @ columns.T for ohm in channels_ohm]
 
 
-def _most_linear(columns: Array, resting: Readings, fit: CellsFit | None) -> float:
-    """Return the spread of channels that moves no cell by more than LINEAR_LIMIT of log r, ohm.
+def _linear_costs(
+    covariance: Array, sigma: Array, least: float, jacobian: Array, target: Array, trend: Array
+) -> Array:
+    """Return −2 ln likelihood of linearised readings y for SCATTERS, (scatters,).
 
-    Beside cells of little resistance large ones are moved most.
-    """
-    if fit is None or not columns.size:
-        return np.inf
-    moved = np.linalg.norm(fit.gain[:, resting.plain.ravel()] @ columns, axis=1)
-    return float(LINEAR_LIMIT / max(moved.max(), np.finfo(float).tiny))
+    Let A = L⁻¹ J, a = L⁻¹ t and B = A T, with the lower root L of the readings' covariance Σ:
 
+        −2 log p(y | s, w) = aᵀV⁻¹a − aᵀV⁻¹B P⁻¹ BᵀV⁻¹a + log |V| + log |P| − log |W| + log |Σ|,
+        V = 1 + s² A Aᵀ,   P = BᵀV⁻¹B + W,
 
-def _linear_costs(scaled: Array, target: Array, trend: Array) -> Array:
-    """Return −2 ln likelihood of linearised readings for SCATTERS, less ln |covariance|.
-
-    The shape is (scatters,). The formula is that of `unloaded_costs`.
+    with the precision W of β, averaged over the amplitudes w. No likelihood exceeds that of the
+    best fit, so that −2 log p is at least χ²/max(τ/σ)² + log |Σ| with τ² the diagonal of Σ.
 
     Parameters
     ----------
-    scaled : array, shape (readings, cells)
-        A = L⁻¹ J, with the lower root L of the readings' covariance.
-    target : array, shape (readings,)
-        L⁻¹ t.
-    trend : array, shape (cells, k)
-        T.
+    covariance : array, shape (readings, readings)
+        Σ: noise σ², errors (e y')² with the derivative y' of a reading by the logarithm of its
+        recorded value, and channels.
+    sigma : array, shape (readings,)
+    least : float
+        χ² of the best fit.
+    jacobian, target, trend : arrays, shapes (readings, cells), (readings,) and (cells, k)
+        J, t and T.
     """
-    both = np.column_stack([target, scaled @ trend])
+    root = np.linalg.cholesky(covariance)
+    widening = np.max(np.linalg.norm(root, axis=1) / sigma)
+    whitened = np.linalg.solve(root, np.column_stack([target, jacobian]))
+    scaled = whitened[:, 1:]
+    both = np.column_stack([whitened[:, 0], scaled @ trend])
     forms, volumes = forms_over_scales(scaled @ scaled.T, both, SCATTERS)
     known = np.zeros((len(AMPLITUDES), trend.shape[1]))
     known[:, 1:] = 1 / (AMPLITUDES[:, None] ** 2 * np.count_nonzero(trend[:, 0]))
@@ -340,7 +314,9 @@ def _linear_costs(scaled: Array, target: Array, trend: Array) -> Array:
     explained = np.linalg.solve(precision, forms[:, None, 1:, :1])[..., 0]
     squares = forms[:, None, 0, 0] - np.sum(forms[:, None, 0, 1:] * explained, axis=-1)
     costs = squares + np.linalg.slogdet(precision)[1] - np.log(known[:, 1:]).sum(axis=1)
-    return np.asarray(volumes - 2 * np.logaddexp.reduce(-costs / 2, axis=1))
+    linear = volumes - 2 * np.logaddexp.reduce(-costs / 2, axis=1)
+    logarithms = 2 * np.log(np.diag(root)).sum()
+    return np.asarray(np.maximum(linear, least / widening**2) + logarithms)
 
 
 def _trend(data: Data) -> Array:

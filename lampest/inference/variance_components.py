@@ -192,16 +192,12 @@ def scatter(
     patterns : array, shape (n, lines, channels), optional
         Responses to a motion of 1, in units of σ.
     """
-    read = ~np.isnan(deviation)
-    lines, channels = deviation.shape[1:]
     # Of a single line, gain and common ripple are not distinguished from its own ripple, and count
     # as that.
-    has_gain = gain and lines > 1
-    has_common_ripple = ripple and lines > 1
-    squared_loudness = np.maximum((read * loudness**2).sum(axis=(1, 2)), TINY)
-    # Gain of each frame by least squares, Σ deviation · loudness / Σ loudness², (frames,); then the
-    # mean over lines, (frames, channels).
-    gains = has_gain * (np.nan_to_num(deviation) * loudness).sum(axis=(1, 2)) / squared_loudness
+    gain = gain and deviation.shape[1] > 1
+    # Gain of each frame by least squares, Σ deviation · loudness / Σ loudness², (frames,)
+    squared_loudness = np.maximum((~np.isnan(deviation) * loudness**2).sum(axis=(1, 2)), TINY)
+    gains = gain * (np.nan_to_num(deviation) * loudness).sum(axis=(1, 2)) / squared_loudness
     of_gains = gains[:, None, None] * loudness
     if patterns is not None:
         # Of gain and common motion, which resemble each other, the one that explains more is first.
@@ -211,44 +207,45 @@ def scatter(
         if motion.size:
             parts = scatter(still + first, loudness, repeats, gain=gain, ripple=ripple)
             return replace(parts, motion=motion)
-    remaining = np.where(read, deviation - of_gains, 0.0)
-    common = has_common_ripple * remaining.sum(axis=1) / np.maximum(read.sum(axis=1), 1)
+    parts = _noise_and_ripple(deviation - of_gains, repeats, gain=gain, ripple=ripple)
+    if not gain:
+        return parts
+    # variance of the estimated gain without a true one: (noise + ripples)/Σ loudness²
+    lines, channels = deviation.shape[1:]
+    ripples = ((parts.line_ripple**2).sum() + lines * (parts.common_ripple**2).sum()) / channels
+    variances = (parts.own**2 + ripples) / squared_loudness
+    size, sd = posterior_size(float((gains**2).sum()), repeats, float(variances.mean()))
+    tail = chi_square_tail((gains**2 / np.maximum(variances, TINY)).sum(), repeats)
+    return replace(parts, gain=size, gain_sd=sd, gain_tail=float(tail))
+
+
+def _noise_and_ripple(deviation: Array, repeats: int, *, gain: bool, ripple: bool) -> Scatter:
+    """Return the variance components of deviations without gains, as `scatter` has them."""
+    read = ~np.isnan(deviation)
+    lines, channels = deviation.shape[1:]
+    has_common_ripple = ripple and lines > 1
+    # mean over lines, (frames, channels)
+    common = has_common_ripple * np.nansum(deviation, axis=1) / np.maximum(read.sum(axis=1), 1)
+    inner = np.nan_to_num(deviation - common[:, None, :]).reshape(-1, channels)
     # Missing readings reduce the degrees of freedom in proportion to their share.
     share = float(read.mean())
-    inner = np.where(read, remaining - common[:, None, :], 0.0).reshape(-1, channels)
     # Without gain and ripple the mean over frames alone is taken off.
     free_lines = max(lines - 1, 1) if gain or ripple else lines
     samples = repeats * free_lines * share
     noise, line_ripple = _patterns(inner, max(samples, 1.0), separated=ripple)
+    parts = Scatter(
+        own=float(np.sqrt(max(noise, 0.0))),
+        own_freedom=max(int(samples * (channels - line_ripple.shape[1])), 1),
+        gain=0.0,
+        common_ripple=np.zeros((channels, 0)),
+        line_ripple=line_ripple,
+    )
+    if not has_common_ripple:
+        return parts
     # Variance of one reading by own noise and line ripple.
     line_variance = noise + float((line_ripple**2).sum()) / channels
-    common_ripple: Array = np.zeros((channels, 0))
-    ripple_sd = 0.0
-    ripple_tail = 1.0
-    if has_common_ripple:
-        common_ripple, ripple_sd, ripple_tail = _common_ripple(
-            common, repeats, line_variance / (lines * share)
-        )
-    gain_size = 0.0
-    gain_sd = 0.0
-    gain_tail = 1.0
-    if has_gain:
-        # variance of the estimated gain without a true one: (noise + ripples)/Σ loudness²
-        ripple_variance = float((common_ripple**2).sum()) / channels * lines
-        variances = (line_variance + ripple_variance) / squared_loudness
-        gain_size, gain_sd, gain_tail = _gain(gains, repeats, variances)
-    degrees = samples * (channels - line_ripple.shape[1])
-    return Scatter(
-        own=float(np.sqrt(max(noise, 0.0))),
-        own_freedom=max(int(degrees), 1),
-        gain=gain_size,
-        common_ripple=common_ripple,
-        line_ripple=line_ripple,
-        gain_sd=gain_sd,
-        ripple_sd=ripple_sd,
-        gain_tail=gain_tail,
-        ripple_tail=ripple_tail,
-    )
+    root, sd, tail = _common_ripple(common, repeats, line_variance / (lines * share))
+    return replace(parts, common_ripple=root, ripple_sd=sd, ripple_tail=tail)
 
 
 def _explained(deviation: Array, pattern: Array) -> float:
@@ -295,24 +292,6 @@ def _motion(deviation: Array, patterns: Array, repeats: int) -> tuple[Array, Arr
         square = float((amplitudes[:, number] ** 2).sum())
         sizes[number] = np.hypot(*posterior_size(square, repeats, variance))
     return sizes, still
-
-
-def _gain(gains: Array, repeats: int, variances: Array) -> tuple[float, float, float]:
-    """Return the size of a frame's gain, its deviation, and the probability of it in noise alone.
-
-    Parameters
-    ----------
-    gains : array, shape (frames,)
-        Estimated gain of each frame.
-    repeats : int
-        Degrees of freedom, frames − 1.
-    variances : array, shape (frames,)
-        Variance of each estimate if no gain existed.
-    """
-    chi_square = (gains**2 / np.maximum(variances, TINY)).sum()
-    tail = float(chi_square_tail(chi_square, repeats))
-    size, deviation = posterior_size(float((gains**2).sum()), repeats, float(variances.mean()))
-    return size, deviation, tail
 
 
 def _common_ripple(common: Array, repeats: int, variance: float) -> tuple[Array, float, float]:

@@ -7,8 +7,8 @@ Proc. Amer. Math. Soc. 4, 1953 (golden sections; importing those of SciPy takes 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from math import inf, isfinite
+from dataclasses import dataclass
+from math import inf
 from typing import TypeVar
 
 import numpy as np
@@ -39,7 +39,7 @@ class SubproblemStep:
     length : float
         ‖s‖_M.
     decrease : float
-        Decrease of the quadratic model, −gᵀs − ½ sᵀHs.
+        Decrease of the quadratic model, −gᵀs − ½ sᵀHs = −½ sᵀ(g + r) with the residual r = g + Hs.
     negative : bool
         Whether a direction of negative curvature was met.
     products : int
@@ -62,75 +62,57 @@ def steihaug(
     admits: Callable[[Array], bool] | None = None,
     most_products: int = 400,
 ) -> SubproblemStep:
-    """Return argmin gᵀs + ½ sᵀHs over ‖s‖_M ≤ radius.
-
-    Inside the radius the minimum is correct up to `accuracy`.
+    """Return argmin gᵀs + ½ sᵀHs over ‖s‖_M ≤ radius, with the gradient g.
 
     Parameters
     ----------
-    product : Linear
-        Function p → H·p.
-    precondition : Linear
-        Function p → M⁻¹·p, symmetric and positive definite.
+    product, precondition : Linear
+        Functions p → H·p and p → M⁻¹·p; M is symmetric and positive definite.
     gradient : array, shape (unknowns,)
-        g.
     accuracy : float
         ‖Hs + g‖ relative to ‖g‖, in the norm of M⁻¹, at which the iteration ends.
     radius : float
-        Trust radius; may be infinite. A direction of negative curvature is followed to the radius,
-        or until an entry of s reaches MAX_RELATIVE_CHANGE.
+        May be infinite. A direction of negative curvature is followed to the radius, or until an
+        entry of s reaches MAX_RELATIVE_CHANGE.
     admits : callable or None
-        Function s → whether the step is admissible. The iteration ends before an inadmissible step,
-        except for the first one. None: all are admissible.
+        Whether a step s after the first is admissible: before one that is not the iteration ends.
     most_products : int
         Maximum number of products; the iteration then ends with the step so far.
     """
     step = np.zeros_like(gradient)
     residual = gradient
-    scaled = precondition(residual)
-    strength = float(residual @ scaled)
-    if not strength > 0:
+    scaled = precondition(gradient)
+    if not gradient @ scaled > 0:
         precondition = np.copy  # M has lost its digits
-        scaled = residual
-        strength = float(residual @ residual)
+        scaled = gradient
+    strength = float(gradient @ scaled)
     search = -scaled
     goal = accuracy**2 * strength
     norms = _Norms(0.0, 0.0, strength)
-    negative = False
+    curvature = inf
     count = 0
     while strength > goal and count < most_products:
         count += 1
         image = product(search)
         curvature = float(search @ image)
         length = strength / curvature if curvature > 0 else inf
-        square = norms.square_after(length) if isfinite(length) else inf
-        if not square < radius**2:
-            # The step ends at the radius.
-            negative = not curvature > 0
-            length = norms.length_to(radius)
-            if negative:
-                # The least t at which an entry of s + t p can reach MAX_RELATIVE_CHANGE
-                room = np.maximum(MAX_RELATIVE_CHANGE - np.abs(step), 0.0)
-                with np.errstate(divide="ignore"):
-                    length = min(length, float(np.fmin.reduce(room / np.abs(search), initial=inf)))
-            step = step + length * search
-            residual = residual + length * image
-            norms = replace(norms, step=norms.square_after(length))
+        inside = norms.square_after(length) < radius**2
+        if not inside:
+            length = min(norms.length_to(radius), _length_in_reach(step, search, curvature))
+        elif count > 1 and admits is not None and not admits(step + length * search):
             break
-        longer = step + length * search
-        if admits is not None and count > 1 and not admits(longer):
-            break
-        step = longer
+        step = step + length * search
         residual = residual + length * image
+        if not inside:
+            norms = norms.after(length, 0.0, 0.0)
+            break
         scaled = precondition(residual)
-        previous_strength = strength
-        strength = float(residual @ scaled)
-        ratio = strength / previous_strength
+        ratio = float(residual @ scaled) / strength
+        strength *= ratio
         search = ratio * search - scaled
         norms = norms.after(length, ratio, strength)
-    # −gᵀs − ½ sᵀHs = −½ sᵀ(g + r) with the residual r = g + Hs
     decrease = -0.5 * float(step @ (gradient + residual))
-    return SubproblemStep(step, float(np.sqrt(norms.step)), decrease, negative, count)
+    return SubproblemStep(step, float(np.sqrt(norms.step)), decrease, not curvature > 0, count)
 
 
 @dataclass(frozen=True)
@@ -170,6 +152,18 @@ class _Norms:
             mixed=ratio * (self.mixed + length * self.search),
             search=strength + ratio**2 * self.search,
         )
+
+
+def _length_in_reach(step: Array, search: Array, curvature: float) -> float:
+    """Return the least t at which an entry of s + t p can reach MAX_RELATIVE_CHANGE.
+
+    Along a positive curvature the length is infinite: the change is limited by the radius alone.
+    """
+    if curvature > 0:
+        return inf
+    room = np.maximum(MAX_RELATIVE_CHANGE - np.abs(step), 0.0)
+    with np.errstate(divide="ignore"):
+        return float(np.fmin.reduce(room / np.abs(search), initial=inf))
 
 
 def backtracked(trial: Callable[[float], T | None], lengths: int) -> T | None:

@@ -193,7 +193,8 @@ def record(  # noqa: PLR0913 # the options of a command
     """Record frames from a board into the file `out`, in ohm or volt as the readout gives them.
 
     Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end the recording; frames that the port has received by then
-    are included.
+    are included. Raises InputError if the board does not answer or fit, `out` exists, no frame
+    arrives, or the disk takes no more frames. Earlier frames are in the file.
 
     Parameters
     ----------
@@ -202,10 +203,8 @@ def record(  # noqa: PLR0913 # the options of a command
         all boards in the order of the modules. None: the only port that looks like an Arduino.
     out : Path
         File that must not exist yet.
-    frames : int, or None
-        Number of frames after which to end.
-    seconds : float, or None
-        Time after which to end.
+    frames, seconds : int and float, or None
+        Number of frames, and time in s, after which to end.
     scene : Scene, or None
         Scene that the board must fit, and by which it is configured; by default the board's own.
     baseline : int
@@ -218,12 +217,6 @@ def record(  # noqa: PLR0913 # the options of a command
         Returns the keys pressed since its last call; each marks an event.
     options : LineOptions
         How the port is read.
-
-    Raises
-    ------
-    InputError
-        If the board does not answer or fit, `out` exists, no frame arrives, or the disk takes no
-        more frames. Earlier frames are in the file.
     """
     check_output(out)
     if out.exists():
@@ -232,26 +225,41 @@ def record(  # noqa: PLR0913 # the options of a command
     tally = Tally()
     states = [""]
     with ending_signals(lambda: tally.frames > 0 and not states[-1]) as ended_by:
-        with _naming_what_is_kept(tally, out):
-            listening = Listening(
-                scene, period, states.append, lambda: bool(ended_by()), baseline, options
-            )
-            batches = samples_of(urls, listening)
-            with contextlib.closing(batches), contextlib.ExitStack() as stack:
-                journal: Journal | None = None
-                for batch in _wanted(batches, frames, seconds, period or 1.0):
-                    if batch:
-                        states[:] = [""]
-                        journal = journal or stack.enter_context(journal_for(batch[0], out))
-                        journal.append(batch, baseline - tally.frames, keys)
-                    for sample in batch:
-                        tally.add(sample, behind=bool(ended_by()))
-                        assert journal is not None
-                        on_progress(tally.progress(sample, journal.trouble, journal.pending))
-                    if not batch and states[-1]:
-                        on_progress(tally.progress(None, states[-1]))
+        listening = Listening(
+            scene, period, states.append, lambda: bool(ended_by()), baseline, options
+        )
+        with (
+            _naming_what_is_kept(tally, out),
+            contextlib.closing(samples_of(urls, listening)) as batches,
+        ):
+            wanted = _wanted(batches, frames, seconds, period or 1.0)
+            _keep(wanted, listening, states, out, tally, keys, on_progress)
         complete = bool(ended_by()) or tally.frames == frames
         return _finished(tally, out, ended_by(), None if complete else seconds)
+
+
+def _keep(
+    batches: Samples,
+    listening: Listening,
+    states: list[str],
+    out: Path,
+    tally: Tally,
+    keys: Callable[[], str],
+    on_progress: Callable[[Progress], None],
+) -> None:
+    """Append batches to the journal of `out`, and count them; `states` are those of the board."""
+    with contextlib.ExitStack() as stack:
+        journal: Journal | None = None
+        for batch in batches:
+            if batch:
+                states[:] = [""]
+                journal = journal or stack.enter_context(journal_for(batch[0], out))
+                journal.append(batch, listening.baseline - tally.frames, keys)
+                for sample in batch:
+                    tally.add(sample, behind=listening.ending())
+                    on_progress(tally.progress(sample, journal.trouble, journal.pending))
+            elif states[-1]:
+                on_progress(tally.progress(None, states[-1]))
 
 
 @contextlib.contextmanager

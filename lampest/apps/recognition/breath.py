@@ -145,8 +145,7 @@ def _steady_breath(
     lasted = float(times[-1] - times[0])
     trend = interval.trend()
     own_patterns, changes = patterns.beside_others(_without(trend, recorded))
-    highest_hz = min(RATES_HZ[1], MAX_RATE_SHARE * rate)
-    hertz = np.arange(RATES_HZ[0], highest_hz, RATE_STEP / lasted)
+    hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], MAX_RATE_SHARE * rate), RATE_STEP / lasted)
     even_waves = _waves(hertz, times)
     waves = _without(trend, suction[:, None] * even_waves)
     axes, gain = _axes(waves)
@@ -160,7 +159,6 @@ def _steady_breath(
     if pull.gain > SIGNIFICANT**2 and pull.times:
         parts, remaining = interval.parted(pull.times)
         return breath(parts, recorded[remaining], patterns)
-    within = (times - times[0]) / lasted
     window = _Window(
         times=times,
         hertz=hertz,
@@ -171,7 +169,7 @@ def _steady_breath(
         wide_gain=wide_gain,
         leak_axes=leak_axes,
         leak_gain=leak_gain,
-        tapered=_tapered(even_waves, within),
+        tapered=_tapered(even_waves, (times - times[0]) / lasted),
         changes=changes,
         patterns=own_patterns,
         with_bodies=_without(trend, recorded),

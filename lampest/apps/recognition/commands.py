@@ -56,42 +56,14 @@ def detect(
     no_check
         Leave out whether the circuits of recordings explain their readings.
     """
-    from lampest.apps.recognition.detect.detection import (
-        Unchecked,
-        answer_recording,
-        named_apart,
-        recordings_in,
-    )
-    from lampest.apps.recognition.detect.of_results import detect_results
-    from lampest.apps.recognition.detect.pressed import pressed
-    from lampest.files.hdf5 import format_of
+    from lampest.apps.recognition.detect.detection import named_apart, recordings_in
     from lampest.files.whole import refuse_inputs
-    from lampest.runs.results import read_results
 
     sources = recordings_in(files)
-    named = screen.frames_of(frames)
-    pending: list[Unchecked] = []
-    loads: list[PressedCells] = []
-    is_results = [format_of(source).startswith("results/") for source in sources]
-    if estimator is not None and not all(is_results):
-        which = sources[is_results.index(False)]
-        raise InputError(f"{which}: --estimator: a recording has none; name a results file")
-    for source, of_results in zip(sources, is_results, strict=True):
-        with screen.progress("recordings" if of_results else "frames") as on_case:
-            if of_results:
-                results = read_results(source, frames=named)
-                detected = detect_results(results, patch, threshold, on_case)
-                pending += [Unchecked.never(answer) for answer in detected]
-                loads += pressed(
-                    results.named("estimator", (estimator or results.estimators()[0],))
-                )
-            else:
-                pending.append(
-                    answer_recording(source, patch, named, threshold, on_case, check=not no_check)
-                )
+    pending, loads = _examined(sources, patch, threshold, estimator, frames, check=not no_check)
     answers = named_apart([unchecked.answer for unchecked in pending])
     if out is None:
-        out = _folder_of_answers(sources, answers, is_results=is_results[0])
+        out = _folder_of_answers(sources, answers)
     if not json_:
         # Before anything is said.
         refuse_inputs(_tables(out, loads))
@@ -102,6 +74,48 @@ def detect(
         screen.say_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
         return
     _tell(answers, loads, out, everything=all_)
+
+
+def _examined(
+    sources: "Sequence[Path]",
+    patch: float | None,
+    threshold: float,
+    estimator: str | None,
+    frames: str | None,
+    *,
+    check: bool,
+) -> "tuple[list[Unchecked], list[PressedCells]]":
+    """Return the answers to recordings and results, and the cells that are pressed in results."""
+    from lampest.apps.recognition.detect.detection import Unchecked, answer_recording
+    from lampest.apps.recognition.detect.of_results import detect_results
+    from lampest.apps.recognition.detect.pressed import pressed
+    from lampest.runs.results import read_results
+
+    named = screen.frames_of(frames)
+    pending: list[Unchecked] = []
+    loads: list[PressedCells] = []
+    recordings = [source for source in sources if not _is_results(source)]
+    if estimator is not None and recordings:
+        raise InputError(f"{recordings[0]}: --estimator: a recording has none; name a results file")
+    for source in sources:
+        if source in recordings:
+            with screen.progress("frames") as on_case:
+                pending.append(
+                    answer_recording(source, patch, named, threshold, on_case, check=check)
+                )
+            continue
+        with screen.progress("recordings") as on_case:
+            results = read_results(source, frames=named)
+            pending += map(Unchecked.never, detect_results(results, patch, threshold, on_case))
+            loads += pressed(results.named("estimator", (estimator or results.estimators()[0],)))
+    return pending, loads
+
+
+def _is_results(source: Path) -> bool:
+    """Return whether a file is one of results."""
+    from lampest.files.hdf5 import format_of
+
+    return format_of(source).startswith("results/")
 
 
 def _with_checks(answers: "Sequence[Detected]", pending: "Sequence[Unchecked]") -> "list[Detected]":
@@ -118,16 +132,11 @@ def _with_checks(answers: "Sequence[Detected]", pending: "Sequence[Unchecked]") 
     return checked
 
 
-def _folder_of_answers(
-    sources: "Sequence[Path]", answers: "Sequence[Detected]", *, is_results: bool
-) -> Path:
-    """Return the default folder of the answers of some files.
-
-    `is_results` states whether the first file is one of results.
-    """
+def _folder_of_answers(sources: "Sequence[Path]", answers: "Sequence[Detected]") -> Path:
+    """Return the default folder of the answers of some files."""
     if len(sources) > 1:
         return Path("results") / ("contacts" if all(answer.mat for answer in answers) else "visits")
-    return sources[0].parent if is_results else Path("results") / sources[0].stem
+    return sources[0].parent if _is_results(sources[0]) else Path("results") / sources[0].stem
 
 
 def _say_answers(answers: "Sequence[Detected]") -> None:

@@ -43,7 +43,7 @@ from lampest.report.plots.maps import (
 from lampest.report.plots.style import PICTURES, SUFFIXES, WIDTH_INCH, save, verbatim, write_all
 from lampest.report.strongest import mean_reading, percent_change, strongest_readings
 from lampest.runs.columns import Column
-from lampest.runs.results import FORMAT, CaseResult, read_results, stored_cases
+from lampest.runs.results import FORMAT, CaseResult, Results, read_results, stored_cases
 
 PLOTS: tuple[Plot, ...] = (
     ContourPlot(),
@@ -78,7 +78,10 @@ def plot_results(
     frames: range | None = None,
     recordings: Sequence[str] = (),
 ) -> list[Path]:
-    """Draw every recording of a results file into ``<kind>_<recording>.png``.
+    """Draw every recording of a results file into ``<kind>_<recording>.png``; return the files.
+
+    Raises InputError for an unknown plot, frame, recording or estimator, unreadable results,
+    nothing to draw, or a place that cannot be written.
 
     Parameters
     ----------
@@ -89,7 +92,7 @@ def plot_results(
     show : str or Plot, optional
         Kind of plot; by default ``sweep`` after a sweep of numbers, unless a frame is named, and
         else ``contours``.
-    columns : sequence of Column
+    columns, frames : sequence of Column, and range, optional
         As in `read_results`.
     on_picture : callable
         Receives the numbers of drawn and of all pictures.
@@ -97,64 +100,47 @@ def plot_results(
         Index into the recordings; by default a frame of strong change.
     estimators, recordings : sequence of str
         Those that are drawn; by default all.
-    frames : range, optional
-        As in `read_results`.
 
-    Returns
-    -------
-    list of Path
-        The files that were written.
-
-    Raises
-    ------
-    InputError
-        For an unknown plot, frame, recording or estimator, unreadable results, nothing to draw, or
-        a place that cannot be written.
-
-    Examples
-    --------
-    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
-    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
-    >>> recording = lampest.simulate(of_rod, "mine")
-    >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
-    >>> estimate.save("results.h5", "LSM")
+    >>> recording = lampest.simulate(lampest.Simulation(1, 1, scene, frames=2), "mine")
+    >>> lampest.reconstruct(recording, [lampest.Misfit()]).save("results.h5", "LSM")
     >>> lampest.plot_results("results.h5", "one.png")[0].name
     'one.png'
     """
     plot = None if show is None else _chosen(show, frame)
     path = Path(path)
-    target = None if out is None else Path(out)
-    single = None if target is None else _picture_file(target)
-    results = read_results(path, columns, _frames_to_read(path, frame, frames))
-    try:
-        results = results.named("recording", recordings).named("estimator", estimators)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    target = path.parent if out is None else Path(out)
+    single = None if out is None else _picture_file(target)
+    results = _read(path, columns, frame, frames, recordings, estimators)
     if plot is None:
-        plot = _chosen(
-            "sweep" if frame is None and swept_numbers(results.cases) else "contours", frame
-        )
-    pictures = {
-        name: cases for name in results.recordings() if (cases := plot.drawable(results.of(name)))
-    }
-    if not pictures:
-        raise InputError(f"{path}: {_lacks(plot)}")
-    if single is not None and len(pictures) > 1:
-        names = ", ".join([*pictures][:3]) + ", …" * (len(pictures) > 3)
+        swept = frame is None and swept_numbers(results.cases)
+        plot = _chosen("sweep" if swept else "contours", frame)
+    drawn = _drawn(path, results, plot)
+    if single is not None and len(drawn) > 1:
+        names = ", ".join([*drawn][:3]) + ", …" * (len(drawn) > 3)
         raise InputError(
-            f"{target}: one picture cannot hold {len(pictures)} ({names}): "
+            f"{target}: one picture cannot hold {len(drawn)} ({names}): "
             "choose a recording, or name a folder"
         )
     ending = "" if frame is None else f"_frame{frame}"
-    files = [
-        single or (target or path.parent) / f"{plot.kind}_{name}{ending}.png" for name in pictures
-    ]
-    drawn = [
-        partial(plot.draw, tuple(replace(case, estimator=results.label(case)) for case in cases))
-        for cases in pictures.values()
-    ]
-    return write_all(drawn, files, on_picture, in_process=isinstance(show, Plot))
+    files = [single or target / f"{plot.kind}_{name}{ending}.png" for name in drawn]
+    return write_all([*drawn.values()], files, on_picture, in_process=isinstance(show, Plot))
+
+
+def _drawn(path: Path, results: Results, plot: Plot) -> dict[str, Callable[[], Figure]]:
+    """Return the functions that draw the recordings which the plot can show, by their names.
+
+    Raises InputError if there is none.
+    """
+    drawn: dict[str, Callable[[], Figure]] = {}
+    for name in results.recordings():
+        cases = plot.drawable(results.of(name))
+        if cases:
+            labelled = tuple(replace(case, estimator=results.label(case)) for case in cases)
+            drawn[name] = partial(plot.draw, labelled)
+    if not drawn:
+        raise InputError(f"{path}: {_lacks(plot)}")
+    return drawn
 
 
 def _picture_file(target: Path) -> Path | None:
@@ -170,18 +156,30 @@ def _picture_file(target: Path) -> Path | None:
     return None
 
 
-def _frames_to_read(path: Path, frame: int | None, frames: range | None) -> range | None:
-    """Return the frames of results that are read.
+def _read(
+    path: Path,
+    columns: Sequence[Column],
+    frame: int | None,
+    frames: range | None,
+    recordings: Sequence[str],
+    estimators: Sequence[str],
+) -> Results:
+    """Return the results that are drawn.
 
-    Only the drawn frame is read from recordings too long for memory.
+    Only the drawn frame is read from recordings too long for memory. Raises InputError for unknown
+    names, and for unreadable results.
     """
     if (
         frames is None
         and frame is not None
         and any(too_long(case.frames, case.cells) for case in stored_cases(path))
     ):
-        return range(frame, frame + 1)
-    return frames
+        frames = range(frame, frame + 1)
+    results = read_results(path, columns, frames)
+    try:
+        return results.named("recording", recordings).named("estimator", estimators)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
 def plot_file(path: Path, picture: Path) -> Path:

@@ -364,27 +364,14 @@ def answer_recording(
         raise InputError(f"{path}: no frame is measured (role 1)")
     head = Prepared(stored.part(range(int(measured[-1]) + 1)))
     kept = kept_check(path, digest(path)) if check else None
-    explained = assumed_to_explain
+    explained = None if check else assumed_to_explain
     if kept is not None:
         explained = partial(ne, kept.mark, "no")
-    elif check:
-        explained = partial(_explains, head)
-    known = known_of(head, patch_mm, explained)
-    requested = range(stored.frames) if frames is None else frames
-    blocks = stored.blocks
-
-    def looked_at(known: Known) -> Frames:
-        for block in blocks:
-            measured = measured_frames(stored.part(block), known, np.isin(block, requested))
-            for done, frame in enumerate(measured, block[0]):
-                on_frame(done, stored.frames)
-                yield frame
-            on_frame(block[-1] + 1, stored.frames)
-
-    if isinstance(known, Detected):
-        answer = known
-    else:
-        answer = replace(known, threshold=threshold).answer(looked_at(known))
+    answer = known_of(head, patch_mm, explained)
+    if isinstance(answer, Known):
+        requested = range(stored.frames) if frames is None else frames
+        looked_at = _looked_at(stored, answer, requested, on_frame)
+        answer = replace(answer, threshold=threshold).answer(looked_at)
     answer = replace(answer, start_time=stored.start_time)
     # leaks that began while the panel was watched
     seen = answer.warnings
@@ -398,6 +385,18 @@ def answer_recording(
         return (*seen, *warnings_of(head.recording, recognition_noise(head), head.check))
 
     return Unchecked(_with_warnings(answer, without), doubts, waits=check and kept is None)
+
+
+def _looked_at(
+    stored: StoredRecording, known: Known, requested: range, on_frame: Callable[[int, int], None]
+) -> Frames:
+    """Generate the requested measured frames of a recording, part by part."""
+    for block in stored.blocks:
+        measured = measured_frames(stored.part(block), known, np.isin(block, requested))
+        for done, frame in enumerate(measured, block[0]):
+            on_frame(done, stored.frames)
+            yield frame
+        on_frame(block[-1] + 1, stored.frames)
 
 
 def _with_warnings(answer: Detected, warnings: Sequence[str]) -> Detected:
@@ -436,9 +435,7 @@ def known_of(
     if touched(head):
         return Detected.unknown(head.name, TOUCHED)
     noise = None
-    error = 0.0
     scene = head.scene
-    besides = None
     if seen is None or readings.sigma is None:
         if len(head.time) < 3:
             return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
@@ -446,28 +443,22 @@ def known_of(
     else:
         lasted_s = float(np.ptp(head.time[unloaded])) if len(unloaded) else 0.0
         noise = with_slow_waves(seen.frame, lasted_s)
-        error = seen.reading_error
-        besides = seen.corrected_effects
         scene = with_saturated_stage(head).scene
         specified = np.min(np.where(readings.plain, readings.sigma, np.inf), axis=0)
         sigma = seen.sigma_factor / seen.model_factor * specified
         readings = seen.readings
-    begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
-    before = (
-        resting.value,
-        sigma,
-        readings.plain_values[unloaded],
-        begin,
-        error,
-        noise,
-        notes,
-        patch_mm,
-    )
     known = Known(
         head.name,
         scene,
-        *before,
-        besides,
+        resting.value,
+        sigma,
+        readings.plain_values[unloaded],
+        float(head.time[unloaded[-1] if len(unloaded) else 0]),
+        0.0 if seen is None else seen.reading_error,
+        noise,
+        notes,
+        patch_mm,
+        None if seen is None else seen.corrected_effects,
         explained or partial(_explains, prepared),
         log_factor=None if seen is None else seen.log_factor,
     )
