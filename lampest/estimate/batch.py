@@ -77,7 +77,10 @@ def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Strea
     weighed = list(streams)
     groups = dict[Hashable, dict[int, Stream]]()
     for number, stream in enumerate(streams):
-        if stream is not None and _may_choose(stream, readings[number]):
+        if stream is None or not stream.chooses_weights:
+            continue
+        comparable = stream.rested or not stream.estimator.relative
+        if comparable and readings[number].enough(stream.scene):
             kind = id(stream.estimator), stream.rested, converter_and_faults(stream.scene)
             groups.setdefault(kind, {})[number] = stream
     for group in groups.values():
@@ -87,30 +90,19 @@ def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Strea
     return weighed
 
 
-def _may_choose(stream: Stream, frame: Readings) -> bool:
-    """Return whether weights of a stream can be chosen from a frame, (rows, columns)."""
-    comparable = stream.rested or not stream.estimator.relative
-    return stream.chooses_weights and comparable and bool(frame.enough(stream.scene))
-
-
 def _with_common_weights(group: Mapping[int, Stream], readings: Readings) -> dict[int, Stream]:
-    """Return the streams of a group with weights that the strongest of them choose.
-
-    Parameters
-    ----------
-    group : mapping
-        Number of a stream to the stream.
-    readings : Readings
-        One frame of each stream, (streams, rows, columns).
-    """
+    """Return the streams of a group, by number, with weights that the strongest of them choose."""
     changes = [stream.change(readings[number]) for number, stream in group.items()]
     numbers = [list(group)[place] for place in strongest(changes)]
     deciding = group[numbers[0]]
-    pairs = [group[number].data_and_start(readings[number]) for number in numbers]
-    data, start = pairs[0]
-    first = data.limited(deciding.estimator.solver.time_limit_s)
-    further = [data for data, _ in pairs[1:]]
-    objective = with_chosen_weights(deciding.estimator, deciding.scene, first, start, further)
+    (data, start), *further = (group[number].data_and_start(readings[number]) for number in numbers)
+    objective = with_chosen_weights(
+        deciding.estimator,
+        deciding.scene,
+        data.limited(deciding.estimator.solver.time_limit_s),
+        start,
+        [data for data, _ in further],
+    )
     weights = tuple(float(term.weight) for term in objective.terms)
     return {
         number: replace(
@@ -157,10 +149,10 @@ def _solved_block(stream: Stream, readings: Readings) -> dict[int, tuple[Stream,
         return _solved_together([stream] * count, readings, inverses)[0]
     leading = [stream if number in leaders else None for number in range(count)]
     solved, inverses = _solved_together(leading, readings, inverses)
-    following = list[Stream | None]([None] * count)
-    for number in sorted(set(range(count)) - set(leaders)):
-        leader = nearest[number]
-        following[number] = solved[leader][0] if leader in solved else stream
+    following = [
+        None if number in leaders else solved.get(leader, (stream,))[0]
+        for number, leader in enumerate(nearest)
+    ]
     inverses = inverses.some(np.array(nearest))
     return solved | _solved_together(following, readings, inverses)[0]
 
@@ -269,23 +261,20 @@ def _in_batches(stream: Stream, readings: Readings, *, partial: bool) -> bool:
     readouts, the solver's default limits and known weights.
     """
     estimator = stream.estimator
-    method = stream.estimator.method
-    settings = stream.estimator.solver
-    reduced = isinstance(method, OptimalMethod) and method.kind in ("reduced", "auto")
-    unwired = stream.scene.circuit.two_point and stream.scene.wiring is None
-    unlimited = settings.time_limit_s is None and settings.starts is None
-    weighted = not estimator.weighs_previous and (
-        not estimator.automatic or estimator.auto_weight.per == "recording"
-    )
-    complete = not partial or (stream.track is None and bool(readings.enough(stream.scene)))
+    method = estimator.method
+    settings = estimator.solver
     return (
         stream.rested
         and not stream.first
-        and reduced
-        and unwired
-        and unlimited
-        and weighted
-        and complete
+        and isinstance(method, OptimalMethod)
+        and method.kind in ("reduced", "auto")
+        and stream.scene.circuit.two_point
+        and stream.scene.wiring is None
+        and settings.time_limit_s is None
+        and settings.starts is None
+        and not estimator.weighs_previous
+        and (not estimator.automatic or stream.chooses_weights)
+        and (not partial or (stream.track is None and bool(readings.enough(stream.scene))))
     )
 
 

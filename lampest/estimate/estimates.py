@@ -58,24 +58,19 @@ def barred_maps(cells: Array, baseline: Array, steps: tuple[Step, ...]) -> dict[
     """
     ratio = cells / baseline
 
-    def frames(name: str, *, change: bool = False, unbarred: float = np.inf) -> Array:
-        maps = []
-        for step in steps:
-            certainty = None
-            if step.bars is not None:
-                certainty = step.bars.change if change else step.bars.frame
-            unknown = np.full(baseline.shape, unbarred)
-            maps.append(unknown if certainty is None else getattr(certainty, name))
+    def frames(name: str, part: str = "frame", unbarred: float = np.inf) -> Array:
+        unknown = np.full(baseline.shape, unbarred)
+        maps = [getattr(getattr(step.bars, part, None), name, unknown) for step in steps]
         return np.where(np.isnan(cells), np.nan, np.stack(maps))
 
     with np.errstate(over="ignore"):  # the interval of an undetermined cell extends to infinity
-        lower = ratio * np.exp(-frames("below", change=True))
-        upper = ratio * np.exp(frames("above", change=True))
+        lower = ratio * np.exp(-frames("below", "change"))
+        upper = ratio * np.exp(frames("above", "change"))
         return {
             "cell_resistance_errors": cells * frames("deviation"),
             "cell_resistance_lower": cells * np.exp(-frames("below")),
             "cell_resistance_upper": cells * np.exp(frames("above")),
-            "relative_change_errors": 100 * ratio * frames("deviation", change=True),
+            "relative_change_errors": 100 * ratio * frames("deviation", "change"),
             "relative_change_lower": 100 * (lower - 1),
             "relative_change_upper": 100 * (upper - 1),
             "ratio_lower": lower,
@@ -84,7 +79,7 @@ def barred_maps(cells: Array, baseline: Array, steps: tuple[Step, ...]) -> dict[
             "data_share": frames("data_share", unbarred=0.0),
             "sigma_own": frames("own"),
             "sigma_common": frames("common"),
-            "change_own": frames("own", change=True),
+            "change_own": frames("own", "change"),
         }
 
 
@@ -282,12 +277,9 @@ class Estimates(ReadOnlyArrays):
             return tuple(step.status for step in self.steps)
         messages = []
         for step, recorded in zip(self.steps, self.recording.recorded[self.frame], strict=True):
-            message = step.status
-            at_rails = AT_RAILS.get(step.solution.status)
-            if at_rails is not None:
-                rails = rails_reached(readout, recorded)
-                message = at_rails.format(rails) if rails else message
-            messages.append(message)
+            at_rails = AT_RAILS.get(step.solution.status, "")
+            rails = at_rails and rails_reached(readout, recorded)
+            messages.append(at_rails.format(rails) if rails else step.status)
         return tuple(messages)
 
     @property
@@ -404,8 +396,9 @@ class Estimates(ReadOnlyArrays):
     @property
     def baseline_resistance_errors(self) -> Array | None:
         """Standard deviation of the baseline's cells, (rows, columns) ohm."""
-        bars = None if self._bars is None else self.baseline_bars
-        return None if bars is None else self.baseline_resistance * bars.deviation
+        if self._bars is None or self.baseline_bars is None:
+            return None
+        return self.baseline_resistance * self.baseline_bars.deviation
 
     @property
     def tared(self) -> tuple[str, ...] | None:
@@ -449,8 +442,17 @@ class Estimates(ReadOnlyArrays):
     @property
     def _own_doubts(self) -> tuple[str, ...]:
         """Doubts about these estimates alone: failed frames, penalties that overrule or hide."""
-        failed = _unsolved(self.solved, self.status)
-        return tuple(filter(None, (failed, self._overruled, self._smoothed)))
+        return tuple(filter(None, (self._unsolved, self._overruled, self._smoothed)))
+
+    @property
+    def _unsolved(self) -> str:
+        """Number of unsolved frames with the reason of the first, in words, or ''."""
+        solved = self.solved
+        if solved.all():
+            return ""
+        failed = np.sum(~solved)
+        count = f"{failed} of {len(solved)} frames are not" if solved.any() else "no frame is"
+        return f"{count} solved: {self.status[int(np.argmin(solved))]}"
 
     @property
     def _is_part(self) -> bool:
@@ -547,10 +549,7 @@ class Estimates(ReadOnlyArrays):
             f"pressure_{part}": getattr(load, part)
             for part in ("errors", "own", "common", "lower", "upper")
         }
-        verdicts = {
-            "saturated": load.saturated.astype(bool),
-            "pressing": load.pressing.astype(bool),
-        }
+        verdicts = {name: getattr(load, name).astype(bool) for name in ("saturated", "pressing")}
         return {"pressure": load.pressure} | errors | verdicts
 
     @cached_property
@@ -563,12 +562,15 @@ class Estimates(ReadOnlyArrays):
         pressure_of = applications().provided("film", "pressures")
         if self._bars is None or pressure_of is None:
             return None
-        interval = self._bars["ratio_lower"], self._bars["ratio_upper"]
-        ratio = self.cell_resistance / self.baseline_resistance
-        individual = self._bars["change_own"]
-        scene = self.recording.scene
         return pressure_of(
-            ratio, *interval, scene, self.time, self.film, self.estimator.tare, individual
+            self.cell_resistance / self.baseline_resistance,
+            self._bars["ratio_lower"],
+            self._bars["ratio_upper"],
+            self.recording.scene,
+            self.time,
+            self.film,
+            self.estimator.tare,
+            self._bars["change_own"],
         )
 
 
@@ -587,12 +589,3 @@ def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
         width = np.log(estimates._bars["ratio_upper"]) - np.log(estimates._bars["ratio_lower"])
     change = np.log(estimates.cell_resistance / estimates.baseline_resistance)
     return change - estimates.recording.scene.common_change[0], width / (2 * TWO_SIDED)
-
-
-def _unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
-    """Return the number of unsolved frames with the reason of the first, in words, or ''."""
-    failed = int(np.sum(~solved))
-    if not failed:
-        return ""
-    count = "no frame is" if failed == len(solved) else f"{failed} of {len(solved)} frames are not"
-    return f"{count} solved: {status[int(np.argmin(solved))]}"

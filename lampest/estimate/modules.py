@@ -5,7 +5,7 @@ scene requests terms across the seams (`coupled`), the image is one problem whos
 diagonal over the modules.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lampest.estimate.batch import push_streams, solve_baselines
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.state import Step, held_by_all
-from lampest.estimate.stream import Stream
+from lampest.estimate.stream import CarriedOver, Stream
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.module_noise import MAX_NAMED, named_modules
@@ -73,8 +73,7 @@ def begin_networks(
 
     Raises InputError as `Stream.begin`.
     """
-    layout = scene.panel.modules
-    assert layout is not None
+    layout = scene.panel.layout
     if layout.coupled:
         [(estimator, own, resting)] = filter(None, networks)
         return CoupledStream.begin(replace(estimator, error_bars=False), own, period, resting)
@@ -106,9 +105,7 @@ def network_scenes(scene: Scene, estimator: Estimator) -> list[Scene | None]:
 
     Raises InputError as `_coupled_scene`.
     """
-    layout = scene.panel.modules
-    assert layout is not None
-    if layout.coupled:
+    if scene.panel.layout.coupled:
         return [_coupled_scene(scene, estimator)]
     return [
         None if number in scene.dead_modules else module
@@ -118,8 +115,7 @@ def network_scenes(scene: Scene, estimator: Estimator) -> list[Scene | None]:
 
 def network_readings(scene: Scene, readings: Readings) -> list[Readings]:
     """Return the readings of each network that is estimated on its own, dead modules included."""
-    layout = scene.panel.modules
-    assert layout is not None
+    layout = scene.panel.layout
     if layout.coupled:
         return [readings]
     return [readings.of_module(layout, number) for number in range(layout.count)]
@@ -133,8 +129,7 @@ def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
     Raises InputError where a module is wired or has no two-point readout, and where error bars are
     requested.
     """
-    layout = scene.panel.modules
-    assert layout is not None
+    layout = scene.panel.layout
     if estimator.error_bars is True or estimator.weighs_previous:
         raise InputError(
             "error_bars: estimates with terms over the seams of modules "
@@ -241,7 +236,7 @@ class ModulesStream(Stream):
             for name, values in module.carried.items()
         }
 
-    def carrying(self, arrays: Mapping[str, Array]) -> "ModulesStream":
+    def carrying(self, arrays: CarriedOver) -> "ModulesStream":
         """Return the stream with the memory of each module, as `Stream.carrying`."""
         modules = list[Stream | None]()
         for number, module in enumerate(self.modules):
@@ -255,7 +250,7 @@ class ModulesStream(Stream):
         return replace(self, modules=tuple(modules), first=False)
 
     @property
-    def is_independent(self) -> bool:
+    def takes_blocks(self) -> bool:
         """Whether frames may be solved in blocks; modules are solved together instead."""
         return False
 
@@ -337,9 +332,7 @@ class ModulesStream(Stream):
 
     @property
     def _layout(self) -> Modules:
-        layout = self.scene.panel.modules
-        assert layout is not None
-        return layout
+        return self.scene.panel.layout
 
 
 def _joined(

@@ -101,10 +101,10 @@ class Parts:
                 # a finished part: its memory continues the stream; a joint baseline is found again
                 # by its frames
                 start = start if part is None else self._with_baseline(start, part)
-                stream = start if self.independent else carried.onto(start)
+                stream = start if self.independent else start.carrying(carried)
             elif part is not None:
                 stream, estimates = part.solve(stream)
-                yield number, estimates, CarriedOver.of(stream)
+                yield number, estimates, stream.carried
                 start = self.stream if self.independent else stream.restarted(self.stream)
                 stream = start
 

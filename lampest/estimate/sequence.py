@@ -1,6 +1,6 @@
 """Estimation of a whole recording."""
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import ceil
@@ -75,7 +75,7 @@ def reconstruct_as(
     kind: type[Kind],
     recording: Recording | Prepared,
     estimator: Estimator,
-    on_frame: OnFrame = lambda done, frames, so_far: None,
+    on_frame: OnFrame,
 ) -> Kind:
     """Solve every measured frame of a recording, as `reconstruct`, as estimates of a class."""
     stream, part = begun_as(kind, Prepared.of(recording), estimator)
@@ -170,7 +170,14 @@ class MeasuredPart(Generic[Kind]):
         verifies = estimator.verify.chosen(readings, stream.resting) & estimator.method.optimum
         number = segment.start
         while number < segment.stop:
-            for after, step in next_steps(stream, readings[number : segment.stop]):
+            steps: Iterable[tuple[Stream, Step]]
+            if stream.takes_blocks and number + 1 < segment.stop:
+                from lampest.estimate.batch import push_block  # for independent frames alone
+
+                steps = push_block(stream, readings[number : segment.stop])
+            else:
+                steps = [stream.push(readings[number])]
+            for after, step in steps:
                 if verifies[number] and step.solution.solved:
                     after, step = stream.verified(readings[number], after, step)
                 stream = after
@@ -229,19 +236,6 @@ def segments(stream: Stream, count: int) -> list[range]:
 def segment_count(count: int) -> int:
     """Return the number of segments of frames that depend on no earlier one."""
     return ceil(count / SEGMENT_FRAMES)
-
-
-def next_steps(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Step]]:
-    """Generate the stream after its next frame, or after each frame of a block, with the steps.
-
-    `readings` are the next frames, (frames, rows, columns).
-    """
-    if not stream.takes_blocks or len(readings.value) == 1:
-        yield stream.push(readings[0])
-        return
-    from lampest.estimate.batch import push_block  # for independent frames alone
-
-    yield from push_block(stream, readings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,11 +334,11 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     if not estimator.automatic or estimator.auto_weight.per == "frame":
         return estimator
     count = 1 if len(networks) > 1 else None
-    deciding = list[tuple[_Network, Readings]]()
-    for network in networks:
-        readings = network.readings
-        frames = deciding_frames(network.recording, readings, network.resting)[:count]
-        deciding += [(network, readings[frame]) for frame in frames]
+    deciding = [
+        (network, network.readings[frame])
+        for network in networks
+        for frame in deciding_frames(network.recording, network.readings, network.resting)[:count]
+    ]
     if not deciding:
         return estimator
     numbers = strongest(

@@ -200,7 +200,7 @@ def solve_part(part: tuple[Task, int]) -> None:
     if isinstance(recording, StoredRecording):
         parts = _parts(task.case.estimator, recording)
         # The other parts count as solved.
-        solved = parts.estimates(lambda at: None if at == number else CarriedOver({}))
+        solved = parts.estimates(lambda at: None if at == number else {})
         for _ in task.write_parts(solved):
             pass
 
@@ -282,7 +282,7 @@ def write_carried(path: Path, carried: CarriedOver) -> None:
     with hdf5.new_file(path) as file:
         hdf5.set_attributes(file, lampest_format=CARRIED)
         group = file.create_group("carried")
-        for name, values in carried.arrays.items():
+        for name, values in carried.items():
             unit = "ohm" if name.endswith("previous") else "1"
             hdf5.write_dataset(group, name, values, unit, name.replace("_", " "))
 
@@ -293,9 +293,7 @@ def read_carried(path: Path) -> CarriedOver:
         if hdf5.read_attribute(file, "/", "lampest_format") != CARRIED:
             raise InputError(f"{path}: is not the remainder of a part of a case")
         names = hdf5.children(file, "/carried")
-        return CarriedOver(
-            {name: hdf5.read_array(file, f"/carried/{name}", (1, 2, 3, 4)) for name in names}
-        )
+        return {name: hdf5.read_array(file, f"/carried/{name}", (1, 2, 3, 4)) for name in names}
 
 
 def _kept_frames(

@@ -28,7 +28,7 @@ from lampest.estimate.methods.joint import Joint, error_bars
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.sequence import default_terms
-from lampest.estimate.stream import CarriedOver, Stream
+from lampest.estimate.stream import Stream
 from lampest.estimate.weights import converter_and_faults, strongest
 from lampest.files.errors import InputError
 from lampest.inference.prepared import Prepared
@@ -716,12 +716,12 @@ def modules_row() -> list[Any]:
             ]
             rows.append([step.cell_resistance, parts])
         fresh = begin_stream(estimator, scene, 0.1, readings[:2].mean())
-        carried = CarriedOver.of(stream)
+        carried = stream.carried
         rows += [
-            carried.arrays,
+            carried,
             *(
                 target.push(readings[3])[1].cell_resistance
-                for target in (carried.onto(fresh), stream)
+                for target in (fresh.carrying(carried), stream)
             ),
         ]
         rows.append(stream.tared(readings[4]).push(readings[3])[1].cell_resistance)
