@@ -112,25 +112,20 @@ class Cost(ReadOnlyArrays):
     def _sound_rows(self) -> list[list[int]]:
         """Numbers of the rows of each residual that do not depend on a faulty cell."""
         symbols = self.symbols()
-        cells = casadi.vec(symbols.cell_resistance)
-        # Columns of faulty cells in ∂residual/∂r; rows with a nonzero there are removed.
-        fault_columns = list[int]()
-        for frame in range(self.frames):
-            fault_columns += [frame * self.panel.crossings + cell for cell in self.faulty]
+        faulty = casadi.vec(symbols.cell_resistance[list(self.faulty), :])
         rows = []
         for _, residual in replace(self, faulty=()).residuals(symbols):
-            touched = set(casadi.jacobian(residual, cells)[:, fault_columns].sparsity().row())
+            touched = set(casadi.jacobian_sparsity(residual, faulty).row())
             rows.append([row for row in range(residual.shape[0]) if row not in touched])
         return rows
 
-    def compile(self) -> "CostFunctions":
-        """Compile the cost and its derivatives; costs that differ only in weights share them."""
-        return _functions(self.unweighted)
-
     @cached_property
     def functions(self) -> "CostFunctions":
-        """The cost and its derivatives, compiled at first use."""
-        return self.compile()
+        """The cost and its derivatives, compiled at first use.
+
+        Costs that differ only in weights share them.
+        """
+        return _functions(self.unweighted)
 
     @cached_property
     def slope(self) -> Array:
@@ -164,14 +159,16 @@ def _residual_of(term: Term, state: State) -> casadi.SX:
             "state.grid(state.cell_resistance) is the matrix of rows × columns, "
             "and casadi.vec makes a column of one"
         )
-    symbols, unknowns = (
-        {symbol.element_hash() for symbol in casadi.symvar(part)} for part in (residual, unknown)
-    )
-    if len(state.panel.neighbours[2]) and symbols.isdisjoint(unknowns):
+    if len(state.panel.neighbours[2]) and _symbols_in(residual).isdisjoint(_symbols_in(unknown)):
         raise InputError(
             f"{name} is constant: it must depend on state.cell_resistance or state.reading"
         )
     return residual
+
+
+def _symbols_in(expression: casadi.SX) -> set[int]:
+    """Return keys of the scalar symbols of which an expression is made."""
+    return {symbol.element_hash() for symbol in casadi.symvar(expression)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,14 +204,11 @@ class Symbols:
 
         The inputs `more` are inputs of the function in any case.
         """
-        inputs = self.inputs()
-        # One pass for all inputs: which of their entries the output depends on
-        depends = casadi.which_depends(output, casadi.vertcat(*inputs.values(), *more.values()))
-        parts = np.split(
-            np.array(depends), np.cumsum([symbol.numel() for symbol in inputs.values()])
-        )
+        contained = _symbols_in(output)
         used = {
-            name: inputs[name] for name, part in zip(inputs, parts, strict=False) if part.any()
+            name: symbol
+            for name, symbol in self.inputs().items()
+            if not contained.isdisjoint(_symbols_in(symbol))
         } | more
         return Compiled(casadi.Function(name, [*used.values()], [output], [*used], ["value"]))
 
@@ -248,16 +242,6 @@ class CostFunctions:
     def entries(self) -> "Entries":
         """Places of the nonzero second derivatives of the smooth losses."""
         return Entries.of(*self.hessian.pattern, self.hessian.structure.shape[0] // 2)
-
-    @cached_property
-    def nonsmooth_by_cells(self) -> tuple[Numbers, ...]:
-        """Entries of `nonsmooth_jacobian` by cells: numbers row by row, columns, and row begins."""
-        row, column = self.nonsmooth_jacobian.pattern
-        rows, both = self.nonsmooth_jacobian.structure.shape
-        numbers = np.flatnonzero(column < both // 2)
-        numbers = numbers[np.argsort(row[numbers], kind="stable")]
-        begins = np.searchsorted(row[numbers], np.arange(rows + 1))
-        return numbers, column[numbers], begins
 
     @classmethod
     def build(cls, cost: Cost) -> "CostFunctions":

@@ -88,13 +88,13 @@ class Data(ReadOnlyArrays):
             name: value[:, None] if sources[name].per_frame else value
             for name, value in self.given.named()
         }
-        frames = replace(
+        return replace(
             self,
             given=replace(self.given, **named),
             lower=self.lower[:, None],
             upper=self.upper[:, None],
+            place=place,
         )
-        return replace(frames, place=place)
 
     def some(self, panels: Panels) -> "Data":
         """Return the data of the chosen panels, or of a single one by its number."""
