@@ -11,6 +11,7 @@ from datetime import timedelta
 from io import TextIOWrapper
 from itertools import chain, groupby
 from math import ceil
+from operator import itemgetter
 from pathlib import Path
 from shutil import get_terminal_size
 from textwrap import fill, wrap
@@ -337,25 +338,20 @@ def print_table(table: "Table") -> None:
     folded, figures are not. If that is insufficient, rows that share the name in the first column
     are printed under that name.
     """
-    filled = [
-        number
-        for number in range(len(table.headers))
-        if any(cells[number] for cells in table.cells)
-    ]
-    if not filled:
+    columns = list[list[str]]()
+    for header, *texts in zip(table.headers, *table.cells, strict=True):
+        if any(texts):
+            shown = ["\n".join(map(printable, text.split("\n"))) for text in texts]
+            columns.append([header, *(TOGETHER.sub("\N{NO-BREAK SPACE}", text) for text in shown)])
+    if not columns:
         return
-    headers = [table.headers[number] for number in filled]
-    texts = [
-        ["\n".join(map(printable, cells[number].split("\n"))) for number in filled]
-        for cells in table.cells
-    ]
-    rows = [[TOGETHER.sub("\N{NO-BREAK SPACE}", text) for text in cells] for cells in texts]
     room = max(get_terminal_size().columns if sys.stdout.isatty() else 0, WIDTH)
-    if _draw(headers, rows, room, last=len(headers) < 2):
+    if _draw(columns, room, last=len(columns) < 2):
         return
-    for name, block in groupby(rows, key=lambda cells: cells[0]):
+    headers, *rows = zip(*columns, strict=True)
+    for name, block in groupby(rows, key=itemgetter(0)):
         say(f"{name}:")
-        _draw(headers[1:], [cells[1:] for cells in block], room, last=True)
+        _draw(list(zip(headers, *block, strict=True))[1:], room, last=True)
 
 
 def _narrowed(full: Sequence[int], floors: Sequence[int], room: int) -> tuple[list[int], int]:
@@ -375,8 +371,8 @@ def _narrowed(full: Sequence[int], floors: Sequence[int], room: int) -> tuple[li
     return widths, beyond
 
 
-def _draw(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int, *, last: bool) -> bool:
-    """Print a table and return True.
+def _draw(table: Sequence[Sequence[str]], room: int, *, last: bool) -> bool:
+    """Print a table, given as columns with their headers, and return True.
 
     Return False if it does not fit, unless this is the last attempt. The widest column is narrowed
     until the table fits, down to the longest word of each column. If that is insufficient, the
@@ -386,11 +382,11 @@ def _draw(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int, *, l
     from rich.console import Console
     from rich.table import Table as RichTable
 
-    columns = [[text.split("\n") for text in column] for column in zip(headers, *rows, strict=True)]
+    columns = [[text.split("\n") for text in column] for column in table]
     full = [max(map(len, chain.from_iterable(column))) for column in columns]
     words = [[line.split(" ") for line in chain.from_iterable(column)] for column in columns]
     least = [max(map(len, chain.from_iterable(column))) for column in words]
-    cut_names = [min(least[0], max(MIN_NAME, len(headers[0]))), *least[1:]]
+    cut_names = [min(least[0], max(MIN_NAME, len(table[0][0]))), *least[1:]]
     for gap, floors in ((2, least), (1, cut_names)):
         widths, beyond = _narrowed(full, floors, room - gap * (len(full) - 1) - 2)
         if beyond <= 0:

@@ -36,66 +36,62 @@ MAX_NOISE_SQUARES = 4.0
 
 
 def push_streams(
-    streams: Sequence[Stream | None], readings: Readings, inverses: InverseHessians
-) -> tuple[list[tuple[Stream | None, Step | None]], InverseHessians]:
+    streams: Mapping[int, Stream], readings: Readings, inverses: InverseHessians
+) -> tuple[dict[int, tuple[Stream, Step]], InverseHessians]:
     """Push a frame to each stream, together where a batch can.
 
     Parameters
     ----------
-    streams : sequence of Stream or None
+    streams : mapping of int to Stream
     readings : Readings
-        One frame of each stream, (streams, rows, columns).
+        One frame of each number, (numbers, rows, columns).
     inverses : InverseHessians
-        Inverse Hessians of the streams by number, from solves of earlier frames.
+        Inverse Hessians by number, from solves of earlier frames.
 
     Returns
     -------
-    pushed : list of (Stream or None, Step or None)
-        Every stream after its frame, and the frame's step; None stays None.
+    pushed : mapping of int to (Stream, Step)
+        Every stream after its frame, and the frame's step.
     inverses : InverseHessians
         Inverse Hessians for the next frame.
     """
     # Weights first; then batches; whatever a batch does not solve is pushed alone.
-    streams = _weighed(streams, readings)
+    streams = _weighed(streams, {number: readings[number] for number in streams})
     solved, inverses = _solved_together(streams, readings, inverses)
-    single: dict[int, tuple[Stream | None, Step | None]] = {
-        n: stream.push(readings[n])
-        for n, stream in enumerate(streams)
-        if stream is not None and n not in solved
+    pushed = {
+        number: solved.get(number) or stream.push(readings[number])
+        for number, stream in streams.items()
     }
-    done = {**solved, **single}
-    pushed = [done.get(number, (None, None)) for number in range(len(streams))]
     return pushed, inverses
 
 
-def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Stream | None]:
+def _weighed(streams: Mapping[int, Stream], frames: Mapping[int, Readings]) -> dict[int, Stream]:
     """Return the streams with weights; streams of one group choose them together.
 
     A group has one estimator, converter and faults. If the frame of any of its streams is due to
     choose weights, the streams with the largest change from rest choose them for all.
     """
-    weighed = list(streams)
+    weighed = dict(streams)
     groups = dict[Hashable, dict[int, Stream]]()
-    for number, stream in enumerate(streams):
-        if stream is None or not stream.chooses_weights:
-            continue
+    for number, stream in streams.items():
         comparable = stream.rested or not stream.estimator.relative
-        if comparable and readings[number].enough(stream.scene):
+        if stream.chooses_weights and comparable and frames[number].enough(stream.scene):
             kind = id(stream.estimator), stream.rested, converter_and_faults(stream.scene)
             groups.setdefault(kind, {})[number] = stream
     for group in groups.values():
-        if any(stream.choosing(readings[number]) for number, stream in group.items()):
-            for number, stream in _with_common_weights(group, readings).items():
-                weighed[number] = stream
+        if any(stream.choosing(frames[number]) for number, stream in group.items()):
+            weighed |= _with_common_weights(group, frames)
     return weighed
 
 
-def _with_common_weights(group: Mapping[int, Stream], readings: Readings) -> dict[int, Stream]:
+def _with_common_weights(
+    group: Mapping[int, Stream], frames: Mapping[int, Readings]
+) -> dict[int, Stream]:
     """Return the streams of a group, by number, with weights that the strongest of them choose."""
-    changes = [stream.change(readings[number]) for number, stream in group.items()]
+    changes = [stream.change(frames[number]) for number, stream in group.items()]
     numbers = [list(group)[place] for place in strongest(changes)]
     deciding = group[numbers[0]]
-    (data, start), *further = (group[number].data_and_start(readings[number]) for number in numbers)
+    (data, start), *further = (group[number].data_and_start(frames[number]) for number in numbers)
     objective = with_chosen_weights(
         deciding.estimator,
         deciding.scene,
@@ -146,13 +142,14 @@ def _solved_block(stream: Stream, readings: Readings) -> dict[int, tuple[Stream,
     inverses = InverseHessians.nothing(count)
     leaders, nearest = leading_frames(readings)
     if len(leaders) == 1:
-        return _solved_together([stream] * count, readings, inverses)[0]
-    leading = [stream if number in leaders else None for number in range(count)]
+        return _solved_together(dict.fromkeys(range(count), stream), readings, inverses)[0]
+    leading = dict.fromkeys(sorted(leaders), stream)
     solved, inverses = _solved_together(leading, readings, inverses)
-    following = [
-        None if number in leaders else solved.get(leader, (stream,))[0]
+    following = {
+        number: solved[leader][0] if leader in solved else stream
         for number, leader in enumerate(nearest)
-    ]
+        if number not in leading
+    }
     inverses = inverses.some(np.array(nearest))
     return solved | _solved_together(following, readings, inverses)[0]
 
@@ -191,27 +188,22 @@ def leading_frames(readings: Readings) -> tuple[list[int], list[int]]:
     return leaders, [leaders[place] for place in np.argmin(squares, axis=0)]
 
 
-def solve_baselines(streams: Sequence[Stream | None]) -> list[Stream | None]:
+def solve_baselines(streams: Mapping[int, Stream]) -> dict[int, Stream]:
     """Return every stream with its solved baseline.
 
     The streams of one group choose the weights of the baselines together.
     """
-    first = next(stream for stream in streams if stream is not None)
-    resting = [first.resting if stream is None else stream.resting for stream in streams]
-    unweighed = [None if stream is None else replace(stream, weights=None) for stream in streams]
-    weighed = _weighed(unweighed, resting[0].together(*resting[1:]))
-    rested = list[Stream | None]()
-    for stream, chosen in zip(streams, weighed, strict=True):
-        if stream is None or chosen is None:
-            rested.append(None)
-            continue
-        solved = replace(stream, estimator=chosen.weighted).with_rest()
-        rested.append(replace(solved, estimator=stream.estimator))
+    unweighed = {number: replace(stream, weights=None) for number, stream in streams.items()}
+    weighed = _weighed(unweighed, {number: stream.resting for number, stream in streams.items()})
+    rested = dict[int, Stream]()
+    for number, stream in streams.items():
+        solved = replace(stream, estimator=weighed[number].weighted).with_rest()
+        rested[number] = replace(solved, estimator=stream.estimator)
     return rested
 
 
 def _solved_together(
-    streams: Sequence[Stream | None], readings: Readings, inverses: InverseHessians
+    streams: Mapping[int, Stream], readings: Readings, inverses: InverseHessians
 ) -> tuple[dict[int, tuple[Stream, Step]], InverseHessians]:
     """Return the streams after their frame and the frame's step by number.
 
@@ -219,26 +211,24 @@ def _solved_together(
     large batches are split among threads.
     """
     groups = dict[Hashable, list[int]]()
-    batchable = dict[int, Stream]()
     partial = ((readings.side != 0) | (readings.seen < 1)).any(axis=(1, 2)).tolist()
-    for number, stream in enumerate(streams):
-        if stream is not None and _in_batches(stream, readings[number], partial=partial[number]):
+    for number, stream in streams.items():
+        if _in_batches(stream, readings[number], partial=partial[number]):
             kind = _unweighted(stream.estimator), stream.scene.faults, partial[number]
             groups.setdefault(kind, []).append(number)
-            batchable[number] = stream
     # Each of several processes has one core.
     cores = 1 if parent_process() else len(os.sched_getaffinity(0))
     blocks = list[NDArray[np.intp]]()
     for group in groups.values():
         # Frames of one stream stay in one thread, however many cores there are.
-        distinct = len({id(batchable[number]) for number in group})
+        distinct = len({id(streams[number]) for number in group})
         blocks += np.array_split(group, max(1, min(cores, distinct // MIN_PANELS_PER_THREAD)))
 
     def solved_block(place: int) -> tuple[dict[int, tuple[Stream, Step]], InverseHessians]:
         numbers = blocks[place]
         own = inverses.some(numbers)
         with np.errstate(all="ignore"), suppress(*BROKEN):
-            batch = [batchable[number] for number in numbers.tolist()]
+            batch = [streams[number] for number in numbers.tolist()]
             return _solved_batch(batch, readings[numbers], own, numbers, place)
         return {}, own
 

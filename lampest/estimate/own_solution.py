@@ -191,9 +191,9 @@ class OwnSolution(SymbolsOwner):
         A cell at a bound has zero, an undetermined one infinity. The misfit must be weighted by the
         noise for these numbers to have a meaning.
         """
-        conductance = self.instance.scale / self.instance.cells_of(self.result)
-        relative = self._deviations("conductance").reshape(self.instance.shape) / conductance
-        return np.asarray(self.cell_resistance * relative)
+        # r = s/g: the deviation of r is r²/s times that of g
+        of_conductance = self._deviations("conductance").reshape(self.instance.shape)
+        return np.asarray(self.cell_resistance**2 / self.instance.scale * of_conductance)
 
     def value(self, of: str | casadi.SX) -> Array:
         """Return the value of an expression of the program's symbols, or of a name, of its shape.
@@ -201,9 +201,7 @@ class OwnSolution(SymbolsOwner):
         Values are NaN where nothing was solved. The names are those of `covariance`.
         Raises InputError for another name, and for symbols of another program.
         """
-        with_value = self._function(of, "")
-        (values, *_) = self._evaluated(with_value)
-        return self._if_solved(values)
+        return self._if_solved(self._evaluated(self._function(of, ""))[0])
 
     def errors(self, name: str) -> Array:
         """Return the standard deviations of an own unknown, (size,); infinite if undetermined.
@@ -328,11 +326,11 @@ class OwnSolution(SymbolsOwner):
         _, outer, explicit = self._evaluated(self._function(of, to))
         if not self.solved:
             return np.full((len(outer), count), np.nan)
-        moved, undetermined = self._moved(to)
-        free = _reaches(outer @ undetermined, np.abs(outer) @ np.abs(undetermined))
-        total = outer @ moved
+        total = outer @ self._moved(to)
         if explicit.shape[1]:
             total += explicit
+        undetermined = self._spread[1]
+        free = _reaches(outer @ undetermined, np.abs(outer) @ np.abs(undetermined))
         return np.where(free[:, None], np.nan, total)
 
     @guarded
@@ -370,8 +368,8 @@ class OwnSolution(SymbolsOwner):
             raise InputError(f"there is no sensitivity to {to}; there is one to {', '.join(sizes)}")
         return sizes[to]
 
-    def _moved(self, to: str) -> tuple[Array, Array]:
-        """Return dx/dp of the unknowns, and the directions that no data determine.
+    def _moved(self, to: str) -> Array:
+        """Return dx/dp of the unknowns, (unknowns, parameters).
 
         With A dx = b along the active constraints, dx = dx₀ + Z w, where dx₀ is any solution of
         them, and Zᵀ∇²L Z w = −Zᵀ(∂∇L/∂p + ∇²L dx₀).
@@ -391,7 +389,7 @@ class OwnSolution(SymbolsOwner):
             moved += directions.leading @ np.linalg.lstsq(directions.rows, missing)[0]
         basis = directions.basis
         force = basis.T @ (slopes + hessian @ moved)
-        return moved + basis @ modes.step(force), self._spread[1]
+        return np.asarray(moved + basis @ modes.step(force))
 
     def _forces(self, to: str) -> tuple[Array, Array, Array]:
         """Return ∂(∇L)/∂p, the change of the constraints' right sides, and of held unknowns.
@@ -409,19 +407,19 @@ class OwnSolution(SymbolsOwner):
         limits = np.zeros((len(self.result.of_equations), count))
         if to in program.parameter.symbols:
             forces = _forces_by(program, to)
-            by_gradient, by_equation = self._evaluated(forces, self.result.of_equations)
-            return by_gradient, -by_equation, moved
-        if to in program.own_constraints:
+            slopes, by_equation = self._evaluated(forces, self.result.of_equations)
+            limits = -by_equation
+        elif to in program.own_constraints:
             rows = program.equation.named(np.arange(len(limits), dtype=float))[to].astype(int)
             limits[rows, np.arange(count)] = 1.0
-            return slopes, limits, moved
-        # g = s/r at the bound that holds it
-        place = self.places["conductance"]
-        limit = (instance.upper if to == "lower" else instance.lower)[place]
-        other = (instance.lower if to == "lower" else instance.upper)[place]
-        value = self.result.unknown[place]
-        at_limit = self._directions.held[place] & (np.abs(value - limit) < np.abs(value - other))
-        moved[place] = np.diag(np.where(at_limit, -(limit**2) / instance.scale, 0.0))
+        else:  # g = s/r at the bound that holds it
+            place = self.places["conductance"]
+            bounds = instance.lower[place], instance.upper[place]
+            other, limit = bounds if to == "lower" else bounds[::-1]
+            value = self.result.unknown[place]
+            nearer = np.abs(value - limit) < np.abs(value - other)
+            held = self._directions.held[place] & nearer
+            moved[place] = np.diag(np.where(held, -(limit**2) / instance.scale, 0.0))
         return slopes, limits, moved
 
     def _if_solved(self, values: Array) -> Array:

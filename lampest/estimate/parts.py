@@ -108,7 +108,7 @@ class Parts:
                 start = self.stream if self.independent else stream.restarted(self.stream)
                 stream = start
 
-    def _part(self, frames: range) -> MeasuredPart[Estimates] | None:
+    def _part(self, frames: range) -> MeasuredPart | None:
         """Return the measured frames of a range, together with the lead; None without any."""
         part = measured_part(self.stored, frames, WINDOW)
         if part is None:
@@ -117,9 +117,9 @@ class Parts:
         readings = Prepared(recording, self.sample.noise).noise.readings
         recording = replace(recording, scene=self.stream.scene)
         own = _own_frames(recording, frames)
-        return MeasuredPart(recording, own, readings, self.sample, Estimates)
+        return MeasuredPart(recording, own, readings, self.sample)
 
-    def _with_baseline(self, begun: Stream, part: MeasuredPart[Estimates]) -> Stream:
+    def _with_baseline(self, begun: Stream, part: MeasuredPart) -> Stream:
         """Return the stream with its baseline.
 
         The part's frames are pushed until a joint baseline is solved.

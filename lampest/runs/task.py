@@ -17,7 +17,7 @@ from pathlib import Path
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.parts import Parts, asked_frames
-from lampest.estimate.sequence import MeasuredPart, begun_as, reconstruct, segments
+from lampest.estimate.sequence import MeasuredPart, begun, reconstruct, segments
 from lampest.estimate.state import Step
 from lampest.estimate.stream import CarriedOver, Stream
 from lampest.files import hdf5
@@ -241,8 +241,8 @@ def solve_segment(segment: CaseSegment) -> list[Step]:
 
 
 @lru_cache(maxsize=1)  # a process solves several segments of a case
-def _begun(prepared: Prepared, estimator: Estimator) -> tuple[Stream, MeasuredPart[Estimates]]:
-    return begun_as(Estimates, prepared, estimator)
+def _begun(prepared: Prepared, estimator: Estimator) -> tuple[Stream, MeasuredPart]:
+    return begun(prepared, estimator)
 
 
 def solve_long(task: Task, stored: StoredRecording) -> StoredCase:

@@ -199,8 +199,8 @@ def test_a_sequence_resumes_from_its_saved_arrays(panel: str) -> None:
     ]
     assert not restored.first and shapes[0] == shapes[1]
     assert all(
-        part is None or part.prepared is None
-        for part in (restarted.modules if restarted.joined else (restarted,))
+        part.prepared is None
+        for part in (restarted.modules.values() if restarted.joined else (restarted,))
     )
     (_, expected), (_, step) = (each.push(readings[third]) for each in (restarted, restored))
     assert_allclose(step.cell_resistance, expected.cell_resistance, rtol=1e-12)
@@ -209,7 +209,7 @@ def test_a_sequence_resumes_from_its_saved_arrays(panel: str) -> None:
     pairs = np.random.default_rng(1).standard_normal((2, 2, 4, 5))
     track = replace(part.track, memory=SampledMemory(pairs[0], 3), answers=pairs[1])
     tracked = replace(part, track=track)
-    whole = replace(stream, modules=(tracked, *stream.modules[1:])) if stream.joined else tracked
+    whole = replace(stream, modules={**stream.modules, 0: tracked}) if stream.joined else tracked
     again = stream.carrying(whole.carried)
     track = (again.modules[0] if stream.joined else again).track
     assert isinstance(track.memory, SampledMemory) and track.memory.frames == 3

@@ -183,8 +183,9 @@ class SmootherMethod(Method):
         on_frame : callable
             Called after every frame that is solved alone.
         """
-        if not readings or state.baseline is None or not state.baseline.solution.solved:
-            return state, [state.unsolved(Status.BREAKDOWN) for _ in readings]
+        broken = [state.unsolved(Status.BREAKDOWN)] * len(readings)
+        if not readings or not state.rested:
+            return state, broken
         begin = perf_counter()
         data, start = _begun(state, resting, readings, cells, on_frame)
         with delayed_interrupt(), suppress(*BROKEN), np.errstate(all="ignore"):
@@ -212,7 +213,7 @@ class SmootherMethod(Method):
             return replace(
                 state, baseline=baseline, previous=steps[-1].estimate(0), track=track
             ), steps
-        return state, [state.unsolved(Status.BREAKDOWN) for _ in readings]
+        return state, broken
 
     def least_cost(self, state: SequenceState, readings: Sequence[Readings]) -> Joint:
         """Return Φ at its minimum over some frames, which may include unloaded ones.
