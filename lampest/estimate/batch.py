@@ -12,7 +12,6 @@ from functools import lru_cache
 from math import sqrt
 from multiprocessing import parent_process
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +25,8 @@ from lampest.estimate.weights import converter_and_faults, strongest, with_chose
 from lampest.files.errors import BROKEN
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
-from lampest.solvers.projected_lbfgs import NAME, BatchOutcome, InverseHessians, serves, solve
-from lampest.solvers.solution import VERIFIED, Outcome, Solution, Status, solution_at
+from lampest.solvers.projected_lbfgs import NAME, InverseHessians, serves, solve
+from lampest.solvers.solution import VERIFIED, Outcome, Status, solution_at
 
 MIN_PANELS_PER_THREAD = 20  # with fewer panels in a thread, threads cost more than they save
 MAX_BLOCK_FRAMES = 40  # frames that are solved together: 50 MB of inverse Hessians at 20 × 20
@@ -283,20 +282,8 @@ def _solved_batch(
 ) -> tuple[dict[int, tuple[Stream, Step]], InverseHessians]:
     """Return the streams of one batch after their frame, and the frame's step, by number.
 
-    Only verified minima are returned.
-
-    Parameters
-    ----------
-    streams : sequence of Stream
-        Streams of one shape and one kind of cost.
-    frames : Readings
-        One frame of each stream, (streams, rows, columns).
-    inverses : InverseHessians
-        Those of these streams.
-    numbers : integer array
-        Numbers of these streams.
-    place : int
-        Number of the batch, as in `Data`.
+    Only verified minima are returned. The streams have one shape and one kind of cost; `place` is
+    that of `Data`.
     """
     begin = perf_counter()
     estimator = _unweighted(streams[0].estimator)
@@ -320,23 +307,18 @@ def _solved_batch(
     after = {}
     for row in np.flatnonzero(verified).tolist():
         stream = streams[row]
+        at = ended.points.at.some(row)
+        cells = at.cell_resistance
+        gradient = ended.points.gradient[row].reshape(cells.shape)
+        status = Status.HELD if bounds_matter(at, gradient, NO_DUAL) else Status.OPTIMUM
+        iterations = int(ended.iterations[row])
+        outcome = Outcome(cells, NO_DUAL, status, iterations, carried=stream.prepared)
+        solution = solution_at(at, float(ended.points.residual[row]), outcome, status)
         step = Step(
-            _solution_of(ended, row, carried=stream.prepared),
+            replace(solution, solver=NAME),
             seconds,
             tuple(weights[row].tolist()),
             weight_sigma=stream.weighted.weight_sigma,
         )
         after[int(numbers[row])] = stream.estimator.method.after(stream, step, frames[row])
     return after, ended.inverses
-
-
-def _solution_of(ended: BatchOutcome, row: int, *, carried: Any) -> Solution:
-    """Return the solution of one stream of a batch, given the state of its method."""
-    points = ended.points
-    at = points.at.some(row)
-    gradient = points.gradient[row].reshape(at.cell_resistance.shape)
-    status = Status.HELD if bounds_matter(at, gradient, NO_DUAL) else Status.OPTIMUM
-    iterations = int(ended.iterations[row])
-    outcome = Outcome(at.cell_resistance, NO_DUAL, status, iterations, carried=carried)
-    solution = solution_at(at, float(points.residual[row]), outcome, status)
-    return replace(solution, solver=NAME)

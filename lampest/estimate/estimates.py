@@ -129,9 +129,7 @@ def frame_misfit(
     chi_square = squares.sum(axis=(1, 2))
     readings = np.isfinite(sigma).sum(axis=(1, 2))
     # degrees of freedom: readings − tr A, at least 1
-    followed = (
-        np.full(len(model), np.nan) if resolution is None else np.nansum(resolution, axis=(1, 2))
-    )
+    followed = np.nan if resolution is None else np.nansum(resolution, axis=(1, 2))
     degrees = np.where(np.isnan(chi_square), np.nan, np.maximum(readings - followed, 1.0))
     figures = {
         "chi_square": chi_square,
@@ -371,7 +369,7 @@ class Estimates(ReadOnlyArrays):
         are included; missing readings have a value, too. None without error bars; NaN in a frame
         without.
         """
-        deviation = [None if step.bars is None else step.bars.reading for step in self.steps]
+        deviation = [getattr(step.bars, "reading", None) for step in self.steps]
         noise = self.readings.sigma
         scene = self.prepared.recording.scene
         if self._bars is None or noise is None or all(frame is None for frame in deviation):
@@ -462,13 +460,11 @@ class Estimates(ReadOnlyArrays):
     @property
     def _overruled(self) -> str:
         """Misfit in words where chosen weights make it large against the noise, else ''."""
-        chi_square = self.misfit.get("chi_square", np.zeros(0)) if self.automatic else np.zeros(0)
-        solved = np.isfinite(chi_square)
-        if self.sigma is None or not solved.any():
+        if self.sigma is None or not self.automatic:
             return ""
-        count = np.isfinite(self.sigma).sum(axis=(1, 2))
-        # √(χ² per reading) of the median frame
-        factor = float(np.sqrt(np.median(chi_square[solved] / count[solved])))
+        per_reading = self.misfit["chi_square"] / np.isfinite(self.sigma).sum(axis=(1, 2))
+        solved = per_reading[np.isfinite(per_reading)]
+        factor = np.sqrt(np.median(solved)) if len(solved) else 0.0
         if factor < OVERRULED_MISFIT:
             return ""
         terms = " and ".join(
@@ -493,9 +489,10 @@ class Estimates(ReadOnlyArrays):
                 f"{held.threshold:.2g} does not show; {advice}"
             )
         holds = any(term.loss.enters == "dual" for term in self.estimator.terms)
-        shares = None if holds or not self.automatic else self.resolution
-        known = np.zeros(0) if shares is None else shares[np.isfinite(shares)]
-        share = float(np.median(known)) if known.size else 1.0
+        if holds or not self.automatic or self.resolution is None:
+            return ""
+        known = self.resolution[np.isfinite(self.resolution)]
+        share = np.median(known) if known.size else 1.0
         if share >= MIN_SHOWN:
             return ""
         return (

@@ -324,23 +324,20 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     ]
     if not deciding:
         return estimator
-    numbers = strongest(
-        [
-            float(mean_change(frame.plain_values, network.resting.value))
-            for network, frame in deciding
-        ]
-    )
+    changes = [
+        float(mean_change(frame.plain_values, network.resting.value)) for network, frame in deciding
+    ]
     frames_of = dict[_Network, list[Readings]]()
-    for number in numbers:
+    for number in strongest(changes):
         network, frame = deciding[number]
         frames_of.setdefault(network, []).append(frame)
-    strongest_data, *further = (
+    data, *further = (
         data
         for network, chosen in frames_of.items()
         for data in deciding_data(estimator, network.recording.scene, network.resting, *chosen)
     )
-    strongest_scene = deciding[numbers[0]][0].recording.scene
-    return with_chosen_weights(estimator, strongest_scene, strongest_data, None, further)
+    scene = next(iter(frames_of)).recording.scene
+    return with_chosen_weights(estimator, scene, data, None, further)
 
 
 def deciding_data(

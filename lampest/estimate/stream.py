@@ -127,13 +127,14 @@ class Stream(SequenceState):
         estimator.check(scene)
         _check_frame(resting, scene)
         estimator = in_scene(estimator, scene, resting)
-        hidden, frame = (None, None) if noise is None else (noise.possible_errors, noise.frame)
-        track = (
-            Track(Shared.of(scene, hidden), noise=frame)
-            if estimator.has_error_bars(resting)
-            else None
+        hidden, frame, panels = (
+            (None, None, None)
+            if noise is None
+            else (noise.possible_errors, noise.frame, noise.panels)
         )
-        panels = None if noise is None else noise.panels
+        track = None
+        if estimator.has_error_bars(resting):
+            track = Track(Shared.of(scene, hidden), noise=frame)
         return cls(estimator, scene, period, resting, track=track, frame_noise=frame, panels=panels)
 
     @ONE_BLAS_THREAD

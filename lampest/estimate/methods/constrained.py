@@ -28,7 +28,7 @@ from lampest.posterior.certainty import Certainty
 from lampest.posterior.track import Bars
 from lampest.recording.readings import Readings
 from lampest.solvers.multistart import evaluated
-from lampest.solvers.solution import Outcome, Settings, Solution, Solver, solution_at
+from lampest.solvers.solution import Outcome, Settings, Solution, Solver, failure, solution_at
 
 
 @dataclass(frozen=True)
@@ -155,11 +155,8 @@ class ConstrainedMethod(Method):
         solved = outcome.carried
         assert isinstance(solved, OwnSolution)
         if not solved.solved:
-            cells = np.full(data.measured.shape, np.nan)
-            failed = solution_at(start, np.nan, outcome, outcome.status)
-            unknown = np.full(len(failed.costs), np.nan)
-            failed = replace(failed, at=None, carried=None, objective=np.nan, costs=unknown)
-            return replace(failed, cell_resistance=cells, reading=cells, solver=solver.name)
+            failed = failure(solver.cost, data, outcome.status, np.nan, outcome)
+            return replace(failed, solver=solver.name)
         cells = np.clip(outcome.cell_resistance, data.lower, data.upper)
         at = start.elsewhere(cells)
         solution = solution_at(at, solved.optimality_error, outcome, outcome.status)

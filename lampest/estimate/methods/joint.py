@@ -112,18 +112,16 @@ class Joint:
         start = np.pad(
             np.concatenate([alone[:1], lasting, alone[-1:]]), ((0, 0), (0, drawn.shape[2]))
         )
-        border = np.zeros((count, size, 0))
-        steps = np.zeros(count - 1)
         joint = cls(
             tuple(cost),
             tuple(data),
             errors,
             alone,
             drawn,
-            border,
-            start,
-            steps,
-            np.zeros((count - 1, size)),
+            shared=np.zeros((count, size, 0)),
+            position=start,
+            shift=np.zeros(count - 1),
+            stiffness=np.zeros((count - 1, size)),
         )
         return replace(joint, position=np.clip(start, *joint.bounds)).sharing()
 
@@ -165,14 +163,11 @@ class Joint:
         offsets = self.shared @ self.shift[: self._sharing] + np.einsum(
             "tri,ti->tr", self.drawn, self.chance
         )
-        for cost, data, position, offset in zip(
-            self.cost, self.data, self.log_cells, offsets, strict=True
-        ):
+        cells = np.exp(self.log_cells)
+        for cost, data, own, offset in zip(self.cost, self.data, cells, offsets, strict=True):
             measured = data.measured - offset.reshape(data.measured.shape)
             shifted = replace(data, given=replace(data.given, measured=measured))
-            evaluations.append(
-                Evaluation.at(cost, shifted, np.exp(position).reshape(measured.shape))
-            )
+            evaluations.append(Evaluation.at(cost, shifted, own.reshape(measured.shape)))
         return tuple(evaluations)
 
     @property
@@ -547,8 +542,9 @@ def error_bars(
     answer = joint.answer(joint.responses(beyond))
     chain = joint.uncertain
     numbers = range(resting - 1, len(joint.position))
-    certainties = (_certainty(joint, chain, t).widened(answer[t]).of_frame(0) for t in numbers)
-    baseline, *certainty = (certainty_.by_conductance() for certainty_ in certainties)
+    baseline, *certainty = (
+        _certainty(joint, chain, t).widened(answer[t]).of_frame(0).by_conductance() for t in numbers
+    )
     # cov(u_t, u_baseline) of each cell, for the variance of changes: from Φ, and from the errors
     # beyond it
     covariances = chain.since(resting - 1)[1:, : joint.cells] + np.sum(

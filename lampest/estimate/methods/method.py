@@ -448,20 +448,16 @@ class OptimalMethod(Method):
         """
         solution = best_solution(solver, data, previous, prepared)
         is_newton = solver.cells_alone
-        if not is_newton and previous is not None and _elsewhere(solution, data, previous):
-            newton = solver_of(solver.cost, data.readout, data.wiring, "reduced", solver.settings)
-            nearer = best_solution(newton, data, previous)
-            return nearer if nearer.optimum else solution
+        astray = not is_newton and previous is not None and _elsewhere(solution, data, previous)
         enough = solution.optimum if is_newton else solution.strict
-        if self.kind != "auto" or enough or data.overdue:
+        many = is_newton and solver.cost.panel.crossings > FALLBACK_CELLS
+        if not astray and (self.kind != "auto" or enough or many or data.overdue):
             return solution
-        if is_newton and solver.cost.panel.crossings > FALLBACK_CELLS:
-            return solution
-        second_kind = "nodal" if is_newton else "reduced"
-        second_solver = solver_of(
-            solver.cost, data.readout, data.wiring, second_kind, solver.settings
-        )
-        second = best_solution(second_solver, data, previous)
+        kind = "nodal" if is_newton else "reduced"
+        other = solver_of(solver.cost, data.readout, data.wiring, kind, solver.settings)
+        second = best_solution(other, data, previous)
+        if astray:
+            return second if second.optimum else solution
         return second if settles(second, solution) else lower_of(solution, second)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:

@@ -138,10 +138,9 @@ class SmootherMethod(Method):
         # The unloaded frames enter as means of a few parts, so that a wrong reading in one part can
         # be identified.
         numbers = np.flatnonzero(resting.enough(state.scene))
-        parts = (
-            np.array_split(numbers, min(len(numbers), MAX_UNLOADED_PARTS)) if len(numbers) else []
-        )
-        groups = [resting[part].mean().beside(len(parts)) for part in parts] or [state.resting]
+        count = min(len(numbers), MAX_UNLOADED_PARTS)
+        parts = np.array_split(numbers, count) if count else []
+        groups = [resting[part].mean().beside(count) for part in parts] or [state.resting]
         state, steps = self._together(state, groups, read, [], on_frame)
         missing = state.unsolved(Status.UNREAD if rested else Status.UNRESTED)
         solved = iter(steps)
@@ -154,11 +153,10 @@ class SmootherMethod(Method):
         read = (*earlier, readings)[-1 - self.lag :]
         cells = estimates[-self.lag :]
         after, steps = self._together(state, [state.resting], read, cells, lambda: None)
-        newest = steps[-1]
-        if not newest.solution.solved:
-            return state, newest
-        cells_of_steps = tuple(step.cell_resistance for step in steps)
-        return replace(after, prepared=(read, cells_of_steps)), newest
+        if not steps[-1].solution.solved:
+            return state, steps[-1]
+        cells = tuple(step.cell_resistance for step in steps)
+        return replace(after, prepared=(read, cells)), steps[-1]
 
     def _together(
         self,
@@ -198,9 +196,7 @@ class SmootherMethod(Method):
             baseline, *steps = (Step(solution, seconds, (1.0,)).bare() for solution in solutions)
             if track is not None and baseline.solution.solved:
                 begin = perf_counter()
-                shared = None
-                if track.shared is not None:
-                    shared = track.shared.beyond(joint.errors)
+                shared = track.shared and track.shared.beyond(joint.errors)
                 certainty, bars = error_bars(joint, len(resting), shared)
                 seconds = (perf_counter() - begin) / len(solutions)
                 track = replace(track, baseline=certainty)
