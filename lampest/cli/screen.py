@@ -95,7 +95,8 @@ def frames_of(text: str | None) -> range | None:
 def documented(command: Callable[..., None]) -> tuple[str, inspect.Signature]:
     """Return the help of a command from its docstring, and the signature for typer.
 
-    Truth values become flags without a value.
+    Truth values become flags without a value. Parameters without a default are arguments, and all
+    others options, unless their annotation has a description.
 
     Returns
     -------
@@ -113,28 +114,15 @@ def documented(command: Callable[..., None]) -> tuple[str, inspect.Signature]:
     parameters = []
     for name, parameter in signature.parameters.items():
         kind = parameter.annotation
+        note = typer.Argument() if parameter.default is parameter.empty else typer.Option()
         if get_origin(kind) is Annotated:
-            kind = get_args(kind)[0]
-        note = _note_of(parameter, kind)
+            kind, note = get_args(kind)
+            note = copy(note)
+        if kind is bool:
+            note = option(note.help or "", f"--{name.strip('_').replace('_', '-')}")
         note.help = note.help or help_of.get(name)
         parameters.append(parameter.replace(annotation=Annotated[kind, note]))
     return about.strip(), signature.replace(parameters=parameters)
-
-
-def _note_of(parameter: inspect.Parameter, kind: Any) -> Any:
-    """Return Typer's description of a parameter of a type.
-
-    Truth values are flags, with the help of their annotation. Parameters without a default are
-    arguments, and all others options, unless their annotation has a description.
-    """
-    described = get_origin(parameter.annotation) is Annotated
-    note = copy(get_args(parameter.annotation)[1]) if described else None
-    if kind is bool:
-        text = note.help if note is not None and note.help else ""
-        return option(text, f"--{parameter.name.strip('_').replace('_', '-')}")
-    if note is not None:
-        return note
-    return typer.Argument() if parameter.default is parameter.empty else typer.Option()
 
 
 def is_written(parameter: inspect.Parameter) -> bool:
@@ -175,13 +163,10 @@ def usable_streams() -> None:
 
     Characters that an encoding lacks are written as escapes, such as \xb1 in ASCII.
     """
-    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            descriptor = os.open(os.devnull, os.O_RDWR)  # the lowest free number
-            if descriptor != number:
-                os.dup2(descriptor, number)
-                os.close(descriptor)
-            setattr(sys, name, os.fdopen(number, mode, closefd=False))
+            descriptor = os.open(os.devnull, os.O_RDWR)  # the lowest free number, that of the name
+            setattr(sys, name, os.fdopen(descriptor, mode, closefd=False))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

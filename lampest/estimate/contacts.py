@@ -86,7 +86,7 @@ class SolvedContacts:
         """Gradient of the cost with respect to the contacts, (lines,)."""
         by_readings = self._model.at.partials(np.clip(self._model.dual, -1, 1))[1]
         slope = self._response.T @ by_readings.ravel()
-        return np.asarray(slope / (2 * self.scale) + self.precision * (self.ohm - self.mean))
+        return slope / (2 * self.scale) + self.precision * (self.ohm - self.mean)
 
     @cached_property
     def normal(self) -> Array:

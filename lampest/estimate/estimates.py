@@ -137,8 +137,7 @@ def frame_misfit(
         "tail": chi_square_tail(chi_square, degrees),
     }
     for name, lines in (("row", squares.sum(axis=2)), ("column", squares.sum(axis=1))):
-        solved = ~np.isnan(chi_square)
-        worst = np.where(solved, np.argmax(lines, axis=1), np.nan)
+        worst = np.where(np.isnan(chi_square), np.nan, np.argmax(lines, axis=1))
         share = lines.max(axis=1) / np.where(chi_square > 0, chi_square, 1.0)
         figures |= {f"worst_{name}": worst, f"worst_{name}_share": share}
     return figures

@@ -192,7 +192,7 @@ class CoupledStream(Stream):
         layout = self.scene.readout.layout
         parts = layout.split(readings.plain)
         unread = np.logical_not(parts.any(axis=(-2, -1), keepdims=True))
-        return np.asarray(layout.joined(np.broadcast_to(unread, parts.shape)))
+        return layout.joined(np.broadcast_to(unread, parts.shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,8 +283,11 @@ class ModulesStream(Stream):
         modules = dict[int, Stream]()
         solved = dict[int, list[Step]]()
         for number, module in self.modules.items():
-            own = (each.of_module(layout, number) for each in (resting, readings))
-            modules[number], solved[number] = module.sequence(*own, lambda: None)
+            modules[number], solved[number] = module.sequence(
+                resting.of_module(layout, number),
+                readings.of_module(layout, number),
+                lambda: None,
+            )
         stream = replace(self, modules=modules, first=False).rested_whole()
         steps = []
         for frame in range(len(readings.value)):

@@ -153,17 +153,17 @@ class OwnProgram(SymbolsOwner):
         interface = _interface(self.symbols, self.settings)
         multipliers = None
         if start is not None:
-            multipliers = start.instance.multipliers_of(start.result)
-            multipliers = multipliers.for_program(start.instance.program, self.symbols)
-            multipliers = multipliers.in_units(self.symbols, instance.scale, instance.cost_scale)
+            carried = start.instance.multipliers_of(start.result)
+            carried = carried.for_program(start.instance.program, self.symbols)
+            multipliers = carried.in_units(self.symbols, instance.scale, instance.cost_scale)
         solution = OwnSolution(instance, interface.minimise(instance, multipliers))
         solution = solution.refined(interface)
-        if solution.ended and not solution.solved:
-            # A wide barrier may lead to shorts, of which no reading depends on its cell.
-            without = Multipliers.none(instance)
-            second = solution.ended_at(interface.minimise(instance, without)).refined(interface)
-            solution = second if second.solved else solution
-        return solution
+        if solution.solved or not solution.ended:
+            return solution
+        # A wide barrier may lead to shorts, of which no reading depends on its cell.
+        without = Multipliers.none(instance)
+        second = solution.ended_at(interface.minimise(instance, without)).refined(interface)
+        return second if second.solved else solution
 
     def _instance(self, start: OwnSolution | None) -> Instance:
         """Return the program's instance that begins at equal cells, or at a solution."""

@@ -181,10 +181,9 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
         # the strongest frame of the part, by the change of its cleaned readings
         change = mean_change(cleaned.plain_values[places], resting.value)
         size: Array = np.where(cleaned.enough(stored.scene)[places], change, -1.0)
-        strongest_place = int(np.argmax(size))
+        place = int(np.argmax(size))
         assert recording.number is not None
-        number = int(recording.number[places[strongest_place]])
-        candidates.append((float(size[strongest_place]), number))
+        candidates.append((float(size[place]), int(recording.number[places[place]])))
     if not candidates:
         raise InputError(f"{stored.path}: no frame is measured (role 1)")
     number = max(candidates)[1]

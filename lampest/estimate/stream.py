@@ -186,8 +186,11 @@ class Stream(SequenceState):
             arrays |= {"deviation": self.track.deviation, "answers": self.track.answers}
             if self.track.memory is not None:
                 arrays |= vars(self.track.memory)
-        present = {name: value for name, value in arrays.items() if value is not None}
-        return {name: np.atleast_1d(np.asarray(value, float)) for name, value in present.items()}
+        return {
+            name: np.atleast_1d(np.asarray(value, float))
+            for name, value in arrays.items()
+            if value is not None
+        }
 
     def carrying(self, arrays: CarriedOver) -> Self:
         """Return the stream after the frames whose memory is given, from the one before them."""

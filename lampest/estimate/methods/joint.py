@@ -193,7 +193,7 @@ class Joint:
     @property
     def steps(self) -> Array:
         """u_{t+1} − u_t − c_t, (frames − 1, cells)."""
-        return np.asarray(np.diff(self.log_cells, axis=0) - self.shift[self._sharing :, None])
+        return np.diff(self.log_cells, axis=0) - self.shift[self._sharing :, None]
 
     @cached_property
     def value(self) -> float:
@@ -220,7 +220,7 @@ class Joint:
     def ties(self) -> Array:
         """Sum of λ of the steps before and after each frame, (frames, cells)."""
         tied = np.pad(self.stiffness, ((1, 1), (0, 0)))
-        return np.asarray(tied[1:] + tied[:-1])
+        return tied[1:] + tied[:-1]
 
     @cached_property
     def gradient(self) -> Array:
@@ -370,7 +370,7 @@ class Joint:
         shifted = np.zeros((len(self.stiffness), len(self.shift)))
         shifted[:, self._sharing :] = np.eye(len(self.stiffness))
         # E x² = x² + var(u_{t+1} − u_t − c_t)
-        return np.asarray(self.steps**2 + self.chain.step_variance(shifted)[:, : self.cells])
+        return self.steps**2 + self.chain.step_variance(shifted)[:, : self.cells]
 
     def newton(self) -> tuple[Array, Array]:
         """Return the Gauss-Newton step.

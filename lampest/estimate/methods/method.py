@@ -378,7 +378,7 @@ class Method(Configuration):
 
         def moved(readings: Readings) -> Array:
             ended = self._elsewhere(state, readings, solved.solution.cell_resistance)
-            return np.asarray(np.log(ended.cell_resistance / solved.cell_resistance))
+            return np.log(ended.cell_resistance / solved.cell_resistance)
 
         missing = readings.missing(state.scene)
         return beyond_tangents(

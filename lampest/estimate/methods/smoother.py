@@ -205,10 +205,13 @@ class SmootherMethod(Method):
                     replace(s, bars=bar, bars_seconds=seconds) if s.solution.solved else s
                     for s, bar in pairs
                 ]
-            baseline = baseline if baseline.solution.solved else state.baseline
-            return replace(
-                state, baseline=baseline, previous=steps[-1].estimate(0), track=track
-            ), steps
+            state = replace(
+                state,
+                baseline=baseline if baseline.solution.solved else state.baseline,
+                previous=steps[-1].estimate(0),
+                track=track,
+            )
+            return state, steps
         return state, broken
 
     def least_cost(self, state: SequenceState, readings: Sequence[Readings]) -> Joint:
@@ -335,7 +338,7 @@ class Walk:
         # d/dS κ² S/(κ² + S) = 1/(1 + S/κ²)², then the chain rule through K and log(1 + a)
         slope = averaged(1 / (1 + self._size(squares) / self.most**2) ** 2) / self.deviation**2
         scale = (1 + self.most**2 / (1 + self.most**2)) * (1 + self.most**-2) ** 2  # k
-        return np.asarray(scale * slope / (1 + self.unrest(squares)) + ASSUMED.jump**-2)
+        return scale * slope / (1 + self.unrest(squares)) + ASSUMED.jump**-2
 
     def unrest(self, squares: Array) -> Array:
         """Return a, the unrest of every cell, (cells,)."""
@@ -402,7 +405,7 @@ def averaged(steps: Array) -> Array:
     The first and the last step are repeated at the ends.
     """
     around = np.concatenate([steps[:1], steps, steps[-1:]])
-    return np.asarray(around[:-2] / 4 + around[1:-1] / 2 + around[2:] / 4)
+    return around[:-2] / 4 + around[1:-1] / 2 + around[2:] / 4
 
 
 def smoothed(joint: Joint, walk: Walk, settings: Settings, until: float = inf) -> tuple[Joint, int]:
