@@ -350,8 +350,7 @@ def _narrowed(full: Sequence[int], floors: Sequence[int], room: int) -> tuple[li
         spare = [number for number, width in enumerate(widths) if width > floors[number]]
         if not spare:
             break
-        widest = max(spare, key=widths.__getitem__)
-        widths[widest] -= 1
+        widths[max(spare, key=widths.__getitem__)] -= 1
         beyond -= 1
     return widths, beyond
 

@@ -241,43 +241,20 @@ class CostFunctions:
     @cached_property
     def entries(self) -> "Entries":
         """Places of the nonzero second derivatives of the smooth losses."""
-        return Entries.of(*self.hessian.pattern, self.hessian.structure.shape[0] // 2)
-
-    @classmethod
-    def build(cls, cost: Cost) -> "CostFunctions":
-        """Differentiate the terms symbolically, and compile the sparse results."""
-        symbols = cost.symbols()
-        weights = casadi.SX.sym("weights", len(cost.terms))
-        parts = summands(cost.terms, cost.residuals(symbols), weights)
-        # Σ weight·loss of each term, and the function to differentiate: Σ smooth + Σ weight·z·x
-        costs = [
-            sum((part.cost for part in parts if part.term == n), casadi.SX(0))
-            for n in range(len(cost.terms))
-        ]
-        through_duals = [part for part in parts if not part.smooth]
-        nonsmooth, slope = stacked(through_duals)
-        dual = casadi.SX.sym("dual", nonsmooth.shape[0])
-        smooth = sum((part.cost for part in parts if part.smooth), casadi.SX(0))
-        lagrangian = smooth + casadi.dot(slope * dual, nonsmooth)
-        unknown = symbols.unknown
-        gradient = casadi.gradient(lagrangian, unknown)
-        # Costs of the terms at y = 0, a part of the scale of the cost.
-        by_term = casadi.vertcat(*costs)
-        # Costs at readings of zero, f(r) = 0
-        blank = casadi.substitute(by_term, symbols.reading, casadi.SX.zeros(*symbols.reading.shape))
-        outputs = {
-            "first": casadi.densify(casadi.vertcat(by_term, blank, gradient)),
-            "hessian": casadi.jacobian(gradient, unknown, {"symmetric": True}),
-            "nonsmooth": casadi.densify(nonsmooth),
-            "nonsmooth_jacobian": casadi.jacobian(nonsmooth, unknown),
-        }
-        compiled = {
-            name: symbols.compiled(name, output, weights=weights, dual=dual)
-            for name, output in outputs.items()
-        }
-        terms = np.array([part.term for part in through_duals], dtype=np.intp)
-        rows = np.array([part.rows for part in through_duals], dtype=np.intp)
-        return cls(**compiled, nonsmooth_terms=np.repeat(terms, rows))
+        rows, columns = self.hessian.pattern
+        count = self.hessian.structure.shape[0] // 2
+        cells = np.flatnonzero((rows < count) & (columns < count))
+        model = np.flatnonzero((rows >= count) & (columns >= count))
+        diagonal = np.array_equal(rows[model], columns[model])
+        pivots = np.flatnonzero(rows == columns)
+        return Entries(
+            cells=cells,
+            at_cells=(rows[cells], columns[cells]),
+            model=model,
+            at_model=rows[model] - count if diagonal else None,
+            crossed=len(cells) + len(model) < len(rows),
+            on_diagonal=(pivots, rows[pivots]),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,20 +283,6 @@ class Entries:
     at_model: Numbers | None
     crossed: bool
     on_diagonal: tuple[Numbers, Numbers]
-
-    @classmethod
-    def of(cls, rows: Numbers, columns: Numbers, count: int) -> "Entries":
-        """Return the places from (rows, columns) of all nonzeros."""
-        cells = np.flatnonzero((rows < count) & (columns < count))
-        model = np.flatnonzero((rows >= count) & (columns >= count))
-        diagonal = np.array_equal(rows[model], columns[model])
-        at_model = rows[model] - count if diagonal else None
-        # Nonzeros that are neither between cells nor between readings couple the two.
-        pivots = np.flatnonzero(rows == columns)
-        crossed = len(cells) + len(model) < len(rows)
-        at_cells = (rows[cells], columns[cells])
-        on_diagonal = (pivots, rows[pivots])
-        return cls(cells, at_cells, model, at_model, crossed, on_diagonal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -411,4 +374,36 @@ def lowered(group: Sequence[Summand], unit: casadi.SX) -> Lowered:
 @guarded
 @lru_cache(maxsize=128)
 def _functions(cost: Cost) -> CostFunctions:
-    return CostFunctions.build(cost)
+    """Differentiate the terms symbolically, and compile the sparse results."""
+    symbols = cost.symbols()
+    weights = casadi.SX.sym("weights", len(cost.terms))
+    parts = summands(cost.terms, cost.residuals(symbols), weights)
+    # Σ weight·loss of each term, and the function to differentiate: Σ smooth + Σ weight·z·x
+    costs = [
+        sum((part.cost for part in parts if part.term == n), casadi.SX(0))
+        for n in range(len(cost.terms))
+    ]
+    through_duals = [part for part in parts if not part.smooth]
+    nonsmooth, slope = stacked(through_duals)
+    dual = casadi.SX.sym("dual", nonsmooth.shape[0])
+    smooth = sum((part.cost for part in parts if part.smooth), casadi.SX(0))
+    lagrangian = smooth + casadi.dot(slope * dual, nonsmooth)
+    unknown = symbols.unknown
+    gradient = casadi.gradient(lagrangian, unknown)
+    # Costs of the terms at y = 0, a part of the scale of the cost.
+    by_term = casadi.vertcat(*costs)
+    # Costs at readings of zero, f(r) = 0
+    blank = casadi.substitute(by_term, symbols.reading, casadi.SX.zeros(*symbols.reading.shape))
+    outputs = {
+        "first": casadi.densify(casadi.vertcat(by_term, blank, gradient)),
+        "hessian": casadi.jacobian(gradient, unknown, {"symmetric": True}),
+        "nonsmooth": casadi.densify(nonsmooth),
+        "nonsmooth_jacobian": casadi.jacobian(nonsmooth, unknown),
+    }
+    compiled = {
+        name: symbols.compiled(name, output, weights=weights, dual=dual)
+        for name, output in outputs.items()
+    }
+    terms = np.array([part.term for part in through_duals], dtype=np.intp)
+    rows = np.array([part.rows for part in through_duals], dtype=np.intp)
+    return CostFunctions(**compiled, nonsmooth_terms=np.repeat(terms, rows))

@@ -113,8 +113,10 @@ def _with_common_weights(
 def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Step]]:
     """Generate the stream after each of its next frames, with the frame's step.
 
-    Up to MAX_BLOCK_FRAMES frames that are independent of each other are solved over a leading axis,
-    see `_solved_block`. Frames that the batch does not solve are pushed alone.
+    Up to MAX_BLOCK_FRAMES frames that are independent of each other are solved over a leading axis.
+    Leaders are solved from the last estimate on, and all others from the estimate and the inverse
+    Hessian of the leader whose readings are nearest. Frames that jump between a few loads are then
+    close to their starts. Frames that the batch does not solve are pushed alone.
 
     Parameters
     ----------
@@ -123,26 +125,11 @@ def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Ste
     readings : Readings
         The next frames, (frames, rows, columns).
     """
-    count = min(len(readings.value), MAX_BLOCK_FRAMES)
-    solved = _solved_block(stream, readings[:count])
-    for number in range(count):
-        stream, step = solved.get(number) or stream.push(readings[number])
-        yield stream, step
-
-
-def _solved_block(stream: Stream, readings: Readings) -> dict[int, tuple[Stream, Step]]:
-    """Return the stream after each frame of a block and the frame's step, by number.
-
-    Leaders are solved from the last estimate on, and all others from the estimate and the inverse
-    Hessian of the leader whose readings are nearest. Frames that jump between a few loads are then
-    close to their starts.
-    """
+    readings = readings[:MAX_BLOCK_FRAMES]
     count = len(readings.value)
     inverses = InverseHessians.nothing(count)
     leaders, nearest = leading_frames(readings)
-    if len(leaders) == 1:
-        return _solved_together(dict.fromkeys(range(count), stream), readings, inverses)[0]
-    leading = dict.fromkeys(sorted(leaders), stream)
+    leading = dict.fromkeys(range(count) if len(leaders) == 1 else sorted(leaders), stream)
     solved, inverses = _solved_together(leading, readings, inverses)
     following = {
         number: solved[leader][0] if leader in solved else stream
@@ -150,7 +137,10 @@ def _solved_block(stream: Stream, readings: Readings) -> dict[int, tuple[Stream,
         if number not in leading
     }
     inverses = inverses.some(np.array(nearest))
-    return solved | _solved_together(following, readings, inverses)[0]
+    solved |= _solved_together(following, readings, inverses)[0]
+    for number in range(count):
+        stream, step = solved.get(number) or stream.push(readings[number])
+        yield stream, step
 
 
 def leading_frames(readings: Readings) -> tuple[list[int], list[int]]:

@@ -104,8 +104,8 @@ class SolvedContacts:
         schur = (
             remaining.T @ (model.data_curvature[:, None] * remaining)
             + IGNORANCE * model.scale * response.T @ response
+            + penalised.T @ (model.penalty_curvature[:, None] * penalised)
         )
-        schur += penalised.T @ (model.penalty_curvature[:, None] * penalised)
         return np.asarray(schur / self.scale + np.diag(self.precision))
 
 

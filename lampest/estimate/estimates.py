@@ -41,48 +41,6 @@ AT_RAILS = {  # in place of the solver's own sentence where readings are at or b
 }
 
 
-def barred_maps(cells: Array, baseline: Array, steps: tuple[Step, ...]) -> dict[str, Array]:
-    """Return the error bars by name, as the properties of `Estimates` have them.
-
-    Each is (frames, rows, columns). σ_r = r·σ(log r), and the interval reaches from r·exp(−below)
-    to r·exp(above). `ratio_lower` and `ratio_upper` are the interval of r/r0. In a frame without
-    error bars they are infinite, and shares are 0.
-
-    Parameters
-    ----------
-    cells : array, shape (frames, rows, columns)
-        r, ohm.
-    baseline : array, shape (rows, columns)
-        r0, ohm.
-    steps : tuple of Step
-    """
-    ratio = cells / baseline
-
-    def frames(name: str, part: str = "frame", unbarred: float = np.inf) -> Array:
-        unknown = np.full(baseline.shape, unbarred)
-        maps = [getattr(getattr(step.bars, part, None), name, unknown) for step in steps]
-        return np.where(np.isnan(cells), np.nan, np.stack(maps))
-
-    with np.errstate(over="ignore"):  # the interval of an undetermined cell extends to infinity
-        lower = ratio * np.exp(-frames("below", "change"))
-        upper = ratio * np.exp(frames("above", "change"))
-        return {
-            "cell_resistance_errors": cells * frames("deviation"),
-            "cell_resistance_lower": cells * np.exp(-frames("below")),
-            "cell_resistance_upper": cells * np.exp(frames("above")),
-            "relative_change_errors": 100 * ratio * frames("deviation", "change"),
-            "relative_change_lower": 100 * (lower - 1),
-            "relative_change_upper": 100 * (upper - 1),
-            "ratio_lower": lower,
-            "ratio_upper": upper,
-            "resolution": frames("resolution", unbarred=0.0),
-            "data_share": frames("data_share", unbarred=0.0),
-            "sigma_own": frames("own"),
-            "sigma_common": frames("common"),
-            "change_own": frames("own", "change"),
-        }
-
-
 class Barred(property):
     """A property (frames, rows, columns) of estimates with error bars.
 
@@ -522,15 +480,43 @@ class Estimates(ReadOnlyArrays):
 
     @cached_property
     def _bars(self) -> dict[str, Array] | None:
-        """Error bars by name; None unless an estimate and the baseline have them.
+        """Error bars by name, (frames, rows, columns) each, as the properties have them.
 
-        In a part of a longer recording the estimates with error bars may stand in other parts.
+        None unless an estimate and the baseline have them. In a part of a longer recording the
+        estimates with error bars may stand in other parts. σ_r = r·σ(log r), and the interval
+        reaches from r·exp(−below) to r·exp(above). `ratio_lower` and `ratio_upper` are the interval
+        of r/r0. In a frame without error bars they are infinite, and shares are 0.
         """
         if self.baseline_bars is None or not (
             self._is_part or any(step.bars for step in self.steps)
         ):
             return None
-        return barred_maps(self.cell_resistance, self.baseline_resistance, self.steps)
+        cells = self.cell_resistance
+        ratio = cells / self.baseline_resistance
+
+        def frames(name: str, part: str = "frame", unbarred: float = np.inf) -> Array:
+            unknown = np.full(cells.shape[1:], unbarred)
+            maps = [getattr(getattr(step.bars, part, None), name, unknown) for step in self.steps]
+            return np.where(np.isnan(cells), np.nan, np.stack(maps))
+
+        with np.errstate(over="ignore"):  # the interval of an undetermined cell is infinite
+            lower = ratio * np.exp(-frames("below", "change"))
+            upper = ratio * np.exp(frames("above", "change"))
+            return {
+                "cell_resistance_errors": cells * frames("deviation"),
+                "cell_resistance_lower": cells * np.exp(-frames("below")),
+                "cell_resistance_upper": cells * np.exp(frames("above")),
+                "relative_change_errors": 100 * ratio * frames("deviation", "change"),
+                "relative_change_lower": 100 * (lower - 1),
+                "relative_change_upper": 100 * (upper - 1),
+                "ratio_lower": lower,
+                "ratio_upper": upper,
+                "resolution": frames("resolution", unbarred=0.0),
+                "data_share": frames("data_share", unbarred=0.0),
+                "sigma_own": frames("own"),
+                "sigma_common": frames("common"),
+                "change_own": frames("own", "change"),
+            }
 
     @property
     def _pressed(self) -> dict[str, Any] | None:

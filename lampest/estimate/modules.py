@@ -369,13 +369,7 @@ def image_step(layout: Modules, steps: Mapping[int, Step]) -> Step:
     """Return the steps of the modules joined to one step of the image.
 
     Costs and times are summed; the KKT residual, iterations and starts are the largest; the status
-    is the weakest.
-
-    Parameters
-    ----------
-    layout : Modules
-    steps : mapping of int to Step
-        Step of each module by number, without dead ones.
+    is the weakest. `steps` are those of each module by number, without dead ones.
     """
     present = list(steps.values())
     solved = [step for step in present if step.solution.solved]
@@ -398,24 +392,21 @@ def image_step(layout: Modules, steps: Mapping[int, Step]) -> Step:
     bars = {number: step.bars for number, step in steps.items()}
     frame, change = (_joined_certainty(layout, bars, name) for name in ("frame", "change"))
     reading = _joined(layout, bars, "reading", np.nan)
+    # The status, and why modules have no estimate
+    sentences = [status.value]
+    if solved:
+        reasons = {
+            number: steps[number].status if number in steps else "dead"
+            for number in range(layout.count)
+            if number not in steps or not steps[number].solution.solved
+        }
+        sentences += named_modules(layout, reasons, MAX_NAMED)
     return Step(
         replace(first, costs=costs, objective=objective, status=status, **parts),
         sum(step.seconds for step in present),
         tuple(np.mean([step.weights for step in counted], axis=0).tolist()),
         None if frame is None else Bars(frame, change, reading, held_by_all(present)),
         sum(step.bars_seconds for step in present),
-        sentence=_sentence(layout, steps, status),
+        sentence="; ".join(sentences),
         weight_sigma=counted[0].weight_sigma,
     )
-
-
-def _sentence(layout: Modules, steps: Mapping[int, Step], status: Status) -> str:
-    """Return the weakest status of the modules, and why modules have no estimate, in words."""
-    reasons = {
-        number: steps[number].status if number in steps else "dead"
-        for number in range(layout.count)
-        if number not in steps or not steps[number].solution.solved
-    }
-    if len(reasons) == layout.count:
-        return status.value
-    return "; ".join([status.value, *named_modules(layout, reasons, MAX_NAMED)])

@@ -21,7 +21,7 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
 from lampest.cost.terms import Term
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.methods.method import OptimalMethod
+from lampest.estimate.methods import named_method
 from lampest.estimate.own_solution import OwnSolution
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError, in_words
@@ -302,7 +302,7 @@ def _checked_estimator(
         )
     if isinstance(terms, str) or not isinstance(terms, Sequence):
         raise InputError(f"terms must be a sequence of terms, not {terms!r}")
-    method = OptimalMethod("per_pixel" if formulation == "per_pixel" else "nodal")
+    method = named_method(formulation)
     return Estimator(tuple(terms), method, solver=solver, bounds=bounds, error_bars=False)
 
 

@@ -369,10 +369,8 @@ class EvidencePoint:
     def slope(self) -> float:
         """Derivative of −2 ln posterior by ln s², n − γ − Σ x²/τ² + ν (1 − 1/s²)."""
         count, freedom, squares = self.residuals
-        prior = 0.0
-        if self.errors.model.at.data.noise_known:
-            prior = NOISE_BELIEF * count * (1 - self.scale**-2)
-        return freedom - squares + prior
+        belief = NOISE_BELIEF * count if self.errors.model.at.data.noise_known else 0.0
+        return freedom - squares + belief * (1 - self.scale**-2)
 
     @property
     def residual_scale(self) -> float:
