@@ -229,7 +229,7 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
         Whether the numbers of finished and of all parts are shown.
     """
     if not sys.stderr.isatty():  # the library of the bar takes a tenth of a second to load
-        yield lambda done, total, text=None, step=label, left_s=None: None
+        yield lambda *shown, **more: None
         return
     from rich.markup import escape
 

@@ -255,9 +255,9 @@ class OwnSolution(SymbolsOwner):
         unknowns in their unit.
         """
         sizes = self.instance.program.unknown.sizes
-        ends = np.cumsum([*sizes.values()])
+        ends = np.cumsum([*sizes.values()]).tolist()
         return {
-            name: slice(int(end) - size, int(end))
+            name: slice(end - size, end)
             for (name, size), end in zip(sizes.items(), ends, strict=True)
         }
 

@@ -100,11 +100,7 @@ class LinearisedMethod(Method):
 
         A failed baseline has no factor.
         """
-        absolute = state.without_comparisons()
-        reduced = OptimalMethod("reduced")
-        start = state.with_baseline(
-            reduced.solve(absolute, *reduced.data_and_start(absolute, state.resting))
-        )
+        start = OptimalMethod("reduced").begin(state)
         if start.previous is None:
             return start
         background = replace(state.background, previous=start.previous)

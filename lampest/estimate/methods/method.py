@@ -229,7 +229,7 @@ class Method(Configuration):
 
     def begin(self, state: AnyState) -> AnyState:
         """Return the state with its baseline, which is solved alone."""
-        absolute = state.without_comparisons() if state.estimator.relative else state
+        absolute = state.without_comparisons()
         first = self.solve(absolute, *self.data_and_start(absolute, state.resting))
         settled, baseline = self._with_contacts(absolute, state.resting, first)
         state = replace(state, scene=settled.scene, track=settled.track)
