@@ -125,12 +125,11 @@ class ConstrainedMethod(Method):
 
         Raises InputError where the formulation has no program.
         """
-        kind = "nodal" if method.kind == "auto" else method.kind
-        if not isinstance(method, OptimalMethod) or kind not in EXCITATIONS or method.joint:
+        if not isinstance(method, OptimalMethod) or method.kind == "reduced" or method.joint:
             raise InputError(
                 f"constraints need formulation: {', '.join(EXCITATIONS)} or auto, of single frames"
             )
-        return cls("per_pixel" if kind == "per_pixel" else "nodal", parts)
+        return cls("per_pixel" if method.kind == "per_pixel" else "nodal", parts)
 
     def check(self, terms: tuple[Term, ...]) -> None:
         """Raise InputError where a term weighs the previous frame by its error bars."""
