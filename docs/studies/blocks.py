@@ -136,7 +136,8 @@ def _measured(
         single = stream
         inverses = InverseHessians.nothing(1)
         for frame in frames[1:]:
-            ((single, _),), inverses = push_streams([single], readings[frame : frame + 1], inverses)
+            pushed, inverses = push_streams({0: single}, readings[frame : frame + 1], inverses)
+            single, _ = pushed[0]
         single_time = process_time() - begin
         begin = process_time()
         steps = [step for _, step in push_block(stream, readings[frames[1:]])]

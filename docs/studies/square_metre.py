@@ -95,7 +95,7 @@ def took(
     statuses = []
     parts = list[Stream]()
     if alone and isinstance(stream, ModulesStream):
-        parts = [part for part in stream.modules if part is not None]
+        parts = list(stream.modules.values())
     for frame in recording.measured_frames():
         begin = time.process_time()
         if alone and layout is not None:

@@ -48,28 +48,23 @@ def main() -> None:
             finally:
                 sys.stdout.flush()
     except InputError as error:
-        warn(as_options(str(error)))
-        sys.exit(WRONG_INPUT)
+        sentence = as_options(str(error))
     except OSError as error:
         if error.filename is not None:  # moved, removed or covered meanwhile, or no possible name
-            warn(f"{printable(str(error.filename))}: cannot be used ({error.strerror})")
+            sentence = f"{printable(str(error.filename))}: cannot be used ({error.strerror})"
         elif error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
-            warn(end_of_output(error))
+            sentence = end_of_output(error)
         else:
             raise
-        sys.exit(WRONG_INPUT)
     except MemoryError as error:
-        message = " ".join(str(error).split()) or "no details"
-        warn(f"not enough memory ({message})")
-        sys.exit(WRONG_INPUT)
+        sentence = f"not enough memory ({' '.join(str(error).split()) or 'no details'})"
     except RuntimeError as error:
         if str(error) != NO_THREAD:
             raise
-        warn(
+        sentence = (
             "cannot start a further thread: "
             "this user's processes and threads are at their limit (ulimit -u)"
         )
-        sys.exit(WRONG_INPUT)
     except SystemExit as end:
         if end.code == INTERRUPTED:
             warn(KEPT)
@@ -79,3 +74,7 @@ def main() -> None:
             raise
         warn(KEPT)
         sys.exit(INTERRUPTED)
+    else:
+        return
+    warn(sentence)
+    sys.exit(WRONG_INPUT)

@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from lampest.runs.config import Case
 
 
-Lines = Annotated[int | None, screen.option(min=1)]
-
-
 def init(
     folder: Annotated[Path, typer.Argument(metavar="DIR")] = Path(),
     readout: Annotated[str, screen.option(metavar="CIRCUIT")] = "two_mux",

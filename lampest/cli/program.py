@@ -56,15 +56,15 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
 
     def called(**options: Any) -> None:
         check_address_space()
-        values = [value for name, value in options.items() if name not in outputs]
-        for value in tuple(values):
-            if isinstance(value, list):
-                values += value
-        inputs = [path for path in values if isinstance(path, Path)]
-        if command is not estimation.init:  # which creates its folder
-            for path in inputs:
-                if not path.exists():
-                    raise InputError(f"{path}: no such file")
+        inputs = [
+            path
+            for name, value in options.items()
+            for path in (value if isinstance(value, list) else [value])
+            if isinstance(path, Path) and name not in outputs
+        ]
+        for path in inputs:
+            if not path.exists() and command is not estimation.init:  # which creates its folder
+                raise InputError(f"{path}: no such file")
         import numpy as np  # not needed by help
 
         # SciPy takes every name of NumPy; this one would load a compiler of Fortran.

@@ -4,7 +4,7 @@ import dataclasses
 import json
 from functools import cache, partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -95,13 +95,18 @@ def plot(
         return
     from lampest.report.plots import plot_results
 
-    chosen: dict[str, Any] = {
-        "estimators": tuple(estimator or ()),
-        "recordings": tuple(recording or ()),
-        "frames": screen.frames_of(frames),
-    }
+    chosen = screen.frames_of(frames)
     with screen.progress("pictures") as shown:
-        files = plot_results(results, out, show, on_picture=shown, frame=frame, **chosen)
+        files = plot_results(
+            results,
+            out,
+            show,
+            on_picture=shown,
+            frame=frame,
+            estimators=tuple(estimator or ()),
+            recordings=tuple(recording or ()),
+            frames=chosen,
+        )
     for path in files:
         screen.say(path)
 

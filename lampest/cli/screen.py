@@ -11,6 +11,7 @@ from datetime import timedelta
 from io import TextIOWrapper
 from itertools import chain, groupby
 from math import ceil
+from operator import itemgetter
 from pathlib import Path
 from shutil import get_terminal_size
 from textwrap import fill, wrap
@@ -94,7 +95,8 @@ def frames_of(text: str | None) -> range | None:
 def documented(command: Callable[..., None]) -> tuple[str, inspect.Signature]:
     """Return the help of a command from its docstring, and the signature for typer.
 
-    Truth values become flags without a value.
+    Truth values become flags without a value. Parameters without a default are arguments, and all
+    others options, unless their annotation has a description.
 
     Returns
     -------
@@ -112,28 +114,15 @@ def documented(command: Callable[..., None]) -> tuple[str, inspect.Signature]:
     parameters = []
     for name, parameter in signature.parameters.items():
         kind = parameter.annotation
+        note = typer.Argument() if parameter.default is parameter.empty else typer.Option()
         if get_origin(kind) is Annotated:
-            kind = get_args(kind)[0]
-        note = _note_of(parameter, kind)
+            kind, note = get_args(kind)
+            note = copy(note)
+        if kind is bool:
+            note = option(note.help or "", f"--{name.strip('_').replace('_', '-')}")
         note.help = note.help or help_of.get(name)
         parameters.append(parameter.replace(annotation=Annotated[kind, note]))
     return about.strip(), signature.replace(parameters=parameters)
-
-
-def _note_of(parameter: inspect.Parameter, kind: Any) -> Any:
-    """Return Typer's description of a parameter of a type.
-
-    Truth values are flags, with the help of their annotation. Parameters without a default are
-    arguments, and all others options, unless their annotation has a description.
-    """
-    described = get_origin(parameter.annotation) is Annotated
-    note = copy(get_args(parameter.annotation)[1]) if described else None
-    if kind is bool:
-        text = note.help if note is not None and note.help else ""
-        return option(text, f"--{parameter.name.strip('_').replace('_', '-')}")
-    if note is not None:
-        return note
-    return typer.Argument() if parameter.default is parameter.empty else typer.Option()
 
 
 def is_written(parameter: inspect.Parameter) -> bool:
@@ -174,13 +163,10 @@ def usable_streams() -> None:
 
     Characters that an encoding lacks are written as escapes, such as \xb1 in ASCII.
     """
-    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            descriptor = os.open(os.devnull, os.O_RDWR)  # the lowest free number
-            if descriptor != number:
-                os.dup2(descriptor, number)
-                os.close(descriptor)
-            setattr(sys, name, os.fdopen(number, mode, closefd=False))
+            descriptor = os.open(os.devnull, os.O_RDWR)  # the lowest free number, that of the name
+            setattr(sys, name, os.fdopen(descriptor, mode, closefd=False))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -243,7 +229,7 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
         Whether the numbers of finished and of all parts are shown.
     """
     if not sys.stderr.isatty():  # the library of the bar takes a tenth of a second to load
-        yield lambda done, total, text=None, step=label, left_s=None: None
+        yield lambda *shown, **more: None
         return
     from rich.markup import escape
 
@@ -337,25 +323,20 @@ def print_table(table: "Table") -> None:
     folded, figures are not. If that is insufficient, rows that share the name in the first column
     are printed under that name.
     """
-    filled = [
-        number
-        for number in range(len(table.headers))
-        if any(cells[number] for cells in table.cells)
-    ]
-    if not filled:
+    columns = list[list[str]]()
+    for header, *texts in zip(table.headers, *table.cells, strict=True):
+        if any(texts):
+            shown = ["\n".join(map(printable, text.split("\n"))) for text in texts]
+            columns.append([header, *(TOGETHER.sub("\N{NO-BREAK SPACE}", text) for text in shown)])
+    if not columns:
         return
-    headers = [table.headers[number] for number in filled]
-    texts = [
-        ["\n".join(map(printable, cells[number].split("\n"))) for number in filled]
-        for cells in table.cells
-    ]
-    rows = [[TOGETHER.sub("\N{NO-BREAK SPACE}", text) for text in cells] for cells in texts]
     room = max(get_terminal_size().columns if sys.stdout.isatty() else 0, WIDTH)
-    if _draw(headers, rows, room, last=len(headers) < 2):
+    if _draw(columns, room, last=len(columns) < 2):
         return
-    for name, block in groupby(rows, key=lambda cells: cells[0]):
+    headers, *rows = zip(*columns, strict=True)
+    for name, block in groupby(rows, key=itemgetter(0)):
         say(f"{name}:")
-        _draw(headers[1:], [cells[1:] for cells in block], room, last=True)
+        _draw(list(zip(headers, *block, strict=True))[1:], room, last=True)
 
 
 def _narrowed(full: Sequence[int], floors: Sequence[int], room: int) -> tuple[list[int], int]:
@@ -369,14 +350,13 @@ def _narrowed(full: Sequence[int], floors: Sequence[int], room: int) -> tuple[li
         spare = [number for number, width in enumerate(widths) if width > floors[number]]
         if not spare:
             break
-        widest = max(spare, key=widths.__getitem__)
-        widths[widest] -= 1
+        widths[max(spare, key=widths.__getitem__)] -= 1
         beyond -= 1
     return widths, beyond
 
 
-def _draw(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int, *, last: bool) -> bool:
-    """Print a table and return True.
+def _draw(table: Sequence[Sequence[str]], room: int, *, last: bool) -> bool:
+    """Print a table, given as columns with their headers, and return True.
 
     Return False if it does not fit, unless this is the last attempt. The widest column is narrowed
     until the table fits, down to the longest word of each column. If that is insufficient, the
@@ -386,11 +366,11 @@ def _draw(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int, *, l
     from rich.console import Console
     from rich.table import Table as RichTable
 
-    columns = [[text.split("\n") for text in column] for column in zip(headers, *rows, strict=True)]
+    columns = [[text.split("\n") for text in column] for column in table]
     full = [max(map(len, chain.from_iterable(column))) for column in columns]
     words = [[line.split(" ") for line in chain.from_iterable(column)] for column in columns]
     least = [max(map(len, chain.from_iterable(column))) for column in words]
-    cut_names = [min(least[0], max(MIN_NAME, len(headers[0]))), *least[1:]]
+    cut_names = [min(least[0], max(MIN_NAME, len(table[0][0]))), *least[1:]]
     for gap, floors in ((2, least), (1, cut_names)):
         widths, beyond = _narrowed(full, floors, room - gap * (len(full) - 1) - 2)
         if beyond <= 0:

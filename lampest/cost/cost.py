@@ -112,25 +112,20 @@ class Cost(ReadOnlyArrays):
     def _sound_rows(self) -> list[list[int]]:
         """Numbers of the rows of each residual that do not depend on a faulty cell."""
         symbols = self.symbols()
-        cells = casadi.vec(symbols.cell_resistance)
-        # Columns of faulty cells in ∂residual/∂r; rows with a nonzero there are removed.
-        fault_columns = list[int]()
-        for frame in range(self.frames):
-            fault_columns += [frame * self.panel.crossings + cell for cell in self.faulty]
+        faulty = casadi.vec(symbols.cell_resistance[list(self.faulty), :])
         rows = []
         for _, residual in replace(self, faulty=()).residuals(symbols):
-            touched = set(casadi.jacobian(residual, cells)[:, fault_columns].sparsity().row())
+            touched = set(casadi.jacobian_sparsity(residual, faulty).row())
             rows.append([row for row in range(residual.shape[0]) if row not in touched])
         return rows
 
-    def compile(self) -> "CostFunctions":
-        """Compile the cost and its derivatives; costs that differ only in weights share them."""
-        return _functions(self.unweighted)
-
     @cached_property
     def functions(self) -> "CostFunctions":
-        """The cost and its derivatives, compiled at first use."""
-        return self.compile()
+        """The cost and its derivatives, compiled at first use.
+
+        Costs that differ only in weights share them.
+        """
+        return _functions(self.unweighted)
 
     @cached_property
     def slope(self) -> Array:
@@ -164,14 +159,16 @@ def _residual_of(term: Term, state: State) -> casadi.SX:
             "state.grid(state.cell_resistance) is the matrix of rows × columns, "
             "and casadi.vec makes a column of one"
         )
-    symbols, unknowns = (
-        {symbol.element_hash() for symbol in casadi.symvar(part)} for part in (residual, unknown)
-    )
-    if len(state.panel.neighbours[2]) and symbols.isdisjoint(unknowns):
+    if len(state.panel.neighbours[2]) and _symbols_in(residual).isdisjoint(_symbols_in(unknown)):
         raise InputError(
             f"{name} is constant: it must depend on state.cell_resistance or state.reading"
         )
     return residual
+
+
+def _symbols_in(expression: casadi.SX) -> set[int]:
+    """Return keys of the scalar symbols of which an expression is made."""
+    return {symbol.element_hash() for symbol in casadi.symvar(expression)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,14 +204,11 @@ class Symbols:
 
         The inputs `more` are inputs of the function in any case.
         """
-        inputs = self.inputs()
-        # One pass for all inputs: which of their entries the output depends on
-        depends = casadi.which_depends(output, casadi.vertcat(*inputs.values(), *more.values()))
-        parts = np.split(
-            np.array(depends), np.cumsum([symbol.numel() for symbol in inputs.values()])
-        )
+        contained = _symbols_in(output)
         used = {
-            name: inputs[name] for name, part in zip(inputs, parts, strict=False) if part.any()
+            name: symbol
+            for name, symbol in self.inputs().items()
+            if not contained.isdisjoint(_symbols_in(symbol))
         } | more
         return Compiled(casadi.Function(name, [*used.values()], [output], [*used], ["value"]))
 
@@ -247,53 +241,20 @@ class CostFunctions:
     @cached_property
     def entries(self) -> "Entries":
         """Places of the nonzero second derivatives of the smooth losses."""
-        return Entries.of(*self.hessian.pattern, self.hessian.structure.shape[0] // 2)
-
-    @cached_property
-    def nonsmooth_by_cells(self) -> tuple[Numbers, ...]:
-        """Entries of `nonsmooth_jacobian` by cells: numbers row by row, columns, and row begins."""
-        row, column = self.nonsmooth_jacobian.pattern
-        rows, both = self.nonsmooth_jacobian.structure.shape
-        numbers = np.flatnonzero(column < both // 2)
-        numbers = numbers[np.argsort(row[numbers], kind="stable")]
-        begins = np.searchsorted(row[numbers], np.arange(rows + 1))
-        return numbers, column[numbers], begins
-
-    @classmethod
-    def build(cls, cost: Cost) -> "CostFunctions":
-        """Differentiate the terms symbolically, and compile the sparse results."""
-        symbols = cost.symbols()
-        weights = casadi.SX.sym("weights", len(cost.terms))
-        parts = summands(cost.terms, cost.residuals(symbols), weights)
-        # Σ weight·loss of each term, and the function to differentiate: Σ smooth + Σ weight·z·x
-        costs = [
-            sum((part.cost for part in parts if part.term == n), casadi.SX(0))
-            for n in range(len(cost.terms))
-        ]
-        through_duals = [part for part in parts if not part.smooth]
-        nonsmooth, slope = stacked(through_duals)
-        dual = casadi.SX.sym("dual", nonsmooth.shape[0])
-        smooth = sum((part.cost for part in parts if part.smooth), casadi.SX(0))
-        lagrangian = smooth + casadi.dot(slope * dual, nonsmooth)
-        unknown = symbols.unknown
-        gradient = casadi.gradient(lagrangian, unknown)
-        # Costs of the terms at y = 0, a part of the scale of the cost.
-        by_term = casadi.vertcat(*costs)
-        # Costs at readings of zero, f(r) = 0
-        blank = casadi.substitute(by_term, symbols.reading, casadi.SX.zeros(*symbols.reading.shape))
-        outputs = {
-            "first": casadi.densify(casadi.vertcat(by_term, blank, gradient)),
-            "hessian": casadi.jacobian(gradient, unknown, {"symmetric": True}),
-            "nonsmooth": casadi.densify(nonsmooth),
-            "nonsmooth_jacobian": casadi.jacobian(nonsmooth, unknown),
-        }
-        compiled = {
-            name: symbols.compiled(name, output, weights=weights, dual=dual)
-            for name, output in outputs.items()
-        }
-        terms = np.array([part.term for part in through_duals], dtype=np.intp)
-        rows = np.array([part.rows for part in through_duals], dtype=np.intp)
-        return cls(**compiled, nonsmooth_terms=np.repeat(terms, rows))
+        rows, columns = self.hessian.pattern
+        count = self.hessian.structure.shape[0] // 2
+        cells = np.flatnonzero((rows < count) & (columns < count))
+        model = np.flatnonzero((rows >= count) & (columns >= count))
+        diagonal = np.array_equal(rows[model], columns[model])
+        pivots = np.flatnonzero(rows == columns)
+        return Entries(
+            cells=cells,
+            at_cells=(rows[cells], columns[cells]),
+            model=model,
+            at_model=rows[model] - count if diagonal else None,
+            crossed=len(cells) + len(model) < len(rows),
+            on_diagonal=(pivots, rows[pivots]),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,20 +283,6 @@ class Entries:
     at_model: Numbers | None
     crossed: bool
     on_diagonal: tuple[Numbers, Numbers]
-
-    @classmethod
-    def of(cls, rows: Numbers, columns: Numbers, count: int) -> "Entries":
-        """Return the places from (rows, columns) of all nonzeros."""
-        cells = np.flatnonzero((rows < count) & (columns < count))
-        model = np.flatnonzero((rows >= count) & (columns >= count))
-        diagonal = np.array_equal(rows[model], columns[model])
-        at_model = rows[model] - count if diagonal else None
-        # Nonzeros that are neither between cells nor between readings couple the two.
-        pivots = np.flatnonzero(rows == columns)
-        crossed = len(cells) + len(model) < len(rows)
-        at_cells = (rows[cells], columns[cells])
-        on_diagonal = (pivots, rows[pivots])
-        return cls(cells, at_cells, model, at_model, crossed, on_diagonal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -427,4 +374,36 @@ def lowered(group: Sequence[Summand], unit: casadi.SX) -> Lowered:
 @guarded
 @lru_cache(maxsize=128)
 def _functions(cost: Cost) -> CostFunctions:
-    return CostFunctions.build(cost)
+    """Differentiate the terms symbolically, and compile the sparse results."""
+    symbols = cost.symbols()
+    weights = casadi.SX.sym("weights", len(cost.terms))
+    parts = summands(cost.terms, cost.residuals(symbols), weights)
+    # Σ weight·loss of each term, and the function to differentiate: Σ smooth + Σ weight·z·x
+    costs = [
+        sum((part.cost for part in parts if part.term == n), casadi.SX(0))
+        for n in range(len(cost.terms))
+    ]
+    through_duals = [part for part in parts if not part.smooth]
+    nonsmooth, slope = stacked(through_duals)
+    dual = casadi.SX.sym("dual", nonsmooth.shape[0])
+    smooth = sum((part.cost for part in parts if part.smooth), casadi.SX(0))
+    lagrangian = smooth + casadi.dot(slope * dual, nonsmooth)
+    unknown = symbols.unknown
+    gradient = casadi.gradient(lagrangian, unknown)
+    # Costs of the terms at y = 0, a part of the scale of the cost.
+    by_term = casadi.vertcat(*costs)
+    # Costs at readings of zero, f(r) = 0
+    blank = casadi.substitute(by_term, symbols.reading, casadi.SX.zeros(*symbols.reading.shape))
+    outputs = {
+        "first": casadi.densify(casadi.vertcat(by_term, blank, gradient)),
+        "hessian": casadi.jacobian(gradient, unknown, {"symmetric": True}),
+        "nonsmooth": casadi.densify(nonsmooth),
+        "nonsmooth_jacobian": casadi.jacobian(nonsmooth, unknown),
+    }
+    compiled = {
+        name: symbols.compiled(name, output, weights=weights, dual=dual)
+        for name, output in outputs.items()
+    }
+    terms = np.array([part.term for part in through_duals], dtype=np.intp)
+    rows = np.array([part.rows for part in through_duals], dtype=np.intp)
+    return CostFunctions(**compiled, nonsmooth_terms=np.repeat(terms, rows))

@@ -177,13 +177,11 @@ class Given(ReadOnlyArrays):
     @classmethod
     def symbols(cls, cells: int, frames: int, *, partial: bool) -> Self:
         """Make symbols (cells, frames) of fields of every frame, and (cells, 1) of all others."""
-        names = {
-            name: source for name, source in cls.sources().items() if partial or not source.partial
-        }
         return cls(
             **{
                 name: casadi.SX.sym(name, cells, frames if source.per_frame else 1)
-                for name, source in names.items()
+                for name, source in cls.sources().items()
+                if partial or not source.partial
             }
         )
 

@@ -88,13 +88,13 @@ class Data(ReadOnlyArrays):
             name: value[:, None] if sources[name].per_frame else value
             for name, value in self.given.named()
         }
-        frames = replace(
+        return replace(
             self,
             given=replace(self.given, **named),
             lower=self.lower[:, None],
             upper=self.upper[:, None],
+            place=place,
         )
-        return replace(frames, place=place)
 
     def some(self, panels: Panels) -> "Data":
         """Return the data of the chosen panels, or of a single one by its number."""
@@ -139,10 +139,9 @@ class Data(ReadOnlyArrays):
 
         The array is boolean, (frames, rows, columns).
         """
-        shown = np.ones(self.measured.shape, dtype=bool)
         if not self.partial:
-            return shown
-        return np.asarray(shown & (self.given.side == 0) & (self.given.seen == 1))
+            return np.ones(self.measured.shape, dtype=bool)
+        return np.asarray((self.given.side == 0) & (self.given.seen == 1))
 
     @property
     def deviation(self) -> Array:
@@ -152,7 +151,7 @@ class Data(ReadOnlyArrays):
         """
         if not self.partial:
             return self.sigma
-        return np.asarray(self.sigma / np.where(self.given.seen > 0, self.given.seen, 1.0))
+        return self.sigma / np.where(self.given.seen > 0, self.given.seen, 1.0)
 
     @property
     def partial(self) -> bool:

@@ -12,7 +12,6 @@ from functools import lru_cache
 from math import sqrt
 from multiprocessing import parent_process
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +25,8 @@ from lampest.estimate.weights import converter_and_faults, strongest, with_chose
 from lampest.files.errors import BROKEN
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
-from lampest.solvers.projected_lbfgs import NAME, BatchOutcome, InverseHessians, serves, solve
-from lampest.solvers.solution import VERIFIED, Outcome, Solution, Status, solution_at
+from lampest.solvers.projected_lbfgs import NAME, InverseHessians, serves, solve
+from lampest.solvers.solution import VERIFIED, Outcome, Status, solution_at
 
 MIN_PANELS_PER_THREAD = 20  # with fewer panels in a thread, threads cost more than they save
 MAX_BLOCK_FRAMES = 40  # frames that are solved together: 50 MB of inverse Hessians at 20 × 20
@@ -36,81 +35,69 @@ MAX_NOISE_SQUARES = 4.0
 
 
 def push_streams(
-    streams: Sequence[Stream | None], readings: Readings, inverses: InverseHessians
-) -> tuple[list[tuple[Stream | None, Step | None]], InverseHessians]:
+    streams: Mapping[int, Stream], readings: Readings, inverses: InverseHessians
+) -> tuple[dict[int, tuple[Stream, Step]], InverseHessians]:
     """Push a frame to each stream, together where a batch can.
 
     Parameters
     ----------
-    streams : sequence of Stream or None
+    streams : mapping of int to Stream
     readings : Readings
-        One frame of each stream, (streams, rows, columns).
+        One frame of each number, (numbers, rows, columns).
     inverses : InverseHessians
-        Inverse Hessians of the streams by number, from solves of earlier frames.
+        Inverse Hessians by number, from solves of earlier frames.
 
     Returns
     -------
-    pushed : list of (Stream or None, Step or None)
-        Every stream after its frame, and the frame's step; None stays None.
+    pushed : mapping of int to (Stream, Step)
+        Every stream after its frame, and the frame's step.
     inverses : InverseHessians
         Inverse Hessians for the next frame.
     """
     # Weights first; then batches; whatever a batch does not solve is pushed alone.
-    streams = _weighed(streams, readings)
+    streams = _weighed(streams, {number: readings[number] for number in streams})
     solved, inverses = _solved_together(streams, readings, inverses)
-    single: dict[int, tuple[Stream | None, Step | None]] = {
-        n: stream.push(readings[n])
-        for n, stream in enumerate(streams)
-        if stream is not None and n not in solved
+    pushed = {
+        number: solved.get(number) or stream.push(readings[number])
+        for number, stream in streams.items()
     }
-    done = {**solved, **single}
-    pushed = [done.get(number, (None, None)) for number in range(len(streams))]
     return pushed, inverses
 
 
-def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Stream | None]:
+def _weighed(streams: Mapping[int, Stream], frames: Mapping[int, Readings]) -> dict[int, Stream]:
     """Return the streams with weights; streams of one group choose them together.
 
     A group has one estimator, converter and faults. If the frame of any of its streams is due to
     choose weights, the streams with the largest change from rest choose them for all.
     """
-    weighed = list(streams)
+    weighed = dict(streams)
     groups = dict[Hashable, dict[int, Stream]]()
-    for number, stream in enumerate(streams):
-        if stream is not None and _may_choose(stream, readings[number]):
+    for number, stream in streams.items():
+        comparable = stream.rested or not stream.estimator.relative
+        if stream.chooses_weights and comparable and frames[number].enough(stream.scene):
             kind = id(stream.estimator), stream.rested, converter_and_faults(stream.scene)
             groups.setdefault(kind, {})[number] = stream
     for group in groups.values():
-        if any(stream.choosing(readings[number]) for number, stream in group.items()):
-            for number, stream in _with_common_weights(group, readings).items():
-                weighed[number] = stream
+        if any(stream.choosing(frames[number]) for number, stream in group.items()):
+            weighed |= _with_common_weights(group, frames)
     return weighed
 
 
-def _may_choose(stream: Stream, frame: Readings) -> bool:
-    """Return whether weights of a stream can be chosen from a frame, (rows, columns)."""
-    comparable = stream.rested or not stream.estimator.relative
-    return stream.chooses_weights and comparable and bool(frame.enough(stream.scene))
-
-
-def _with_common_weights(group: Mapping[int, Stream], readings: Readings) -> dict[int, Stream]:
-    """Return the streams of a group with weights that the strongest of them choose.
-
-    Parameters
-    ----------
-    group : mapping
-        Number of a stream to the stream.
-    readings : Readings
-        One frame of each stream, (streams, rows, columns).
-    """
-    changes = [stream.change(readings[number]) for number, stream in group.items()]
+def _with_common_weights(
+    group: Mapping[int, Stream], frames: Mapping[int, Readings]
+) -> dict[int, Stream]:
+    """Return the streams of a group, by number, with weights that the strongest of them choose."""
+    changes = [stream.change(frames[number]) for number, stream in group.items()]
     numbers = [list(group)[place] for place in strongest(changes)]
     deciding = group[numbers[0]]
-    pairs = [group[number].data_and_start(readings[number]) for number in numbers]
-    data, start = pairs[0]
-    first = data.limited(deciding.estimator.solver.time_limit_s)
-    further = [data for data, _ in pairs[1:]]
-    objective = with_chosen_weights(deciding.estimator, deciding.scene, first, start, further)
+    (data, start), *further = (group[number].data_and_start(frames[number]) for number in numbers)
+    objective = with_chosen_weights(
+        deciding.estimator,
+        deciding.scene,
+        data.limited(deciding.estimator.solver.time_limit_s),
+        start,
+        [data for data, _ in further],
+    )
     weights = tuple(float(term.weight) for term in objective.terms)
     return {
         number: replace(
@@ -126,8 +113,10 @@ def _with_common_weights(group: Mapping[int, Stream], readings: Readings) -> dic
 def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Step]]:
     """Generate the stream after each of its next frames, with the frame's step.
 
-    Up to MAX_BLOCK_FRAMES frames that are independent of each other are solved over a leading axis,
-    see `_solved_block`. Frames that the batch does not solve are pushed alone.
+    Up to MAX_BLOCK_FRAMES frames that are independent of each other are solved over a leading axis.
+    Leaders are solved from the last estimate on, and all others from the estimate and the inverse
+    Hessian of the leader whose readings are nearest. Frames that jump between a few loads are then
+    close to their starts. Frames that the batch does not solve are pushed alone.
 
     Parameters
     ----------
@@ -136,33 +125,22 @@ def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Ste
     readings : Readings
         The next frames, (frames, rows, columns).
     """
-    count = min(len(readings.value), MAX_BLOCK_FRAMES)
-    solved = _solved_block(stream, readings[:count])
-    for number in range(count):
-        stream, step = solved.get(number) or stream.push(readings[number])
-        yield stream, step
-
-
-def _solved_block(stream: Stream, readings: Readings) -> dict[int, tuple[Stream, Step]]:
-    """Return the stream after each frame of a block and the frame's step, by number.
-
-    Leaders are solved from the last estimate on, and all others from the estimate and the inverse
-    Hessian of the leader whose readings are nearest. Frames that jump between a few loads are then
-    close to their starts.
-    """
+    readings = readings[:MAX_BLOCK_FRAMES]
     count = len(readings.value)
     inverses = InverseHessians.nothing(count)
     leaders, nearest = leading_frames(readings)
-    if len(leaders) == 1:
-        return _solved_together([stream] * count, readings, inverses)[0]
-    leading = [stream if number in leaders else None for number in range(count)]
+    leading = dict.fromkeys(range(count) if len(leaders) == 1 else sorted(leaders), stream)
     solved, inverses = _solved_together(leading, readings, inverses)
-    following = list[Stream | None]([None] * count)
-    for number in sorted(set(range(count)) - set(leaders)):
-        leader = nearest[number]
-        following[number] = solved[leader][0] if leader in solved else stream
+    following = {
+        number: solved[leader][0] if leader in solved else stream
+        for number, leader in enumerate(nearest)
+        if number not in leading
+    }
     inverses = inverses.some(np.array(nearest))
-    return solved | _solved_together(following, readings, inverses)[0]
+    solved |= _solved_together(following, readings, inverses)[0]
+    for number in range(count):
+        stream, step = solved.get(number) or stream.push(readings[number])
+        yield stream, step
 
 
 def leading_frames(readings: Readings) -> tuple[list[int], list[int]]:
@@ -199,27 +177,22 @@ def leading_frames(readings: Readings) -> tuple[list[int], list[int]]:
     return leaders, [leaders[place] for place in np.argmin(squares, axis=0)]
 
 
-def solve_baselines(streams: Sequence[Stream | None]) -> list[Stream | None]:
+def solve_baselines(streams: Mapping[int, Stream]) -> dict[int, Stream]:
     """Return every stream with its solved baseline.
 
     The streams of one group choose the weights of the baselines together.
     """
-    first = next(stream for stream in streams if stream is not None)
-    resting = [first.resting if stream is None else stream.resting for stream in streams]
-    unweighed = [None if stream is None else replace(stream, weights=None) for stream in streams]
-    weighed = _weighed(unweighed, resting[0].together(*resting[1:]))
-    rested = list[Stream | None]()
-    for stream, chosen in zip(streams, weighed, strict=True):
-        if stream is None or chosen is None:
-            rested.append(None)
-            continue
-        solved = replace(stream, estimator=chosen.weighted).with_rest()
-        rested.append(replace(solved, estimator=stream.estimator))
+    unweighed = {number: replace(stream, weights=None) for number, stream in streams.items()}
+    weighed = _weighed(unweighed, {number: stream.resting for number, stream in streams.items()})
+    rested = dict[int, Stream]()
+    for number, stream in streams.items():
+        solved = replace(stream, estimator=weighed[number].weighted).with_rest()
+        rested[number] = replace(solved, estimator=stream.estimator)
     return rested
 
 
 def _solved_together(
-    streams: Sequence[Stream | None], readings: Readings, inverses: InverseHessians
+    streams: Mapping[int, Stream], readings: Readings, inverses: InverseHessians
 ) -> tuple[dict[int, tuple[Stream, Step]], InverseHessians]:
     """Return the streams after their frame and the frame's step by number.
 
@@ -227,26 +200,24 @@ def _solved_together(
     large batches are split among threads.
     """
     groups = dict[Hashable, list[int]]()
-    batchable = dict[int, Stream]()
     partial = ((readings.side != 0) | (readings.seen < 1)).any(axis=(1, 2)).tolist()
-    for number, stream in enumerate(streams):
-        if stream is not None and _in_batches(stream, readings[number], partial=partial[number]):
+    for number, stream in streams.items():
+        if _in_batches(stream, readings[number], partial=partial[number]):
             kind = _unweighted(stream.estimator), stream.scene.faults, partial[number]
             groups.setdefault(kind, []).append(number)
-            batchable[number] = stream
     # Each of several processes has one core.
     cores = 1 if parent_process() else len(os.sched_getaffinity(0))
     blocks = list[NDArray[np.intp]]()
     for group in groups.values():
         # Frames of one stream stay in one thread, however many cores there are.
-        distinct = len({id(batchable[number]) for number in group})
+        distinct = len({id(streams[number]) for number in group})
         blocks += np.array_split(group, max(1, min(cores, distinct // MIN_PANELS_PER_THREAD)))
 
     def solved_block(place: int) -> tuple[dict[int, tuple[Stream, Step]], InverseHessians]:
         numbers = blocks[place]
         own = inverses.some(numbers)
         with np.errstate(all="ignore"), suppress(*BROKEN):
-            batch = [batchable[number] for number in numbers.tolist()]
+            batch = [streams[number] for number in numbers.tolist()]
             return _solved_batch(batch, readings[numbers], own, numbers, place)
         return {}, own
 
@@ -269,23 +240,20 @@ def _in_batches(stream: Stream, readings: Readings, *, partial: bool) -> bool:
     readouts, the solver's default limits and known weights.
     """
     estimator = stream.estimator
-    method = stream.estimator.method
-    settings = stream.estimator.solver
-    reduced = isinstance(method, OptimalMethod) and method.kind in ("reduced", "auto")
-    unwired = stream.scene.circuit.two_point and stream.scene.wiring is None
-    unlimited = settings.time_limit_s is None and settings.starts is None
-    weighted = not estimator.weighs_previous and (
-        not estimator.automatic or estimator.auto_weight.per == "recording"
-    )
-    complete = not partial or (stream.track is None and bool(readings.enough(stream.scene)))
+    method = estimator.method
+    settings = estimator.solver
     return (
         stream.rested
         and not stream.first
-        and reduced
-        and unwired
-        and unlimited
-        and weighted
-        and complete
+        and isinstance(method, OptimalMethod)
+        and method.kind in ("reduced", "auto")
+        and stream.scene.circuit.two_point
+        and stream.scene.wiring is None
+        and settings.time_limit_s is None
+        and settings.starts is None
+        and not estimator.weighs_previous
+        and (not estimator.automatic or stream.chooses_weights)
+        and (not partial or (stream.track is None and bool(readings.enough(stream.scene))))
     )
 
 
@@ -304,20 +272,8 @@ def _solved_batch(
 ) -> tuple[dict[int, tuple[Stream, Step]], InverseHessians]:
     """Return the streams of one batch after their frame, and the frame's step, by number.
 
-    Only verified minima are returned.
-
-    Parameters
-    ----------
-    streams : sequence of Stream
-        Streams of one shape and one kind of cost.
-    frames : Readings
-        One frame of each stream, (streams, rows, columns).
-    inverses : InverseHessians
-        Those of these streams.
-    numbers : integer array
-        Numbers of these streams.
-    place : int
-        Number of the batch, as in `Data`.
+    Only verified minima are returned. The streams have one shape and one kind of cost; `place` is
+    that of `Data`.
     """
     begin = perf_counter()
     estimator = _unweighted(streams[0].estimator)
@@ -341,23 +297,18 @@ def _solved_batch(
     after = {}
     for row in np.flatnonzero(verified).tolist():
         stream = streams[row]
+        at = ended.points.at.some(row)
+        cells = at.cell_resistance
+        gradient = ended.points.gradient[row].reshape(cells.shape)
+        status = Status.HELD if bounds_matter(at, gradient, NO_DUAL) else Status.OPTIMUM
+        iterations = int(ended.iterations[row])
+        outcome = Outcome(cells, NO_DUAL, status, iterations, carried=stream.prepared)
+        solution = solution_at(at, float(ended.points.residual[row]), outcome, status)
         step = Step(
-            _solution_of(ended, row, carried=stream.prepared),
+            replace(solution, solver=NAME),
             seconds,
             tuple(weights[row].tolist()),
             weight_sigma=stream.weighted.weight_sigma,
         )
         after[int(numbers[row])] = stream.estimator.method.after(stream, step, frames[row])
     return after, ended.inverses
-
-
-def _solution_of(ended: BatchOutcome, row: int, *, carried: Any) -> Solution:
-    """Return the solution of one stream of a batch, given the state of its method."""
-    points = ended.points
-    at = points.at.some(row)
-    gradient = points.gradient[row].reshape(at.cell_resistance.shape)
-    status = Status.HELD if bounds_matter(at, gradient, NO_DUAL) else Status.OPTIMUM
-    iterations = int(ended.iterations[row])
-    outcome = Outcome(at.cell_resistance, NO_DUAL, status, iterations, carried=carried)
-    solution = solution_at(at, float(points.residual[row]), outcome, status)
-    return replace(solution, solver=NAME)

@@ -28,7 +28,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.wired_network import contact_responses
 from lampest.panel.readouts.wiring import Contacts
 from lampest.posterior.linear import IGNORANCE, LinearModel
-from lampest.posterior.track import Track, errors_of
+from lampest.posterior.track import errors_of
 from lampest.recording.readings import Readings
 
 # Two or three steps suffice, because readings are nearly linear in contacts. `settled` is the
@@ -86,7 +86,7 @@ class SolvedContacts:
         """Gradient of the cost with respect to the contacts, (lines,)."""
         by_readings = self._model.at.partials(np.clip(self._model.dual, -1, 1))[1]
         slope = self._response.T @ by_readings.ravel()
-        return np.asarray(slope / (2 * self.scale) + self.precision * (self.ohm - self.mean))
+        return slope / (2 * self.scale) + self.precision * (self.ohm - self.mean)
 
     @cached_property
     def normal(self) -> Array:
@@ -104,8 +104,8 @@ class SolvedContacts:
         schur = (
             remaining.T @ (model.data_curvature[:, None] * remaining)
             + IGNORANCE * model.scale * response.T @ response
+            + penalised.T @ (model.penalty_curvature[:, None] * penalised)
         )
-        schur += penalised.T @ (model.penalty_curvature[:, None] * penalised)
         return np.asarray(schur / self.scale + np.diag(self.precision))
 
 
@@ -129,13 +129,6 @@ def with_contacts(
         Solution with the contacts at the prior's mean.
     solve : callable
         Solves the readings for another state, from given cells on.
-
-    Returns
-    -------
-    state : SequenceState
-        State with the estimated contacts.
-    step : Step
-        Solution with these contacts.
     """
     prior = state.scene.contact_prior
     shape = state.scene.panel.shape
@@ -164,18 +157,12 @@ def with_contacts(
     covariance = np.zeros(fit.normal.shape)
     covariance[block] = np.linalg.inv(fit.normal[block])
     contacts = Contacts.of(fit.ohm, np.sqrt(np.diag(covariance)), shape[0])
-    step = replace(fit.step, seconds=sum(seconds))
-    return _with_known_contacts(state, state.track, contacts, covariance), step
-
-
-def _with_known_contacts(
-    state: AnyState, track: Track, contacts: Contacts, covariance: Array
-) -> AnyState:
-    """Return the state with these contacts, whose covariance all readings share as an error."""
     scene = replace(state.scene, contacts=contacts)
+    # All readings share the errors of the contacts.
     squares, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(squares, 0.0))
-    shared = track.shared
+    shared = state.track.shared
     if shared is not None:
         shared = replace(shared, scene=scene, contact_root=root)
-    return replace(state, scene=scene, track=replace(track, shared=shared))
+    state = replace(state, scene=scene, track=replace(state.track, shared=shared))
+    return state, replace(fit.step, seconds=sum(seconds))

@@ -41,53 +41,6 @@ AT_RAILS = {  # in place of the solver's own sentence where readings are at or b
 }
 
 
-def barred_maps(cells: Array, baseline: Array, steps: tuple[Step, ...]) -> dict[str, Array]:
-    """Return the error bars by name, as the properties of `Estimates` have them.
-
-    Each is (frames, rows, columns). σ_r = r·σ(log r), and the interval reaches from r·exp(−below)
-    to r·exp(above). `ratio_lower` and `ratio_upper` are the interval of r/r0. In a frame without
-    error bars they are infinite, and shares are 0.
-
-    Parameters
-    ----------
-    cells : array, shape (frames, rows, columns)
-        r, ohm.
-    baseline : array, shape (rows, columns)
-        r0, ohm.
-    steps : tuple of Step
-    """
-    ratio = cells / baseline
-
-    def frames(name: str, *, change: bool = False, unbarred: float = np.inf) -> Array:
-        maps = []
-        for step in steps:
-            certainty = None
-            if step.bars is not None:
-                certainty = step.bars.change if change else step.bars.frame
-            unknown = np.full(baseline.shape, unbarred)
-            maps.append(unknown if certainty is None else getattr(certainty, name))
-        return np.where(np.isnan(cells), np.nan, np.stack(maps))
-
-    with np.errstate(over="ignore"):  # the interval of an undetermined cell extends to infinity
-        lower = ratio * np.exp(-frames("below", change=True))
-        upper = ratio * np.exp(frames("above", change=True))
-        return {
-            "cell_resistance_errors": cells * frames("deviation"),
-            "cell_resistance_lower": cells * np.exp(-frames("below")),
-            "cell_resistance_upper": cells * np.exp(frames("above")),
-            "relative_change_errors": 100 * ratio * frames("deviation", change=True),
-            "relative_change_lower": 100 * (lower - 1),
-            "relative_change_upper": 100 * (upper - 1),
-            "ratio_lower": lower,
-            "ratio_upper": upper,
-            "resolution": frames("resolution", unbarred=0.0),
-            "data_share": frames("data_share", unbarred=0.0),
-            "sigma_own": frames("own"),
-            "sigma_common": frames("common"),
-            "change_own": frames("own", change=True),
-        }
-
-
 class Barred(property):
     """A property (frames, rows, columns) of estimates with error bars.
 
@@ -134,9 +87,7 @@ def frame_misfit(
     chi_square = squares.sum(axis=(1, 2))
     readings = np.isfinite(sigma).sum(axis=(1, 2))
     # degrees of freedom: readings − tr A, at least 1
-    followed = (
-        np.full(len(model), np.nan) if resolution is None else np.nansum(resolution, axis=(1, 2))
-    )
+    followed = np.nan if resolution is None else np.nansum(resolution, axis=(1, 2))
     degrees = np.where(np.isnan(chi_square), np.nan, np.maximum(readings - followed, 1.0))
     figures = {
         "chi_square": chi_square,
@@ -144,8 +95,7 @@ def frame_misfit(
         "tail": chi_square_tail(chi_square, degrees),
     }
     for name, lines in (("row", squares.sum(axis=2)), ("column", squares.sum(axis=1))):
-        solved = ~np.isnan(chi_square)
-        worst = np.where(solved, np.argmax(lines, axis=1), np.nan)
+        worst = np.where(np.isnan(chi_square), np.nan, np.argmax(lines, axis=1))
         share = lines.max(axis=1) / np.where(chi_square > 0, chi_square, 1.0)
         figures |= {f"worst_{name}": worst, f"worst_{name}_share": share}
     return figures
@@ -282,12 +232,9 @@ class Estimates(ReadOnlyArrays):
             return tuple(step.status for step in self.steps)
         messages = []
         for step, recorded in zip(self.steps, self.recording.recorded[self.frame], strict=True):
-            message = step.status
-            at_rails = AT_RAILS.get(step.solution.status)
-            if at_rails is not None:
-                rails = rails_reached(readout, recorded)
-                message = at_rails.format(rails) if rails else message
-            messages.append(message)
+            at_rails = AT_RAILS.get(step.solution.status, "")
+            rails = at_rails and rails_reached(readout, recorded)
+            messages.append(at_rails.format(rails) if rails else step.status)
         return tuple(messages)
 
     @property
@@ -379,7 +326,7 @@ class Estimates(ReadOnlyArrays):
         are included; missing readings have a value, too. None without error bars; NaN in a frame
         without.
         """
-        deviation = [None if step.bars is None else step.bars.reading for step in self.steps]
+        deviation = [getattr(step.bars, "reading", None) for step in self.steps]
         noise = self.readings.sigma
         scene = self.prepared.recording.scene
         if self._bars is None or noise is None or all(frame is None for frame in deviation):
@@ -404,8 +351,9 @@ class Estimates(ReadOnlyArrays):
     @property
     def baseline_resistance_errors(self) -> Array | None:
         """Standard deviation of the baseline's cells, (rows, columns) ohm."""
-        bars = None if self._bars is None else self.baseline_bars
-        return None if bars is None else self.baseline_resistance * bars.deviation
+        if self._bars is None or self.baseline_bars is None:
+            return None
+        return self.baseline_resistance * self.baseline_bars.deviation
 
     @property
     def tared(self) -> tuple[str, ...] | None:
@@ -449,8 +397,17 @@ class Estimates(ReadOnlyArrays):
     @property
     def _own_doubts(self) -> tuple[str, ...]:
         """Doubts about these estimates alone: failed frames, penalties that overrule or hide."""
-        failed = _unsolved(self.solved, self.status)
-        return tuple(filter(None, (failed, self._overruled, self._smoothed)))
+        return tuple(filter(None, (self._unsolved, self._overruled, self._smoothed)))
+
+    @property
+    def _unsolved(self) -> str:
+        """Number of unsolved frames with the reason of the first, in words, or ''."""
+        solved = self.solved
+        if solved.all():
+            return ""
+        failed = np.sum(~solved)
+        count = f"{failed} of {len(solved)} frames are not" if solved.any() else "no frame is"
+        return f"{count} solved: {self.status[int(np.argmin(solved))]}"
 
     @property
     def _is_part(self) -> bool:
@@ -460,13 +417,11 @@ class Estimates(ReadOnlyArrays):
     @property
     def _overruled(self) -> str:
         """Misfit in words where chosen weights make it large against the noise, else ''."""
-        chi_square = self.misfit.get("chi_square", np.zeros(0)) if self.automatic else np.zeros(0)
-        solved = np.isfinite(chi_square)
-        if self.sigma is None or not solved.any():
+        if self.sigma is None or not self.automatic:
             return ""
-        count = np.isfinite(self.sigma).sum(axis=(1, 2))
-        # √(χ² per reading) of the median frame
-        factor = float(np.sqrt(np.median(chi_square[solved] / count[solved])))
+        per_reading = self.misfit["chi_square"] / np.isfinite(self.sigma).sum(axis=(1, 2))
+        solved = per_reading[np.isfinite(per_reading)]
+        factor = np.sqrt(np.median(solved)) if len(solved) else 0.0
         if factor < OVERRULED_MISFIT:
             return ""
         terms = " and ".join(
@@ -491,9 +446,10 @@ class Estimates(ReadOnlyArrays):
                 f"{held.threshold:.2g} does not show; {advice}"
             )
         holds = any(term.loss.enters == "dual" for term in self.estimator.terms)
-        shares = None if holds or not self.automatic else self.resolution
-        known = np.zeros(0) if shares is None else shares[np.isfinite(shares)]
-        share = float(np.median(known)) if known.size else 1.0
+        if holds or not self.automatic or self.resolution is None:
+            return ""
+        known = self.resolution[np.isfinite(self.resolution)]
+        share = np.median(known) if known.size else 1.0
         if share >= MIN_SHOWN:
             return ""
         return (
@@ -524,15 +480,43 @@ class Estimates(ReadOnlyArrays):
 
     @cached_property
     def _bars(self) -> dict[str, Array] | None:
-        """Error bars by name; None unless an estimate and the baseline have them.
+        """Error bars by name, (frames, rows, columns) each, as the properties have them.
 
-        In a part of a longer recording the estimates with error bars may stand in other parts.
+        None unless an estimate and the baseline have them. In a part of a longer recording the
+        estimates with error bars may stand in other parts. σ_r = r·σ(log r), and the interval
+        reaches from r·exp(−below) to r·exp(above). `ratio_lower` and `ratio_upper` are the interval
+        of r/r0. In a frame without error bars they are infinite, and shares are 0.
         """
         if self.baseline_bars is None or not (
             self._is_part or any(step.bars for step in self.steps)
         ):
             return None
-        return barred_maps(self.cell_resistance, self.baseline_resistance, self.steps)
+        cells = self.cell_resistance
+        ratio = cells / self.baseline_resistance
+
+        def frames(name: str, part: str = "frame", unbarred: float = np.inf) -> Array:
+            unknown = np.full(cells.shape[1:], unbarred)
+            maps = [getattr(getattr(step.bars, part, None), name, unknown) for step in self.steps]
+            return np.where(np.isnan(cells), np.nan, np.stack(maps))
+
+        with np.errstate(over="ignore"):  # the interval of an undetermined cell is infinite
+            lower = ratio * np.exp(-frames("below", "change"))
+            upper = ratio * np.exp(frames("above", "change"))
+            return {
+                "cell_resistance_errors": cells * frames("deviation"),
+                "cell_resistance_lower": cells * np.exp(-frames("below")),
+                "cell_resistance_upper": cells * np.exp(frames("above")),
+                "relative_change_errors": 100 * ratio * frames("deviation", "change"),
+                "relative_change_lower": 100 * (lower - 1),
+                "relative_change_upper": 100 * (upper - 1),
+                "ratio_lower": lower,
+                "ratio_upper": upper,
+                "resolution": frames("resolution", unbarred=0.0),
+                "data_share": frames("data_share", unbarred=0.0),
+                "sigma_own": frames("own"),
+                "sigma_common": frames("common"),
+                "change_own": frames("own", "change"),
+            }
 
     @property
     def _pressed(self) -> dict[str, Any] | None:
@@ -547,10 +531,7 @@ class Estimates(ReadOnlyArrays):
             f"pressure_{part}": getattr(load, part)
             for part in ("errors", "own", "common", "lower", "upper")
         }
-        verdicts = {
-            "saturated": load.saturated.astype(bool),
-            "pressing": load.pressing.astype(bool),
-        }
+        verdicts = {name: getattr(load, name).astype(bool) for name in ("saturated", "pressing")}
         return {"pressure": load.pressure} | errors | verdicts
 
     @cached_property
@@ -563,12 +544,15 @@ class Estimates(ReadOnlyArrays):
         pressure_of = applications().provided("film", "pressures")
         if self._bars is None or pressure_of is None:
             return None
-        interval = self._bars["ratio_lower"], self._bars["ratio_upper"]
-        ratio = self.cell_resistance / self.baseline_resistance
-        individual = self._bars["change_own"]
-        scene = self.recording.scene
         return pressure_of(
-            ratio, *interval, scene, self.time, self.film, self.estimator.tare, individual
+            self.cell_resistance / self.baseline_resistance,
+            self._bars["ratio_lower"],
+            self._bars["ratio_upper"],
+            self.recording.scene,
+            self.time,
+            self.film,
+            self.estimator.tare,
+            self._bars["change_own"],
         )
 
 
@@ -587,12 +571,3 @@ def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
         width = np.log(estimates._bars["ratio_upper"]) - np.log(estimates._bars["ratio_lower"])
     change = np.log(estimates.cell_resistance / estimates.baseline_resistance)
     return change - estimates.recording.scene.common_change[0], width / (2 * TWO_SIDED)
-
-
-def _unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
-    """Return the number of unsolved frames with the reason of the first, in words, or ''."""
-    failed = int(np.sum(~solved))
-    if not failed:
-        return ""
-    count = "no frame is" if failed == len(solved) else f"{failed} of {len(solved)} frames are not"
-    return f"{count} solved: {status[int(np.argmin(solved))]}"

@@ -1,14 +1,15 @@
 """Estimators: terms, formulation, bounds and settings of one method of estimation."""
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.cost.terms import Term, term_kind
+from lampest.cost.losses import Student
+from lampest.cost.terms import Misfit, Term, term_kind
 from lampest.estimate.methods import MethodName, named_method
 from lampest.estimate.methods.method import Method
 from lampest.estimate.objective import AutoWeight, Objective
@@ -26,6 +27,8 @@ from lampest.solvers.solution import Settings, Solver
 # Cells up to which `strongest` is verified: beyond, the witness takes longer than all solves of a
 # short recording (docs/studies/speed.md).
 MAX_VERIFIED_CELLS = 144
+# Student's t with 15 degrees of freedom, and nearly the variance of the noise: c² = ν + 1.
+ROBUST = Student(corner=4.0)
 CONSTRAINED = "lampest.estimate.methods.constrained:ConstrainedMethod"
 
 
@@ -63,17 +66,14 @@ class Verify(Configuration):
         """
         count = len(readings.value)
         chosen = np.zeros(count, dtype=bool)
-        if self.frames == "all":
-            chosen[:] = True
-        elif self.frames == "strongest":
-            if count and readings.value[0].size <= MAX_VERIFIED_CELLS:
-                chosen[strongest_frame(readings.plain_values, resting.value, np.arange(count))] = (
-                    True
-                )
-        elif not isinstance(self.frames, str):
-            chosen[np.linspace(0, count - 1, max(1, round(self.frames * count))).astype(int)] = (
-                count > 0
-            )
+        if self.frames == "strongest":
+            if count and resting.value.size <= MAX_VERIFIED_CELLS:
+                strongest = strongest_frame(readings.plain_values, resting.value, np.arange(count))
+                chosen[strongest] = True
+        elif self.frames != "none":
+            share = 1.0 if self.frames == "all" else self.frames
+            several = min(max(1, round(share * count)), count)
+            chosen[np.linspace(0, count - 1, several).astype(int)] = True
         return chosen
 
 
@@ -245,8 +245,25 @@ class Estimator(Objective):
         self.for_outliers(scene)
 
     def for_outliers(self, scene: Scene) -> "Estimator":
-        """Return the estimator with the losses that the scene requests, see `robust`."""
-        return self.robust() if scene.outliers == "robust" else self
+        """Return the estimator with the losses that the scene requests.
+
+        Squared misfits of `outliers: robust` have Student's loss, of corner 4 σ.
+
+        Raises InputError where such a misfit is not weighted by the noise: its corner has no unit.
+        """
+        if scene.outliers != "robust":
+            return self
+        terms = list[Term]()
+        for term in self.terms:
+            if isinstance(term, Misfit) and term.loss.squared:
+                if term.weighting != "noise":
+                    raise InputError(
+                        "outliers: robust needs misfit: {weighting: noise}, "
+                        "or a loss that is stated there"
+                    )
+                term = replace(term, loss=ROBUST)
+            terms.append(term)
+        return replace(self, terms=tuple(terms))
 
     def problem(self, scene: Scene, frames: int, period: float, *, partial: bool = False) -> Solver:
         """Return the solver for one frame, or for two frames jointly; it is built once per process.

@@ -6,7 +6,7 @@ diagonal over the modules.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lampest.estimate.batch import push_streams, solve_baselines
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.state import Step, held_by_all
-from lampest.estimate.stream import Stream
+from lampest.estimate.stream import CarriedOver, Stream
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.module_noise import MAX_NAMED, named_modules
@@ -73,32 +73,24 @@ def begin_networks(
 
     Raises InputError as `Stream.begin`.
     """
-    layout = scene.panel.modules
-    assert layout is not None
+    layout = scene.panel.layout
     if layout.coupled:
         [(estimator, own, resting)] = filter(None, networks)
         return CoupledStream.begin(replace(estimator, error_bars=False), own, period, resting)
     noises = (None,) * layout.count if noise is None else noise.of_modules
-    streams = list[Stream | None]()
-    for network, own_noise in zip(networks, noises, strict=True):
-        if network is None:
-            streams.append(None)
-            continue
-        estimator, own, resting = network
-        streams.append(Stream.unrested(estimator, own, period, resting, own_noise))
+    streams = dict[int, Stream]()
+    for number, network in enumerate(networks):
+        if network is not None:
+            estimator, own, resting = network
+            streams[number] = Stream.unrested(estimator, own, period, resting, noises[number])
     modules = solve_baselines(streams)
-    first = next(stream for stream in modules if stream is not None)
-    blank = replace(
-        first.resting,
-        side=np.zeros_like(first.resting.side),
-        seen=np.zeros_like(first.resting.seen),
-    )
+    first = next(iter(modules.values()))
+    nothing = np.zeros_like(first.resting.side)
+    dead = replace(first, resting=replace(first.resting, side=nothing, seen=nothing))
     image = Readings.of_parts(
-        layout, [blank if stream is None else stream.resting for stream in modules]
+        layout, [modules.get(number, dead).resting for number in range(layout.count)]
     )
-    return ModulesStream(
-        first.estimator, scene, period, image, modules=tuple(modules)
-    ).rested_whole()
+    return ModulesStream(first.estimator, scene, period, image, modules=modules).rested_whole()
 
 
 def network_scenes(scene: Scene, estimator: Estimator) -> list[Scene | None]:
@@ -106,9 +98,7 @@ def network_scenes(scene: Scene, estimator: Estimator) -> list[Scene | None]:
 
     Raises InputError as `_coupled_scene`.
     """
-    layout = scene.panel.modules
-    assert layout is not None
-    if layout.coupled:
+    if scene.panel.layout.coupled:
         return [_coupled_scene(scene, estimator)]
     return [
         None if number in scene.dead_modules else module
@@ -118,8 +108,7 @@ def network_scenes(scene: Scene, estimator: Estimator) -> list[Scene | None]:
 
 def network_readings(scene: Scene, readings: Readings) -> list[Readings]:
     """Return the readings of each network that is estimated on its own, dead modules included."""
-    layout = scene.panel.modules
-    assert layout is not None
+    layout = scene.panel.layout
     if layout.coupled:
         return [readings]
     return [readings.of_module(layout, number) for number in range(layout.count)]
@@ -133,8 +122,7 @@ def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
     Raises InputError where a module is wired or has no two-point readout, and where error bars are
     requested.
     """
-    layout = scene.panel.modules
-    assert layout is not None
+    layout = scene.panel.layout
     if estimator.error_bars is True or estimator.weighs_previous:
         raise InputError(
             "error_bars: estimates with terms over the seams of modules "
@@ -204,7 +192,7 @@ class CoupledStream(Stream):
         layout = self.scene.readout.layout
         parts = layout.split(readings.plain)
         unread = np.logical_not(parts.any(axis=(-2, -1), keepdims=True))
-        return np.asarray(layout.joined(np.broadcast_to(unread, parts.shape)))
+        return layout.joined(np.broadcast_to(unread, parts.shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,22 +201,22 @@ class ModulesStream(Stream):
 
     Attributes
     ----------
-    modules : tuple of Stream or None
-        Streams of the modules by number, None for a dead one.
+    modules : mapping of int to Stream
+        Streams of the modules by number, without dead ones.
 
     All other attributes are those of the whole image.
     """
 
     joined: ClassVar[bool] = True
-    modules: tuple[Stream | None, ...] = ()
+    modules: Mapping[int, Stream] = field(default_factory=dict)
 
     def restarted(self, first: Stream) -> "ModulesStream":
         """Return the stream with the solvers' caches of `first`, as `Stream.restarted`."""
         assert isinstance(first, ModulesStream)
-        modules = tuple(
-            None if module is None or start is None else module.restarted(start)
-            for module, start in zip(self.modules, first.modules, strict=True)
-        )
+        modules = {
+            number: module.restarted(first.modules[number])
+            for number, module in self.modules.items()
+        }
         return replace(self, prepared=first.prepared, modules=modules)
 
     @property
@@ -236,26 +224,25 @@ class ModulesStream(Stream):
         """Memory of each module, with its number before the names."""
         return {
             MODULE.format(number) + name: values
-            for number, module in enumerate(self.modules)
-            if module is not None
+            for number, module in self.modules.items()
             for name, values in module.carried.items()
         }
 
-    def carrying(self, arrays: Mapping[str, Array]) -> "ModulesStream":
+    def carrying(self, arrays: CarriedOver) -> "ModulesStream":
         """Return the stream with the memory of each module, as `Stream.carrying`."""
-        modules = list[Stream | None]()
-        for number, module in enumerate(self.modules):
+        modules = dict[int, Stream]()
+        for number, module in self.modules.items():
             prefix = MODULE.format(number)
             own = {
                 name.removeprefix(prefix): values
                 for name, values in arrays.items()
                 if name.startswith(prefix)
             }
-            modules.append(None if module is None else module.carrying(own))
-        return replace(self, modules=tuple(modules), first=False)
+            modules[number] = module.carrying(own)
+        return replace(self, modules=modules, first=False)
 
     @property
-    def is_independent(self) -> bool:
+    def takes_blocks(self) -> bool:
         """Whether frames may be solved in blocks; modules are solved together instead."""
         return False
 
@@ -266,13 +253,11 @@ class ModulesStream(Stream):
     @ONE_BLAS_THREAD
     def tared(self, resting: Readings) -> "ModulesStream":
         """Return the stream of every module tared, as `Stream.tared`."""
-        unrested = [
-            None
-            if module is None
-            else module.without_baseline(resting.of_module(self._layout, number))
-            for number, module in enumerate(self.modules)
-        ]
-        modules = tuple(solve_baselines(unrested))
+        unrested = {
+            number: module.without_baseline(resting.of_module(self._layout, number))
+            for number, module in self.modules.items()
+        }
+        modules = solve_baselines(unrested)
         image = replace(self, resting=resting, modules=modules, track=None, baseline=None)
         return image.rested_whole()
 
@@ -285,7 +270,8 @@ class ModulesStream(Stream):
         layout = self._layout
         inverses = self.prepared or InverseHessians.nothing(layout.count)
         pushed, inverses = push_streams(self.modules, readings.each(layout.split), inverses)
-        modules, steps = zip(*pushed, strict=True)
+        modules = {number: module for number, (module, _) in pushed.items()}
+        steps = {number: step for number, (_, step) in pushed.items()}
         after = replace(self, modules=modules, prepared=inverses, first=False)
         return after if self.rested else after.rested_whole(), image_step(layout, steps)
 
@@ -294,23 +280,21 @@ class ModulesStream(Stream):
     ) -> tuple[Stream, list[Step]]:
         """Solve a sequence, as `Stream.sequence`, one module after the other."""
         layout = self._layout
-        frames = len(readings.value)
-        modules = list[Stream | None]()
-        columns = list[Sequence[Step | None]]()
-        for number, module in enumerate(self.modules):
-            if module is None:
-                modules.append(None)
-                columns.append([None] * frames)
-                continue
-            own_resting = resting.of_module(layout, number)
-            own_readings = readings.of_module(layout, number)
-            after, solved = module.sequence(own_resting, own_readings, lambda: None)
-            modules.append(after)
-            columns.append(solved)
-        for _ in range(frames):
+        modules = dict[int, Stream]()
+        solved = dict[int, list[Step]]()
+        for number, module in self.modules.items():
+            modules[number], solved[number] = module.sequence(
+                resting.of_module(layout, number),
+                readings.of_module(layout, number),
+                lambda: None,
+            )
+        stream = replace(self, modules=modules, first=False).rested_whole()
+        steps = []
+        for frame in range(len(readings.value)):
             on_frame()
-        stream = replace(self, modules=tuple(modules), first=False).rested_whole()
-        return stream, [image_step(layout, steps) for steps in zip(*columns, strict=True)]
+            own_steps = {number: column[frame] for number, column in solved.items()}
+            steps.append(image_step(layout, own_steps))
+        return stream, steps
 
     @property
     def baseline_resistance(self) -> Array:
@@ -325,32 +309,32 @@ class ModulesStream(Stream):
 
         If no module has a baseline, the stream is unchanged.
         """
-        steps = [None if module is None else module.baseline for module in self.modules]
-        if not any(steps):
+        steps = {
+            number: module.baseline
+            for number, module in self.modules.items()
+            if module.baseline is not None
+        }
+        if not steps:
             return self
-        tracks = [None if module is None else module.track for module in self.modules]
-        baseline = _joined_certainty(
-            self._layout, [None if track is None else track.baseline for track in tracks]
-        )
+        tracks = {number: module.track for number, module in self.modules.items()}
+        baseline = _joined_certainty(self._layout, tracks, "baseline")
         track = None if baseline is None else Track(baseline=baseline)
         return replace(self, baseline=image_step(self._layout, steps), track=track)
 
     @property
     def _layout(self) -> Modules:
-        layout = self.scene.panel.modules
-        assert layout is not None
-        return layout
+        return self.scene.panel.layout
 
 
 def _joined(
-    layout: Modules, parts: Sequence[Any], name: str, missing: float, last: slice = slice(None)
+    layout: Modules, parts: Mapping[int, Any], name: str, missing: float, last: slice = slice(None)
 ) -> Any:
     """Return the attribute `name` of all modules as one map of the image, or None.
 
     Parameters
     ----------
     layout : Modules
-    parts : sequence of object or None
+    parts : mapping of int to object
         A part of each module, whose attribute is a map (…, rows, columns) or None.
     name : str
     missing : float
@@ -358,52 +342,44 @@ def _joined(
     last : slice
         Slice of the first axis of each map.
     """
-    maps = [getattr(part, name, None) for part in parts]
-    present = [values[last] for values in maps if values is not None]
-    if not present:
+    every = {number: getattr(part, name, None) for number, part in parts.items()}
+    maps = {number: values[last] for number, values in every.items() if values is not None}
+    if not maps:
         return None
-    blank = np.full(present[0].shape, missing, dtype=present[0].dtype)
-    return np.asarray(
-        layout.joined(np.stack([blank if part is None else part[last] for part in maps], axis=-3))
-    )
+    first = next(iter(maps.values()))
+    blank = np.full(first.shape, missing, dtype=first.dtype)
+    present = [maps.get(number, blank) for number in range(layout.count)]
+    return np.asarray(layout.joined(np.stack(present, axis=-3)))
 
 
-def _joined_certainty(layout: Modules, parts: Sequence[Certainty | None]) -> Certainty | None:
-    """Return the joined error bars of all modules; None where no module has any.
+def _joined_certainty(layout: Modules, parts: Mapping[int, Any], name: str) -> Certainty | None:
+    """Return the joined error bars `name` of all modules; None where no module has any.
 
     Modules without error bars have infinite ones.
     """
+    own = {number: getattr(part, name, None) for number, part in parts.items()}
     unknown = {"deviation": np.inf, "below": np.inf, "above": np.inf}
     maps = [
-        _joined(layout, parts, field.name, unknown.get(field.name, 0.0))
-        for field in fields(Certainty)
+        _joined(layout, own, part.name, unknown.get(part.name, 0.0)) for part in fields(Certainty)
     ]
-    return None if all(part is None for part in parts) else Certainty(*maps)
+    return None if maps[0] is None else Certainty(*maps)
 
 
-def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
+def image_step(layout: Modules, steps: Mapping[int, Step]) -> Step:
     """Return the steps of the modules joined to one step of the image.
 
     Costs and times are summed; the KKT residual, iterations and starts are the largest; the status
-    is the weakest.
-
-    Parameters
-    ----------
-    layout : Modules
-    steps : sequence of Step or None
-        Step of each module, None for a dead one.
+    is the weakest. `steps` are those of each module by number, without dead ones.
     """
-    present = [step for step in steps if step is not None]
+    present = list(steps.values())
     solved = [step for step in present if step.solution.solved]
     counted = solved or present[:1]
     first = present[0].solution
     status = max(
         (step.solution.status for step in solved), key=WEAKEST_LAST.index, default=first.status
     )
+    solutions = {number: step.solution for number, step in steps.items()}
     missing = {"cell_resistance": np.nan, "reading": np.nan, "open_cell": False, "at_lower": False}
-    solutions, bars = (
-        [getattr(step, name, None) for step in steps] for name in ("solution", "bars")
-    )
     parts: dict[str, Any] = {"at": None, "dual": None, "carried": None}
     parts |= {
         name: _joined(layout, solutions, name, fill, slice(-1, None))
@@ -413,31 +389,24 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
         parts[name] = max(getattr(step.solution, name) for step in counted)
     costs = np.sum([step.solution.costs for step in counted], axis=0)
     objective = float(sum(step.solution.objective for step in counted))
-    solution = replace(first, costs=costs, objective=objective, status=status, **parts)
-    frame = _joined_certainty(layout, [getattr(bar, "frame", None) for bar in bars])
-    change = _joined_certainty(layout, [getattr(bar, "change", None) for bar in bars])
+    bars = {number: step.bars for number, step in steps.items()}
+    frame, change = (_joined_certainty(layout, bars, name) for name in ("frame", "change"))
     reading = _joined(layout, bars, "reading", np.nan)
+    # The status, and why modules have no estimate
+    sentences = [status.value]
+    if solved:
+        reasons = {
+            number: steps[number].status if number in steps else "dead"
+            for number in range(layout.count)
+            if number not in steps or not steps[number].solution.solved
+        }
+        sentences += named_modules(layout, reasons, MAX_NAMED)
     return Step(
-        solution,
+        replace(first, costs=costs, objective=objective, status=status, **parts),
         sum(step.seconds for step in present),
-        tuple(
-            float(np.mean(weights))
-            for weights in zip(*(step.weights for step in counted), strict=True)
-        ),
+        tuple(np.mean([step.weights for step in counted], axis=0).tolist()),
         None if frame is None else Bars(frame, change, reading, held_by_all(present)),
         sum(step.bars_seconds for step in present),
-        sentence=_sentence(layout, steps, status),
+        sentence="; ".join(sentences),
         weight_sigma=counted[0].weight_sigma,
     )
-
-
-def _sentence(layout: Modules, steps: Sequence[Step | None], status: Status) -> str:
-    """Return the weakest status of the modules, in words.
-
-    The reasons why modules have no estimate are returned, too, in words.
-    """
-    unsolved = {n: step for n, step in enumerate(steps) if step is None or not step.solution.solved}
-    if len(unsolved) == len(steps):
-        return status.value
-    reasons = {number: "dead" if step is None else step.status for number, step in unsolved.items()}
-    return "; ".join([status.value, *named_modules(layout, reasons, MAX_NAMED)])

@@ -8,18 +8,14 @@ import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background
-from lampest.cost.losses import Squared, Student
 from lampest.cost.problem import Data
-from lampest.cost.terms import Misfit, Term
-from lampest.files.errors import InputError
+from lampest.cost.terms import Term
 from lampest.files.typed import Configuration
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.solvers.posed import Bounds, cost_of_solve, data_of_solve
 from lampest.solvers.solution import Settings
 
-# Student's t with 15 degrees of freedom, and nearly the variance of the noise: c² = ν + 1.
-ROBUST = Student(corner=4.0)
 Rule = Literal["risk", "evidence"]  # function of a weight that its choice minimises
 
 
@@ -72,17 +68,13 @@ class Objective:
 
         Terms that stay keep the deviation of their weight.
         """
-
-        def of_terms(values: tuple[float, ...]) -> tuple[float, ...]:
-            of_term = dict(zip(self.terms, values, strict=False))
-            return tuple(of_term.get(term, np.nan) for term in terms) if of_term else ()
-
+        sigma = dict(zip(self.terms, self.weight_sigma, strict=False))
         return Objective(
             terms,
             solver=self.solver,
             bounds=self.bounds,
             auto_weight=self.auto_weight,
-            weight_sigma=of_terms(self.weight_sigma),
+            weight_sigma=tuple(sigma.get(term, np.nan) for term in terms) if sigma else (),
         )
 
     @property
@@ -101,23 +93,6 @@ class Objective:
             terms=tuple(replace(term, weight=float(weight)) for term, weight in terms),
             weight_sigma=sigma,
         )
-
-    def robust(self) -> Self:
-        """Return the objective whose squared misfits have Student's loss, of corner 4 σ.
-
-        Raises InputError where such a misfit is not weighted by the noise: its corner has no unit.
-        """
-        terms = list[Term]()
-        for term in self.terms:
-            if isinstance(term, Misfit) and isinstance(term.loss, Squared):
-                if term.weighting != "noise":
-                    raise InputError(
-                        "outliers: robust needs misfit: {weighting: noise}, "
-                        "or a loss that is stated there"
-                    )
-                term = replace(term, loss=ROBUST)
-            terms.append(term)
-        return replace(self, terms=tuple(terms))
 
     @property
     def relative(self) -> bool:

@@ -82,7 +82,7 @@ class Directions:
         curvature = np.zeros(len(x))
         curvature[leads] = np.sum(leading * (hessian @ leading), axis=0)
         multipliers = result.of_bounds / np.maximum(CLEAR * np.abs(curvature), SLOPE_ROUNDING)
-        held = _held(x, multipliers, (instance.lower, instance.upper))
+        held = _held(x, multipliers, instance.lower, instance.upper)
         # The smaller one of p and q is at its bound, because their sum costs.
         place = int(np.argmax(names == "split"))
         for part in program.lowered:
@@ -92,7 +92,7 @@ class Directions:
                 held[np.where(x[first] < x[second], first, second)] = True
                 place += 2 * side.shape[0]
         leading = leading[:, ~held[leads]]
-        active = _held(equations, result.of_equations, instance.equations)
+        active = _held(equations, result.of_equations, *instance.equations)
         rows = jacobian[balance + np.flatnonzero(active[balance:])] @ leading
         size = np.linalg.norm(rows, axis=1, keepdims=True)
         basis = leading
@@ -101,8 +101,7 @@ class Directions:
         return cls(held, follows, active, leading, rows, basis)
 
 
-def _held(value: Array, multiplier: Array, limits: tuple[Array, Array]) -> NDArray[np.bool_]:
+def _held(value: Array, multiplier: Array, low: Array, high: Array) -> NDArray[np.bool_]:
     """Return which values a limit holds, see `on_bounds`; equal limits hold always."""
-    low, high = limits
     at_limit = on_bounds(value, multiplier, low, high)
     return np.asarray((low == high) | (at_limit == low) | (at_limit == high))

@@ -21,7 +21,7 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
 from lampest.cost.terms import Term
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.methods.method import OptimalMethod
+from lampest.estimate.methods import named_method
 from lampest.estimate.own_solution import OwnSolution
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError, in_words
@@ -153,17 +153,17 @@ class OwnProgram(SymbolsOwner):
         interface = _interface(self.symbols, self.settings)
         multipliers = None
         if start is not None:
-            multipliers = start.instance.multipliers_of(start.result)
-            multipliers = multipliers.for_program(start.instance.program, self.symbols)
-            multipliers = multipliers.in_units(self.symbols, instance.scale, instance.cost_scale)
+            carried = start.instance.multipliers_of(start.result)
+            carried = carried.for_program(start.instance.program, self.symbols)
+            multipliers = carried.in_units(self.symbols, instance.scale, instance.cost_scale)
         solution = OwnSolution(instance, interface.minimise(instance, multipliers))
         solution = solution.refined(interface)
-        if solution.ended and not solution.solved:
-            # A wide barrier may lead to shorts, of which no reading depends on its cell.
-            without = Multipliers.none(instance)
-            second = solution.ended_at(interface.minimise(instance, without)).refined(interface)
-            solution = second if second.solved else solution
-        return solution
+        if solution.solved or not solution.ended:
+            return solution
+        # A wide barrier may lead to shorts, of which no reading depends on its cell.
+        without = Multipliers.none(instance)
+        second = solution.ended_at(interface.minimise(instance, without)).refined(interface)
+        return second if second.solved else solution
 
     def _instance(self, start: OwnSolution | None) -> Instance:
         """Return the program's instance that begins at equal cells, or at a solution."""
@@ -310,7 +310,7 @@ def _checked_estimator(
         )
     if isinstance(terms, str) or not isinstance(terms, Sequence):
         raise InputError(f"terms must be a sequence of terms, not {terms!r}")
-    method = OptimalMethod("per_pixel" if formulation == "per_pixel" else "nodal")
+    method = named_method(formulation)
     return Estimator(tuple(terms), method, solver=solver, bounds=bounds, error_bars=False)
 
 

@@ -104,20 +104,14 @@ class OwnSolution(SymbolsOwner):
             return Status.ROUNDED
         if modes.definiteness is Definiteness.INDEFINITE:
             return Status.SADDLE
-        if modes.definiteness is Definiteness.UNDETERMINED:
-            return self._status_of_plateau(modes)
-        step = np.abs(self._directions.basis @ modes.step(self._slope))
-        short = np.all(step <= VERIFIED * np.maximum(np.abs(self.result.unknown), 1.0))
-        return Status.OPTIMUM if short else Status.FAINT
-
-    def _status_of_plateau(self, modes: Modes) -> Status:
-        """Return the status of a point with directions of no curvature.
-
-        No cost falls along a plateau. A slope counts beyond the millionth part of the slopes that
-        cancel in it.
-        """
-        gradient, jacobian, _ = self._derivatives
         basis = self._directions.basis
+        if modes.definiteness is not Definiteness.UNDETERMINED:
+            step = np.abs(basis @ modes.step(self._slope))
+            short = np.all(step <= VERIFIED * np.maximum(np.abs(self.result.unknown), 1.0))
+            return Status.OPTIMUM if short else Status.FAINT
+        # No cost falls along a plateau. A slope counts beyond the millionth part of the slopes that
+        # cancel in it.
+        gradient, jacobian, _ = self._derivatives
         slopes = np.abs(gradient) + abs(jacobian).T @ np.abs(self.result.of_equations)
         limit = SLOPE_ROUNDING + VERIFIED * (np.abs(basis).T @ slopes)
         if np.any(np.abs(modes.undetermined(self._slope)) > limit):
@@ -146,19 +140,14 @@ class OwnSolution(SymbolsOwner):
         instance = replace(self.instance, start=self.result.unknown)
         result = interface.fine.minimise(instance, instance.multipliers_of(self.result))
         finer = self.ended_at(result)
-        return finer if finer.improves(self) else self
+        weaker = self.verdict is Status.OPTIMUM and finer.verdict is not Status.OPTIMUM
+        nearer = finer.ended and finer.optimality_error < self.optimality_error
+        return finer if finer.settled or (nearer and not weaker) else self
 
     def ended_at(self, result: ProgramResult) -> "OwnSolution":
         """Return the solution with a further result, and the iterations of both."""
         iterations = self.iterations + result.iterations
         return replace(self, result=replace(result, iterations=iterations))
-
-    def improves(self, other: "OwnSolution") -> bool:
-        """Return whether this solution fulfils the conditions of an optimum better than another."""
-        if self.settled or not self.ended:
-            return self.settled
-        weaker = other.verdict is Status.OPTIMUM and self.verdict is not Status.OPTIMUM
-        return self.optimality_error < other.optimality_error and not weaker
 
     @property
     def iterations(self) -> int:
@@ -191,9 +180,9 @@ class OwnSolution(SymbolsOwner):
         A cell at a bound has zero, an undetermined one infinity. The misfit must be weighted by the
         noise for these numbers to have a meaning.
         """
-        conductance = self.instance.scale / self.instance.cells_of(self.result)
-        relative = self._deviations("conductance").reshape(self.instance.shape) / conductance
-        return np.asarray(self.cell_resistance * relative)
+        # r = s/g: the deviation of r is r²/s times that of g
+        of_conductance = self._deviations("conductance").reshape(self.instance.shape)
+        return self.cell_resistance**2 / self.instance.scale * of_conductance
 
     def value(self, of: str | casadi.SX) -> Array:
         """Return the value of an expression of the program's symbols, or of a name, of its shape.
@@ -201,9 +190,7 @@ class OwnSolution(SymbolsOwner):
         Values are NaN where nothing was solved. The names are those of `covariance`.
         Raises InputError for another name, and for symbols of another program.
         """
-        with_value = self._function(of, "")
-        (values, *_) = self._evaluated(with_value)
-        return self._if_solved(values)
+        return self._if_solved(self._evaluated(self._function(of, ""))[0])
 
     def errors(self, name: str) -> Array:
         """Return the standard deviations of an own unknown, (size,); infinite if undetermined.
@@ -268,9 +255,9 @@ class OwnSolution(SymbolsOwner):
         unknowns in their unit.
         """
         sizes = self.instance.program.unknown.sizes
-        ends = np.cumsum([*sizes.values()])
+        ends = np.cumsum([*sizes.values()]).tolist()
         return {
-            name: slice(int(end) - size, int(end))
+            name: slice(end - size, end)
             for (name, size), end in zip(sizes.items(), ends, strict=True)
         }
 
@@ -328,11 +315,11 @@ class OwnSolution(SymbolsOwner):
         _, outer, explicit = self._evaluated(self._function(of, to))
         if not self.solved:
             return np.full((len(outer), count), np.nan)
-        moved, undetermined = self._moved(to)
-        free = _reaches(outer @ undetermined, np.abs(outer) @ np.abs(undetermined))
-        total = outer @ moved
+        total = outer @ self._moved(to)
         if explicit.shape[1]:
             total += explicit
+        undetermined = self._spread[1]
+        free = _reaches(outer @ undetermined, np.abs(outer) @ np.abs(undetermined))
         return np.where(free[:, None], np.nan, total)
 
     @guarded
@@ -353,8 +340,7 @@ class OwnSolution(SymbolsOwner):
     def _evaluated(self, function: casadi.Function, *more: Array) -> list[Array]:
         """Return the results of a function of x, p and further arguments, as arrays."""
         results = function(self.result.unknown, self.instance.parameter, *more)
-        several = results if isinstance(results, tuple) else (results,)
-        return [np.asarray(result, dtype=float) for result in several]
+        return [np.asarray(result, dtype=float) for result in results]
 
     def _size_of(self, to: str) -> int:
         """Return the number of entries of what a sensitivity is taken to.
@@ -370,18 +356,39 @@ class OwnSolution(SymbolsOwner):
             raise InputError(f"there is no sensitivity to {to}; there is one to {', '.join(sizes)}")
         return sizes[to]
 
-    def _moved(self, to: str) -> tuple[Array, Array]:
-        """Return dx/dp of the unknowns, and the directions that no data determine.
+    def _moved(self, to: str) -> Array:
+        """Return dx/dp of the unknowns, (unknowns, parameters).
 
         With A dx = b along the active constraints, dx = dx₀ + Z w, where dx₀ is any solution of
         them, and Zᵀ∇²L Z w = −Zᵀ(∂∇L/∂p + ∇²L dx₀).
         """
+        instance = self.instance
+        program = instance.program
         modes = self._modes
         assert modes is not None
         directions = self._directions
         _, jacobian, hessian = self._derivatives
-        slopes, limits, moved = self._forces(to)
-        balance = self.instance.program.equation.sizes["balance"]
+        # ∂(∇L)/∂p, the change of the constraints' right sides, and that of held unknowns
+        count = self._size_of(to)
+        slopes: Array = np.zeros((len(self.result.unknown), count))
+        limits: Array = np.zeros((len(self.result.of_equations), count))
+        moved = np.zeros_like(slopes)
+        if to in program.parameter.symbols:
+            forces = _forces_by(program, to)
+            slopes, by_equation = self._evaluated(forces, self.result.of_equations)
+            limits = -by_equation
+        elif to in program.own_constraints:
+            rows = program.equation.named(np.arange(len(limits), dtype=float))[to].astype(int)
+            limits[rows, np.arange(count)] = 1.0
+        else:  # g = s/r at the bound that holds it
+            place = self.places["conductance"]
+            bounds = instance.lower[place], instance.upper[place]
+            other, limit = bounds if to == "lower" else bounds[::-1]
+            value = self.result.unknown[place]
+            nearer = np.abs(value - limit) < np.abs(value - other)
+            held = directions.held[place] & nearer
+            moved[place] = np.diag(np.where(held, -(limit**2) / instance.scale, 0.0))
+        balance = program.equation.sizes["balance"]
         follows = directions.follows
         by_voltage = scipy.sparse.linalg.splu(jacobian[:balance, follows])
         moved[follows] = by_voltage.solve((limits - jacobian @ moved)[:balance])
@@ -391,38 +398,7 @@ class OwnSolution(SymbolsOwner):
             moved += directions.leading @ np.linalg.lstsq(directions.rows, missing)[0]
         basis = directions.basis
         force = basis.T @ (slopes + hessian @ moved)
-        return moved + basis @ modes.step(force), self._spread[1]
-
-    def _forces(self, to: str) -> tuple[Array, Array, Array]:
-        """Return ∂(∇L)/∂p, the change of the constraints' right sides, and of held unknowns.
-
-        Returns
-        -------
-        slopes : array, shape (unknowns, parameters)
-        limits : array, shape (constraints, parameters)
-        moved : array, shape (unknowns, parameters)
-        """
-        instance = self.instance
-        program = instance.program
-        count = self._size_of(to)
-        slopes, moved = (np.zeros((len(self.result.unknown), count)) for _ in range(2))
-        limits = np.zeros((len(self.result.of_equations), count))
-        if to in program.parameter.symbols:
-            forces = _forces_by(program, to)
-            by_gradient, by_equation = self._evaluated(forces, self.result.of_equations)
-            return by_gradient, -by_equation, moved
-        if to in program.own_constraints:
-            rows = program.equation.named(np.arange(len(limits), dtype=float))[to].astype(int)
-            limits[rows, np.arange(count)] = 1.0
-            return slopes, limits, moved
-        # g = s/r at the bound that holds it
-        place = self.places["conductance"]
-        limit = (instance.upper if to == "lower" else instance.lower)[place]
-        other = (instance.lower if to == "lower" else instance.upper)[place]
-        value = self.result.unknown[place]
-        at_limit = self._directions.held[place] & (np.abs(value - limit) < np.abs(value - other))
-        moved[place] = np.diag(np.where(at_limit, -(limit**2) / instance.scale, 0.0))
-        return slopes, limits, moved
+        return moved + basis @ modes.step(force)
 
     def _if_solved(self, values: Array) -> Array:
         """Return values, NaN where nothing was solved."""

@@ -101,14 +101,14 @@ class Parts:
                 # a finished part: its memory continues the stream; a joint baseline is found again
                 # by its frames
                 start = start if part is None else self._with_baseline(start, part)
-                stream = start if self.independent else carried.onto(start)
+                stream = start if self.independent else start.carrying(carried)
             elif part is not None:
                 stream, estimates = part.solve(stream)
-                yield number, estimates, CarriedOver.of(stream)
+                yield number, estimates, stream.carried
                 start = self.stream if self.independent else stream.restarted(self.stream)
                 stream = start
 
-    def _part(self, frames: range) -> MeasuredPart[Estimates] | None:
+    def _part(self, frames: range) -> MeasuredPart | None:
         """Return the measured frames of a range, together with the lead; None without any."""
         part = measured_part(self.stored, frames, WINDOW)
         if part is None:
@@ -117,9 +117,9 @@ class Parts:
         readings = Prepared(recording, self.sample.noise).noise.readings
         recording = replace(recording, scene=self.stream.scene)
         own = _own_frames(recording, frames)
-        return MeasuredPart(recording, own, readings, self.sample, Estimates)
+        return MeasuredPart(recording, own, readings, self.sample)
 
-    def _with_baseline(self, begun: Stream, part: MeasuredPart[Estimates]) -> Stream:
+    def _with_baseline(self, begun: Stream, part: MeasuredPart) -> Stream:
         """Return the stream with its baseline.
 
         The part's frames are pushed until a joint baseline is solved.
@@ -181,10 +181,9 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
         # the strongest frame of the part, by the change of its cleaned readings
         change = mean_change(cleaned.plain_values[places], resting.value)
         size: Array = np.where(cleaned.enough(stored.scene)[places], change, -1.0)
-        strongest_place = int(np.argmax(size))
+        place = int(np.argmax(size))
         assert recording.number is not None
-        number = int(recording.number[places[strongest_place]])
-        candidates.append((float(size[strongest_place]), number))
+        candidates.append((float(size[place]), int(recording.number[places[place]])))
     if not candidates:
         raise InputError(f"{stored.path}: no frame is measured (role 1)")
     number = max(candidates)[1]

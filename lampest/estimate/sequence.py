@@ -1,10 +1,9 @@
 """Estimation of a whole recording."""
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import ceil
-from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +24,6 @@ from lampest.recording.readings import Readings, mean_change
 from lampest.recording.recording import UNLOADED, Recording, baseline_readings, deciding_frames
 from lampest.solvers.solution import Status
 
-Kind = TypeVar("Kind", bound=Estimates)
 # Frames of a segment. Begun at the unloaded panel, its first frame takes up to twice as long as
 # later ones (10 × 10 to 64 × 64), so that segments cost 2 % at most.
 SEGMENT_FRAMES = 50
@@ -45,6 +43,7 @@ def default_terms(recording: Recording) -> tuple[Term, ...]:
     return Misfit(weighting="noise" if noise_known else "plain"), LogGradient()
 
 
+@ONE_BLAS_THREAD
 def reconstruct(
     recording: Recording | Prepared,
     estimator: Estimator,
@@ -67,25 +66,12 @@ def reconstruct(
     InputError
         If the noise is needed and unknown, or `recording` is no Recording.
     """
-    return reconstruct_as(Estimates, recording, estimator, on_frame)
-
-
-@ONE_BLAS_THREAD
-def reconstruct_as(
-    kind: type[Kind],
-    recording: Recording | Prepared,
-    estimator: Estimator,
-    on_frame: OnFrame = lambda done, frames, so_far: None,
-) -> Kind:
-    """Solve every measured frame of a recording, as `reconstruct`, as estimates of a class."""
-    stream, part = begun_as(kind, Prepared.of(recording), estimator)
+    stream, part = begun(Prepared.of(recording), estimator)
     return part.solve(stream, on_frame)[1]
 
 
 @ONE_BLAS_THREAD
-def begun_as(
-    kind: type[Kind], prepared: Prepared, estimator: Estimator
-) -> tuple[Stream, "MeasuredPart[Kind]"]:
+def begun(prepared: Prepared, estimator: Estimator) -> tuple[Stream, "MeasuredPart"]:
     """Return the stream before a recording's first measured frame, and its measured frames.
 
     Raises InputError as `reconstruct`.
@@ -94,11 +80,11 @@ def begun_as(
     recording = prepared.resolved
     readings = prepared.noise.readings
     stream = first_stream(recording, readings, estimator, prepared.noise)
-    return stream, MeasuredPart(recording, recording.measured_frames(), readings, prepared, kind)
+    return stream, MeasuredPart(recording, recording.measured_frames(), readings, prepared)
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredPart(Generic[Kind]):
+class MeasuredPart:
     """Measured frames that are solved from one stream: all of a recording, or some of a long one.
 
     Attributes
@@ -111,19 +97,16 @@ class MeasuredPart(Generic[Kind]):
         Readings of all frames of the recording.
     prepared : Prepared
         Noise, effects and warnings of the estimates.
-    kind : type
-        Class of the estimates.
     """
 
     recording: Recording
     frames: NDArray[np.intp]
     readings: Readings
     prepared: Prepared
-    kind: type[Kind]
 
     def solve(
         self, stream: Stream, on_frame: OnFrame = lambda done, frames, so_far: None
-    ) -> tuple[Stream, Kind]:
+    ) -> tuple[Stream, Estimates]:
         """Solve these frames; see `reconstruct`.
 
         Returns
@@ -144,12 +127,12 @@ class MeasuredPart(Generic[Kind]):
             return stream, self.estimates(stream, steps)
         steps = list[Step]()
 
-        def so_far() -> Kind:
+        def so_far() -> Estimates:
             return self.estimates(stream, steps)
 
-        begun = stream
-        for segment in segments(begun, count):
-            for after, step in self.segment_steps(begun, segment):
+        start = stream
+        for segment in segments(start, count):
+            for after, step in self.segment_steps(start, segment):
                 stream = after
                 steps.append(step)
                 on_frame(len(steps), count, so_far)
@@ -170,14 +153,21 @@ class MeasuredPart(Generic[Kind]):
         verifies = estimator.verify.chosen(readings, stream.resting) & estimator.method.optimum
         number = segment.start
         while number < segment.stop:
-            for after, step in next_steps(stream, readings[number : segment.stop]):
+            steps: Iterable[tuple[Stream, Step]]
+            if stream.takes_blocks and number + 1 < segment.stop:
+                from lampest.estimate.batch import push_block  # for independent frames alone
+
+                steps = push_block(stream, readings[number : segment.stop])
+            else:
+                steps = [stream.push(readings[number])]
+            for after, step in steps:
                 if verifies[number] and step.solution.solved:
                     after, step = stream.verified(readings[number], after, step)
                 stream = after
                 number += 1
                 yield stream, step
 
-    def estimates(self, stream: Stream, steps: Sequence[Step]) -> Kind:
+    def estimates(self, stream: Stream, steps: Sequence[Step]) -> Estimates:
         """Return the estimates of these frames, of which the first ones are solved.
 
         Parameters
@@ -191,7 +181,7 @@ class MeasuredPart(Generic[Kind]):
         solved = (*steps, *[stream.unsolved(Status.BROKEN_OFF)] * remaining)
         estimator = stream.estimator
         present = self.recording.scene.panel.present
-        return self.kind(
+        return Estimates(
             recording=self.recording,
             estimator=estimator,
             frame=self.frames,
@@ -229,19 +219,6 @@ def segments(stream: Stream, count: int) -> list[range]:
 def segment_count(count: int) -> int:
     """Return the number of segments of frames that depend on no earlier one."""
     return ceil(count / SEGMENT_FRAMES)
-
-
-def next_steps(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Step]]:
-    """Generate the stream after its next frame, or after each frame of a block, with the steps.
-
-    `readings` are the next frames, (frames, rows, columns).
-    """
-    if not stream.takes_blocks or len(readings.value) == 1:
-        yield stream.push(readings[0])
-        return
-    from lampest.estimate.batch import push_block  # for independent frames alone
-
-    yield from push_block(stream, readings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,30 +317,27 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     if not estimator.automatic or estimator.auto_weight.per == "frame":
         return estimator
     count = 1 if len(networks) > 1 else None
-    deciding = list[tuple[_Network, Readings]]()
-    for network in networks:
-        readings = network.readings
-        frames = deciding_frames(network.recording, readings, network.resting)[:count]
-        deciding += [(network, readings[frame]) for frame in frames]
+    deciding = [
+        (network, network.readings[frame])
+        for network in networks
+        for frame in deciding_frames(network.recording, network.readings, network.resting)[:count]
+    ]
     if not deciding:
         return estimator
-    numbers = strongest(
-        [
-            float(mean_change(frame.plain_values, network.resting.value))
-            for network, frame in deciding
-        ]
-    )
+    changes = [
+        float(mean_change(frame.plain_values, network.resting.value)) for network, frame in deciding
+    ]
     frames_of = dict[_Network, list[Readings]]()
-    for number in numbers:
+    for number in strongest(changes):
         network, frame = deciding[number]
         frames_of.setdefault(network, []).append(frame)
-    strongest_data, *further = (
+    data, *further = (
         data
         for network, chosen in frames_of.items()
         for data in deciding_data(estimator, network.recording.scene, network.resting, *chosen)
     )
-    strongest_scene = deciding[numbers[0]][0].recording.scene
-    return with_chosen_weights(estimator, strongest_scene, strongest_data, None, further)
+    scene = next(iter(frames_of)).recording.scene
+    return with_chosen_weights(estimator, scene, data, None, further)
 
 
 def deciding_data(

@@ -27,6 +27,8 @@ MIN_INCREASE = 1.1
 # Of a network: with more, inverse Hessians of a block cost more than they save
 # (docs/studies/speed.md).
 MAX_BLOCK_CELLS = 400
+# Memory of a stream between two parts of a long recording, see `Stream.carried`.
+CarriedOver = Mapping[str, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,13 +127,14 @@ class Stream(SequenceState):
         estimator.check(scene)
         _check_frame(resting, scene)
         estimator = in_scene(estimator, scene, resting)
-        hidden, frame = (None, None) if noise is None else (noise.possible_errors, noise.frame)
-        track = (
-            Track(Shared.of(scene, hidden), noise=frame)
-            if estimator.has_error_bars(resting)
-            else None
+        hidden, frame, panels = (
+            (None, None, None)
+            if noise is None
+            else (noise.possible_errors, noise.frame, noise.panels)
         )
-        panels = None if noise is None else noise.panels
+        track = None
+        if estimator.has_error_bars(resting):
+            track = Track(Shared.of(scene, hidden), noise=frame)
         return cls(estimator, scene, period, resting, track=track, frame_noise=frame, panels=panels)
 
     @ONE_BLAS_THREAD
@@ -172,16 +175,24 @@ class Stream(SequenceState):
 
     @property
     def carried(self) -> dict[str, Array]:
-        """Memory that the frames of the next part of a long recording need, by name."""
+        """Memory that the frames of the next part of a long recording need, by name.
+
+        The arrays can be written to a file: the last estimate, its deviation and the memory of
+        error bars; of a panel those of each module, with its number before the names. The initial
+        stream, with scene, estimator and baseline, is not included.
+        """
         arrays: dict[str, Any] = {"previous": self.previous}
         if self.track is not None:
             arrays |= {"deviation": self.track.deviation, "answers": self.track.answers}
             if self.track.memory is not None:
                 arrays |= vars(self.track.memory)
-        present = {name: value for name, value in arrays.items() if value is not None}
-        return {name: np.atleast_1d(np.asarray(value, float)) for name, value in present.items()}
+        return {
+            name: np.atleast_1d(np.asarray(value, float))
+            for name, value in arrays.items()
+            if value is not None
+        }
 
-    def carrying(self, arrays: Mapping[str, Array]) -> Self:
+    def carrying(self, arrays: CarriedOver) -> Self:
         """Return the stream after the frames whose memory is given, from the one before them."""
         track = self.track
         if track is not None:
@@ -224,11 +235,11 @@ class Stream(SequenceState):
             self.scene
         ):
             return self, self.unsolved(Status.UNRESTED)
-        if self.chooses_weights and not self.choosing(readings):
-            stream, step = method.push(replace(self, estimator=self.weighted), readings)
-            return replace(stream, estimator=self.estimator), self._as_compared(step)
-        stream, step = method.push(self, readings)
-        if self.chooses_weights and step.solution.solved:
+        chooses = self.chooses_weights and self.choosing(readings)
+        estimator = self.estimator if chooses else self.weighted
+        stream, step = method.push(replace(self, estimator=estimator), readings)
+        stream = replace(stream, estimator=self.estimator)
+        if chooses and step.solution.solved:
             stream = replace(
                 stream,
                 weights=step.weights,
@@ -274,18 +285,16 @@ class Stream(SequenceState):
         return self.rested and not self.estimator.uses_previous and not self.chooses_weights
 
     @property
-    def is_independent(self) -> bool:
-        """Whether estimates depend on no other measured frame, and cells are the only unknowns."""
+    def takes_blocks(self) -> bool:
+        """Whether several of the next frames may be solved over a leading axis.
+
+        Their estimates depend on no other measured frame, and cells are the only unknowns.
+        """
         estimator = self.estimator
-        if not self.forgets or estimator.automatic or estimator.relative:
+        many = self.scene.panel.crossings > MAX_BLOCK_CELLS
+        if many or self.first or not self.forgets or estimator.automatic or estimator.relative:
             return False
         return estimator.problem(self.scene, 1, self.period).cells_alone
-
-    @property
-    def takes_blocks(self) -> bool:
-        """Whether several of the next frames may be solved over a leading axis."""
-        few = self.scene.panel.crossings <= MAX_BLOCK_CELLS
-        return few and not self.first and self.is_independent
 
     @property
     def chooses_weights(self) -> bool:
@@ -341,24 +350,3 @@ def _check_frame(readings: Readings, scene: Scene) -> None:
             f"a stream takes one frame of {requested} readings, not {held}; "
             "of several, take one or their mean()"
         )
-
-
-@dataclass(frozen=True, eq=False)
-class CarriedOver:
-    """Memory of a stream between two parts of a long recording.
-
-    The memory consists of arrays by name that can be written to a file: the last estimate, its
-    deviation and the memory of error bars; of a panel those of each module, with its number before
-    the names. The initial stream, with scene, estimator and baseline, is not included.
-    """
-
-    arrays: Mapping[str, Array]
-
-    @classmethod
-    def of(cls, stream: Stream) -> "CarriedOver":
-        """Return the memory of a stream."""
-        return cls(stream.carried)
-
-    def onto(self, begun: Stream) -> Stream:
-        """Return the stream after those frames, given the stream with its baseline before them."""
-        return begun.carrying(self.arrays)

@@ -66,10 +66,9 @@ def with_usual_scale(estimator: Estimator, scene: Scene, readings: Readings) -> 
     if not estimator.relative:
         resting = LogRatio(weight=square / RESTING_PERCENT**2, loss=Huber(corner=CORNER_PERCENT))
         priors = (resting, *priors)
-    unchosen = (np.nan,) * len(priors)
-    sigmas = estimator.weight_sigma
+    chosen = estimator.weight_sigma
     return replace(
         estimator,
         terms=(*estimator.terms, *priors),
-        weight_sigma=(*sigmas, *unchosen) if sigmas else (),
+        weight_sigma=chosen and (*chosen, *[np.nan] * len(priors)),
     )

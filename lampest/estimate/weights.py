@@ -263,9 +263,8 @@ class WeightSearch:
             for n, weight in enumerate(near.weights)
         ]
         moved: Array = np.zeros(len(weights))
-        previous: Array = np.zeros(len(weights))
-        low: Array = np.full(len(weights), -np.inf)
-        high: Array = np.full(len(weights), np.inf)
+        previous = moved
+        low, high = moved - np.inf, moved + np.inf
         for _ in range(MAX_SOLVES):
             near = self._solved(weights, near.cells, scale)
             place = np.log(weights)
@@ -275,13 +274,11 @@ class WeightSearch:
                 high = np.where(ascent < 0, place, high)
             # Secant of the step over ln λ: a step that reverses is shortened, because estimate and
             # weights would swing.
-            with np.errstate(divide="ignore", invalid="ignore"):
-                share = moved / (previous - step)
+            share = moved / (previous - step)
             share = np.where(share > 0, np.clip(share, MIN_SHARE, 1.0), 1.0)
             previous = step
             # What the linear model says far away may contradict the estimates that were there.
-            with np.errstate(invalid="ignore"):
-                middle = np.where(np.isfinite(low + high), (low + high) / 2, place + ascent)
+            middle = np.where(np.isfinite(low + high), (low + high) / 2, place + ascent)
             target = place + share * step
             moved = np.where((low < target) & (target < high), target, middle) - place
             if np.abs(moved).max() < SETTLED:
@@ -358,29 +355,22 @@ class EvidencePoint:
         """
         model = self.errors.model
         counted = model.data_curvature > 0
+        count = int(counted.sum())
         penalties = np.unique(model.penalty_term)
         # γ: the unknowns that no penalty restricts, and those that the data determine against each
         # penalty
         bound = min(rank(model.at.cost.unweighted), len(model.free))
         by_penalties = sum(self.errors.determined(int(number)) for number in penalties)
         determined = len(model.free) - bound + by_penalties
-        size = MAD_TO_SIGMA * float(
-            np.median(np.abs(model.residual[counted]) / model.noise[counted])
-        )
-        return (
-            int(counted.sum()),
-            max(float(counted.sum()) - determined, 0.0),
-            float(counted.sum()) * size**2,
-        )
+        size = float(np.median(np.abs(model.residual[counted]) / model.noise[counted]))
+        return count, max(count - determined, 0.0), count * (MAD_TO_SIGMA * size) ** 2
 
     @property
     def slope(self) -> float:
         """Derivative of −2 ln posterior by ln s², n − γ − Σ x²/τ² + ν (1 − 1/s²)."""
         count, freedom, squares = self.residuals
-        prior = 0.0
-        if self.errors.model.at.data.noise_known:
-            prior = NOISE_BELIEF * count * (1 - self.scale**-2)
-        return freedom - squares + prior
+        belief = NOISE_BELIEF * count if self.errors.model.at.data.noise_known else 0.0
+        return freedom - squares + belief * (1 - self.scale**-2)
 
     @property
     def residual_scale(self) -> float:
@@ -401,12 +391,7 @@ def most_evident(points: Sequence[EvidencePoint]) -> float:
         length = 2 * np.log(above.scale / below.scale)
         if below.slope < 0 <= above.slope:
             share = below.slope / (below.slope - above.slope)
-            best = min(
-                best,
-                (
-                    level + below.slope * share * length / 2,
-                    below.scale * np.exp(share * length / 2),
-                ),
-            )
+            way = share * length / 2
+            best = min(best, (level + below.slope * way, below.scale * np.exp(way)))
         level += (below.slope + above.slope) * length / 2
     return min(best, (level, points[-1].scale))[1]

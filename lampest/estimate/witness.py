@@ -82,8 +82,7 @@ def compared(solution: Solution, witness: Solution) -> Verification:
         return Verification(Witness.FAILED)
     if not solution.optimum:
         return Verification(Witness.LOWER)
-    ratio = np.abs(np.log(solution.cell_resistance / witness.cell_resistance))
-    difference = float(ratio.max())
+    difference = float(np.abs(np.log(solution.cell_resistance / witness.cell_resistance)).max())
     negligible = 0.0 if witness.at is None else SAME_COST * witness.at.cost_scale
     scale = max(abs(solution.objective), negligible)
     change = (witness.objective - solution.objective) / scale

@@ -4,7 +4,7 @@ Each method imports the libraries that it needs; access to the cells loads none.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from html import escape
 from importlib.util import find_spec
@@ -15,7 +15,7 @@ import numpy as np
 
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.sequence import reconstruct_as
+from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import extra
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
@@ -62,9 +62,10 @@ class Reconstruction(Estimates):
         `on_frame` receives the numbers of solved and of all frames. Raises InputError if estimator
         and recording do not fit.
         """
-        return reconstruct_as(
-            cls, recording, estimator, lambda done, frames, so_far: on_frame(done, frames)
+        estimates = reconstruct(
+            recording, estimator, lambda done, frames, so_far: on_frame(done, frames)
         )
+        return cls(**{field.name: getattr(estimates, field.name) for field in fields(estimates)})
 
     @property
     def weights(self) -> dict[str, Array]:

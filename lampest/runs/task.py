@@ -17,7 +17,7 @@ from pathlib import Path
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.parts import Parts, asked_frames
-from lampest.estimate.sequence import MeasuredPart, begun_as, reconstruct, segments
+from lampest.estimate.sequence import MeasuredPart, begun, reconstruct, segments
 from lampest.estimate.state import Step
 from lampest.estimate.stream import CarriedOver, Stream
 from lampest.files import hdf5
@@ -200,7 +200,7 @@ def solve_part(part: tuple[Task, int]) -> None:
     if isinstance(recording, StoredRecording):
         parts = _parts(task.case.estimator, recording)
         # The other parts count as solved.
-        solved = parts.estimates(lambda at: None if at == number else CarriedOver({}))
+        solved = parts.estimates(lambda at: None if at == number else {})
         for _ in task.write_parts(solved):
             pass
 
@@ -241,8 +241,8 @@ def solve_segment(segment: CaseSegment) -> list[Step]:
 
 
 @lru_cache(maxsize=1)  # a process solves several segments of a case
-def _begun(prepared: Prepared, estimator: Estimator) -> tuple[Stream, MeasuredPart[Estimates]]:
-    return begun_as(Estimates, prepared, estimator)
+def _begun(prepared: Prepared, estimator: Estimator) -> tuple[Stream, MeasuredPart]:
+    return begun(prepared, estimator)
 
 
 def solve_long(task: Task, stored: StoredRecording) -> StoredCase:
@@ -282,7 +282,7 @@ def write_carried(path: Path, carried: CarriedOver) -> None:
     with hdf5.new_file(path) as file:
         hdf5.set_attributes(file, lampest_format=CARRIED)
         group = file.create_group("carried")
-        for name, values in carried.arrays.items():
+        for name, values in carried.items():
             unit = "ohm" if name.endswith("previous") else "1"
             hdf5.write_dataset(group, name, values, unit, name.replace("_", " "))
 
@@ -293,9 +293,7 @@ def read_carried(path: Path) -> CarriedOver:
         if hdf5.read_attribute(file, "/", "lampest_format") != CARRIED:
             raise InputError(f"{path}: is not the remainder of a part of a case")
         names = hdf5.children(file, "/carried")
-        return CarriedOver(
-            {name: hdf5.read_array(file, f"/carried/{name}", (1, 2, 3, 4)) for name in names}
-        )
+        return {name: hdf5.read_array(file, f"/carried/{name}", (1, 2, 3, 4)) for name in names}
 
 
 def _kept_frames(

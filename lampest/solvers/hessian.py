@@ -325,10 +325,8 @@ class Hessian:
     def _kinked_matrix(self) -> Array:
         """Part (∂x/∂u)ᵀ diag(w·ψ'') ∂x/∂u of the absolute losses in the Hessian, dense."""
         cells = self.at.cell_resistance
-        numbers, columns, begins = self.at.cost.functions.nonsmooth_by_cells
-        entries = self._kinked.data[numbers] * cells.ravel()[columns]
-        rows = sparse.csr_array((entries, columns, begins), (len(self._kinks), cells.size))
-        if len(numbers) == self._kinked.nnz:
+        rows = by_log(self._kinked[:, : cells.size], cells).tocsr()
+        if rows.nnz == self._kinked.nnz:
             return SparseRows(rows).square(self._kinks)
         by_reading = self._kinked[:, cells.size :]
         return weighted_square(rows.toarray() + by_reading @ self.jacobian, self._kinks)

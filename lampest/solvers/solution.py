@@ -367,7 +367,7 @@ class Solver(ABC):
 
     def prepare(self) -> None:
         """Compile the cost, so that the time of the first solve excludes it."""
-        self.cost.compile()
+        _ = self.cost.functions
 
     def continued(self, carried: object) -> "Solver":
         """Return the solver that begins with the data `carried` by the previous frame's solution.

@@ -28,7 +28,7 @@ from lampest.estimate.methods.joint import Joint, error_bars
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.sequence import default_terms
-from lampest.estimate.stream import CarriedOver, Stream
+from lampest.estimate.stream import Stream
 from lampest.estimate.weights import converter_and_faults, strongest
 from lampest.files.errors import InputError
 from lampest.inference.prepared import Prepared
@@ -671,10 +671,10 @@ def batches_row() -> dict[str, Any]:
         recorded = recording.recorded[4:7].copy()
         inverses = InverseHessians.nothing(3)
         recorded[0, 1, 2] = np.nan if name in ("bars", "bare") else recorded[0, 1, 2]
-        pairs, inverses = push_streams(
-            [stream, None, stream], lp.Readings.of(recording.scene, recorded), inverses
+        pushed, inverses = push_streams(
+            {0: stream, 2: stream}, lp.Readings.of(recording.scene, recorded), inverses
         )
-        steps = [step and step.cell_resistance for _, step in pairs]
+        steps = [pushed[0][1].cell_resistance, None, pushed[2][1].cell_resistance]
         rows[name] = [
             inverses.positive,
             np.array([panel is None for panel in inverses.panels]),
@@ -712,16 +712,16 @@ def modules_row() -> list[Any]:
             stream, step = stream.push(readings[number])
             parts = [
                 part and (part.weights, part.weight_sigma, part.weighed_at)
-                for part in stream.modules
+                for part in map(stream.modules.get, range(layout.count))
             ]
             rows.append([step.cell_resistance, parts])
         fresh = begin_stream(estimator, scene, 0.1, readings[:2].mean())
-        carried = CarriedOver.of(stream)
+        carried = stream.carried
         rows += [
-            carried.arrays,
+            carried,
             *(
                 target.push(readings[3])[1].cell_resistance
-                for target in (carried.onto(fresh), stream)
+                for target in (fresh.carrying(carried), stream)
             ),
         ]
         rows.append(stream.tared(readings[4]).push(readings[3])[1].cell_resistance)

@@ -18,7 +18,6 @@ from lampest.estimate import batch
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.sequence import first_stream, reconstruct
-from lampest.estimate.stream import CarriedOver
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import EachModule, Modules, Panel
@@ -192,17 +191,16 @@ def test_a_sequence_resumes_from_its_saved_arrays(panel: str) -> None:
     first, second, third = recording.measured_frames()
     for frame in (first, second):
         stream, _ = stream.push(readings[frame])
-    carried = CarriedOver.of(stream)
+    carried = stream.carried
     restarted = stream.restarted(initial)
-    restored = carried.onto(initial)
+    restored = initial.carrying(carried)
     shapes = [
-        {name: values.shape for name, values in of.arrays.items()}
-        for of in (carried, CarriedOver.of(restored))
+        {name: values.shape for name, values in of.items()} for of in (carried, restored.carried)
     ]
     assert not restored.first and shapes[0] == shapes[1]
     assert all(
-        part is None or part.prepared is None
-        for part in (restarted.modules if restarted.joined else (restarted,))
+        part.prepared is None
+        for part in (restarted.modules.values() if restarted.joined else (restarted,))
     )
     (_, expected), (_, step) = (each.push(readings[third]) for each in (restarted, restored))
     assert_allclose(step.cell_resistance, expected.cell_resistance, rtol=1e-12)
@@ -211,10 +209,9 @@ def test_a_sequence_resumes_from_its_saved_arrays(panel: str) -> None:
     pairs = np.random.default_rng(1).standard_normal((2, 2, 4, 5))
     track = replace(part.track, memory=SampledMemory(pairs[0], 3), answers=pairs[1])
     tracked = replace(part, track=track)
-    track = CarriedOver.of(
-        replace(stream, modules=(tracked, *stream.modules[1:])) if stream.joined else tracked
-    ).onto(stream)
-    track = (track.modules[0] if stream.joined else track).track
+    whole = replace(stream, modules={**stream.modules, 0: tracked}) if stream.joined else tracked
+    again = stream.carrying(whole.carried)
+    track = (again.modules[0] if stream.joined else again).track
     assert isinstance(track.memory, SampledMemory) and track.memory.frames == 3
     assert_allclose([track.memory.samples, track.answers], pairs)
 

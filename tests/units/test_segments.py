@@ -11,8 +11,7 @@ from promises import promise
 
 import lampest
 from lampest import CaseResult, read_results
-from lampest.estimate.estimates import Estimates
-from lampest.estimate.sequence import SEGMENT_FRAMES, begun_as, reconstruct, segments
+from lampest.estimate.sequence import SEGMENT_FRAMES, begun, reconstruct, segments
 from lampest.files.errors import InputError
 from lampest.inference.prepared import Prepared
 from lampest.runs import batch, config
@@ -96,7 +95,7 @@ def test_a_segment_depends_on_no_frame_before_it(long: SimpleNamespace) -> None:
     recording = lampest.Recording.load(long.folder / "long.h5")
     [case] = long_run(long).cases
     whole = reconstruct(recording, case.estimator)
-    stream, frames = begun_as(Estimates, Prepared(recording), case.estimator)
+    stream, frames = begun(Prepared(recording), case.estimator)
     first, second, third = segments(stream, FRAMES)
     assert (first.start, third.stop) == (0, FRAMES) and second.start == first.stop
     alone = [step.cell_resistance for _, step in frames.segment_steps(stream, second)]

@@ -50,19 +50,11 @@ class UncorrectedMethod(Method):
         self, solver: Solver, data: Data, previous: Array | None, prepared: Any
     ) -> Solution:
         """Return the closed form within the bounds."""
-        readout = data.readout
-        measured = data.measured
-        cells = (
-            readout.apparent_resistance(measured)
-            if self.kind == "naive"
-            else readout.uniform_start(measured)
-        )
+        cells = data.apparent_resistance if self.kind == "naive" else data.uniform_start
         cells = np.clip(cells, data.lower, data.upper)
-        return approximation(
-            solver.cost,
-            data,
-            Outcome(cells, np.zeros(len(solver.cost.slope)), Status.APPROXIMATE, 0),
-        )
+        dual = np.zeros(len(solver.cost.slope))
+        outcome = Outcome(cells, dual, Status.APPROXIMATE, 0)
+        return approximation(solver.cost, data, outcome)
 
 
 @dataclass(frozen=True)
@@ -87,10 +79,8 @@ class TruncatedMethod(Method):
     ) -> Solution:
         """Return the point after the last step."""
         start = evaluated(solver.cost, data, data.uniform_start if previous is None else previous)
-        outcome = ProjectedNewton(solver.cost, Settings(max_iterations=self.steps)).solve(
-            data, start
-        )
-        return approximation(solver.cost, data, outcome)
+        newton = ProjectedNewton(solver.cost, Settings(max_iterations=self.steps))
+        return approximation(solver.cost, data, newton.solve(data, start))
 
 
 @dataclass(frozen=True)
@@ -110,19 +100,12 @@ class LinearisedMethod(Method):
 
         A failed baseline has no factor.
         """
-        absolute = state.without_comparisons()
-        reduced = OptimalMethod("reduced")
-        start = state.with_baseline(
-            reduced.solve(absolute, *reduced.data_and_start(absolute, state.resting))
-        )
+        start = OptimalMethod("reduced").begin(state)
         if start.previous is None:
             return start
-        objective = state.estimator
-        background = replace(
-            state.background, previous=start.previous if objective.relative else None
-        )
-        data = objective.data(state.resting.alone(), background)
-        cost = objective.cost(state.scene, 1, partial=data.partial)
+        background = replace(state.background, previous=start.previous)
+        data = state.estimator.data(state.resting.alone(), background)
+        cost = state.estimator.cost(state.scene, 1, partial=data.partial)
         with suppress(*BROKEN):
             at = evaluated(cost, data, start.previous[None])
             return replace(start, prepared=(at, inverse_hessian(at)))
@@ -143,11 +126,9 @@ class LinearisedMethod(Method):
                 # −H_b⁻¹ ∇φ(r_b), with the gradient of the frame's cost at the baseline's cells
                 step = np.clip(-inverse(Hessian(at, smoothing).gradient), -MAX_STEP, MAX_STEP)
                 cells = at.cell_resistance * np.exp(step).reshape(at.cell_resistance.shape)
-                return approximation(
-                    solver.cost,
-                    data,
-                    Outcome(cells, smoothing.slope(at.nonsmooth), Status.APPROXIMATE, 1),
-                )
+                dual = smoothing.slope(at.nonsmooth)
+                outcome = Outcome(cells, dual, Status.APPROXIMATE, 1)
+                return approximation(solver.cost, data, outcome)
         return OptimalMethod("reduced").solution(solver, data, previous, None)
 
 

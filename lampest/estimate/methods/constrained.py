@@ -28,7 +28,7 @@ from lampest.posterior.certainty import Certainty
 from lampest.posterior.track import Bars
 from lampest.recording.readings import Readings
 from lampest.solvers.multistart import evaluated
-from lampest.solvers.solution import Outcome, Settings, Solution, Solver, solution_at
+from lampest.solvers.solution import Outcome, Settings, Solution, Solver, failure, solution_at
 
 
 @dataclass(frozen=True)
@@ -125,12 +125,11 @@ class ConstrainedMethod(Method):
 
         Raises InputError where the formulation has no program.
         """
-        kind = "nodal" if method.kind == "auto" else method.kind
-        if not isinstance(method, OptimalMethod) or kind not in EXCITATIONS or method.joint:
+        if not isinstance(method, OptimalMethod) or method.kind == "reduced" or method.joint:
             raise InputError(
                 f"constraints need formulation: {', '.join(EXCITATIONS)} or auto, of single frames"
             )
-        return cls("per_pixel" if kind == "per_pixel" else "nodal", parts)
+        return cls("per_pixel" if method.kind == "per_pixel" else "nodal", parts)
 
     def check(self, terms: tuple[Term, ...]) -> None:
         """Raise InputError where a term weighs the previous frame by its error bars."""
@@ -155,11 +154,8 @@ class ConstrainedMethod(Method):
         solved = outcome.carried
         assert isinstance(solved, OwnSolution)
         if not solved.solved:
-            cells = np.full(data.measured.shape, np.nan)
-            failed = solution_at(start, np.nan, outcome, outcome.status)
-            unknown = np.full(len(failed.costs), np.nan)
-            failed = replace(failed, at=None, carried=None, objective=np.nan, costs=unknown)
-            return replace(failed, cell_resistance=cells, reading=cells, solver=solver.name)
+            failed = failure(solver.cost, data, outcome.status, np.nan, outcome)
+            return replace(failed, solver=solver.name)
         cells = np.clip(outcome.cell_resistance, data.lower, data.upper)
         at = start.elsewhere(cells)
         solution = solution_at(at, solved.optimality_error, outcome, outcome.status)

@@ -112,18 +112,16 @@ class Joint:
         start = np.pad(
             np.concatenate([alone[:1], lasting, alone[-1:]]), ((0, 0), (0, drawn.shape[2]))
         )
-        border = np.zeros((count, size, 0))
-        steps = np.zeros(count - 1)
         joint = cls(
             tuple(cost),
             tuple(data),
             errors,
             alone,
             drawn,
-            border,
-            start,
-            steps,
-            np.zeros((count - 1, size)),
+            shared=np.zeros((count, size, 0)),
+            position=start,
+            shift=np.zeros(count - 1),
+            stiffness=np.zeros((count - 1, size)),
         )
         return replace(joint, position=np.clip(start, *joint.bounds)).sharing()
 
@@ -165,14 +163,11 @@ class Joint:
         offsets = self.shared @ self.shift[: self._sharing] + np.einsum(
             "tri,ti->tr", self.drawn, self.chance
         )
-        for cost, data, position, offset in zip(
-            self.cost, self.data, self.log_cells, offsets, strict=True
-        ):
+        cells = np.exp(self.log_cells)
+        for cost, data, own, offset in zip(self.cost, self.data, cells, offsets, strict=True):
             measured = data.measured - offset.reshape(data.measured.shape)
             shifted = replace(data, given=replace(data.given, measured=measured))
-            evaluations.append(
-                Evaluation.at(cost, shifted, np.exp(position).reshape(measured.shape))
-            )
+            evaluations.append(Evaluation.at(cost, shifted, own.reshape(measured.shape)))
         return tuple(evaluations)
 
     @property
@@ -198,7 +193,7 @@ class Joint:
     @property
     def steps(self) -> Array:
         """u_{t+1} − u_t − c_t, (frames − 1, cells)."""
-        return np.asarray(np.diff(self.log_cells, axis=0) - self.shift[self._sharing :, None])
+        return np.diff(self.log_cells, axis=0) - self.shift[self._sharing :, None]
 
     @cached_property
     def value(self) -> float:
@@ -225,7 +220,7 @@ class Joint:
     def ties(self) -> Array:
         """Sum of λ of the steps before and after each frame, (frames, cells)."""
         tied = np.pad(self.stiffness, ((1, 1), (0, 0)))
-        return np.asarray(tied[1:] + tied[:-1])
+        return tied[1:] + tied[:-1]
 
     @cached_property
     def gradient(self) -> Array:
@@ -375,7 +370,7 @@ class Joint:
         shifted = np.zeros((len(self.stiffness), len(self.shift)))
         shifted[:, self._sharing :] = np.eye(len(self.stiffness))
         # E x² = x² + var(u_{t+1} − u_t − c_t)
-        return np.asarray(self.steps**2 + self.chain.step_variance(shifted)[:, : self.cells])
+        return self.steps**2 + self.chain.step_variance(shifted)[:, : self.cells]
 
     def newton(self) -> tuple[Array, Array]:
         """Return the Gauss-Newton step.
@@ -547,8 +542,9 @@ def error_bars(
     answer = joint.answer(joint.responses(beyond))
     chain = joint.uncertain
     numbers = range(resting - 1, len(joint.position))
-    certainties = (_certainty(joint, chain, t).widened(answer[t]).of_frame(0) for t in numbers)
-    baseline, *certainty = (certainty_.by_conductance() for certainty_ in certainties)
+    baseline, *certainty = (
+        _certainty(joint, chain, t).widened(answer[t]).of_frame(0).by_conductance() for t in numbers
+    )
     # cov(u_t, u_baseline) of each cell, for the variance of changes: from Φ, and from the errors
     # beyond it
     covariances = chain.since(resting - 1)[1:, : joint.cells] + np.sum(

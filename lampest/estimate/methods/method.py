@@ -229,7 +229,7 @@ class Method(Configuration):
 
     def begin(self, state: AnyState) -> AnyState:
         """Return the state with its baseline, which is solved alone."""
-        absolute = state.without_comparisons() if state.estimator.relative else state
+        absolute = state.without_comparisons()
         first = self.solve(absolute, *self.data_and_start(absolute, state.resting))
         settled, baseline = self._with_contacts(absolute, state.resting, first)
         state = replace(state, scene=settled.scene, track=settled.track)
@@ -378,7 +378,7 @@ class Method(Configuration):
 
         def moved(readings: Readings) -> Array:
             ended = self._elsewhere(state, readings, solved.solution.cell_resistance)
-            return np.asarray(np.log(ended.cell_resistance / solved.cell_resistance))
+            return np.log(ended.cell_resistance / solved.cell_resistance)
 
         missing = readings.missing(state.scene)
         return beyond_tangents(
@@ -448,20 +448,16 @@ class OptimalMethod(Method):
         """
         solution = best_solution(solver, data, previous, prepared)
         is_newton = solver.cells_alone
-        if not is_newton and previous is not None and _elsewhere(solution, data, previous):
-            newton = solver_of(solver.cost, data.readout, data.wiring, "reduced", solver.settings)
-            nearer = best_solution(newton, data, previous)
-            return nearer if nearer.optimum else solution
+        astray = not is_newton and previous is not None and _elsewhere(solution, data, previous)
         enough = solution.optimum if is_newton else solution.strict
-        if self.kind != "auto" or enough or data.overdue:
+        many = is_newton and solver.cost.panel.crossings > FALLBACK_CELLS
+        if not astray and (self.kind != "auto" or enough or many or data.overdue):
             return solution
-        if is_newton and solver.cost.panel.crossings > FALLBACK_CELLS:
-            return solution
-        second_kind = "nodal" if is_newton else "reduced"
-        second_solver = solver_of(
-            solver.cost, data.readout, data.wiring, second_kind, solver.settings
-        )
-        second = best_solution(second_solver, data, previous)
+        kind = "nodal" if is_newton else "reduced"
+        other = solver_of(solver.cost, data.readout, data.wiring, kind, solver.settings)
+        second = best_solution(other, data, previous)
+        if astray:
+            return second if second.optimum else solution
         return second if settles(second, solution) else lower_of(solution, second)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:

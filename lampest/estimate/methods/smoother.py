@@ -138,10 +138,9 @@ class SmootherMethod(Method):
         # The unloaded frames enter as means of a few parts, so that a wrong reading in one part can
         # be identified.
         numbers = np.flatnonzero(resting.enough(state.scene))
-        parts = (
-            np.array_split(numbers, min(len(numbers), MAX_UNLOADED_PARTS)) if len(numbers) else []
-        )
-        groups = [resting[part].mean().beside(len(parts)) for part in parts] or [state.resting]
+        count = min(len(numbers), MAX_UNLOADED_PARTS)
+        parts = np.array_split(numbers, count) if count else []
+        groups = [resting[part].mean().beside(count) for part in parts] or [state.resting]
         state, steps = self._together(state, groups, read, [], on_frame)
         missing = state.unsolved(Status.UNREAD if rested else Status.UNRESTED)
         solved = iter(steps)
@@ -154,11 +153,10 @@ class SmootherMethod(Method):
         read = (*earlier, readings)[-1 - self.lag :]
         cells = estimates[-self.lag :]
         after, steps = self._together(state, [state.resting], read, cells, lambda: None)
-        newest = steps[-1]
-        if not newest.solution.solved:
-            return state, newest
-        cells_of_steps = tuple(step.cell_resistance for step in steps)
-        return replace(after, prepared=(read, cells_of_steps)), newest
+        if not steps[-1].solution.solved:
+            return state, steps[-1]
+        cells = tuple(step.cell_resistance for step in steps)
+        return replace(after, prepared=(read, cells)), steps[-1]
 
     def _together(
         self,
@@ -183,8 +181,9 @@ class SmootherMethod(Method):
         on_frame : callable
             Called after every frame that is solved alone.
         """
-        if not readings or state.baseline is None or not state.baseline.solution.solved:
-            return state, [state.unsolved(Status.BREAKDOWN) for _ in readings]
+        broken = [state.unsolved(Status.BREAKDOWN)] * len(readings)
+        if not readings or not state.rested:
+            return state, broken
         begin = perf_counter()
         data, start = _begun(state, resting, readings, cells, on_frame)
         with delayed_interrupt(), suppress(*BROKEN), np.errstate(all="ignore"):
@@ -197,9 +196,7 @@ class SmootherMethod(Method):
             baseline, *steps = (Step(solution, seconds, (1.0,)).bare() for solution in solutions)
             if track is not None and baseline.solution.solved:
                 begin = perf_counter()
-                shared = None
-                if track.shared is not None:
-                    shared = track.shared.beyond(joint.errors)
+                shared = track.shared and track.shared.beyond(joint.errors)
                 certainty, bars = error_bars(joint, len(resting), shared)
                 seconds = (perf_counter() - begin) / len(solutions)
                 track = replace(track, baseline=certainty)
@@ -208,11 +205,14 @@ class SmootherMethod(Method):
                     replace(s, bars=bar, bars_seconds=seconds) if s.solution.solved else s
                     for s, bar in pairs
                 ]
-            baseline = baseline if baseline.solution.solved else state.baseline
-            return replace(
-                state, baseline=baseline, previous=steps[-1].estimate(0), track=track
-            ), steps
-        return state, [state.unsolved(Status.BREAKDOWN) for _ in readings]
+            state = replace(
+                state,
+                baseline=baseline if baseline.solution.solved else state.baseline,
+                previous=steps[-1].estimate(0),
+                track=track,
+            )
+            return state, steps
+        return state, broken
 
     def least_cost(self, state: SequenceState, readings: Sequence[Readings]) -> Joint:
         """Return Φ at its minimum over some frames, which may include unloaded ones.
@@ -338,7 +338,7 @@ class Walk:
         # d/dS κ² S/(κ² + S) = 1/(1 + S/κ²)², then the chain rule through K and log(1 + a)
         slope = averaged(1 / (1 + self._size(squares) / self.most**2) ** 2) / self.deviation**2
         scale = (1 + self.most**2 / (1 + self.most**2)) * (1 + self.most**-2) ** 2  # k
-        return np.asarray(scale * slope / (1 + self.unrest(squares)) + ASSUMED.jump**-2)
+        return scale * slope / (1 + self.unrest(squares)) + ASSUMED.jump**-2
 
     def unrest(self, squares: Array) -> Array:
         """Return a, the unrest of every cell, (cells,)."""
@@ -405,7 +405,7 @@ def averaged(steps: Array) -> Array:
     The first and the last step are repeated at the ends.
     """
     around = np.concatenate([steps[:1], steps, steps[-1:]])
-    return np.asarray(around[:-2] / 4 + around[1:-1] / 2 + around[2:] / 4)
+    return around[:-2] / 4 + around[1:-1] / 2 + around[2:] / 4
 
 
 def smoothed(joint: Joint, walk: Walk, settings: Settings, until: float = inf) -> tuple[Joint, int]:
