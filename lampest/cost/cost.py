@@ -249,16 +249,6 @@ class CostFunctions:
         """Places of the nonzero second derivatives of the smooth losses."""
         return Entries.of(*self.hessian.pattern, self.hessian.structure.shape[0] // 2)
 
-    @cached_property
-    def nonsmooth_by_cells(self) -> tuple[Numbers, ...]:
-        """Entries of `nonsmooth_jacobian` by cells: numbers row by row, columns, and row begins."""
-        row, column = self.nonsmooth_jacobian.pattern
-        rows, both = self.nonsmooth_jacobian.structure.shape
-        numbers = np.flatnonzero(column < both // 2)
-        numbers = numbers[np.argsort(row[numbers], kind="stable")]
-        begins = np.searchsorted(row[numbers], np.arange(rows + 1))
-        return numbers, column[numbers], begins
-
     @classmethod
     def build(cls, cost: Cost) -> "CostFunctions":
         """Differentiate the terms symbolically, and compile the sparse results."""

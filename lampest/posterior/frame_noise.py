@@ -105,4 +105,4 @@ class FrameNoise:
             circuit.from_recorded(circuit.recorded_from_volt(volt + sign * changes), self.scene)
             for sign in (1, -1)
         ]
-        return np.asarray((ends[0] - ends[1]).reshape(len(changes), -1).T / 2)
+        return (ends[0] - ends[1]).reshape(len(changes), -1).T / 2

@@ -19,6 +19,7 @@ from lampest.cost.problem import Evaluation, Residuals, residuals
 from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.trust_region import MAX_DENSE
+from lampest.solvers.hessian import by_log
 
 NEAR_BOUND = 1e-3  # of log r: distance from a bound within which a cell is at it
 # Percent: an absolute residual below it is 0. Solvers end at 1e-7 and less, noise moves cells by
@@ -115,7 +116,7 @@ class LinearModel:
         # Variance of a uniform distribution over the bounds: ln²(upper/lower)/12
         below, above = (room[self.free] for room in self._rooms)
         within = 12 / np.maximum(below + above, NEAR_BOUND) ** 2
-        return np.asarray(np.where(self.unread, np.maximum(within, IGNORANCE), IGNORANCE))
+        return np.where(self.unread, np.maximum(within, IGNORANCE), IGNORANCE)
 
     @cached_property
     def unread(self) -> Mask:
@@ -292,9 +293,7 @@ class LinearModel:
     def penalty_jacobian(self) -> sparse.csc_array:
         """Z, the derivative ∂x/∂u of the penalties, sparse (penalty rows, cells)."""
         jacobian = self._residuals.penalties.jacobian("cell_resistance", self.at)
-        # ∂x/∂u = (∂x/∂r)·diag(r), entry by entry of the sparse columns
-        cells = np.repeat(self.at.cell_resistance.ravel(), np.diff(jacobian.indptr))
-        return with_entries(jacobian, jacobian.data * cells)
+        return by_log(jacobian, self.at.cell_resistance)
 
     @cached_property
     def known_jacobians(self) -> tuple[sparse.csc_array, ...]:
@@ -306,9 +305,8 @@ class LinearModel:
         jacobians = list[sparse.csc_array]()
         for name, cells in (("previous", inputs.previous), ("baseline", inputs.baseline)):
             jacobian = self._residuals.penalties.jacobian(name, self.at)
-            if cells is not None and jacobian.nnz:
-                jacobian = sparse.csc_array(jacobian @ sparse.diags_array(cells.ravel()))
-            jacobians.append(jacobian)
+            known = cells is not None and jacobian.nnz
+            jacobians.append(by_log(jacobian, cells) if known else jacobian)
         return tuple(jacobians)
 
     def carried(self, changes: Array) -> Array:

@@ -88,17 +88,9 @@ class Spectrum:
 
         A loss that is not squared is replaced by reweighted least squares with the weight ½ρ'(x)/x
         at x = x̂. Under an absolute loss x² = x̂² + v, v the mean variance of residuals without a
-        penalty.
-
-        Parameters
-        ----------
-        model : LinearModel
-        number : int, optional
-            Number of the penalty's term; not needed for a single penalty.
-        covariance : array, shape (frames · cells, frames · cells), optional
-            Covariance of log r at the point of linearisation; None if that is exact.
-
-        Raises numpy.linalg.LinAlgError if the cost without this penalty is flat.
+        penalty. `number` is that of the penalty's term, if there are several, `covariance` that of
+        log r, (cells, cells), at the point of linearisation, None if that is exact. Raises
+        numpy.linalg.LinAlgError if the cost without this penalty is flat.
         """
         number = model.penalty_term[0] if number is None else number
         size = np.sqrt(model.data_curvature)
@@ -106,7 +98,10 @@ class Spectrum:
         jacobian = DenseErrors(model).jacobian * size[:, None]
         rows = model.penalty_jacobian.toarray()[:, model.free]
         curvature = model.penalty_curvature[~of_term]
-        factor = _factor_without(model, jacobian, rows[~of_term], curvature)
+        # A = R Rᵀ of the data, the other penalties and the prior precision
+        matrix = jacobian.T @ jacobian + (rows[~of_term].T * curvature) @ rows[~of_term]
+        matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
+        factor: Array = cho_factor(matrix, lower=True)[0]
         # R⁻¹ Zᵀ, with rows of Z weighted by √(½ρ'(x)/x)
         loss = model.at.cost.terms[number].loss
         residual = model.penalty[of_term]
@@ -186,14 +181,6 @@ class Spectrum:
         smallest = -float(np.log(EXTENT_FACTOR * effective.max()))
         largest = float(np.log(EXTENT_FACTOR / effective.min()))
         return smallest, largest
-
-
-def _factor_without(model: LinearModel, jacobian: Array, rows: Array, curvature: Array) -> Array:
-    """Return R with A = R Rᵀ of the data, the other penalties' rows and the prior precision."""
-    matrix = jacobian.T @ jacobian + (rows.T * curvature) @ rows
-    matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
-    factor: Array = cho_factor(matrix, lower=True)[0]
-    return factor
 
 
 def _modes_of(rows: Array) -> tuple[Array, Array]:

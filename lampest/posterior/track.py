@@ -341,7 +341,7 @@ def profile_end(errors: DenseErrors, cell: int, side: int) -> Array:
         if rise >= most:
             break
         errors = DenseErrors(replace(model, at=begin.elsewhere(np.exp(position))))
-    return np.asarray((position - begin.position).ravel())
+    return (position - begin.position).ravel()
 
 
 def _stood_in(

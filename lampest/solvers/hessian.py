@@ -22,7 +22,6 @@ from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.trust_region import DENSE_CELLS, MATRIX_CELLS
 from lampest.solvers.bounds import free_cells
 from lampest.solvers.smoothing import Smoothing
-from lampest.solvers.sparse_rows import SparseRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,9 +144,10 @@ class Hessian:
         return self.at.cost.slope * self.smoothing.stiffness(self.at.nonsmooth)
 
     @cached_property
-    def _kinked(self) -> sparse.csc_array:
+    def kinked(self) -> sparse.csc_array:
         """∂x/∂(r; y) of the residuals with absolute losses, sparse (residuals, 2·cells)."""
-        return self.smoothing.jacobian(self.at)
+        function = self.at.cost.functions.nonsmooth_jacobian
+        return with_entries(function.structure, self.at.call(function, self.smoothing.dual))
 
     def nonsmooth_change(self, step: Array) -> Array:
         """Return ∂x/∂u·δu of the residuals with absolute losses, (residuals,).
@@ -159,7 +159,7 @@ class Hessian:
         lower, upper = (bound.ravel() - self.position for bound in self.at.data.log_bounds)
         step = np.clip(step, lower, upper)
         move = np.concatenate([self.at.cell_resistance.ravel() * step, self.forward(step).ravel()])
-        return np.asarray(self._kinked @ move)
+        return np.asarray(self.kinked @ move)
 
     @cached_property
     def diagonal_of_terms(self) -> Array:
@@ -168,7 +168,7 @@ class Hessian:
         diagonal = np.zeros(2 * self.at.cell_resistance.size)
         diagonal[places] = self._smooth_terms[numbers]
         if len(self.at.cost.slope):
-            diagonal += self._kinked.power(2).T @ self._kinks
+            diagonal += self.kinked.power(2).T @ self._kinks
         return diagonal
 
     @property
@@ -190,7 +190,7 @@ class Hessian:
         move = np.concatenate([cells.ravel() * step, *(change.ravel() for change in changes)])
         force = self.terms @ move
         if len(self._kinks):
-            force += self._kinked.T @ (self._kinks * (self._kinked @ move))
+            force += self.kinked.T @ (self._kinks * (self.kinked @ move))
         through = self.adjoint(force[step.size :].reshape(cells.shape))
         # + N·p + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y)·p
         force_of = (
@@ -219,7 +219,7 @@ class Hessian:
             stiffness = self._stiffness(part)
             # W_i = Σ_k (∂x_k/∂y_i)²·ρ'(x_k)/x_k
             weight = part.jacobian("reading", self.at).power(2).T @ stiffness
-        return np.asarray(weight.reshape(self.at.cell_resistance.shape))
+        return weight.reshape(self.at.cell_resistance.shape)
 
     @cached_property
     def penalty_matrix(self) -> sparse.csr_array:
@@ -271,7 +271,7 @@ class Hessian:
     @property
     def own(self) -> Array:
         """Part W_c·J_cc² of each cell's own reading in the diagonal of JᵀWJ, flat."""
-        return np.asarray(self.reading_weight.ravel() * self.own_response**2)
+        return self.reading_weight.ravel() * self.own_response**2
 
     @cached_property
     def diagonal(self) -> Array:
@@ -325,13 +325,11 @@ class Hessian:
     def _kinked_matrix(self) -> Array:
         """Part (∂x/∂u)ᵀ diag(w·ψ'') ∂x/∂u of the absolute losses in the Hessian, dense."""
         cells = self.at.cell_resistance
-        numbers, columns, begins = self.at.cost.functions.nonsmooth_by_cells
-        entries = self._kinked.data[numbers] * cells.ravel()[columns]
-        rows = sparse.csr_array((entries, columns, begins), (len(self._kinks), cells.size))
-        if len(numbers) == self._kinked.nnz:
-            return SparseRows(rows).square(self._kinks)
-        by_reading = self._kinked[:, cells.size :]
-        return weighted_square(rows.toarray() + by_reading @ self.jacobian, self._kinks)
+        by_cells = by_log(self.kinked[:, : cells.size], cells)
+        by_reading = self.kinked[:, cells.size :]
+        if not by_reading.nnz:
+            return square_of_rows(sparse.csr_array(by_cells), self._kinks)
+        return weighted_square(by_cells.toarray() + by_reading @ self.jacobian, self._kinks)
 
     @cached_property
     def _smooth_terms(self) -> Array:
@@ -348,6 +346,11 @@ def by_log(jacobian: sparse.csc_array, cells: Array) -> sparse.csc_array:
 def block_diagonal(blocks: Sequence[Array]) -> Array:
     """Return the block-diagonal matrix of the blocks; a single block is returned unchanged."""
     return blocks[0] if len(blocks) == 1 else np.asarray(linalg.block_diag(*blocks))
+
+
+def square_of_rows(rows: sparse.csr_array, weight: Array) -> Array:
+    """Return BᵀDB, dense (columns, columns), for sparse rows B and diagonal weights D (rows,)."""
+    return np.asarray((rows.T @ (sparse.diags_array(weight) @ rows)).toarray())
 
 
 def weighted_square(matrix: Array, weight: Array) -> Array:

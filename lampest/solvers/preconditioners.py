@@ -185,14 +185,10 @@ class TwoLevel(Preconditioner):
             parts = hessian.at.networks[0].normal_by_lines(weight)
             level = local(parts.own.ravel())
             along = parts.along / cells
-            if hessian.only_data and along.size > 0:
-                not_needed = np.zeros((0, 0))
-                lines: CoarseLines | None = CoarseLines(level, along, not_needed, not_needed)
-            else:
-                lines = CoarseLines.of(level, along, parts.mixed)
-            if lines is not None and level.nnz <= level.shape[0]:
+            if len(along) and level.nnz <= level.shape[0]:
                 diagonal = floored(level.diagonal()).reshape(cells.shape[1:])
-                return Woodbury(cells, diagonal, lines, parts.mixed_inverse)
+                return Woodbury(cells, diagonal, Lines(along), parts.mixed_inverse)
+            lines = CoarseLines.of(level, along, parts.mixed)
             if lines is not None:
                 return cls(cells, sparse_inverse(level), lines)
         return cls(cells, sparse_inverse(local(hessian.own)))
@@ -213,7 +209,7 @@ class TwoLevel(Preconditioner):
             return self.solve(values)
         first = self.lines.solve(values)
         between = self.solve(values - self.lines.product(first))
-        return np.asarray(first + between - self.lines.solve(self.lines.product(between)))
+        return first + between - self.lines.solve(self.lines.product(between))
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +217,7 @@ class Woodbury(Preconditioner):
     """A⁻¹ between any cells, exactly, where T + diag(c) is `diagonal`, in ohm (rows, columns)."""
 
     diagonal: Array
-    lines: "CoarseLines"
+    lines: "Lines"
     mixed_inverse: LineBlocks
 
     def over(self, free: Mask, cell_resistance: Array) -> Linear:
@@ -243,25 +239,53 @@ class Woodbury(Preconditioner):
 
 
 @dataclass(frozen=True, eq=False)
-class CoarseLines:
-    """Coarse space V = [diag(v)·U for v in along] of rows and columns.
+class Lines:
+    """Columns V = [diag(v)·U for v in along] of rows and columns.
 
     U is the incidence of cells and lines.
 
     Attributes
     ----------
-    local : sparse.csr_array, shape (cells, cells)
-        T + diag(c).
     along : array, shape (vectors, rows, columns)
         The vectors v.
+    """
+
+    along: Array
+
+    def between(self, values: Array) -> LineBlocks:
+        """Return Vᵀ diag(x) V for x (rows, columns)."""
+        grids = self.along[:, None] * self.along * values
+        return LineBlocks(line_sums(grids), grids)
+
+    def sums(self, values: Array) -> Array:
+        """Return Vᵀ·x, (vectors · lines,)."""
+        return line_sums(self.along * values.reshape(self.along.shape[1:])).ravel()
+
+    def back(self, lines: Array) -> Array:
+        """Return V·y, flat."""
+        of_rows, of_columns = np.split(
+            lines.reshape(len(self.along), -1), [self.along.shape[1]], axis=1
+        )
+        return np.asarray(
+            (self.along * (of_rows[:, :, None] + of_columns[:, None])).sum(axis=0)
+        ).ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class CoarseLines(Lines):
+    """Coarse space V.
+
+    Attributes
+    ----------
+    local : sparse.csr_array, shape (cells, cells)
+        T + diag(c).
     mixed : array, shape (vectors · lines, vectors · lines)
-        S; empty where it is not needed.
+        S.
     coarse : array, shape (vectors · lines, vectors · lines)
-        (VᵀAV)⁻¹; empty where it is not needed.
+        (VᵀAV)⁻¹.
     """
 
     local: sparse.csr_array
-    along: Array
     mixed: Array
     coarse: Array
 
@@ -299,7 +323,7 @@ class CoarseLines:
         coarse.flat[:: len(coarse) + 1] += SHIFTS[0]  # columns that are alike on even panels
         scale = 1 / (size * length)
         inverse = np.linalg.inv(coarse) * scale[:, None] * scale
-        return cls(local, along, mixed, (inverse + inverse.T) / 2)
+        return cls(along, local, mixed, (inverse + inverse.T) / 2)
 
     def solve(self, values: Array) -> Array:
         """Return Q·x, flat."""
@@ -308,24 +332,6 @@ class CoarseLines:
     def product(self, values: Array) -> Array:
         """Return A·x, flat."""
         return np.asarray(self.local @ values + self.back(self.mixed @ self.sums(values)))
-
-    def between(self, values: Array) -> LineBlocks:
-        """Return Vᵀ diag(x) V for x (rows, columns)."""
-        grids = self.along[:, None] * self.along * values
-        return LineBlocks(line_sums(grids), grids)
-
-    def sums(self, values: Array) -> Array:
-        """Return Vᵀ·x, (vectors · lines,)."""
-        return line_sums(self.along * values.reshape(self.along.shape[1:])).ravel()
-
-    def back(self, lines: Array) -> Array:
-        """Return V·y, flat."""
-        of_rows, of_columns = np.split(
-            lines.reshape(len(self.along), -1), [self.along.shape[1]], axis=1
-        )
-        return np.asarray(
-            (self.along * (of_rows[:, :, None] + of_columns[:, None])).sum(axis=0)
-        ).ravel()
 
 
 def preconditioner(hessian: Hessian, free: Mask) -> Preconditioner:
@@ -366,9 +372,7 @@ def gauss_newton_factor(
 
 def floored(diagonal: Array) -> Array:
     """Return a diagonal with entries raised to at least MIN_DIAGONAL of the largest."""
-    return np.asarray(
-        np.maximum(diagonal, MIN_DIAGONAL * (float(diagonal.max(initial=0.0)) or 1.0))
-    )
+    return np.maximum(diagonal, MIN_DIAGONAL * (float(diagonal.max(initial=0.0)) or 1.0))
 
 
 def sparse_inverse(matrix: sparse.csr_array) -> Linear:
