@@ -122,9 +122,7 @@ class Circuit(ReadOnlyArrays):
         # Pieces follow line by line, from the terminal to the last crossing.
         last = ends[1, np.cumsum(np.repeat((columns, rows), shape)) - 1]
         points = lines if at_far_end is None else np.where(at_far_end, last, lines)
-        joined = list[tuple[int, int]]()
-        for group in wiring.joined:
-            joined += [(group[0], line) for line in group[1:]]
+        joined = [(group[0], line) for group in wiring.joined for line in group[1:]]
         pairs = np.array(joined, dtype=np.intp).reshape(-1, 2)
         touching = np.concatenate([ends[:, ohm == 0], pairs.T], axis=1)
         total = len(lines) + 2 * crossings.size

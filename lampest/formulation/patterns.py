@@ -15,7 +15,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import casadi
 import numpy as np
@@ -168,11 +168,7 @@ class _Network:
 class Excitation(ABC):
     """Patterns of excitation of one frame, and the network with them."""
 
-    if TYPE_CHECKING:
-
-        @property
-        def kind(self) -> str:
-            """The name in `formulation:`."""
+    kind: str  # the name in `formulation:`
 
     def network(
         self, circuit: Circuit, readout: Readout, symbols: ConductanceSymbols

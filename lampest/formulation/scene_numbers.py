@@ -131,7 +131,11 @@ class SymbolicReadout(CasadiOwner):
 
         Raises InputError for a number that is no resistance of this circuit.
         """
-        _check_circuit(scene)
+        if scene.wiring is not None:
+            raise InputError("numbers: wire, contacts and touching lines are not in this program")
+        if scene.circuit.unit == "ohm" and not scene.circuit.two_point:
+            kind = type(scene.circuit).__name__
+            raise InputError(f"numbers: {kind} has no line ends of which a number could be unknown")
         if not isinstance(priors, Mapping):
             raise InputError(
                 "numbers must map keys of the scene to standard deviations, such as "
@@ -185,7 +189,11 @@ def _places(scene: Scene, numbers: Sequence[SceneNumber], measured: Array) -> ND
     for key, number in enumerate(numbers):
         for entry, chosen in enumerate(np.eye(len(number.value))):
             moved = number.stated(scene, number.value + chosen * number.step)
-            depends = ~_same(_entries(moved, scene, measured), nominal)
+            changed = _entries(moved, scene, measured)
+            # Entries are equal but for rounding; infinite ones have no difference.
+            with np.errstate(invalid="ignore"):
+                far = ~(np.abs(changed - nominal) <= ROUNDING**1.5 * np.abs(nominal))
+            depends = far & (changed != nominal)
             if np.any(depends & (place[key] >= 0)):
                 raise _refusal(number.key)
             place[key][depends] = entry
@@ -294,15 +302,6 @@ def _entries(scene: Scene, nominal: Scene, measured: Array) -> Array:
     return np.concatenate([*conversion, equation.ties.ravel(), *arrays])
 
 
-def _check_circuit(scene: Scene) -> None:
-    """Raise InputError where numbers of a scene cannot be unknown."""
-    if scene.wiring is not None:
-        raise InputError("numbers: wire, contacts and touching lines are not in this program")
-    if scene.circuit.unit == "ohm" and not scene.circuit.two_point:
-        kind = type(scene.circuit).__name__
-        raise InputError(f"numbers: {kind} has no line ends of which a number could be unknown")
-
-
 def _arrays(equation: Equation) -> list[Any]:
     """Return the numbers of an equation, to be broadcast to (rows, columns) each."""
     arrays = [getattr(equation, name) for name in SINGLE]
@@ -342,13 +341,6 @@ def _structure(equation: Equation) -> list[Any]:
     if terms is not None:
         structure += [terms.held.tolist(), terms.loaded, terms.ends.tolist(), terms.follows is None]
     return structure
-
-
-def _same(changed: Array, nominal: Array) -> NDArray[np.bool_]:
-    """Return which entries are equal but for rounding."""
-    rounding = ROUNDING**1.5 * np.abs(nominal)
-    with np.errstate(invalid="ignore"):
-        return np.asarray((changed == nominal) | (np.abs(changed - nominal) <= rounding))
 
 
 def _refusal(name: str) -> InputError:

@@ -40,7 +40,7 @@ def active_bounds(
     free = model.free
     cells = np.flatnonzero(model.at_lower | model.at_upper)
     # Unknowns: u of cells inside and at a lower bound, relative conductance at an upper bound.
-    resistance = model.at.cell_resistance.ravel()
+    resistance = model.cells.ravel()
     typical = np.exp(np.log(resistance)[free].mean()) if len(free) else 1.0
     stretch = np.where(model.at_upper, np.maximum(resistance / typical, 1.0), 1.0)
     # X = (√Ω J; √Ω Z) with A = Xᵀ X, and its change Y with z, whose effect is A⁻¹ Xᵀ Y

@@ -40,7 +40,7 @@ from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array, Numbers
 from lampest.posterior.certainty import Certainty, common_variance
 from lampest.posterior.interval import LEVEL
-from lampest.posterior.linear import IGNORANCE, LinearModel, positive_inverse, rank
+from lampest.posterior.linear import IGNORANCE, LinearModel, positive_inverse
 from lampest.solvers.hessian import block_diagonal
 
 
@@ -204,7 +204,7 @@ class DenseErrors:
         pulls = self._pulls[entries.col[chosen], entries.row[chosen]]
         used = float(entries.data[chosen] @ pulls)
         if of_term.all():
-            return min(rank(self.model.at.cost.unweighted), len(self.inverse)) - used
+            return self.model.penalty_rank - used
         # tr(B⁺ B_t) in the same way
         rows = self._free_rows[of_term].toarray()
         return float(np.sum((rows @ self._penalties_inverse) * rows)) - used
@@ -265,7 +265,7 @@ class DenseErrors:
     @cached_property
     def covariance(self) -> Array:
         """S over all cells, (frames · cells, frames · cells); zero for cells that are not free."""
-        matrix = np.zeros((self.model.at.cell_resistance.size,) * 2)
+        matrix = np.zeros((self.model.cells.size,) * 2)
         own = sum((rows * size) @ rows.T for rows, size in self._own)
         inherited = sum(x @ y.T for x, y in self._inherited)
         matrix[np.ix_(self.model.free, self.model.free)] = own + inherited
@@ -276,8 +276,8 @@ class DenseErrors:
 
         The baseline is the first of two frames that are solved together.
         """
-        size = self.model.at.cell_resistance[0].size
-        if len(self.model.at.cell_resistance) == 2:
+        size = self.model.cells[0].size
+        if len(self.model.cells) == 2:
             return DenseMemory(self.covariance.reshape(2, size, 2, size).swapaxes(1, 2)[::-1, ::-1])
         blocks = np.zeros((2, 2, size, size))
         blocks[0, 0] = self.covariance
@@ -352,14 +352,12 @@ class DenseErrors:
             variance[missing] = sum(
                 np.square(slopes[missing] @ rows) @ size for rows, size in self._own
             )
-        return np.asarray(
-            np.sqrt(np.maximum(variance, 0.0)).reshape(model.at.cell_resistance.shape)
-        )
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(model.cells.shape))
 
     @property
     def shared_variance(self) -> Array:
         """Part of the variance that moves all cells of a frame alike, (free,); the effect of V."""
-        frames = self.model.free // self.model.at.cell_resistance[0].size
+        frames = self.model.free // self.model.cells[0].size
         common = np.zeros(len(frames))
         if self.drawn is None:
             return common
@@ -403,7 +401,7 @@ class DenseErrors:
         chosen = (cells, np.arange(len(cells)))
         # Schur complement of each released cell c: A_cc − A_cf A_ff⁻¹ A_fc, with A = Jᵀ Ω J + Zᵀ Ω
         # Z
-        unit = np.zeros((model.at.cell_resistance.size, len(cells)))
+        unit = np.zeros((model.cells.size, len(cells)))
         unit[chosen] = 1.0
         penalised = model.penalty_curvature[:, None] * (model.penalty_jacobian @ unit)
         image = self.weighed(self.forward(unit)) + model.penalty_jacobian.T @ penalised

@@ -6,7 +6,7 @@ data have the noise τ; all others are penalties. With s² = mean ω τ² over t
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -69,9 +69,15 @@ class LinearModel:
 
     at: Evaluation
     dual: Array
-    deviation: Array | None = field(default=None, kw_only=True)
-    weight_sigma: tuple[float, ...] = field(default=(), kw_only=True)
-    sites: Sites | None = field(default=None, kw_only=True)
+    _: KW_ONLY
+    deviation: Array | None = None
+    weight_sigma: tuple[float, ...] = ()
+    sites: Sites | None = None
+
+    @property
+    def cells(self) -> Array:
+        """Cells at the estimate, (frames, rows, columns) ohm."""
+        return self.at.cell_resistance
 
     @cached_property
     def gradient(self) -> Array:
@@ -100,7 +106,7 @@ class LinearModel:
 
     def over_all(self, values: Array) -> Array:
         """Return values (free, …) of the free cells over all cells, (cells, …), zero elsewhere."""
-        full = np.zeros((self.at.cell_resistance.size, *values.shape[1:]))
+        full = np.zeros((self.cells.size, *values.shape[1:]))
         full[self.free] = values
         return full
 
@@ -123,7 +129,7 @@ class LinearModel:
         """Whether a cell's own reading is missing, boolean (free,)."""
         if not self.at.data.partial:
             return np.zeros(len(self.free), dtype=bool)
-        seen = np.broadcast_to(self.at.data.given.seen, self.at.cell_resistance.shape).ravel()
+        seen = np.broadcast_to(self.at.data.given.seen, self.cells.shape).ravel()
         return np.asarray(seen[self.free] == 0)
 
     @cached_property
@@ -139,6 +145,11 @@ class LinearModel:
     def through(self) -> sparse.csc_array:
         """Derivative ∂x/∂y of the data by the readings, sparse (data rows, cells)."""
         return self._residuals.data.jacobian("reading", self.at)
+
+    @property
+    def penalty_rank(self) -> int:
+        """Rank of the Jacobian of all penalties over the free cells, as that of `rank`."""
+        return min(rank(self.at.cost.unweighted), len(self.free))
 
     @cached_property
     def noise(self) -> Array:
@@ -192,7 +203,7 @@ class LinearModel:
         """
         from scipy.sparse.csgraph import connected_components  # for absolute losses
 
-        cells = self.at.cell_resistance.size
+        cells = self.cells.size
         pinned = self.absolute & (np.abs(self.penalty) < PINNED)
         rows = sparse.csr_array(self.penalty_jacobian)[pinned]
         counts = np.diff(rows.indptr)
@@ -284,16 +295,13 @@ class LinearModel:
                 columns.append(sparse.csc_array(np.where(rows, sigma * slope, 0.0)[:, None]))
         if beyond.any():
             columns.append(sparse.diags_array(beyond))
-        return sparse.csc_array(
-            self.penalty_jacobian.T
-            @ sparse.hstack([sparse.csc_array((len(residual), 0)), *columns])
-        )
+        return sparse.csc_array(self.penalty_jacobian.T @ sparse.hstack(columns))
 
     @cached_property
     def penalty_jacobian(self) -> sparse.csc_array:
         """Z, the derivative ∂x/∂u of the penalties, sparse (penalty rows, cells)."""
         jacobian = self._residuals.penalties.jacobian("cell_resistance", self.at)
-        return by_log(jacobian, self.at.cell_resistance)
+        return by_log(jacobian, self.cells)
 
     @cached_property
     def known_jacobians(self) -> tuple[sparse.csc_array, ...]:

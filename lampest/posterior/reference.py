@@ -105,7 +105,15 @@ def references(
     errors = np.concatenate([fit.errors(best) for fit in tried[best]])
     tail = float(np.quantile(errors, LEVEL)) if len(errors) else 0.0
     frames = iter([fit.reference(best) for fit in tried[best]])
-    estimates = [_joined([next(frames) for _ in data.measured]) for data in solves]
+    estimates = []
+    for data in solves:
+        own = [next(frames) for _ in data.measured]
+        joined = Reference(
+            cells=np.stack([frame.cells for frame in own]),
+            deviation=np.stack([frame.deviation for frame in own]),
+            covariance=block_diag(*(frame.covariance for frame in own)),
+        )
+        estimates.append(joined)
     return ErrorScale(best, tail, len(errors), tuple(scales), tuple(bounds.tolist())), estimates
 
 
@@ -133,12 +141,3 @@ def _fits_by_scale(
         points = int(np.log(max(excess, 1.0)) / np.log(SCALE_RATIO))
         scale *= SCALE_RATIO ** (1 + points // 2)
     return tried
-
-
-def _joined(frames: Sequence[Reference]) -> Reference:
-    """Return the reference estimate of one solve from those of its frames."""
-    return Reference(
-        cells=np.stack([frame.cells for frame in frames]),
-        deviation=np.stack([frame.deviation for frame in frames]),
-        covariance=block_diag(*(frame.covariance for frame in frames)),
-    )

@@ -142,7 +142,7 @@ class Held:
             ∂x/∂u of the data.
         """
         chosen = model.chosen_absolute & ~model.unread_rows
-        last = slice(-model.at.cell_resistance[-1].size, None)
+        last = slice(-model.cells[-1].size, None)
         rows = sparse.csr_array(abs(model.penalty_jacobian))[chosen][:, last]
         curvature = np.sum(model.data_curvature[:, None] * sensitivity[:, last] ** 2, axis=0)
         pulls = rows.T @ model.at.weights[model.penalty_term[chosen]] / 2

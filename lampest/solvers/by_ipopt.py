@@ -84,7 +84,7 @@ class Ending:
         change = current.reading_weight - ended.reading_weight
         matrix = ended.matrix + weighted_square(ended.jacobian, change.ravel())
         free = np.flatnonzero(current.free)
-        factor = Cholesky.of(start.cell_resistance, free, matrix[np.ix_(free, free)])
+        factor = Cholesky.of(start.cell_resistance, free, matrix)
         if factor is None:
             return start
         step = within_bounds(start, free, factor.solve(-current.gradient[free]))

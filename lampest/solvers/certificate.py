@@ -238,7 +238,7 @@ def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
     least = ROUNDING * usual[free]
     factor = None
     if np.all(matrix.diagonal() > least):
-        factor = Cholesky.of(hessian.at.cell_resistance, free, matrix)
+        factor = Cholesky.of(hessian.cells, free, matrix)
     if factor is not None and clear_of_rounding(factor.triangle, factor.norm):
         part = factor.solve(-slope)
         return Certificate.of(hessian, Definiteness.POSITIVE, free, part, factor=factor)
@@ -336,7 +336,7 @@ def _by_conjugate_gradients(
     chosen = np.flatnonzero(free)
     slope = hessian.gradient[chosen]
     product = restricted(hessian.product, chosen, free.size)
-    precondition = (preconditioner or TwoLevel.of(hessian)).over(free, hessian.at.cell_resistance)
+    precondition = (preconditioner or TwoLevel.of(hessian)).over(free, hessian.cells)
     solved = steihaug(product, precondition, slope, ACCURACY)
     moved = bool(solved.products) or not slope.any()
     definiteness = Definiteness.POSITIVE if moved else Definiteness.UNDETERMINED
@@ -347,8 +347,7 @@ def _by_conjugate_gradients(
         size = hessian.diagonal[chosen]
         of_products = ROUNDING * float(along @ (size * along))
         rounding = max(of_products, MIN_CURVATURE * hessian.at.cost_scale)
-        definiteness = Definiteness.INDEFINITE
-        if curvature > -rounding:
-            definiteness = Definiteness.UNDETERMINED
+        beyond = curvature <= -rounding
+        definiteness = Definiteness.INDEFINITE if beyond else Definiteness.UNDETERMINED
     definiteness, lower = _confirmed(hessian, definiteness, chosen, solved.step)
     return Certificate.of(hessian, definiteness, chosen, solved.step, lower=lower)

@@ -95,9 +95,8 @@ class QuadraticModel:
             # factor loses under heavy weights.
             matrix = hessian.matrix.copy()
             matrix.flat[:: len(matrix) + 1] += curved
-            chosen = np.flatnonzero(hessian.free)
-            part = matrix if len(chosen) == len(matrix) else matrix[np.ix_(chosen, chosen)]
-            cached = Cholesky.of(point.at.cell_resistance, chosen, part)
+            free = np.flatnonzero(hessian.free)
+            cached = Cholesky.of(point.at.cell_resistance, free, matrix)
         cached = cached or point.newest_preconditioner
         if cached is None or cached.distance(point.at.cell_resistance) > MAX_REUSE_DISTANCE:
             cached = preconditioner(hessian, hessian.free)

@@ -202,10 +202,10 @@ class Barrier:
         """Return the relative step of the chosen cells by Cholesky's factor."""
         hessian = self.hessian
         exact = hessian.matrix + np.diag(hessian.gradient + stiff)
-        factor = Cholesky.of(self.at.cell_resistance, chosen, exact[np.ix_(chosen, chosen)])
+        factor = Cholesky.of(self.at.cell_resistance, chosen, exact)
         if factor is None:
             squares = hessian.gauss_newton_matrix + np.diag(stiff)
-            factor = Cholesky.of(self.at.cell_resistance, chosen, squares[np.ix_(chosen, chosen)])
+            factor = Cholesky.of(self.at.cell_resistance, chosen, squares)
         return np.full(len(chosen), np.nan) if factor is None else -factor.solve(slope)
 
     def _sparse(self, chosen: Numbers, stiff: Array, slope: Array) -> Array:

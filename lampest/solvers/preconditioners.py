@@ -92,8 +92,11 @@ class Cholesky(Preconditioner):
     ) -> "Cholesky | None":
         """Return the factor of a matrix over the chosen cells; None if it is not positive definite.
 
-        `least` is added to the unit diagonal of the scaled matrix.
+        The matrix is over all cells, or over the chosen ones. `least` is added to the unit diagonal
+        of the scaled matrix.
         """
+        if len(matrix) > len(cells):
+            matrix = matrix[np.ix_(cells, cells)]
         pivots = matrix.diagonal()
         if not pivots.min() > 0:
             return None
@@ -168,7 +171,7 @@ class TwoLevel(Preconditioner):
         matrix.
         """
         in_log_r = hessian.penalty_matrix if penalties is None else penalties
-        cells = hessian.at.cell_resistance
+        cells = hessian.cells
         inverse = sparse.diags_array(1 / cells.ravel())
 
         # T + diag(c) by ohm: the matrix in u = log r divided by r on both sides
@@ -194,10 +197,7 @@ class TwoLevel(Preconditioner):
         return cls(cells, sparse_inverse(local(hessian.own)))
 
     def over(self, free: Mask, cell_resistance: Array) -> Linear:
-        chosen = np.flatnonzero(free)
-        size = cell_resistance.ravel()[chosen]
-        part = restricted(self._solved, chosen, free.size)
-        return lambda values: np.asarray(part(values / size) / size)
+        return _by_log(self._solved, free, cell_resistance)
 
     def _solved(self, values: Array) -> Array:
         """Return the product with the preconditioner.
@@ -227,15 +227,12 @@ class Woodbury(Preconditioner):
         inner: Linear = np.zeros_like  # D⁻¹ alone remains if contrasts exceed double precision
         with suppress(np.linalg.LinAlgError):
             inner = (self.mixed_inverse + self.lines.between(inverse)).inverse()
-        chosen = np.flatnonzero(free)
         flat = inverse.ravel()
 
         def solve(values: Array) -> Array:
             return flat * (values - self.lines.back(inner(self.lines.sums(flat * values))))
 
-        size = cell_resistance.ravel()[chosen]
-        part = restricted(solve, chosen, free.size)
-        return lambda values: np.asarray(part(values / size) / size)
+        return _by_log(solve, free, cell_resistance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -341,9 +338,8 @@ def preconditioner(hessian: Hessian, free: Mask) -> Preconditioner:
     """
     if not hessian.dense:
         return TwoLevel.of(hessian)
-    cells = hessian.at.cell_resistance
-    chosen = np.flatnonzero(free)
-    factor = Cholesky.of(cells, chosen, hessian.matrix[np.ix_(chosen, chosen)])
+    cells = hessian.cells
+    factor = Cholesky.of(cells, np.flatnonzero(free), hessian.matrix)
     return factor or gauss_newton_factor(hessian, free) or TwoLevel.of(hessian)
 
 
@@ -359,7 +355,7 @@ def gauss_newton_factor(
     if not hessian.dense:
         return None
     chosen = np.flatnonzero(free)
-    cells = hessian.at.cell_resistance
+    cells = hessian.cells
     matrix = hessian.gauss_newton_matrix[np.ix_(chosen, chosen)]
     matrix.flat[:: len(matrix) + 1] = floored(np.diag(matrix))
     tried = (
@@ -368,6 +364,14 @@ def gauss_newton_factor(
         if shift >= damping
     )
     return next((factor for factor in tried if factor is not None), None)
+
+
+def _by_log(product: Linear, free: Mask, cell_resistance: Array) -> Linear:
+    """Return a product by ohm over all cells as one in u = log r over the free cells."""
+    chosen = np.flatnonzero(free)
+    size = cell_resistance.ravel()[chosen]
+    part = restricted(product, chosen, free.size)
+    return lambda values: np.asarray(part(values / size) / size)
 
 
 def floored(diagonal: Array) -> Array:

@@ -82,7 +82,7 @@ class InverseHessian:
         inverse = np.diag(1 / np.where(scale > 0, scale, 1.0))
         factor = None
         if len(free):
-            factor = Cholesky.of(points.position[row], free, matrix[np.ix_(free, free)])
+            factor = Cholesky.of(points.position[row], free, matrix)
         positive = factor is not None and clear_of_rounding(factor.triangle, factor.norm)
         if factor is not None and positive:
             inverse[np.ix_(free, free)] = factor.inverse()
