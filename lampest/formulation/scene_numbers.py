@@ -215,18 +215,19 @@ def _ratios(
     place = _places(scene, numbers, measured)
     count = len(GRID) ** len(numbers)
     points = [*product(GRID, repeat=len(numbers)), *product(TESTED, repeat=len(numbers))]
-    values = []
+    seen = []
     for point in points:
         moved = scene
         for number, step in zip(numbers, point, strict=True):
             moved = number.stated(moved, number.value + step * number.step)
-        values.append(_entries(moved, scene, measured))
+        seen.append(_entries(moved, scene, measured))
+    values = np.array(seen)
     nominal = values[points.index((0.0,) * len(numbers))]
     column = casadi.SX(casadi.DM(np.where(np.isfinite(nominal), nominal, 0.0)))
     for entry in np.flatnonzero((place >= 0).any(axis=0)).tolist():
         acting = place[:, entry] >= 0
         at = np.array(points)[:, acting]
-        of_entry = np.array(values)[:, entry]
+        of_entry = values[:, entry]
         fit = _ratio(at[:count], of_entry[:count])
         upper, lower = (_products(at) @ polynomial for polynomial in fit)
         if not np.all(np.abs(upper / lower - of_entry) <= ROUNDING * np.abs(of_entry).max()):
