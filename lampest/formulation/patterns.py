@@ -68,10 +68,10 @@ def joined_addresses(
     for circuit, network in zip(circuits, networks, strict=True):
         chosen = np.flatnonzero(circuit.read).tolist()
         reading[chosen] = network.reading[chosen]
-    return replace(stacked(networks), reading=reading)
+    return replace(stacked_networks(networks), reading=reading)
 
 
-def stacked(networks: Sequence[NetworkSymbols]) -> NetworkSymbols:
+def stacked_networks(networks: Sequence[NetworkSymbols]) -> NetworkSymbols:
     """Return networks of equal patterns one below the other, their readings side by side."""
     names = networks[0].voltages
     return NetworkSymbols(
@@ -83,7 +83,7 @@ def stacked(networks: Sequence[NetworkSymbols]) -> NetworkSymbols:
 
 
 @dataclass(eq=False)
-class _Network:
+class _FrameNetwork:
     """Network of one frame while it is built: voltages and units by name, balances."""
 
     circuit: Circuit
@@ -174,10 +174,10 @@ class Excitation(ABC):
         self, circuit: Circuit, readout: Readout, symbols: ConductanceSymbols
     ) -> NetworkSymbols:
         """Return the unknown voltages and the equations of one frame's network."""
-        return self._built(_Network(circuit, readout, symbols))
+        return self._built(_FrameNetwork(circuit, readout, symbols))
 
     @abstractmethod
-    def _built(self, network: _Network) -> NetworkSymbols:
+    def _built(self, network: _FrameNetwork) -> NetworkSymbols:
         """Return a network with its voltages, equations and readings."""
 
     @abstractmethod
@@ -202,7 +202,7 @@ class Nodal(Excitation):
 
     kind: Literal["nodal"] = "nodal"
 
-    def _built(self, network: _Network) -> NetworkSymbols:
+    def _built(self, network: _FrameNetwork) -> NetworkSymbols:
         circuit = network.circuit
         if circuit.lines_only:
             impedance = _impedance_of_lines(network)
@@ -230,7 +230,7 @@ class Nodal(Excitation):
         return voltages | _end_voltages(circuit, response)
 
 
-def _impedance_of_lines(network: _Network) -> casadi.SX:
+def _impedance_of_lines(network: _FrameNetwork) -> casadi.SX:
     """Return the symmetric matrix Z of lines without wire, in the unknowns of `Nodal`."""
     circuit = network.circuit
     driven, far = (numbers.tolist() for numbers in _sides(circuit.shape))
@@ -267,7 +267,7 @@ class PerPixel(Excitation):
 
     kind: Literal["per_pixel"] = "per_pixel"
 
-    def _built(self, network: _Network) -> NetworkSymbols:
+    def _built(self, network: _FrameNetwork) -> NetworkSymbols:
         circuit = network.circuit
         row, column = _lines_of_cells(circuit)
         if network.readout.two_point and not circuit.held.any():

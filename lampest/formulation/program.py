@@ -38,7 +38,7 @@ from lampest.formulation.patterns import (
     Excitation,
     NetworkSymbols,
     joined_addresses,
-    stacked,
+    stacked_networks,
 )
 from lampest.formulation.statement import EMPTY, Blocks, Constraint, ProgramUnknown, Statement
 from lampest.formulation.values import unit_of
@@ -427,7 +427,7 @@ class Program(CasadiOwner):
     @cached_property
     def network(self) -> NetworkSymbols:
         """The networks of all frames as one."""
-        return stacked(self.networks)
+        return stacked_networks(self.networks)
 
     @cached_property
     def statement(self) -> Statement:

@@ -114,7 +114,7 @@ class Spectrum:
         penalty = weight * model.penalty[of_term]
         penalties = weight * penalties
         # R⁻¹ Zᵀ = Q diag(√κ) Vᵀ, T = R⁻ᵀ Q; its square would lose κ below 1e-16 of the largest
-        triangle = np.linalg.qr(penalties.T, mode="r")
+        _, triangle = np.linalg.qr(penalties.T)
         vectors, root, _ = np.linalg.svd(triangle.T)
         stiffness = np.zeros(len(vectors))
         stiffness[: len(root)] = root**2

@@ -190,7 +190,7 @@ class TwoLevel(Preconditioner):
             along = parts.along / cells
             if len(along) and level.nnz <= level.shape[0]:
                 diagonal = floored(level.diagonal()).reshape(cells.shape[1:])
-                return Woodbury(cells, diagonal, Lines(along), parts.mixed_inverse)
+                return Woodbury(cells, diagonal, LineColumns(along), parts.mixed_inverse)
             lines = CoarseLines.of(level, along, parts.mixed)
             if lines is not None:
                 return cls(cells, sparse_inverse(level), lines)
@@ -217,7 +217,7 @@ class Woodbury(Preconditioner):
     """A⁻¹ between any cells, exactly, where T + diag(c) is `diagonal`, in ohm (rows, columns)."""
 
     diagonal: Array
-    lines: "Lines"
+    lines: "LineColumns"
     mixed_inverse: LineBlocks
 
     def over(self, free: Mask, cell_resistance: Array) -> Linear:
@@ -236,7 +236,7 @@ class Woodbury(Preconditioner):
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
+class LineColumns:
     """Columns V = [diag(v)·U for v in along] of rows and columns.
 
     U is the incidence of cells and lines.
@@ -269,7 +269,7 @@ class Lines:
 
 
 @dataclass(frozen=True, eq=False)
-class CoarseLines(Lines):
+class CoarseLines(LineColumns):
     """Coarse space V.
 
     Attributes

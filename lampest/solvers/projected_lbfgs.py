@@ -36,11 +36,7 @@ MAX_STEPS = 40  # of a panel in a batch; the solver for single panels continues 
 CERTIFIED_DISTANCE = 0.1
 # Change of log r; M⁻¹ ∇φ is within a tenth of Newton’s step in CERTIFIED_DISTANCE.
 LAST_STEP = 0.01 * MILLIONTH
-
-
 MAX_PAIRS = 4  # newest steps that correct M
-
-
 NAME = "L-BFGS"  # of the solver, in tables
 
 
