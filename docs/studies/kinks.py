@@ -51,7 +51,7 @@ def active_set(start: Evaluation) -> tuple[Evaluation, Array, int]:
     at = start
     slope = at.cost.slope
     size = at.position.size
-    jacobian = Smoothing.start(at).jacobian(at)[:, :size]
+    jacobian = Hessian(at, Smoothing.start(at)).kinked[:, :size]
     rows = sparse.csr_array(by_log(sparse.csc_array(jacobian), at.cell_resistance)).toarray()
     held = np.abs(at.nonsmooth) <= AT_ZERO * np.abs(at.nonsmooth).max(initial=1.0)
     dual = np.sign(at.nonsmooth)

@@ -153,9 +153,7 @@ class OwnProgram(SymbolsOwner):
         interface = _interface(self.symbols, self.settings)
         multipliers = None
         if start is not None:
-            carried = start.instance.multipliers_of(start.result)
-            carried = carried.for_program(start.instance.program, self.symbols)
-            multipliers = carried.in_units(self.symbols, instance.scale, instance.cost_scale)
+            multipliers = instance.multipliers_from(start.instance, start.result)
         solution = OwnSolution(instance, interface.minimise(instance, multipliers))
         solution = solution.refined(interface)
         if solution.solved or not solution.ended:

@@ -138,7 +138,7 @@ class OwnSolution(SymbolsOwner):
         if not self.ended or self.settled:
             return self
         instance = replace(self.instance, start=self.result.unknown)
-        result = interface.fine.minimise(instance, instance.multipliers_of(self.result))
+        result = interface.minimise(instance, instance.multipliers_of(self.result), fine=True)
         finer = self.ended_at(result)
         weaker = self.verdict is Status.OPTIMUM and finer.verdict is not Status.OPTIMUM
         nearer = finer.ended and finer.optimality_error < self.optimality_error

@@ -122,9 +122,7 @@ class Circuit(ReadOnlyArrays):
         # Pieces follow line by line, from the terminal to the last crossing.
         last = ends[1, np.cumsum(np.repeat((columns, rows), shape)) - 1]
         points = lines if at_far_end is None else np.where(at_far_end, last, lines)
-        joined = list[tuple[int, int]]()
-        for group in wiring.joined:
-            joined += [(group[0], line) for line in group[1:]]
+        joined = [(group[0], line) for group in wiring.joined for line in group[1:]]
         pairs = np.array(joined, dtype=np.intp).reshape(-1, 2)
         touching = np.concatenate([ends[:, ohm == 0], pairs.T], axis=1)
         total = len(lines) + 2 * crossings.size
@@ -262,21 +260,16 @@ def _wire(wiring: Wiring, on_row: Numbers, on_column: Numbers) -> tuple[Numbers,
 
     The ends have shape (2, pieces), the resistances (pieces,) ohm.
     """
-    rows, columns = on_row.shape
     lines = wiring.lines
     contacts = wiring.contact_ohm(on_row.shape)
-    from_left = lines.rows_enter == "left"
-    from_top = lines.columns_leave == "top"
-    paths = [(row, on_row[row] if from_left else on_row[row, ::-1]) for row in range(rows)]
-    paths += [
-        (rows + column, on_column[:, column] if from_top else on_column[::-1, column])
-        for column in range(columns)
-    ]
+    along_rows = on_row if lines.rows_enter == "left" else on_row[:, ::-1]
+    along_columns = on_column if lines.columns_leave == "top" else on_column[::-1]
     ends = list[tuple[int, int]]()
     ohm = list[float]()
-    for line, nodes in paths:
-        segment = lines.row_ohm_per_cell if line < rows else lines.column_ohm_per_cell
-        ends += pairwise([line, *nodes.tolist()])
+    for line, nodes in enumerate([*along_rows.tolist(), *along_columns.T.tolist()]):
+        on_rows = line < len(on_row)
+        segment = lines.row_ohm_per_cell if on_rows else lines.column_ohm_per_cell
+        ends += pairwise([line, *nodes])
         ohm += [contacts[line] + segment, *[segment] * (len(nodes) - 1)]
     return np.array(ends, dtype=np.intp).T, np.array(ohm)
 

@@ -1,6 +1,6 @@
 """A program with the numbers of given data, and what IPOPT returns for it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,7 +9,8 @@ from lampest.cost.problem import Evaluation
 from lampest.files.typed import ReadOnlyArrays
 from lampest.formulation.circuit import Circuit
 from lampest.formulation.patterns import Excitation
-from lampest.formulation.program import Program, Rule, value_of
+from lampest.formulation.program import Program
+from lampest.formulation.statement import Blocks
 from lampest.formulation.values import Values
 from lampest.panel.panel import Array
 
@@ -34,46 +35,24 @@ class Multipliers:
     @classmethod
     def none(cls, instance: "Instance") -> "Multipliers":
         """Return multipliers of zero, with which IPOPT begins with a small barrier."""
-        of_bounds, of_equations = (
-            np.zeros(len(instance.start)),
-            np.zeros(len(instance.equations[0])),
-        )
+        of_bounds, of_equations = map(np.zeros_like, (instance.start, instance.equations[0]))
         return cls(of_bounds, of_equations, instance.scale, instance.cost_scale)
 
-    def for_program(self, own: Program, other: Program) -> "Multipliers":
-        """Return the multipliers of a program as those of another one, by name.
-
-        Bounds and constraints that it has beside have zero.
-        """
-        columns = []
-        for one, two, values in (
-            (own.unknown, other.unknown, self.of_bounds),
-            (own.equation, other.equation, self.of_equations),
-        ):
-            named = one.named(values)
-            shared = {
-                name: named[name] if name in named and len(named[name]) == size else np.zeros(size)
-                for name, size in two.sizes.items()
-            }
-            columns.append(two.stacked(shared))
-        return replace(self, of_bounds=columns[0], of_equations=columns[1])
-
-    def in_units(self, program: Program, scale: float, cost_scale: float) -> "Multipliers":
-        """Return the multipliers in other units.
+    def in_units_of(self, instance: "Instance") -> "Multipliers":
+        """Return the multipliers in the units of an instance.
 
         Multipliers are ∂f/∂(right-hand side), f = φ/`cost_scale`. Balances have no unit;
         conductances are in 1/`scale`, voltages in `scale`.
         """
-        share = self.cost_scale / cost_scale
-        of_bounds = program.unknown.named(self.of_bounds * share)
-        of_bounds["conductance"] = of_bounds["conductance"] * self.scale / scale
-        stacked = program.unknown.stacked(of_bounds)
-        return replace(
-            self,
-            of_bounds=stacked,
-            of_equations=self.of_equations * share,
-            scale=scale,
-            cost_scale=cost_scale,
+        share = self.cost_scale / instance.cost_scale
+        unknown = instance.program.unknown
+        of_bounds = unknown.named(self.of_bounds * share)
+        of_bounds["conductance"] = of_bounds["conductance"] * self.scale / instance.scale
+        return Multipliers(
+            unknown.stacked(of_bounds),
+            self.of_equations * share,
+            instance.scale,
+            instance.cost_scale,
         )
 
 
@@ -159,30 +138,33 @@ class Instance(ReadOnlyArrays):
         unknowns = program.statement.unknowns
         constraints = program.statement.constraints
 
-        def column(rules: dict[str, Rule], at: Values) -> Array:
+        def column(kind: str, at: Values) -> Array:
+            rules = {name: getattr(each, kind) for name, each in unknowns.items()}
             return program.unknown.stacked(
-                {name: value_of(rule, at) for name, rule in rules.items()}
+                {name: rule(at) if callable(rule) else rule for name, rule in rules.items()}
             )
 
-        starts = {name: each.start for name, each in unknowns.items()}
         at = Values.of(circuits, excitation, blocks)
         parameter = program.parameter.stacked(at.parameters)
-        residuals = program.split_residuals(column(starts, at), parameter)
+        residuals = program.split_residuals(column("start", at), parameter)
         apparent = list[Array]()
         if residuals:
-            of_apparent = column(starts, at.with_cells(at.apparent))
+            of_apparent = column("start", at.with_cells(at.apparent))
             apparent = program.split_residuals(of_apparent, parameter)
         at = at.with_split(residuals, apparent)
+        low, high = (
+            program.equation.stacked(
+                {name: getattr(each, kind) for name, each in constraints.items()}
+            )
+            for kind in ("lower", "upper")
+        )
         return cls(
             program,
-            start=column(starts, at),
-            lower=column({name: each.lower for name, each in unknowns.items()}, at),
-            upper=column({name: each.upper for name, each in unknowns.items()}, at),
+            start=column("start", at),
+            lower=column("lower", at),
+            upper=column("upper", at),
             parameter=program.parameter.stacked(at.parameters),
-            equations=(
-                program.equation.stacked({name: each.lower for name, each in constraints.items()}),
-                program.equation.stacked({name: each.upper for name, each in constraints.items()}),
-            ),
+            equations=(low, high),
             shape=at.cells.shape,
             scale=at.scale,
             cost_scale=at.cost_scale,
@@ -215,13 +197,25 @@ class Instance(ReadOnlyArrays):
 
     def begun_at(self, other: "Instance", result: ProgramResult) -> "Instance":
         """Return the instance that begins at the own unknowns of another one's result, by name."""
-        named = other.program.unknown.named(result.unknown)
-        start = self.program.unknown.named(self.start)
-        for name in self.program.own:
-            if name in named and len(named[name]) == len(start[name]):
-                start[name] = named[name]
-        column = np.clip(self.program.unknown.stacked(start), self.lower, self.upper)
-        return replace(self, start=column)
+        column = _by_name(
+            result.unknown,
+            other.program.unknown,
+            self.program.unknown,
+            self.start,
+            self.program.own,
+        )
+        return replace(self, start=np.clip(column, self.lower, self.upper))
+
+    def multipliers_from(self, other: "Instance", result: ProgramResult) -> Multipliers:
+        """Return the multipliers of another instance's result, by name; zero where it has none."""
+        none = Multipliers.none(self)
+        of_bounds = _by_name(
+            result.of_bounds, other.program.unknown, self.program.unknown, none.of_bounds
+        )
+        of_equations = _by_name(
+            result.of_equations, other.program.equation, self.program.equation, none.of_equations
+        )
+        return Multipliers(of_bounds, of_equations, other.scale, other.cost_scale)
 
     def multipliers_of(self, result: ProgramResult) -> Multipliers:
         """Return the multipliers of a result, with the units of the program."""
@@ -235,3 +229,22 @@ def on_bounds(conductance: Array, multiplier: Array, low: Array, high: Array) ->
     """
     lowered = np.where(-multiplier > conductance - low, low, conductance)
     return np.where(multiplier > high - conductance, high, lowered)
+
+
+def _by_name(
+    values: Array,
+    own: Blocks,
+    other: Blocks,
+    otherwise: Array,
+    names: Collection[str] | None = None,
+) -> Array:
+    """Return the blocks of a column as those of another one, by name, all or some of them.
+
+    Blocks that it has not, or of another size, are those of the column `otherwise`.
+    """
+    named = own.named(values)
+    blocks = other.named(otherwise)
+    for name in blocks if names is None else names:
+        if len(named.get(name, ())) == len(blocks[name]):
+            blocks[name] = named[name]
+    return other.stacked(blocks)

@@ -9,7 +9,7 @@ Source: Wächter & Biegler, Mathematical Programming 106, 2006.
 
 from collections.abc import Mapping
 from contextlib import redirect_stdout
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from io import StringIO
 from typing import Any
@@ -58,6 +58,7 @@ WARM_SLOPES = 100.0
 # conditions: IPOPT goes on below its usual tolerance, with pivots that keep digits.
 FINE = {
     **GIVEN_MULTIPLIERS,
+    "tol": 1e-20,
     "warm_start_bound_push": 1e-20,
     "warm_start_bound_frac": 1e-20,
     "warm_start_slack_bound_push": 1e-20,
@@ -69,7 +70,6 @@ FINE = {
     "mumps_pivot_order": 5,
     "mumps_permuting_scaling": 7,
 }
-FINE_TOLERANCE = 1e-20
 FINE_ITERATIONS = 60
 INTERRUPTED = "NonIpopt_Exception_Thrown"
 
@@ -86,7 +86,8 @@ class Limits:
     seconds : float
         Wall time of a solve.
     own : tuple of pairs of str and value
-        Further options of IPOPT, which take the place of all others but those of a fine solve.
+        Further options of IPOPT, which take the place of all others but those of a fine solve. That
+        ends where it comes no closer than the usual tolerance.
     """
 
     tolerance: float = 1e-8
@@ -97,23 +98,8 @@ class Limits:
     def options(self) -> dict[str, Any]:
         """Return the options of IPOPT."""
         limits = {"tol": self.tolerance, "max_iter": self.max_iterations}
-        return {**limits, **self._wall_time(), **dict(self.own)}
-
-    def fine_options(self) -> dict[str, Any]:
-        """Return the options of a fine solve.
-
-        A fine solve ends where it comes no closer than the usual tolerance.
-        """
-        most = min(FINE_ITERATIONS, self.max_iterations)
-        return {
-            "tol": FINE_TOLERANCE,
-            "acceptable_tol": self.tolerance,
-            "max_iter": most,
-            **self._wall_time(),
-        }
-
-    def _wall_time(self) -> dict[str, float]:
-        return {} if np.isinf(self.seconds) else {"max_wall_time": self.seconds}
+        time = {} if np.isinf(self.seconds) else {"max_wall_time": self.seconds}
+        return {**limits, **time, **dict(self.own)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,15 +114,12 @@ class Interface(CasadiOwner):
         IPOPT from a cold start.
     scaled : bool
         Whether IPOPT scales constraints by their gradients, for own ones.
-    is_fine : bool
-        Whether warm starts are fine ones.
     """
 
     program: Program
     limits: Limits
     cold: casadi.Function
     scaled: bool = False
-    is_fine: bool = False
 
     @classmethod
     @guarded
@@ -146,16 +129,14 @@ class Interface(CasadiOwner):
         cold = _solver(program, COLD | barrier | limits.options(), scaled=scaled)
         return cls(program, limits, cold, scaled)
 
-    @cached_property
-    def fine(self) -> "Interface":
-        """The interface whose warm starts go on to the digits that double precision holds."""
-        return replace(self, is_fine=True)
-
     @guarded
-    def minimise(self, instance: Instance, multipliers: Multipliers | None = None) -> ProgramResult:
+    def minimise(
+        self, instance: Instance, multipliers: Multipliers | None = None, *, fine: bool = False
+    ) -> ProgramResult:
         """Return IPOPT's result for an instance of the program.
 
-        A warm start has multipliers in its units.
+        A warm start has multipliers; a `fine` one goes on to the digits that double precision
+        holds.
 
         Raises
         ------
@@ -163,14 +144,16 @@ class Interface(CasadiOwner):
             Ctrl-C came during the solve: CasADi catches it, and ends IPOPT with a status of its own
             or an error that quotes it.
         """
-        solver = self.cold if multipliers is None else self._warm
-        warm = {}
+        solver = self.cold
+        given = {"x0": instance.start, "p": instance.parameter}
+        given |= {"lbx": instance.lower, "ubx": instance.upper}
+        given |= {"lbg": instance.equations[0], "ubg": instance.equations[1]}
         if multipliers is not None:
-            warm = {"lam_x0": multipliers.of_bounds, "lam_g0": multipliers.of_equations}
-        limits = {"lbx": instance.lower, "ubx": instance.upper}
-        limits |= {"lbg": instance.equations[0], "ubg": instance.equations[1]}
+            solver = self._fine if fine else self._warm
+            own = multipliers.in_units_of(instance)
+            given |= {"lam_x0": own.of_bounds, "lam_g0": own.of_equations}
         try:
-            result = solver(x0=instance.start, p=instance.parameter, **limits, **warm)
+            result = solver(**given)
         except RuntimeError as error:
             if KeyboardInterrupt.__name__ in str(error):
                 raise KeyboardInterrupt from None
@@ -178,21 +161,24 @@ class Interface(CasadiOwner):
         stats = solver.stats()
         if stats["return_status"] == INTERRUPTED:
             raise KeyboardInterrupt
+        # Where IPOPT gives up before its first iteration, there is no history.
+        history = stats.get("iterations", {})
         unknown, of_bounds, of_equations = (
             np.asarray(result[name]).ravel() for name in ("x", "lam_x", "lam_g")
         )
-        status = str(stats["return_status"])
-        # Where IPOPT gives up before its first iteration, there is no history.
-        history = stats.get("iterations", {})
-        iterations = int(stats["iter_count"]) if history else 0
-        corrected = any(history.get("regularization_size", ()))
         return ProgramResult(
-            unknown, of_bounds, of_equations, status, iterations, corrected, history
+            unknown,
+            of_bounds,
+            of_equations,
+            status=str(stats["return_status"]),
+            iterations=int(stats["iter_count"]) if history else 0,
+            corrected=any(history.get("regularization_size", ())),
+            history=history,
         )
 
     @cached_property
     def _warm(self) -> casadi.Function:
-        """IPOPT for starts with multipliers; `fine` interfaces have options of their own."""
+        """IPOPT for starts with multipliers."""
         tolerance = self.limits.tolerance
         nearly = {
             "acceptable_tol": WARM_SLOPES * tolerance,
@@ -200,9 +186,14 @@ class Interface(CasadiOwner):
             "acceptable_iter": 1,
         }
         chosen = WARM | nearly | self.limits.options()
-        if self.is_fine:
-            chosen = dict(self.limits.own) | FINE | self.limits.fine_options()
         return _solver(self.program, chosen, scaled=self.scaled)
+
+    @cached_property
+    def _fine(self) -> casadi.Function:
+        """IPOPT for starts with multipliers, to the digits that double precision holds."""
+        most = min(FINE_ITERATIONS, self.limits.max_iterations)
+        ends = {"acceptable_tol": self.limits.tolerance, "max_iter": most}
+        return _solver(self.program, self.limits.options() | FINE | ends, scaled=self.scaled)
 
 
 def is_option(name: str) -> bool:

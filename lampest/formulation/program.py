@@ -38,8 +38,10 @@ from lampest.formulation.patterns import (
     Excitation,
     NetworkSymbols,
     joined_addresses,
+    stacked_networks,
 )
-from lampest.formulation.values import Values, unit_of
+from lampest.formulation.statement import EMPTY, Blocks, Constraint, ProgramUnknown, Statement
+from lampest.formulation.values import unit_of
 from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.panel.equation import equation_of
 from lampest.panel.panel import Array
@@ -48,103 +50,7 @@ from lampest.panel.readouts import Readout
 if TYPE_CHECKING:
     from lampest.formulation.scene_numbers import SymbolicReadout  # loads every driven readout
 
-EMPTY = casadi.SX(0, 1)
 CELL_BOUNDS = ("lower", "upper")  # names of the bounds of the cells in sensitivities
-
-
-@dataclass(frozen=True, eq=False)
-class Blocks(CasadiOwner):
-    """Named columns of symbols, one below the other.
-
-    Attributes
-    ----------
-    symbols : mapping of str to casadi.SX, shape (n, 1)
-    """
-
-    symbols: Mapping[str, casadi.SX]
-
-    @cached_property
-    def column(self) -> casadi.SX:
-        """All symbols, (size, 1)."""
-        return casadi.vertcat(EMPTY, *self.symbols.values())
-
-    @cached_property
-    def sizes(self) -> dict[str, int]:
-        """Number of entries of each block."""
-        return {name: int(symbol.shape[0]) for name, symbol in self.symbols.items()}
-
-    def stacked(self, values: Mapping[str, ArrayLike]) -> Array:
-        """Return the values of all blocks as one column, (size,).
-
-        Each value is a number, or one for each entry, by the name of the block.
-        """
-        parts = []
-        for name, size in self.sizes.items():
-            value = np.asarray(values[name], dtype=float).reshape(-1)
-            parts.append(np.broadcast_to(value, (size,)))
-        return np.concatenate([np.zeros(0), *parts])
-
-    def named(self, column: Array) -> dict[str, Array]:
-        """Return the block of each name from one column of values, (size,)."""
-        ends = np.cumsum([*self.sizes.values()], dtype=int)[:-1]
-        return dict(zip(self.sizes, np.split(column, ends), strict=True))
-
-
-# Numbers, or a function of the values of the frames
-Rule = float | Array | Callable[[Values], ArrayLike]
-
-
-def value_of(rule: Rule, at: Values) -> ArrayLike:
-    """Return the value of a rule for the values of the frames."""
-    return rule(at) if callable(rule) else rule
-
-
-@dataclass(frozen=True, eq=False)
-class ProgramUnknown(CasadiOwner):
-    """Unknown of a program, with its start and its bounds.
-
-    Attributes
-    ----------
-    symbol : casadi.SX, shape (size, 1)
-    start, lower, upper : Rule
-    """
-
-    symbol: casadi.SX
-    start: Rule
-    lower: Rule = -np.inf
-    upper: Rule = np.inf
-
-
-@dataclass(frozen=True, eq=False)
-class Constraint(CasadiOwner):
-    """Constraint lower ≤ expression ≤ upper; equal limits make an equation.
-
-    Attributes
-    ----------
-    expression : casadi.SX, shape (rows, 1)
-    lower, upper : float or array, shape (rows,)
-    """
-
-    expression: casadi.SX
-    lower: float | Array = 0.0
-    upper: float | Array = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Statement(CasadiOwner):
-    """A program as it is solved: its cost, over its unknowns, subject to its constraints.
-
-    Attributes
-    ----------
-    unknowns : mapping of str to ProgramUnknown
-    constraints : mapping of str to Constraint
-    cost : casadi.SX, shape (1, 1)
-        φ/cost_scale.
-    """
-
-    unknowns: Mapping[str, ProgramUnknown]
-    constraints: Mapping[str, Constraint]
-    cost: casadi.SX
 
 
 def pose(program: "Program") -> Statement:
@@ -153,11 +59,10 @@ def pose(program: "Program") -> Statement:
     Everything that is solved stands here by name. The order of the names is that of the columns;
     voltages follow the conductances, see `Program.hessian`.
     """
-    networks = program.networks
+    network = program.network
     losses = program.lowered
 
-    def voltage(name: str) -> ProgramUnknown:
-        symbol = casadi.vertcat(*(network.voltages[name] for network in networks))
+    def voltage(name: str, symbol: casadi.SX) -> ProgramUnknown:
         return ProgramUnknown(symbol, start=lambda at: at.voltages[name] / at.units[name])
 
     unknowns = {
@@ -169,7 +74,7 @@ def pose(program: "Program") -> Statement:
             upper=lambda at: at.scale / at.lower,
         ),
         # Node voltages V of every pattern, those of the start's cells, without bounds
-        **{name: voltage(name) for name in networks[0].voltages},
+        **{name: voltage(name, symbol) for name, symbol in network.voltages.items()},
         # Parts p, q of residuals whose loss has no second derivative at zero
         "split": ProgramUnknown(
             casadi.vertcat(EMPTY, *(side for part in losses for side in part.split)),
@@ -180,7 +85,7 @@ def pose(program: "Program") -> Statement:
     }
     constraints = {
         # Kirchhoff's current law at every node: L(g) V + diag(t) V − I = 0
-        "balance": Constraint(casadi.vertcat(*(network.balance for network in networks))),
+        "balance": Constraint(network.balance),
         # p − q − x = 0
         "split": Constraint(
             casadi.vertcat(EMPTY, *(part.equation for part in losses if part.equation is not None))
@@ -313,16 +218,15 @@ class Program(CasadiOwner):
         ]
         if not self.own_cost.is_zero():
             lines.append(f"    {'own cost':<24}{'1 number':>16}")
-        lines.append("over")
-        for name, unknown in self.statement.unknowns.items():
-            size = unknown.symbol.shape[0]
-            limits = _in_words(unknown.lower, unknown.upper)
-            lines += [f"    {name:<24}{counted(size, 'unknown'):>16}{limits}"] * bool(size)
-        lines.append("subject to")
-        for name, constraint in self.statement.constraints.items():
-            size = constraint.expression.shape[0]
-            limits = _in_words(constraint.lower, constraint.upper)
-            lines += [f"    {name:<24}{counted(size, 'row'):>16}{limits}"] * bool(size)
+        parts = (
+            ("over", "unknown", self.unknown, self.statement.unknowns),
+            ("subject to", "row", self.equation, self.statement.constraints),
+        )
+        for heading, word, blocks, rules in parts:
+            lines.append(heading)
+            for name, size in blocks.sizes.items():
+                limits = _in_words(rules[name].lower, rules[name].upper)
+                lines += [f"    {name:<24}{counted(size, word):>16}{limits}"] * bool(size)
         return "\n".join(lines)
 
     @property
@@ -356,23 +260,9 @@ class Program(CasadiOwner):
     ) -> "tuple[Program, casadi.SX]":
         """Return the program with a further unknown x, and its symbol (size, 1).
 
-        A prior adds Σ ((x − mean)/sd)² to the cost. Each argument is a number, or one for each
-        entry of x.
-
-        Parameters
-        ----------
-        name : str
-        size : int
-        start : float or array, optional
-            By default the mean, within the bounds.
-        lower, upper : float or array
-        mean, sd : float or array
-            Prior; an infinite sd is none.
-
-        Raises
-        ------
-        InputError
-            If the name is taken, or a number is out of range.
+        Each argument is a number, or one for each entry of x. A prior adds Σ ((x − mean)/sd)² to
+        the cost; an infinite sd is none. The start is by default the mean, within the bounds.
+        Raises InputError if the name is taken, or a number is out of range.
         """
         _check_text(name, "the name of an unknown")
         if name in self.quantities:
@@ -381,13 +271,18 @@ class Program(CasadiOwner):
             )
         if not (isinstance(size, int | np.integer) and size >= 1):
             raise InputError(f"unknown {name} needs a size of 1 or more, not {size!r}")
-        given = {"lower": lower, "upper": upper, "mean": mean, "sd": sd}
-        given |= {} if start is None else {"start": start}
-        column = {
-            key: _column(value, size, f"{key} of unknown {name}") for key, value in given.items()
-        }
-        low, high, centre, deviation = (column[key] for key in ("lower", "upper", "mean", "sd"))
-        begin = column.get("start", np.clip(centre, low, high))
+        low, high, centre, deviation, begin = (
+            _column(value, size, f"{key} of unknown {name}")
+            for key, value in (
+                ("lower", lower),
+                ("upper", upper),
+                ("mean", mean),
+                ("sd", sd),
+                ("start", mean if start is None else start),
+            )
+        )
+        if start is None:
+            begin = np.clip(centre, low, high)
         inside = (low < high) & (low <= begin) & (begin <= high)
         if not np.all(inside & (deviation > 0) & np.isfinite(centre + begin)):
             raise InputError(
@@ -405,13 +300,8 @@ class Program(CasadiOwner):
     def with_reading(self, changed: Callable[[casadi.SX], Any]) -> "Program":
         """Return the program whose terms read changed(y) in place of y.
 
-        y and changed(y) have the shape (cells, frames) and the readout's unit.
-
-        Raises
-        ------
-        InputError
-            If `changed` is no function, or the result has another shape, or depends on other
-            symbols than the program's.
+        y and changed(y) have the shape (cells, frames) and the readout's unit. Raises InputError if
+        `changed` is no function, and as `expression`.
         """
         if not callable(changed):
             raise InputError(f"with_reading needs a function of y, not {in_words(changed)}")
@@ -419,10 +309,7 @@ class Program(CasadiOwner):
         return replace(self, reading=reading)
 
     def with_cost(self, added: Any) -> "Program":
-        """Return the program with a further cost, one number in the unit of φ.
-
-        Raises InputError for another shape, and for symbols that are not the program's.
-        """
+        """Return the program with a further cost in the unit of φ. Raises as `expression`."""
         cost = self.expression("an own cost", added, (1, 1))
         return replace(self, own_cost=self.own_cost + cost)
 
@@ -436,13 +323,8 @@ class Program(CasadiOwner):
         """Return the program with a constraint lower ≤ expression ≤ upper.
 
         The constraint is an equation if there is no upper limit. A limit is a number, or one for
-        each row.
-
-        Raises
-        ------
-        InputError
-            If the name is taken, or the expression is no column, or has no derivative by the
-            unknowns, as a comparison has none, or no number lies between the limits.
+        each row. Raises InputError if the name is taken, or the expression is no column, or has no
+        derivative by the unknowns, as a comparison has none, or no number lies between the limits.
         """
         _check_text(name, "the name of a constraint")
         if name in {*self.statement.constraints, *self.parameter.sizes, *CELL_BOUNDS}:
@@ -528,28 +410,23 @@ class Program(CasadiOwner):
 
     @guarded
     def split_residuals(self, unknown: Array, parameter: Array) -> list[Array]:
-        """Return the residuals of each group that is split into p and q, at given unknowns x.
-
-        Parameters
-        ----------
-        unknown, parameter : array
-            Values of x and of the parameters p.
-        """
-        values = self._split_residuals(unknown, parameter) if self._split_residuals.n_out() else ()
-        several = values if isinstance(values, tuple) else (values,)
-        return [np.asarray(value).ravel() for value in several]
+        """Return the residuals of each group that is split into p and q, for values of x and p."""
+        values = self._split_residuals.call([unknown, parameter])
+        return [np.asarray(value).ravel() for value in values]
 
     @cached_property
     def _split_residuals(self) -> casadi.Function:
-        """Function (unknowns, parameters) → residuals, a column for each group of split terms.
-
-        Losses of split terms enter by auxiliary unknowns.
-        """
+        """Function (x, p) → residuals, a column for each group of split terms."""
         split = [group for group in self.groups if group[0].loss.enters != "whole"]
         residuals = [
             casadi.densify(casadi.vertcat(*(part.residual for part in group))) for group in split
         ]
         return casadi.Function("split", [self.unknown.column, self.parameter.column], residuals)
+
+    @cached_property
+    def network(self) -> NetworkSymbols:
+        """The networks of all frames as one."""
+        return stacked_networks(self.networks)
 
     @cached_property
     def statement(self) -> Statement:
@@ -563,22 +440,19 @@ class Program(CasadiOwner):
 
     @cached_property
     def parameter(self) -> Blocks:
-        """Parameters by name: the fields of `Given`, units, ties and weights.
-
-        The units are those of voltages, and those of the program.
-        """
+        """Parameters by name: the fields of `Given`, units, ties and weights."""
         given = {name: casadi.vec(symbol) for name, symbol in self.given.named()}
-        voltages = {
-            unit_of(name): casadi.vertcat(*(network.units[name] for network in self.networks))
-            for name in self.networks[0].units
-        }
-        units = {
-            "scale": self.scale,
-            "cost_scale": self.cost_scale,
-            "split_scale": self.split_scale,
-        }
+        voltages = {unit_of(name): unit for name, unit in self.network.units.items()}
         return Blocks(
-            {**given, **voltages, "tie": casadi.vec(self.tie), "weights": self.weight, **units}
+            {
+                **given,
+                **voltages,
+                "tie": casadi.vec(self.tie),
+                "weights": self.weight,
+                "scale": self.scale,
+                "cost_scale": self.cost_scale,
+                "split_scale": self.split_scale,
+            }
         )
 
     @cached_property
@@ -588,8 +462,7 @@ class Program(CasadiOwner):
         Conductances are in siemens, voltages in volt or V/A, parts of residuals in their own unit.
         """
         units = {"conductance": 1 / self.scale, "split": self.split_scale}
-        for name in self.networks[0].voltages:
-            unit = casadi.vertcat(*(network.units[name] for network in self.networks))
+        for name, unit in self.network.units.items():
             units[name] = unit if name == END_VOLTAGE else unit * self.scale
         natural = {
             name: symbol * units.get(name, 1) for name, symbol in self.unknown.symbols.items()
@@ -620,23 +493,12 @@ class Program(CasadiOwner):
     @cached_property
     def derivatives(self) -> dict[str, casadi.Function]:
         """Gradient of f, Jacobian of g, and Hessian of the Lagrangian, by CasADi's names."""
-        nlp = self.nlp
-        arguments = [nlp["x"], nlp["p"]]
-        gradient = casadi.Function(
-            "nlp_grad_f",
-            arguments,
-            [nlp["f"], casadi.gradient(nlp["f"], nlp["x"])],
-            ["x", "p"],
-            ["f", "grad_f_x"],
-        )
-        jacobian = casadi.Function(
-            "nlp_jac_g",
-            arguments,
-            [nlp["g"], casadi.jacobian(nlp["g"], nlp["x"])],
-            ["x", "p"],
-            ["g", "jac_g_x"],
-        )
-        return {"grad_f": gradient, "jac_g": jacobian, "hess_lag": self.hessian()}
+        program = casadi.Function("nlp", self.nlp, ["x", "p"], ["f", "g"])
+        return {
+            "grad_f": program.factory("nlp_grad_f", ["x", "p"], ["f", "grad:f:x"]),
+            "jac_g": program.factory("nlp_jac_g", ["x", "p"], ["g", "jac:g:x"]),
+            "hess_lag": self.hessian(),
+        }
 
     def hessian(self) -> casadi.Function:
         """Return the function (x, p, σ, λ) → ∇²(σf + λᵀg), upper triangle, (x, x) sparse.
@@ -648,24 +510,19 @@ class Program(CasadiOwner):
         weight = casadi.SX.sym("weight")
         multiplier = casadi.SX.sym("multiplier", self.equation.column.shape[0])
         count = self.equation.sizes["balance"]
-        voltages = casadi.vertcat(
-            *(self.unknown.symbols[name] for name in self.networks[0].voltages)
+        voltages = casadi.vertcat(*self.network.voltages.values())
+        lagrangian = weight * self.statement.cost + casadi.dot(
+            multiplier[count:], self.equation.column[count:]
         )
-        beside_balance = self.equation.column[count:]
-        lagrangian = weight * self.statement.cost + casadi.dot(multiplier[count:], beside_balance)
-        full = casadi.jacobian(casadi.gradient(lagrangian, unknown), unknown, {"symmetric": True})
-        slope = casadi.gradient(
-            casadi.dot(multiplier[:count], self.equation.symbols["balance"]), voltages
-        )
+        full, _ = casadi.hessian(lagrangian, unknown)
+        slope = casadi.gradient(casadi.dot(multiplier[:count], self.network.balance), voltages)
         block = casadi.jacobian(slope, self.unknown.symbols["conductance"])
         first = self.unknown.sizes["conductance"]
-        upper = casadi.SX(*full.shape)
-        upper[:first, first : first + voltages.shape[0]] = block.T
+        upper = casadi.triu(full)
+        upper[:first, first : first + voltages.shape[0]] += block.T
         arguments = [unknown, self.parameter.column, weight, multiplier]
         names = ["x", "p", "lam_f", "lam_g"]
-        return casadi.Function(
-            "nlp_hess_l", arguments, [casadi.triu(full) + upper], names, ["hess_gamma_x_x"]
-        )
+        return casadi.Function("nlp_hess_l", arguments, [upper], names, ["hess_gamma_x_x"])
 
 
 def _check_text(name: Any, what: str) -> None:

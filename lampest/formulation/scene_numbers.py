@@ -14,7 +14,8 @@ Amplifier Design, 1945, chapter 1.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import compress, product
+from math import prod
 from typing import Any
 
 import casadi
@@ -32,6 +33,10 @@ GRID = (0.0, 1.0, 2.0)  # in steps from the scene's number
 TESTED = (0.5, 3.0)  # places beside the grid
 FARTHER = 1.5  # the second of two readings whose conversion is a straight line, over the first
 ROUNDING = 1e-9  # relative deviation of a value from its ratio of polynomials
+# Numbers of an equation: one, or a pair, of each cell; and those of potentials of line ends
+SINGLE = ("source", "drive", "load", "gain")
+PAIRS = ("drive_terms", "load_terms", "current_terms")
+OF_ENDS = ("of_drive", "of_load", "held_volt", "load_volt", "level", "follows")
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +131,11 @@ class SymbolicReadout(CasadiOwner):
 
         Raises InputError for a number that is no resistance of this circuit.
         """
-        _check_circuit(scene)
+        if scene.wiring is not None:
+            raise InputError("numbers: wire, contacts and touching lines are not in this program")
+        if scene.circuit.unit == "ohm" and not scene.circuit.two_point:
+            kind = type(scene.circuit).__name__
+            raise InputError(f"numbers: {kind} has no line ends of which a number could be unknown")
         if not isinstance(priors, Mapping):
             raise InputError(
                 "numbers must map keys of the scene to standard deviations, such as "
@@ -137,8 +146,7 @@ class SymbolicReadout(CasadiOwner):
         numbers = [SceneNumber.of(scene, key, sd) for key, sd in priors.items()]
         symbols = {each.key: casadi.SX.sym(each.key, len(each.value)) for each in numbers}
         circuit = scene.circuit
-        ratios = _Ratios.fitted(scene, numbers, measured)
-        values = ratios.expression(numbers, symbols)
+        values = _ratios(scene, numbers, symbols, measured)
         cells = measured.size
         first, last, values = values[:cells], values[cells : 2 * cells], values[2 * cells :]
         reading = casadi.DM(measured.ravel())
@@ -171,126 +179,98 @@ class SymbolicReadout(CasadiOwner):
         return casadi.sumsqr(casadi.vertcat(*deviations))
 
 
-@dataclass(frozen=True, eq=False)
-class _Ratios:
-    """Ratios of polynomials, one for each entry of a readout.
+def _places(scene: Scene, numbers: Sequence[SceneNumber], measured: Array) -> NDArray[np.intp]:
+    """Return the number of the list of each key on which an entry depends, (keys, entries).
 
-    Attributes
-    ----------
-    value : array, shape (entries,)
-        Values at the scene's numbers.
-    place : array of int, shape (keys, entries)
-        Number of the list of each key on which an entry depends; −1: on none.
-    coefficients : sequence of array
-        Coefficients of numerator and denominator of each entry, (2, 2, …), with an axis of constant
-        and linear part for each key on which it depends.
+    −1: on none.
     """
+    nominal = _entries(scene, scene, measured)
+    place = np.full((len(numbers), len(nominal)), -1)
+    for key, number in enumerate(numbers):
+        for entry, chosen in enumerate(np.eye(len(number.value))):
+            moved = number.stated(scene, number.value + chosen * number.step)
+            changed = _entries(moved, scene, measured)
+            # Entries are equal but for rounding; infinite ones have no difference.
+            with np.errstate(invalid="ignore"):
+                far = ~(np.abs(changed - nominal) <= ROUNDING**1.5 * np.abs(nominal))
+            depends = far & (changed != nominal)
+            if np.any(depends & (place[key] >= 0)):
+                raise _refusal(number.key)
+            place[key][depends] = entry
+        if np.all(place[key] < 0):
+            raise InputError(f"numbers: no reading depends on {number.key}")
+    return place
 
-    value: Array
-    place: NDArray[np.intp]
-    coefficients: Sequence[Array]
 
-    @classmethod
-    def fitted(cls, scene: Scene, numbers: Sequence[SceneNumber], measured: Array) -> "_Ratios":
-        """Return the ratios of a scene; see `SymbolicReadout.of`."""
-        nominal = _entries(scene, scene, measured)
+def _ratios(
+    scene: Scene,
+    numbers: Sequence[SceneNumber],
+    symbols: Mapping[str, casadi.SX],
+    measured: Array,
+) -> casadi.SX:
+    """Return all entries of a readout as ratios of polynomials, (entries, 1).
 
-        def moved(steps: Sequence[float | Array]) -> Array:
-            changed = scene
-            for number, step in zip(numbers, steps, strict=True):
-                changed = number.stated(changed, number.value + step * number.step)
-            return _entries(changed, scene, measured)
-
-        place = np.full((len(numbers), len(nominal)), -1)
-        for key, number in enumerate(numbers):
-            for entry, chosen in enumerate(np.eye(len(number.value))):
-                steps = [chosen if other == key else 0.0 for other in range(len(numbers))]
-                depends = ~_same(moved(steps), nominal)
-                if np.any(depends & (place[key] >= 0)):
-                    raise _refusal(number.key)
-                place[key][depends] = entry
-            if np.all(place[key] < 0):
-                raise InputError(f"numbers: no reading depends on {number.key}")
-        points = list(product(GRID, repeat=len(numbers)))
-        tests = list(product(TESTED, repeat=len(numbers)))
-        values = np.array([moved(point) for point in points + tests])
-        coefficients = []
-        for entry, of_entry in enumerate(values.T):
-            active = place[:, entry] >= 0
-            at = np.array(points + tests)[:, active]
-            fit = _ratio(at[: len(points)], of_entry[: len(points)])
-            if active.any() and not np.all(
-                np.abs(_at(fit, at) - of_entry) <= ROUNDING * np.abs(of_entry).max()
-            ):
-                raise _refusal(
-                    " and ".join(
-                        number.key for number, acts in zip(numbers, active, strict=True) if acts
-                    )
-                )
-            coefficients.append(fit)
-        return cls(nominal, place, coefficients)
-
-    def expression(
-        self, numbers: Sequence[SceneNumber], symbols: Mapping[str, casadi.SX]
-    ) -> casadi.SX:
-        """Return the entries as expressions of the symbols, (entries, 1)."""
+    The arguments are those of `SymbolicReadout.of`.
+    """
+    place = _places(scene, numbers, measured)
+    count = len(GRID) ** len(numbers)
+    points = [*product(GRID, repeat=len(numbers)), *product(TESTED, repeat=len(numbers))]
+    seen = []
+    for point in points:
+        moved = scene
+        for number, step in zip(numbers, point, strict=True):
+            moved = number.stated(moved, number.value + step * number.step)
+        seen.append(_entries(moved, scene, measured))
+    values = np.array(seen)
+    nominal = values[points.index((0.0,) * len(numbers))]
+    column = casadi.SX(casadi.DM(np.where(np.isfinite(nominal), nominal, 0.0)))
+    for entry in np.flatnonzero((place >= 0).any(axis=0)).tolist():
+        acting = place[:, entry] >= 0
+        at = np.array(points)[:, acting]
+        of_entry = values[:, entry]
+        fit = _ratio(at[:count], of_entry[:count])
+        upper, lower = (_products(at) @ polynomial for polynomial in fit)
+        if not np.all(np.abs(upper / lower - of_entry) <= ROUNDING * np.abs(of_entry).max()):
+            raise _refusal(" and ".join(number.key for number in compress(numbers, acting)))
         steps = [
-            (symbols[number.key] - number.value) / casadi.DM(number.step) for number in numbers
+            (symbols[number.key][line] - number.value[line]) / number.step[line]
+            for number, line in zip(numbers, place[:, entry].tolist(), strict=True)
+            if line >= 0
         ]
-        column = casadi.SX(casadi.DM(np.where(np.isfinite(self.value), self.value, 0.0)))
-        for entry in np.flatnonzero((self.place >= 0).any(axis=0)):
-            places = self.place[:, entry]
-            parts = [
-                step[int(place)] for step, place in zip(steps, places, strict=True) if place >= 0
-            ]
-            upper, lower = (
-                sum(
-                    float(coefficient) * casadi.SX(_power(parts, powers))
-                    for powers, coefficient in np.ndenumerate(polynomial)
-                )
-                for polynomial in self.coefficients[int(entry)]
+        upper, lower = (
+            sum(
+                float(factor) * part
+                for factor, part in zip(polynomial, _subsets(steps), strict=True)
             )
-            column[int(entry)] = upper / lower
-        return column
+            for polynomial in fit
+        )
+        column[entry] = upper / lower
+    return column
 
 
-def _power(parts: Sequence[Any], powers: tuple[int, ...]) -> Any:
-    """Return the product of the parts with a power of 1."""
-    result: Any = 1.0
-    for part, power in zip(parts, powers, strict=True):
-        result = result * part if power else result
-    return result
+def _subsets(parts: Sequence[Any]) -> list[Any]:
+    """Return the product of every subset of some parts."""
+    return [prod(compress(parts, powers)) for powers in product((0, 1), repeat=len(parts))]
 
 
 def _ratio(at: Array, values: Array) -> Array:
-    """Return the coefficients of a ratio of polynomials through values, (2, 2, …).
+    """Return the coefficients of a ratio of polynomials through values, (2, subsets).
 
     Parameters
     ----------
     at : array, shape (points, keys)
     values : array, shape (points,)
     """
-    if not at.shape[1]:
-        return np.array([values[0], 1.0])
-    shape = (2,) * at.shape[1]
     terms = _products(at)
     size = np.abs(values).max()
     # Σ a − f Σ b = 0 at every point: the vector of the least singular value
     null = np.linalg.svd(np.hstack([terms, -values[:, None] / size * terms]))[2][-1]
-    upper, lower = null.reshape(2, -1)
-    return np.stack([size * upper.reshape(shape), lower.reshape(shape)])
-
-
-def _at(coefficients: Array, at: Array) -> Array:
-    """Return the values of a ratio at points, (points,)."""
-    upper, lower = (_products(at) @ polynomial.ravel() for polynomial in coefficients)
-    return np.asarray(upper / lower)
+    return np.asarray(np.array([[size], [1.0]]) * null.reshape(2, -1))
 
 
 def _products(at: Array) -> Array:
     """Return the product of every subset of the numbers at points, (points, subsets)."""
-    powers = list(np.ndindex(*(2,) * at.shape[1]))
-    return np.array([[_power(point, power) for power in powers] for point in at])
+    return np.array([_subsets(point) for point in at.tolist()], dtype=float)
 
 
 def _entries(scene: Scene, nominal: Scene, measured: Array) -> Array:
@@ -323,39 +303,27 @@ def _entries(scene: Scene, nominal: Scene, measured: Array) -> Array:
     return np.concatenate([*conversion, equation.ties.ravel(), *arrays])
 
 
-def _check_circuit(scene: Scene) -> None:
-    """Raise InputError where numbers of a scene cannot be unknown."""
-    if scene.wiring is not None:
-        raise InputError("numbers: wire, contacts and touching lines are not in this program")
-    if scene.circuit.unit == "ohm" and not scene.circuit.two_point:
-        kind = type(scene.circuit).__name__
-        raise InputError(f"numbers: {kind} has no line ends of which a number could be unknown")
-
-
 def _arrays(equation: Equation) -> list[Any]:
     """Return the numbers of an equation, to be broadcast to (rows, columns) each."""
-    arrays: list[Any] = [equation.source, equation.drive, equation.load, equation.gain]
-    arrays += [*equation.drive_terms, *equation.load_terms, *equation.current_terms]
-    terms = equation.potentials
-    if terms is not None:
-        arrays += [terms.of_drive, terms.of_load, terms.held_volt, terms.load_volt, terms.level]
-        arrays += [] if terms.follows is None else [terms.follows]
+    arrays = [getattr(equation, name) for name in SINGLE]
+    for name in PAIRS:
+        arrays += getattr(equation, name)
+    if equation.potentials is not None:
+        of_ends = [getattr(equation.potentials, name) for name in OF_ENDS]
+        arrays += [array for array in of_ends if array is not None]
     return arrays
 
 
 def _with_arrays(equation: Equation, column: casadi.SX) -> Equation:
     """Return an equation with the numbers of `_arrays` from one column, row by row."""
     rows, columns = equation.drive.shape
-    parts = [
+    parts = iter(
         casadi.reshape(part, columns, rows).T for part in casadi.vertsplit(column, rows * columns)
-    ]
-    source, drive, load, gain, *others = parts
-    changes: dict[str, Any] = {"source": source, "drive": drive, "load": load, "gain": gain}
-    for name in ("drive_terms", "load_terms", "current_terms"):
-        changes[name] = others.pop(0), others.pop(0)
+    )
+    changes: dict[str, Any] = {name: next(parts) for name in SINGLE}
+    changes |= {name: (next(parts), next(parts)) for name in PAIRS}
     if equation.potentials is not None:
-        names = ("of_drive", "of_load", "held_volt", "load_volt", "level", "follows")
-        of_ends: dict[str, Any] = dict(zip(names, others, strict=False))
+        of_ends: dict[str, Any] = dict(zip(OF_ENDS, parts, strict=False))
         changes["potentials"] = replace(equation.potentials, **of_ends)
     return replace(equation, **changes)
 
@@ -374,13 +342,6 @@ def _structure(equation: Equation) -> list[Any]:
     if terms is not None:
         structure += [terms.held.tolist(), terms.loaded, terms.ends.tolist(), terms.follows is None]
     return structure
-
-
-def _same(changed: Array, nominal: Array) -> NDArray[np.bool_]:
-    """Return which entries are equal but for rounding."""
-    rounding = ROUNDING**1.5 * np.abs(nominal)
-    with np.errstate(invalid="ignore"):
-        return np.asarray((changed == nominal) | (np.abs(changed - nominal) <= rounding))
 
 
 def _refusal(name: str) -> InputError:

@@ -70,7 +70,7 @@ class Values:
         """Return the values at the cells of the evaluations, without those of split residuals."""
         uniform = np.concatenate([block.data.uniform_start for block in blocks])
         costs = [float(block.cell_costs) or block.cost_scale for block in blocks]
-        without_voltages = cls(
+        values = cls(
             circuits,
             excitation,
             [block.data for block in blocks],
@@ -80,10 +80,7 @@ class Values:
             cells=np.zeros(0),
             voltages={},
             units={},
-        )
-        values = without_voltages.with_cells(
-            np.concatenate([block.cell_resistance for block in blocks])
-        )
+        ).with_cells(np.concatenate([block.cell_resistance for block in blocks]))
         units = {}
         for name, voltages in values.voltages.items():
             size = np.abs(voltages)

@@ -24,7 +24,7 @@ from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.posterior.interval import LEVEL, student_two_sided
 from lampest.posterior.reference import MAX_CELLS, ErrorScale, references
-from lampest.posterior.reference_fit import MODEL
+from lampest.posterior.reference_fit import DEGREES_OF_FREEDOM
 from lampest.recording.readings import Readings
 from lampest.recording.recording import (
     MEASURED,
@@ -53,7 +53,7 @@ def error_factor(scale: ErrorScale) -> float:
     # tail: empirical 95 % point; whole: that of Student's t, whose squared scale exceeds 1 by that
     # of the error
     tail = scale.tail / TWO_SIDED
-    widened = student_two_sided(MODEL.degrees_of_freedom) / TWO_SIDED * np.sqrt(scale.best**2 - 1)
+    widened = student_two_sided(DEGREES_OF_FREEDOM) / TWO_SIDED * np.sqrt(scale.best**2 - 1)
     factor = max(tail, float(np.hypot(1.0, widened)))
     return factor if factor >= MIN_EXCESS else 1.0
 

@@ -16,29 +16,23 @@ from lampest.posterior.linear import IGNORANCE, positive_inverse
 def active_bounds(
     errors: DenseErrors, rows: Array, previous: Array
 ) -> tuple[Array, Numbers, Array, Array]:
-    """Return the effect of shared errors z on the free cells, and intervals at a bound.
+    """Return the effect of shared errors z on the free cells, and intervals of those at a bound.
 
-    The intervals are those of the cells at a bound. The distance t_c of a cell from its bound is
-    distributed as N(−slope·v, v + |a|²) truncated to t_c ≥ 0, with v its variance among the free
-    cells and a the effect of z on it. If |a| > slope·v, the cell is released and moves with the
-    free cells. For an open cell t_c is the conductance, in units of a typical cell's.
+    The distance t_c of a cell from its bound is distributed as N(−slope·v, v + |a|²) truncated to
+    t_c ≥ 0, with v its variance among the free cells and a the effect of z on it. If |a| > slope·v,
+    the cell is released and moves with the free cells. For an open cell t_c is the conductance, in
+    units of a typical cell's.
 
-    Parameters
-    ----------
-    errors : DenseErrors
-    rows : array, shape (data rows, n)
-        Effect of z on the data.
-    previous : array, shape (2, cells, n)
-        Effect of z on log r of the last estimate and of the baseline.
+    `rows`, (data rows, n), is the effect of z on the data, `previous`, (2, cells, n), that on log r
+    of the last estimate and of the baseline.
 
     Returns
     -------
     answer : array, shape (free, n)
         Effect of z on log r of the free cells.
     cells : array of int, shape (k,)
-        Numbers of the cells at a bound.
     below, above : array, shape (k,)
-        Extent of their 95 % intervals downwards and upwards, in log r.
+        Numbers of the cells at a bound, and extent of their 95 % intervals, in log r.
 
     Raises numpy.linalg.LinAlgError if the cost is flat.
     """
@@ -46,10 +40,15 @@ def active_bounds(
     free = model.free
     cells = np.flatnonzero(model.at_lower | model.at_upper)
     # Unknowns: u of cells inside and at a lower bound, relative conductance at an upper bound.
-    resistance = model.at.cell_resistance.ravel()
+    resistance = model.cells.ravel()
     typical = np.exp(np.log(resistance)[free].mean()) if len(free) else 1.0
     stretch = np.where(model.at_upper, np.maximum(resistance / typical, 1.0), 1.0)
-    slopes, changes = _whitened(errors, rows, previous, stretch)
+    # X = (√Ω J; √Ω Z) with A = Xᵀ X, and its change Y with z, whose effect is A⁻¹ Xᵀ Y
+    data = np.sqrt(model.data_curvature)[:, None]
+    penalties = np.sqrt(model.penalty_curvature)[:, None]
+    slopes = np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties])
+    slopes = slopes * stretch
+    changes = np.vstack([rows * data, -model.carried(previous) * penalties])
     # Each cell at a bound alone: Schur complement, variance v, slope of −log density, and effect a
     # of z.
     of_held = slopes[:, cells]
@@ -73,14 +72,3 @@ def active_bounds(
     below = np.where(model.at_upper[cells], np.log1p(stretch[cells] * reach), 0.0)
     above = np.where(model.at_upper[cells], np.inf, reach)
     return joint[: len(free)], cells, below, above
-
-
-def _whitened(
-    errors: DenseErrors, rows: Array, previous: Array, stretch: Array
-) -> tuple[Array, Array]:
-    """Return X = (√Ω J; √Ω Z) with A = Xᵀ X, and its change Y with z, whose effect is A⁻¹ Xᵀ Y."""
-    model = errors.model
-    data = np.sqrt(model.data_curvature)[:, None]
-    penalties = np.sqrt(model.penalty_curvature)[:, None]
-    slopes = np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties])
-    return slopes * stretch, np.vstack([rows * data, -model.carried(previous) * penalties])

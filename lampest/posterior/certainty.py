@@ -41,7 +41,7 @@ class Certainty(ReadOnlyArrays):
     @property
     def own(self) -> Array:
         """Each cell's own part of the standard deviation, √(deviation² − common²)."""
-        return np.asarray(np.sqrt(np.maximum(self.deviation**2 - self.common**2, 0.0)))
+        return np.sqrt(np.maximum(self.deviation**2 - self.common**2, 0.0))
 
     @classmethod
     def of(
@@ -107,7 +107,7 @@ class Certainty(ReadOnlyArrays):
 
         def joined(of_frame: Array, of_baseline: Array, shared: Array) -> Array:
             with np.errstate(invalid="ignore"):
-                return np.asarray(np.sqrt(np.maximum(of_frame**2 + of_baseline**2 - 2 * shared, 0)))
+                return np.sqrt(np.maximum(of_frame**2 + of_baseline**2 - 2 * shared, 0))
 
         ends = TWO_SIDED**2 * shared
         of_common: Array = np.zeros(self.common.shape)

@@ -88,7 +88,7 @@ class Chain:
 
         The prior variance of these unknowns is one, and their prior precision is subtracted.
         """
-        return np.asarray(positive_inverse(self.border_covariance[:count, :count]) - np.eye(count))
+        return positive_inverse(self.border_covariance[:count, :count]) - np.eye(count)
 
     def doubting(self, share: float, prior: Array) -> "Chain":
         """Return the chain with only a share of the frames' information on the border.
@@ -142,7 +142,7 @@ class Chain:
     @cached_property
     def _root(self) -> Array:
         """E times a square root of the border's covariance, (frames, cells, n)."""
-        return np.asarray(self._follow @ np.linalg.cholesky(self.border_covariance))
+        return self._follow @ np.linalg.cholesky(self.border_covariance)
 
     def shared_variance(self, frame: int) -> Array:
         """Return the border's part of one frame's diagonal of H⁻¹, (cells,)."""

@@ -40,7 +40,7 @@ from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array, Numbers
 from lampest.posterior.certainty import Certainty, common_variance
 from lampest.posterior.interval import LEVEL
-from lampest.posterior.linear import IGNORANCE, LinearModel, positive_inverse, rank
+from lampest.posterior.linear import IGNORANCE, LinearModel, positive_inverse
 from lampest.solvers.hessian import block_diagonal
 
 
@@ -88,10 +88,10 @@ class DenseMemory(Memory):
         return DenseMemory(np.broadcast_to(self.blocks[0, 0], self.blocks.shape))
 
     def shared(self) -> Array:
-        return np.asarray(np.diag(self.blocks[0, 1]))
+        return np.diag(self.blocks[0, 1])
 
     def variance(self) -> Array:
-        return np.asarray(np.diag(self.blocks[0, 0]))
+        return np.diag(self.blocks[0, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,15 +136,15 @@ class DenseErrors:
 
         The changes of log r have shape (cells, n).
         """
-        return np.asarray(self.sensitivity @ change)
+        return self.sensitivity @ change
 
     def weighed(self, rows: Array) -> Array:
         """Return Jᵀ Ω x over all cells, (cells, n), for data x (data rows, n)."""
-        return np.asarray(self.sensitivity.T @ (self.model.data_curvature[:, None] * rows))
+        return self.sensitivity.T @ (self.model.data_curvature[:, None] * rows)
 
     def solved(self, right: Array, *, fine: bool = False) -> Array:
         """Return A⁻¹ x, (free, n); `fine` requests the accuracy of reported values."""
-        return np.asarray(self.inverse @ right)
+        return self.inverse @ right
 
     def gained(self, rows: Array, *, fine: bool = False) -> Array:
         """Return K x, (free, n), for data x (data rows, n)."""
@@ -163,11 +163,6 @@ class DenseErrors:
         return self._rows if len(free) == self._rows.shape[1] else self._rows[:, free]
 
     @cached_property
-    def _penalties(self) -> Array:
-        """√Ω Z over the free cells, (penalty rows, free)."""
-        return np.asarray(self._free_rows.toarray())
-
-    @cached_property
     def normal(self) -> Array:
         """Upper triangle of A = Jᵀ Ω J + Zᵀ Ω Z + ε s², (free, free)."""
         matrix = blas.dsyrk(1.0, (self.jacobian * np.sqrt(self.model.data_curvature)[:, None]).T)
@@ -183,7 +178,7 @@ class DenseErrors:
     @cached_property
     def _by_readings(self) -> Array:
         """F A⁻¹, (readings, free)."""
-        return np.asarray(self._readings_by_cells[:, self.model.free] @ self.inverse)
+        return self._readings_by_cells[:, self.model.free] @ self.inverse
 
     @cached_property
     def _gain(self) -> Array:
@@ -209,15 +204,16 @@ class DenseErrors:
         pulls = self._pulls[entries.col[chosen], entries.row[chosen]]
         used = float(entries.data[chosen] @ pulls)
         if of_term.all():
-            return min(rank(self.model.at.cost.unweighted), len(self.inverse)) - used
+            return self.model.penalty_rank - used
         # tr(B⁺ B_t) in the same way
-        rows = self._penalties[of_term]
+        rows = self._free_rows[of_term].toarray()
         return float(np.sum((rows @ self._penalties_inverse) * rows)) - used
 
     @cached_property
     def _penalties_inverse(self) -> Array:
         """B⁺, (free, free)."""
-        return np.asarray(np.linalg.pinv(self._penalties.T @ self._penalties, hermitian=True))
+        square = (self._free_rows.T @ self._free_rows).toarray()
+        return np.linalg.pinv(square, hermitian=True)
 
     @cached_property
     def _carried(self) -> list[tuple[int, Array]]:
@@ -269,7 +265,7 @@ class DenseErrors:
     @cached_property
     def covariance(self) -> Array:
         """S over all cells, (frames · cells, frames · cells); zero for cells that are not free."""
-        matrix = np.zeros((self.model.at.cell_resistance.size,) * 2)
+        matrix = np.zeros((self.model.cells.size,) * 2)
         own = sum((rows * size) @ rows.T for rows, size in self._own)
         inherited = sum(x @ y.T for x, y in self._inherited)
         matrix[np.ix_(self.model.free, self.model.free)] = own + inherited
@@ -280,8 +276,8 @@ class DenseErrors:
 
         The baseline is the first of two frames that are solved together.
         """
-        size = self.model.at.cell_resistance[0].size
-        if len(self.model.at.cell_resistance) == 2:
+        size = self.model.cells[0].size
+        if len(self.model.cells) == 2:
             return DenseMemory(self.covariance.reshape(2, size, 2, size).swapaxes(1, 2)[::-1, ::-1])
         blocks = np.zeros((2, 2, size, size))
         blocks[0, 0] = self.covariance
@@ -304,7 +300,7 @@ class DenseErrors:
             return np.asarray(np.einsum("ij,ji->i", self._gain, self.jacobian))
         basis = model.plateaus[model.free].toarray()
         data = self.jacobian * np.sqrt(model.data_curvature)[:, None]
-        smooth = self._penalties[~model.absolute] @ basis
+        smooth = self._free_rows[~model.absolute] @ basis
         along = data @ basis
         normal = along.T @ along + smooth.T @ smooth
         normal[np.diag_indices(len(normal))] += IGNORANCE * model.scale
@@ -339,7 +335,7 @@ class DenseErrors:
                 far = np.quantile(squares[chosen & ~unread], LEVEL, method="higher") / TWO_SIDED**2
                 widened[chosen & unread] = np.maximum(widened[chosen & unread], far)
         previous = None if self.before is None else self.before.variance()
-        return np.asarray(widened - model.known_share(previous))
+        return widened - model.known_share(previous)
 
     def reading_deviation(self) -> Array:
         """Return the standard deviation √diag(F S Fᵀ) of the modelled readings f(r̂).
@@ -356,21 +352,19 @@ class DenseErrors:
             variance[missing] = sum(
                 np.square(slopes[missing] @ rows) @ size for rows, size in self._own
             )
-        return np.asarray(
-            np.sqrt(np.maximum(variance, 0.0)).reshape(model.at.cell_resistance.shape)
-        )
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(model.cells.shape))
 
     @property
     def shared_variance(self) -> Array:
         """Part of the variance that moves all cells of a frame alike, (free,); the effect of V."""
-        frames = self.model.free // self.model.at.cell_resistance[0].size
+        frames = self.model.free // self.model.cells[0].size
         common = np.zeros(len(frames))
         if self.drawn is None:
             return common
         answer = self.answer(self.drawn)
         for frame in np.unique(frames):
             common[frames == frame] = common_variance(answer[frames == frame])
-        return np.asarray(np.minimum(common, self.variance))
+        return np.minimum(common, self.variance)
 
     def answer(self, rows: Array, previous: Array | None = None) -> Array:
         """Return the effect on log r, (free, n), of errors shared with earlier estimates.
@@ -407,7 +401,7 @@ class DenseErrors:
         chosen = (cells, np.arange(len(cells)))
         # Schur complement of each released cell c: A_cc − A_cf A_ff⁻¹ A_fc, with A = Jᵀ Ω J + Zᵀ Ω
         # Z
-        unit = np.zeros((model.at.cell_resistance.size, len(cells)))
+        unit = np.zeros((model.cells.size, len(cells)))
         unit[chosen] = 1.0
         penalised = model.penalty_curvature[:, None] * (model.penalty_jacobian @ unit)
         image = self.weighed(self.forward(unit)) + model.penalty_jacobian.T @ penalised

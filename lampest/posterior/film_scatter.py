@@ -26,8 +26,8 @@ def answer_to_scatter(errors: DenseErrors, scatter: float) -> Array:
         s, of log r.
     """
     model = errors.model
-    cells = model.at.cell_resistance[0].size
-    frames = model.at.cell_resistance.size // cells
+    cells = model.cells[0].size
+    frames = model.cells.size // cells
     jacobian = model.penalty_jacobian
     of_frame = jacobian[:, -cells:].toarray()
     curvature = model.penalty_curvature[:, None]

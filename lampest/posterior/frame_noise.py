@@ -4,7 +4,7 @@ The error of a frame's readings is noise + V·z with standard normal z, independ
 Each effect of `EFFECTS` with sizes of a frame has columns of V.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
 from scipy import linalg
@@ -49,11 +49,12 @@ class FrameNoise:
     gain: float
     common_ripple: Array
     line_ripple: Array
-    motion: Array = field(default_factory=lambda: np.zeros(0), kw_only=True)
-    jitter: float = field(default=0.0, kw_only=True)
-    resting: Array | None = field(default=None, kw_only=True)
-    memory: float = field(default=0.0, kw_only=True)
     effect_errors: Array | None = None
+    _: KW_ONLY
+    motion: Array = field(default_factory=lambda: np.zeros(0))
+    jitter: float = 0.0
+    resting: Array | None = None
+    memory: float = 0.0
 
     def columns(self, measured: Array, *, baseline: bool) -> Array:
         """Return V, (frames · cells, n), for readings (frames, rows, columns).
@@ -105,4 +106,4 @@ class FrameNoise:
             circuit.from_recorded(circuit.recorded_from_volt(volt + sign * changes), self.scene)
             for sign in (1, -1)
         ]
-        return np.asarray((ends[0] - ends[1]).reshape(len(changes), -1).T / 2)
+        return (ends[0] - ends[1]).reshape(len(changes), -1).T / 2

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import (
     bdtrc,
+    chdtrc,
+    chdtri,
     fdtrc,
-    gammaincc,
-    gammaincinv,
     log_ndtr,
     ndtr,
     ndtri,
@@ -57,7 +57,7 @@ def chi_square_tail(chi_square: ArrayLike, degrees: ArrayLike) -> Array:
 
     The arguments may have any shape.
     """
-    return np.asarray(gammaincc(np.asarray(degrees) / 2, np.asarray(chi_square) / 2))
+    return np.asarray(chdtrc(degrees, chi_square))
 
 
 def variance_ratio_tail(ratio: float, upper: float, lower: float) -> float:
@@ -67,7 +67,7 @@ def variance_ratio_tail(ratio: float, upper: float, lower: float) -> float:
 
 def chi_square_median(degrees: float) -> float:
     """Return the median of χ² with positive, possibly fractional degrees of freedom."""
-    return float(2 * gammaincinv(degrees / 2, 0.5))
+    return float(chdtri(degrees, 0.5))
 
 
 def binomial_tail(count: int, trials: int, chance: float) -> float:

@@ -6,7 +6,7 @@ data have the noise τ; all others are penalties. With s² = mean ω τ² over t
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -19,6 +19,7 @@ from lampest.cost.problem import Evaluation, Residuals, residuals
 from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.trust_region import MAX_DENSE
+from lampest.solvers.hessian import by_log
 
 NEAR_BOUND = 1e-3  # of log r: distance from a bound within which a cell is at it
 # Percent: an absolute residual below it is 0. Solvers end at 1e-7 and less, noise moves cells by
@@ -68,9 +69,15 @@ class LinearModel:
 
     at: Evaluation
     dual: Array
-    deviation: Array | None = field(default=None, kw_only=True)
-    weight_sigma: tuple[float, ...] = field(default=(), kw_only=True)
-    sites: Sites | None = field(default=None, kw_only=True)
+    _: KW_ONLY
+    deviation: Array | None = None
+    weight_sigma: tuple[float, ...] = ()
+    sites: Sites | None = None
+
+    @property
+    def cells(self) -> Array:
+        """Cells at the estimate, (frames, rows, columns) ohm."""
+        return self.at.cell_resistance
 
     @cached_property
     def gradient(self) -> Array:
@@ -99,7 +106,7 @@ class LinearModel:
 
     def over_all(self, values: Array) -> Array:
         """Return values (free, …) of the free cells over all cells, (cells, …), zero elsewhere."""
-        full = np.zeros((self.at.cell_resistance.size, *values.shape[1:]))
+        full = np.zeros((self.cells.size, *values.shape[1:]))
         full[self.free] = values
         return full
 
@@ -115,14 +122,14 @@ class LinearModel:
         # Variance of a uniform distribution over the bounds: ln²(upper/lower)/12
         below, above = (room[self.free] for room in self._rooms)
         within = 12 / np.maximum(below + above, NEAR_BOUND) ** 2
-        return np.asarray(np.where(self.unread, np.maximum(within, IGNORANCE), IGNORANCE))
+        return np.where(self.unread, np.maximum(within, IGNORANCE), IGNORANCE)
 
     @cached_property
     def unread(self) -> Mask:
         """Whether a cell's own reading is missing, boolean (free,)."""
         if not self.at.data.partial:
             return np.zeros(len(self.free), dtype=bool)
-        seen = np.broadcast_to(self.at.data.given.seen, self.at.cell_resistance.shape).ravel()
+        seen = np.broadcast_to(self.at.data.given.seen, self.cells.shape).ravel()
         return np.asarray(seen[self.free] == 0)
 
     @cached_property
@@ -138,6 +145,11 @@ class LinearModel:
     def through(self) -> sparse.csc_array:
         """Derivative ∂x/∂y of the data by the readings, sparse (data rows, cells)."""
         return self._residuals.data.jacobian("reading", self.at)
+
+    @property
+    def penalty_rank(self) -> int:
+        """Rank of the Jacobian of all penalties over the free cells, as that of `rank`."""
+        return min(rank(self.at.cost.unweighted), len(self.free))
 
     @cached_property
     def noise(self) -> Array:
@@ -191,7 +203,7 @@ class LinearModel:
         """
         from scipy.sparse.csgraph import connected_components  # for absolute losses
 
-        cells = self.at.cell_resistance.size
+        cells = self.cells.size
         pinned = self.absolute & (np.abs(self.penalty) < PINNED)
         rows = sparse.csr_array(self.penalty_jacobian)[pinned]
         counts = np.diff(rows.indptr)
@@ -283,18 +295,13 @@ class LinearModel:
                 columns.append(sparse.csc_array(np.where(rows, sigma * slope, 0.0)[:, None]))
         if beyond.any():
             columns.append(sparse.diags_array(beyond))
-        return sparse.csc_array(
-            self.penalty_jacobian.T
-            @ sparse.hstack([sparse.csc_array((len(residual), 0)), *columns])
-        )
+        return sparse.csc_array(self.penalty_jacobian.T @ sparse.hstack(columns))
 
     @cached_property
     def penalty_jacobian(self) -> sparse.csc_array:
         """Z, the derivative ∂x/∂u of the penalties, sparse (penalty rows, cells)."""
         jacobian = self._residuals.penalties.jacobian("cell_resistance", self.at)
-        # ∂x/∂u = (∂x/∂r)·diag(r), entry by entry of the sparse columns
-        cells = np.repeat(self.at.cell_resistance.ravel(), np.diff(jacobian.indptr))
-        return with_entries(jacobian, jacobian.data * cells)
+        return by_log(jacobian, self.cells)
 
     @cached_property
     def known_jacobians(self) -> tuple[sparse.csc_array, ...]:
@@ -306,9 +313,8 @@ class LinearModel:
         jacobians = list[sparse.csc_array]()
         for name, cells in (("previous", inputs.previous), ("baseline", inputs.baseline)):
             jacobian = self._residuals.penalties.jacobian(name, self.at)
-            if cells is not None and jacobian.nnz:
-                jacobian = sparse.csc_array(jacobian @ sparse.diags_array(cells.ravel()))
-            jacobians.append(jacobian)
+            known = cells is not None and jacobian.nnz
+            jacobians.append(by_log(jacobian, cells) if known else jacobian)
         return tuple(jacobians)
 
     def carried(self, changes: Array) -> Array:

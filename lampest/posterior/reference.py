@@ -18,8 +18,18 @@ from scipy.linalg import block_diag
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.posterior.interval import LEVEL
-from lampest.posterior.reference_fit import MODEL, Reference, ReferenceFit
+from lampest.posterior.reference_fit import Reference, ReferenceFit
 
+# Ratio of neighbouring s of the grid: a factor of √2 in σ changes no weight by more than its
+# uncertainty.
+SCALE_RATIO = 2.0
+MAX_SCALES = 14
+# First s where the noise is unknown, of the reading: no sensor is read to more digits.
+MIN_RELATIVE_NOISE = 1e-4
+# Decrease of −2 log p that another s than that of the known noise must reach: odds of e³ to one
+MIN_GAIN = 6.0
+# Excess of −2 log p over its minimum at which the search ends: odds of one to e³, about a twentieth
+MAX_EXCESS = 6.0
 MAX_CELLS = 400  # of a panel: beyond, the matrices of the model take seconds
 
 
@@ -83,19 +93,27 @@ def references(
     for data in solves:
         fits += [ReferenceFit.of(data, cost, frame) for frame in range(len(data.measured))]
     noise_known = solves[0].noise_known
-    first = 1.0 if noise_known else MODEL.min_relative_noise
-    tried = _fits_by_scale(fits, first, 1 if noise_known and believed else MODEL.max_scales)
+    first = 1.0 if noise_known else MIN_RELATIVE_NOISE
+    tried = _fits_by_scale(fits, first, 1 if noise_known and believed else MAX_SCALES)
     scales = list(tried)
     bounds = np.array([sum(fit.bound for fit in fits) for fits in tried.values()])
     # Posterior of log s on the grid, p ∝ exp(−bound/2), and its median
     share = np.cumsum(np.exp((bounds.min() - bounds) / 2))
     best = scales[int(np.searchsorted(share, share[-1] / 2))]
-    if noise_known and bounds[0] - bounds.min() < MODEL.min_gain:
+    if noise_known and bounds[0] - bounds.min() < MIN_GAIN:
         best = 1.0  # the specified noise holds unless the readings clearly contradict it
     errors = np.concatenate([fit.errors(best) for fit in tried[best]])
     tail = float(np.quantile(errors, LEVEL)) if len(errors) else 0.0
     frames = iter([fit.reference(best) for fit in tried[best]])
-    estimates = [_joined([next(frames) for _ in data.measured]) for data in solves]
+    estimates = []
+    for data in solves:
+        own = [next(frames) for _ in data.measured]
+        joined = Reference(
+            cells=np.stack([frame.cells for frame in own]),
+            deviation=np.stack([frame.deviation for frame in own]),
+            covariance=block_diag(*(frame.covariance for frame in own)),
+        )
+        estimates.append(joined)
     return ErrorScale(best, tail, len(errors), tuple(scales), tuple(bounds.tolist())), estimates
 
 
@@ -104,7 +122,7 @@ def _fits_by_scale(
 ) -> dict[float, list[ReferenceFit]]:
     """Return the settled fits of all frames for each s of the grid, ascending from the first.
 
-    The grid ends where −2 log p has risen by MODEL.max_excess and no residuals are larger than s.
+    The grid ends where −2 log p has risen by MAX_EXCESS and no residuals are larger than s.
     """
     scale = first
     lowest = np.inf
@@ -116,19 +134,10 @@ def _fits_by_scale(
         bound = sum(fit.bound for fit in fits)
         lowest = min(lowest, bound)
         excess = np.sqrt(max(fit.residual_variance for fit in fits)) / scale
-        if bound > lowest + MODEL.max_excess and excess <= 1:
+        if bound > lowest + MAX_EXCESS and excess <= 1:
             break
         # If the residuals are far larger than s, half of the grid points up to their size are
         # skipped.
-        points = int(np.log(max(excess, 1.0)) / np.log(MODEL.scale_ratio))
-        scale *= MODEL.scale_ratio ** (1 + points // 2)
+        points = int(np.log(max(excess, 1.0)) / np.log(SCALE_RATIO))
+        scale *= SCALE_RATIO ** (1 + points // 2)
     return tried
-
-
-def _joined(frames: Sequence[Reference]) -> Reference:
-    """Return the reference estimate of one solve from those of its frames."""
-    return Reference(
-        cells=np.stack([frame.cells for frame in frames]),
-        deviation=np.stack([frame.deviation for frame in frames]),
-        covariance=block_diag(*(frame.covariance for frame in frames)),
-    )

@@ -9,9 +9,17 @@ cells a, b of a panel, u = log r. Where terms compare a frame with a known basel
 The posterior of u is approximated by a normal distribution N(û, S) and τ by its most probable value
 (variational expectation–maximisation; û by Gauss–Newton steps within the bounds). The result is a
 bound of the marginal likelihood, −2 log p(y | s).
+
+The expected precisions of e and z are w = (ν + 1)/(ν + E x²/s²) and v = (ν + 1)/(ν + E z²/τ²). The
+readings determine γ = rank − tr(S Dᵀ V D) steps. Between neighbours τ² has a scaled inverse χ²
+prior of one degree of freedom, τ² = (Σ v z² + prior)/(γ + 1). Against a baseline cells may change
+by much less than the readings show, and the likelihood of τ² has its maximum at 0. There τ² has the
+uniform shrinkage prior: B = σ₀²/(σ₀² + τ²) is uniform between 0 and 1. Its mode in ln τ² fulfils
+τ² = (Σ v z² + 2 B τ²)/(γ + 2 (1 − B)).
+
 Sources: Lange, Little & Taylor, J. Amer. Statist. Assoc. 84, 1989 (Student's t as a mixture of
 normal distributions); Tipping & Lawrence, Neurocomputing 69, 2005 (its variational bound); MacKay,
-Neural Computation 4, 1992 (updates of τ).
+Neural Computation 4, 1992 (updates of τ); Daniels, Canadian J. Statistics 27, 1999 (shrinkage).
 """
 
 from dataclasses import dataclass, field, replace
@@ -30,66 +38,23 @@ from lampest.posterior.linear import inverse_and_volume
 MIN_FREEDOM_SHARE = 1e-3  # of the readings: degrees of freedom where cells follow all of them
 STEP_SHARES = (1.0, 0.3, 0.1, 0.03)  # of a Gauss–Newton step, the first that lowers the cost
 MIN_WEIGHT = 1e-12  # of a reading: the least one stands for an error of some 10⁶ s
-
-
-@dataclass(frozen=True)
-class ReferenceModel:
-    """Parameters of the model and of its fit.
-
-    Attributes
-    ----------
-    first_variance : float
-        First τ² of the iteration, and the least one of steps that count as far beyond the others.
-    degrees_of_freedom : float
-        ν of Student's t: the smallest integer for which the variance is finite. With squared losses
-        instead, four cells of five times the resistance on a 10 × 10 panel look like errors four
-        times the noise (docs/theory/posterior.md).
-    prior_variance : float
-        Prior of τ² between neighbours, with the weight of one step. It covers draws of a prior
-        whose steps are smaller than the noise (docs/studies/calibration.md).
-    scale_ratio : float
-        Ratio of neighbouring s of the grid. A factor of √2 in σ changes no weight by more than its
-        uncertainty.
-    max_scales : int
-        Maximum number of s on the grid.
-    min_relative_noise : float
-        First s where the noise is unknown, as a fraction of the reading: no sensor is read to more
-        digits.
-    min_gain : float
-        Decrease of −2 log p that another s than that of the known noise must reach: odds of e³ to
-        one.
-    max_excess : float
-        Excess of −2 log p over its minimum at which the search ends: odds of one to e³, about a
-        twentieth.
-    max_steps, max_rounds : int
-        Maximum number of Gauss–Newton steps for one s, and of updates of the weights for one
-        linearisation.
-    max_step : float
-        Largest change of log r of a cell in one step.
-    settled_bound, settled_step, settled_variance : float
-        Changes of −2 log p, of log r and of log τ² below which iterations end.
-    ridge : float
-        Regularisation of the Hessian, relative to its mean diagonal entry.
-    """
-
-    degrees_of_freedom: float = 3.0
-    prior_variance: float = 0.015
-    first_variance: float = 0.1
-    scale_ratio: float = 2.0
-    max_scales: int = 14
-    min_relative_noise: float = 1e-4
-    min_gain: float = 6.0
-    max_excess: float = 6.0
-    max_steps: int = 8
-    max_rounds: int = 4
-    max_step: float = 1.4
-    settled_bound: float = 0.5
-    settled_step: float = 0.02
-    settled_variance: float = 0.03
-    ridge: float = 1e-9
-
-
-MODEL = ReferenceModel()
+# ν of Student's t: the smallest integer for which the variance is finite. With squared losses
+# instead, four cells of five times the resistance on a 10 × 10 panel look like errors four times
+# the noise (docs/theory/posterior.md).
+DEGREES_OF_FREEDOM = 3.0
+# Prior of τ² between neighbours, with the weight of one step. It covers draws of a prior whose
+# steps are smaller than the noise (docs/studies/calibration.md).
+PRIOR_VARIANCE = 0.015
+# First τ² of the iteration, and the least one of steps that count as far beyond the others
+FIRST_VARIANCE = 0.1
+MAX_STEPS = 8  # of Gauss and Newton for one s
+MAX_ROUNDS = 4  # updates of the weights for one linearisation
+MAX_STEP = 1.4  # largest change of log r of a cell in one step
+# Changes of −2 log p, of log r and of log τ² below which iterations end
+SETTLED_BOUND = 0.5
+SETTLED_STEP = 0.02
+SETTLED_VARIANCE = 0.03
+RIDGE = 1e-9  # regularisation of the Hessian, relative to its mean diagonal entry
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,81 +75,6 @@ class Reference:
     cells: Array
     deviation: Array
     covariance: Array
-
-
-@dataclass(frozen=True, eq=False)
-class _Linearised:
-    """Readings that count and steps of one frame, linearised about u.
-
-    Attributes
-    ----------
-    rows : array of int
-        Numbers of the readings that count.
-    value : boolean array, shape (rows,)
-        Whether such a reading is a value.
-    jacobian : array, shape (rows, cells)
-        J, in units of σ.
-    residual : array, shape (rows,)
-    step : array, shape (steps,)
-    """
-
-    rows: Numbers
-    value: Mask
-    jacobian: Array
-    residual: Array
-    step: Array
-
-    @property
-    def count(self) -> int:
-        """Number n of the values."""
-        return int(self.value.sum())
-
-
-@dataclass(frozen=True, eq=False)
-class _Weights:
-    """Expected precisions of the readings in 1/s², of the steps in 1/τ², and τ²."""
-
-    reading: Array
-    step: Array
-    variance: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Expectation:
-    """Normal distribution N(û, S) of log r for given weights, and quantities derived from it.
-
-    Attributes
-    ----------
-    covariance : array, shape (cells, cells)
-        S.
-    log_volume : float
-        log det S.
-    change : array, shape (cells,)
-        û − u.
-    reading_squares, step_squares : array, shapes (rows,), (steps,)
-        E x² of the readings' residuals and of the steps.
-    variance : float
-        The updated τ².
-    residual_variance : float
-        As in `ReferenceFit`.
-    """
-
-    covariance: Array
-    log_volume: float
-    change: Array
-    reading_squares: Array
-    step_squares: Array
-    variance: float
-    residual_variance: float
-
-    def weights(self, square: float) -> _Weights:
-        """Return the weights that follow, w = (ν + 1)/(ν + E x²/s²), v = (ν + 1)/(ν + E z²/τ²)."""
-        nu = MODEL.degrees_of_freedom
-        return _Weights(
-            reading=(nu + 1) / (nu + self.reading_squares / square),
-            step=(nu + 1) / (nu + self.step_squares / self.variance),
-            variance=self.variance,
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +118,7 @@ class ReferenceFit:
     position: Array
     reading_weights: Array
     step_weights: Array
-    variance: float = MODEL.first_variance
+    variance: float = FIRST_VARIANCE
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     change: Array = field(default_factory=lambda: np.zeros(0))
     bound: float = np.inf
@@ -259,8 +149,8 @@ class ReferenceFit:
         # Steps far beyond the usual ones count little from the first expectation on: it would take
         # a single cell of many times the resistance for an error of its reading.
         squares = (steps @ position[cells] - origin) ** 2
-        usual = max(float(np.median(squares)) * MAD_TO_SIGMA**2, MODEL.first_variance)
-        nu = MODEL.degrees_of_freedom
+        usual = max(float(np.median(squares)) * MAD_TO_SIGMA**2, FIRST_VARIANCE)
+        nu = DEGREES_OF_FREEDOM
         far = squares > OUTLIER_THRESHOLD**2 * usual
         return cls(
             data,
@@ -310,7 +200,7 @@ class ReferenceFit:
     @property
     def step(self) -> Array:
         """Steps of log r less their offset, (steps,)."""
-        return np.asarray(self.steps @ self.position[self.cells] - self.origin)
+        return self.steps @ self.position[self.cells] - self.origin
 
     def settled(self, square: float) -> "ReferenceFit":
         """Return the fit after expectation and Gauss–Newton steps at s² = `square`.
@@ -319,15 +209,15 @@ class ReferenceFit:
         """
         fit = self
         previous = np.inf
-        for _ in range(MODEL.max_steps):
+        for _ in range(MAX_STEPS):
             fit = fit.expected(square)
-            if abs(fit.bound - previous) < MODEL.settled_bound:
+            if abs(fit.bound - previous) < SETTLED_BOUND:
                 break
             previous = fit.bound
             moved = fit.moved(square)
             if moved is None:
                 break
-            converged = float(np.abs(moved.position - fit.position).max()) < MODEL.settled_step
+            converged = float(np.abs(moved.position - fit.position).max()) < SETTLED_STEP
             fit = moved
             if converged:
                 break
@@ -340,114 +230,81 @@ class ReferenceFit:
         """
         rows = np.flatnonzero(self.counted)
         jacobian = (self.network.sensitivity() / self.sigma[:, None])[np.ix_(rows, self.cells)]
-        linear = _Linearised(rows, self.values[rows], jacobian, self.residual[rows], self.step)
-        weights = _Weights(self.reading_weights[rows], self.step_weights, self.variance)
+        residual = self.residual[rows]
         # σ₀² = n/tr(JᵀWJ/s²): the harmonic mean of the variances with which the readings alone
         # determine single cells
-        precision = float(np.sum(weights.reading[:, None] * jacobian**2))
+        precision = float(np.sum(self.reading_weights[rows, None] * jacobian**2))
         prior_scale = len(self.cells) * square / precision
-        for number in range(MODEL.max_rounds):
-            previous = weights.variance
-            expectation = self._expectation(linear, weights, square, prior_scale)
-            weights = expectation.weights(square)
-            if number and abs(np.log(weights.variance / previous)) < MODEL.settled_variance:
+        fit = self
+        for number in range(MAX_ROUNDS):
+            previous = fit.variance
+            fit = fit._reweighted(rows, jacobian, residual, square, prior_scale)
+            if number and abs(np.log(fit.variance / previous)) < SETTLED_VARIANCE:
                 break
-        # −2 log p(y | s) ≤ n log s² + rank·log τ² − log det S + the tails, up to a constant
-        bound = linear.count * np.log(square) + self._rank * np.log(weights.variance)
-        bound -= expectation.log_volume
-        bound += _tails(expectation.reading_squares[linear.value], square) + _tails(
-            expectation.step_squares, weights.variance
-        )
-        reading_weights = np.zeros(len(self.position))
-        reading_weights[rows] = weights.reading
-        return replace(
-            self,
-            reading_weights=reading_weights,
-            step_weights=weights.step,
-            variance=weights.variance,
-            covariance=expectation.covariance,
-            change=expectation.change,
-            bound=float(bound),
-            residual_variance=expectation.residual_variance,
-        )
+        return fit
 
     @property
     def _rank(self) -> int:
         """Rank of D."""
         return min(len(self.steps), len(self.cells) - (not self.origin.any()))
 
-    def _expectation(
-        self, linear: _Linearised, weights: _Weights, square: float, prior_scale: float
-    ) -> _Expectation:
-        """Return the distribution of log r for given weights, with the updated τ².
+    def _reweighted(
+        self, rows: Numbers, jacobian: Array, residual: Array, square: float, prior_scale: float
+    ) -> "ReferenceFit":
+        """Return the fit with the distribution of log r for its weights, and the weights of that.
 
-        Parameters
-        ----------
-        linear : _Linearised
-        weights : _Weights
-        square, prior_scale : float
-            s² and σ₀².
+        `rows` are the readings that count, `jacobian` and `residual` J and x at u in units of σ,
+        `square` and `prior_scale` s² and σ₀². The module describes weights and τ².
         """
-        jacobian = linear.jacobian
+        value = self.values[rows]
         # S⁻¹ = Jᵀ diag(w/s²) J + Dᵀ diag(v/τ²) D, upper triangle
-        readings = weights.reading / square
-        steps = weights.step / weights.variance
+        weights = self.reading_weights[rows]
+        readings = weights / square
+        steps = self.step_weights / self.variance
         matrix = blas.dsyrk(1.0, (jacobian * np.sqrt(readings)[:, None]).T)
         matrix = blas.dsyrk(
             1.0, (self.steps * np.sqrt(steps)[:, None]).T, 1.0, matrix, overwrite_c=True
         )
-        matrix[np.diag_indices(len(matrix))] += MODEL.ridge * np.trace(matrix) / len(matrix)
+        matrix[np.diag_indices(len(matrix))] += RIDGE * np.trace(matrix) / len(matrix)
         covariance, log_volume = inverse_and_volume(matrix)
-        slope = jacobian.T @ (readings * linear.residual) + self.steps.T @ (steps * linear.step)
+        slope = jacobian.T @ (readings * residual) + self.steps.T @ (steps * self.step)
         change = self._within_bounds(matrix, slope)
         # Residuals and steps at û, and their variances diag(J S Jᵀ) and diag(D S Dᵀ).
-        residual = linear.residual + jacobian @ change
-        step = linear.step + self.steps @ change
+        residual = residual + jacobian @ change
+        step = self.step + self.steps @ change
         residual_variances = np.sum((jacobian @ covariance) * jacobian, axis=1)
         step_variances = np.sum((self.steps @ covariance) * self.steps, axis=1)
-        # Σ w x²/(n − tr(S Jᵀ W J)) of the values
-        followed = float(np.sum((readings * residual_variances)[linear.value]))
-        freedom = max(linear.count - followed, MIN_FREEDOM_SHARE * len(linear.rows))
-        squares = float(np.sum((weights.reading * residual**2)[linear.value]))
+        # Σ w x²/(n − tr(S Jᵀ W J)) of the n values
+        count = int(value.sum())
+        followed = float(np.sum((readings * residual_variances)[value]))
+        freedom = max(count - followed, MIN_FREEDOM_SHARE * len(rows))
+        squares = float(np.sum((weights * residual**2)[value]))
         # γ = rank − tr(S Dᵀ V D), the number of steps that the readings determine
         determined = max(self._rank - float(np.sum(steps * step_variances)), 0.0)
-        step_sum = float(np.sum(weights.step * step**2))
-        variance = self._updated_variance(step_sum, determined, weights.variance, prior_scale)
-        return _Expectation(
-            covariance=covariance,
-            log_volume=log_volume,
-            change=change,
-            reading_squares=residual**2 + residual_variances,
-            step_squares=step**2 + step_variances,
+        step_sum = float(np.sum(self.step_weights * step**2))
+        if self.origin.any():
+            share = prior_scale / (prior_scale + self.variance)
+            variance = (step_sum + 2 * share * self.variance) / (determined + 2 * (1 - share))
+        else:
+            variance = (step_sum + PRIOR_VARIANCE) / (determined + 1)
+        # −2 log p(y | s) ≤ n log s² + rank·log τ² − log det S + the tails, up to a constant
+        reading_squares = residual**2 + residual_variances
+        step_squares = step**2 + step_variances
+        bound = count * np.log(square) + self._rank * np.log(variance) - log_volume
+        bound += _tails(reading_squares[value], square) + _tails(step_squares, variance)
+        nu = DEGREES_OF_FREEDOM
+        reading_weights = np.zeros(len(self.position))
+        reading_weights[rows] = (nu + 1) / (nu + reading_squares / square)
+        return replace(
+            self,
+            reading_weights=reading_weights,
+            step_weights=(nu + 1) / (nu + step_squares / variance),
             variance=variance,
+            covariance=covariance,
+            change=change,
+            bound=float(bound),
             residual_variance=squares / freedom,
         )
-
-    def _updated_variance(
-        self, squares: float, determined: float, variance: float, prior_scale: float
-    ) -> float:
-        """Return τ² after an update of expectation–maximisation.
-
-        Between neighbours τ² has a scaled inverse χ² prior of one degree of freedom, τ² = (Σ v z² +
-        prior)/(γ + 1). Against a baseline cells may change by much less than the readings show, and
-        the likelihood of τ² has its maximum at 0. There τ² has the uniform shrinkage prior:
-        σ₀²/(σ₀² + τ²) is uniform between 0 and 1. Its mode in ln τ² fulfils τ² = (Σ v z² + 2 B
-        τ²)/(γ + 2 (1 − B)) with B = σ₀²/(σ₀² + τ²).
-        Source: Daniels, Canadian J. Statistics 27, 1999.
-
-        Parameters
-        ----------
-        squares : float
-            Σ v z² of the steps at û.
-        determined : float
-            γ.
-        variance, prior_scale : float
-            Current τ², and σ₀².
-        """
-        if not self.origin.any():
-            return (squares + MODEL.prior_variance) / (determined + 1)
-        share = prior_scale / (prior_scale + variance)
-        return (squares + 2 * share * variance) / (determined + 2 * (1 - share))
 
     def _within_bounds(self, matrix: Array, slope: Array) -> Array:
         """Return the Gauss–Newton step of the cells, with cells at active bounds held.
@@ -474,7 +331,7 @@ class ReferenceFit:
         """
         lower, upper = (np.ravel(bound[self.frame]) for bound in self.data.log_bounds)
         change = np.zeros(len(self.position))
-        change[self.cells] = np.clip(self.change, -MODEL.max_step, MODEL.max_step)
+        change[self.cells] = np.clip(self.change, -MAX_STEP, MAX_STEP)
         # Backtracking on −2 log of the heavy-tailed densities.
         for share in STEP_SHARES:
             trial = replace(self, position=np.clip(self.position + share * change, lower, upper))
@@ -491,9 +348,9 @@ class ReferenceFit:
 
     def errors(self, scale: float) -> Array:
         """Return s √(E e²) of the values, from their weights w = (ν + 1)/(ν + E e²)."""
-        nu = MODEL.degrees_of_freedom
+        nu = DEGREES_OF_FREEDOM
         weights = np.maximum(self.reading_weights[self.values], MIN_WEIGHT)
-        return np.asarray(scale * np.sqrt(np.maximum((nu + 1) / weights - nu, 0.0)))
+        return scale * np.sqrt(np.maximum((nu + 1) / weights - nu, 0.0))
 
     def reference(self, scale: float) -> Reference:
         """Return the estimate, the readings' standard deviations s σ/√w, and S.
@@ -514,6 +371,5 @@ def _tails(squares: Array, variance: float) -> float:
     `variance` is s².
     """
     return float(
-        (MODEL.degrees_of_freedom + 1)
-        * np.sum(np.log1p(squares / (MODEL.degrees_of_freedom * variance)))
+        (DEGREES_OF_FREEDOM + 1) * np.sum(np.log1p(squares / (DEGREES_OF_FREEDOM * variance)))
     )

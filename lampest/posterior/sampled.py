@@ -20,7 +20,7 @@ from scipy import sparse
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, steihaug
 from lampest.posterior.covariance import DenseErrors, Memory
-from lampest.posterior.linear import IGNORANCE, rank
+from lampest.posterior.linear import IGNORANCE
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import TwoLevel
 from lampest.solvers.smoothing import Smoothing
@@ -83,7 +83,7 @@ class SampledErrors(DenseErrors):
     def _adjoint(self, rows: Array) -> Array:
         """Return Jᵀ Ω x over all cells for one column x of the data."""
         weights = np.asarray(self.model.through.T @ (self.model.data_curvature * rows))
-        return self._curvature.adjoint(weights.reshape(self.model.at.cell_resistance.shape))
+        return self._curvature.adjoint(weights.reshape(self.model.cells.shape))
 
     def _forward(self, change: Array) -> Array:
         """Return the change of the data for one change of log r of all cells."""
@@ -93,7 +93,7 @@ class SampledErrors(DenseErrors):
         return _by_columns(self._forward, change, len(self.model.noise))
 
     def weighed(self, rows: Array) -> Array:
-        return _by_columns(self._adjoint, rows, self.model.at.cell_resistance.size)
+        return _by_columns(self._adjoint, rows, self.model.cells.size)
 
     def solved(self, right: Array, *, fine: bool = False) -> Array:
         accuracy = self.fine_accuracy if fine else self.accuracy
@@ -105,7 +105,7 @@ class SampledErrors(DenseErrors):
     def _system(self) -> tuple[Linear, Linear]:
         """Product with A, and preconditioner M⁻¹ ≈ A⁻¹, for vectors over the free cells."""
         model = self.model
-        cells = np.zeros(self.model.at.cell_resistance.size)
+        cells = np.zeros(self.model.cells.size)
         free = self.model.free
 
         def product(search: Array) -> Array:
@@ -118,12 +118,16 @@ class SampledErrors(DenseErrors):
         penalties = sparse.csr_array(2 * (self._rows.T @ self._rows) + ridge)
         chosen = np.isin(np.arange(len(cells)), free)
         preconditioner = TwoLevel.of(self._curvature, penalties)
-        return product, preconditioner.over(chosen, model.at.cell_resistance)
+        return product, preconditioner.over(chosen, model.cells)
 
     def determined(self, term: int) -> float:
         """Return γ of a term from probes; all terms have equal shares of the penalties' rank."""
-        rank_of_penalties = min(rank(self.model.at.cost.unweighted), len(self.model.free))
-        return rank_of_penalties / len(np.unique(self.model.penalty_term)) - self.used(term)
+        return self.share - self.used(term)
+
+    @property
+    def share(self) -> float:
+        """Each term's share of the penalties' rank."""
+        return self.model.penalty_rank / len(np.unique(self.model.penalty_term))
 
     def used(self, term: int) -> float:
         """Return tr(A⁻¹ Z_tᵀ Ω Z_t) of a term (number), the mean of Σ ω (Z δ)²/s² over `draws`."""
@@ -195,7 +199,7 @@ class SampledErrors(DenseErrors):
 
         The shape is (frames, rows, columns).
         """
-        squares = np.zeros(self.model.at.cell_resistance.shape)
+        squares = np.zeros(self.model.cells.shape)
         for sample in self._samples[0]:
             squares += (
                 np.reshape(self._curvature.forward(self.model.over_all(sample)), squares.shape) ** 2
@@ -204,7 +208,7 @@ class SampledErrors(DenseErrors):
 
     def memory(self) -> Memory:
         samples = self.model.over_all(self._samples[0].T).T
-        if len(self.model.at.cell_resistance) == 2:
+        if len(self.model.cells) == 2:
             return SampledMemory(samples.reshape(self.samples, 2, -1).swapaxes(0, 1)[::-1])
         if self.before is None:
             return SampledMemory(np.stack([samples, np.zeros_like(samples)]))

@@ -31,7 +31,7 @@ from scipy.special import gammainc
 from lampest.panel.panel import Array
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel, Sites, inverse_root
-from lampest.solvers.sparse_rows import SparseRows
+from lampest.solvers.hessian import square_of_rows
 
 SHAPES = 0.5 ** np.arange(6)  # κ, each half of the one before
 SCALES = 30  # of V, in equal steps of ln V
@@ -142,7 +142,7 @@ class Held:
             ∂x/∂u of the data.
         """
         chosen = model.chosen_absolute & ~model.unread_rows
-        last = slice(-model.at.cell_resistance[-1].size, None)
+        last = slice(-model.cells[-1].size, None)
         rows = sparse.csr_array(abs(model.penalty_jacobian))[chosen][:, last]
         curvature = np.sum(model.data_curvature[:, None] * sensitivity[:, last] ** 2, axis=0)
         pulls = rows.T @ model.at.weights[model.penalty_term[chosen]] / 2
@@ -181,7 +181,6 @@ def with_sites(errors: DenseErrors) -> DenseErrors:
     if not chosen.any():
         return errors
     rows = jacobian[chosen]
-    pairs = SparseRows(rows)
     residual = model.penalty[chosen]
     term = model.penalty_term[chosen]
     inherited = _inherited_variance(errors, chosen)
@@ -189,7 +188,7 @@ def with_sites(errors: DenseErrors) -> DenseErrors:
     curvature = np.where(chosen, 0.0, model.penalty_curvature) / model.scale
     size = np.sqrt(model.data_curvature / model.scale)
     data = errors.jacobian * size[:, None]
-    precision = data.T @ data + SparseRows(jacobian).square(curvature)
+    precision = data.T @ data + square_of_rows(jacobian, curvature)
     precision[np.diag_indices(len(precision))] += model.ignorance
     slope = -(rows.T @ model.half_slopes[chosen]) / model.scale
     weight = model.penalty_curvature[chosen] / model.scale
@@ -199,7 +198,7 @@ def with_sites(errors: DenseErrors) -> DenseErrors:
     last = np.inf
     for _ in range(MAX_ROUNDS):
         # Covariance W Wᵀ of the cells, and B W (B W)ᵀ of the residuals
-        root = inverse_root(precision + pairs.square(weight))
+        root = inverse_root(precision + square_of_rows(rows, weight))
         spread = rows @ root
         mean = residual - spread @ (root.T @ (slope + rows.T @ (weight * residual - shift)))
         variance = np.sum(spread**2, axis=1)

@@ -28,7 +28,7 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Mask
 from lampest.panel.trust_region import golden_section
 from lampest.posterior.covariance import DenseErrors
-from lampest.posterior.linear import IGNORANCE, LinearModel, positive_inverse, rank
+from lampest.posterior.linear import IGNORANCE, LinearModel, positive_inverse
 
 if TYPE_CHECKING:
     from lampest.posterior.sampled import SampledErrors
@@ -88,17 +88,9 @@ class Spectrum:
 
         A loss that is not squared is replaced by reweighted least squares with the weight ½ρ'(x)/x
         at x = x̂. Under an absolute loss x² = x̂² + v, v the mean variance of residuals without a
-        penalty.
-
-        Parameters
-        ----------
-        model : LinearModel
-        number : int, optional
-            Number of the penalty's term; not needed for a single penalty.
-        covariance : array, shape (frames · cells, frames · cells), optional
-            Covariance of log r at the point of linearisation; None if that is exact.
-
-        Raises numpy.linalg.LinAlgError if the cost without this penalty is flat.
+        penalty. `number` is that of the penalty's term, if there are several, `covariance` that of
+        log r, (cells, cells), at the point of linearisation, None if that is exact. Raises
+        numpy.linalg.LinAlgError if the cost without this penalty is flat.
         """
         number = model.penalty_term[0] if number is None else number
         size = np.sqrt(model.data_curvature)
@@ -106,7 +98,10 @@ class Spectrum:
         jacobian = DenseErrors(model).jacobian * size[:, None]
         rows = model.penalty_jacobian.toarray()[:, model.free]
         curvature = model.penalty_curvature[~of_term]
-        factor = _factor_without(model, jacobian, rows[~of_term], curvature)
+        # A = R Rᵀ of the data, the other penalties and the prior precision
+        matrix = jacobian.T @ jacobian + (rows[~of_term].T * curvature) @ rows[~of_term]
+        matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
+        factor: Array = cho_factor(matrix, lower=True)[0]
         # R⁻¹ Zᵀ, with rows of Z weighted by √(½ρ'(x)/x)
         loss = model.at.cost.terms[number].loss
         residual = model.penalty[of_term]
@@ -118,7 +113,11 @@ class Spectrum:
         weight = np.sqrt(loss.stiffness(residual))
         penalty = weight * model.penalty[of_term]
         penalties = weight * penalties
-        vectors, stiffness = _modes_of(penalties)  # R⁻¹ Zᵀ = Q diag(√κ) Vᵀ, T = R⁻ᵀ Q
+        # R⁻¹ Zᵀ = Q diag(√κ) Vᵀ, T = R⁻ᵀ Q; its square would lose κ below 1e-16 of the largest
+        _, triangle = np.linalg.qr(penalties.T)
+        vectors, root, _ = np.linalg.svd(triangle.T)
+        stiffness = np.zeros(len(vectors))
+        stiffness[: len(root)] = root**2
         basis = solve_triangular(factor, vectors, lower=True, trans="T")
         directions = jacobian @ basis
         gram = basis.T @ basis
@@ -188,26 +187,6 @@ class Spectrum:
         return smallest, largest
 
 
-def _factor_without(model: LinearModel, jacobian: Array, rows: Array, curvature: Array) -> Array:
-    """Return R with A = R Rᵀ of the data, the other penalties' rows and the prior precision."""
-    matrix = jacobian.T @ jacobian + (rows.T * curvature) @ rows
-    matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
-    factor: Array = cho_factor(matrix, lower=True)[0]
-    return factor
-
-
-def _modes_of(rows: Array) -> tuple[Array, Array]:
-    """Return left singular vectors of a matrix (n, m), and the squares of all n singular values.
-
-    The matrix times its transpose would lose squares below 1e-16 of the largest one.
-    """
-    _, triangle = np.linalg.qr(rows.T)
-    vectors, root, _ = np.linalg.svd(triangle.T)
-    squares = np.zeros(len(vectors))
-    squares[: len(root)] = root**2
-    return vectors, squares
-
-
 def best_weight(spectra: Sequence[Spectrum]) -> float:
     """Return the λ of least risk, summed over spectra, within the range of their extents."""
     extents = [spectrum.extent for spectrum in spectra]
@@ -259,14 +238,11 @@ def next_weights(errors: "SampledErrors", open_terms: Collection[int]) -> list[f
     """
     model = errors.model
     weights = list(model.at.weights)
-    share = min(rank(model.at.cost.unweighted), len(model.free)) / len(
-        np.unique(model.penalty_term)
-    )
     for number in open_terms:
         of_term = model.penalty_term == number
         residual = model.penalty[of_term]
         magnitude = float(np.abs(residual[:, None] + errors.draws[of_term]).mean(axis=1).sum())
-        evidence = PenaltyEvidence(residual, magnitude, share, partial(errors.used, number))
+        evidence = PenaltyEvidence(residual, magnitude, errors.share, partial(errors.used, number))
         weights[number] = _weight(model, number, evidence)
     return weights
 

@@ -66,9 +66,8 @@ class Bars(ReadOnlyArrays):
     def reaching_farther(self, below: Array, above: Array) -> "Bars":
         """Return bars with extended intervals; see `Certainty.reaching_farther`."""
         frame = self.frame.reaching_farther(below, above)
-        if self.change is None:
-            return replace(self, frame=frame)
-        return replace(self, frame=frame, change=self.change.reaching_farther(below, above))
+        change = self.change and self.change.reaching_farther(below, above)
+        return replace(self, frame=frame, change=change)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,8 +127,8 @@ class Track(ReadOnlyArrays):
         model : LinearModel
             The model with sites for absolute losses whose weights the data chose.
         """
-        shape = model.at.cell_resistance[0].shape
-        joint = len(model.at.cell_resistance) == 2
+        shape = model.cells[0].shape
+        joint = len(model.cells) == 2
         errors = self._errors(model, baseline=joint)
         answers, certainty = self._answered(errors)
         answer = answers[-np.prod(shape) :]
@@ -188,7 +187,7 @@ class Track(ReadOnlyArrays):
         """
         model = errors.model
         bars = errors.certainty
-        cells = model.at.cell_resistance
+        cells = model.cells
         measured = model.at.data.measured
         if self.shared is None:
             return np.zeros((cells.size, 0)), bars
@@ -251,7 +250,7 @@ def beyond_tangents(
     size = readings.value.size
     straight, below, above = np.zeros((3, size))
     for place in np.flatnonzero(missing)[:MAX_MISSING]:
-        cell = int(place) + model.at.cell_resistance.size - size
+        cell = int(place) + model.cells.size - size
         if moved is not None:
             changes = _stood_in(errors, readings, int(place), moved)
         elif cell in model.free and errors.exact:
@@ -285,7 +284,7 @@ def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = N
         V, random errors that the readings of a frame share.
     """
     samples = None if memory is None or memory.exact else memory
-    if samples is None and model.at.cell_resistance.size <= MAX_DENSE:
+    if samples is None and model.cells.size <= MAX_DENSE:
         errors = DenseErrors(model, memory, drawn)
         if model.sites is not None or not model.chosen_absolute.any():
             return errors
@@ -341,7 +340,7 @@ def profile_end(errors: DenseErrors, cell: int, side: int) -> Array:
         if rise >= most:
             break
         errors = DenseErrors(replace(model, at=begin.elsewhere(np.exp(position))))
-    return np.asarray((position - begin.position).ravel())
+    return (position - begin.position).ravel()
 
 
 def _stood_in(

@@ -37,7 +37,7 @@ def within_bounds(at: Evaluation, free: Numbers, step: Array) -> Array:
     target = position.copy()
     target[free] += step
     lower, upper = (bound.ravel() for bound in at.data.log_bounds)
-    return np.asarray(np.minimum(np.maximum(target, lower), upper) - position)
+    return np.minimum(np.maximum(target, lower), upper) - position
 
 
 def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
@@ -94,8 +94,7 @@ def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
         Duals of the absolute losses.
     """
     lower, upper = at.data.log_bounds
-    held = ((at.position >= upper) & (gradient < 0)) | ((at.position <= lower) & (gradient > 0))
-    held &= lower < upper
+    held = (lower < upper) & ~free_cells(at, gradient)
     if not held.any():
         return False
     # Readings that deviate by more than their noise; one-sided ones deviate only where they are
@@ -105,9 +104,8 @@ def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
     residual = at.reading - data.measured
     if data.partial:
         side = data.given.side
-        seen = data.given.seen
         violated = np.minimum(side * residual, 0.0)
-        residual = np.where(side == 0, residual, violated) * (seen > 0)
+        residual = np.where(side == 0, residual, violated) * (data.given.seen > 0)
     missed = np.abs(residual) > limit
     if not missed.any():
         return False
@@ -117,8 +115,7 @@ def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
     networks = at.networks
     # Pull of a cell's own reading, J_cc·∂φ/∂y_c, and of all readings, Jᵀ·∂φ/∂y.
     curvature = through * np.stack([network.own_response() for network in networks])
-    pull = np.stack(
-        [network.adjoint(part) for network, part in zip(networks, through, strict=True)]
-    )
+    pairs = zip(networks, through, strict=True)
+    pull = np.stack([network.adjoint(part) for network, part in pairs])
     borne = (pull * gradient > 0) & (np.abs(gradient) >= np.abs(pull) / 2)
     return bool(np.any(held & missed & borne & (curvature * gradient > 0)))

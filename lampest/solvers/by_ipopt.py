@@ -84,7 +84,7 @@ class Ending:
         change = current.reading_weight - ended.reading_weight
         matrix = ended.matrix + weighted_square(ended.jacobian, change.ravel())
         free = np.flatnonzero(current.free)
-        factor = Cholesky.of(start.cell_resistance, free, matrix[np.ix_(free, free)])
+        factor = Cholesky.of(start.cell_resistance, free, matrix)
         if factor is None:
             return start
         step = within_bounds(start, free, factor.solve(-current.gradient[free]))
@@ -155,10 +155,7 @@ class Ipopt(Solver):
             # IPOPT goes on, from the lower point beside a saddle if there is one, in units of that
             # point
             instance = self._instance(verdict.lower or outcome.at)
-            multipliers = multipliers.in_units(
-                instance.program, instance.scale, instance.cost_scale
-            )
-            result = self._built().fine.minimise(instance, multipliers)
+            result = self._built().minimise(instance, multipliers, fine=True)
             multipliers = instance.multipliers_of(result)
             fine = self._outcome(
                 start, instance, result, status, outcome.iterations + result.iterations
@@ -205,11 +202,9 @@ class Ipopt(Solver):
         """
         iterations = 0
         if self.previous is not None:
-            multipliers = self.previous.multipliers
             warm = self._instance(self.previous.predicted(start))
-            if len(multipliers.of_bounds) == len(warm.start):
-                multipliers = multipliers.in_units(warm.program, warm.scale, warm.cost_scale)
-                result = self._built().minimise(warm, multipliers)
+            if len(self.previous.multipliers.of_bounds) == len(warm.start):
+                result = self._built().minimise(warm, self.previous.multipliers)
                 if STATUS.get(result.status) is Status.OPTIMUM:
                     return warm, result, result.iterations
                 iterations = result.iterations

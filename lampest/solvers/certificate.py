@@ -83,7 +83,7 @@ class Certificate:
         kind: Definiteness,
         free: Numbers,
         part: Array,
-        decrement: float | None,
+        decrement: float | None = None,
         **more: Any,
     ) -> "Certificate":
         """Return the certificate for a Newton step `part` of the `free` cells (numbers).
@@ -132,15 +132,7 @@ class Certificate:
         assert self.factor is not None
         free = self.factor.cells
         part = self.factor.solve(-hessian.gradient[free])
-        return Certificate.of(
-            hessian,
-            self.definiteness,
-            free,
-            part,
-            None,
-            undetermined_slope=self.undetermined_slope,
-            factor=self.factor,
-        )
+        return Certificate.of(hessian, self.definiteness, free, part, factor=self.factor)
 
     def converged(self, cost_scale: float) -> bool:
         """Return whether one more Newton step hardly changes cells and cost.
@@ -211,7 +203,7 @@ def _relative_residuals(hessian: Hessian) -> Array | None:
     curvature = hessian.curvature
     if not np.all(curvature > 0):
         return None
-    return np.asarray(hessian.by_reading.ravel() / curvature / hessian.at.reading.ravel())
+    return hessian.by_reading.ravel() / curvature / hessian.at.reading.ravel()
 
 
 def _close(missed: Array) -> bool:
@@ -246,21 +238,22 @@ def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
     least = ROUNDING * usual[free]
     factor = None
     if np.all(matrix.diagonal() > least):
-        factor = Cholesky.of(hessian.at.cell_resistance, free, matrix)
+        factor = Cholesky.of(hessian.cells, free, matrix)
     if factor is not None and clear_of_rounding(factor.triangle, factor.norm):
         part = factor.solve(-slope)
-        return Certificate.of(
-            hessian, Definiteness.POSITIVE, free, part, None, undetermined_slope=0.0, factor=factor
-        )
-    definiteness, part, undetermined_slope, lowest = newton_step(matrix, slope, least)
-    definiteness, lower = _confirmed(hessian, definiteness, free, lowest)
+        return Certificate.of(hessian, Definiteness.POSITIVE, free, part, factor=factor)
+    modes = Modes.of(matrix, least)
+    if modes is None:
+        beyond = np.full(len(slope), np.inf)
+        return Certificate.of(hessian, Definiteness.UNDETERMINED, free, beyond, factor=factor)
+    lowest = modes.vectors[:, 0] / modes.size
+    definiteness, lower = _confirmed(hessian, modes.definiteness, free, lowest)
     return Certificate.of(
         hessian,
         definiteness,
         free,
-        part,
-        None,
-        undetermined_slope=undetermined_slope,
+        modes.step(slope),
+        undetermined_slope=float(np.abs(modes.undetermined(slope)).max(initial=0.0)),
         factor=factor,
         lower=lower,
     )
@@ -314,43 +307,12 @@ class Modes:
         `slope` is g, (n,), or several, (n, m).
         """
         vectors = self.vectors[:, self.solid] / self.size[:, None]
-        return np.asarray(-vectors @ ((vectors.T @ slope).T / self.values[self.solid]).T)
+        return -vectors @ ((vectors.T @ slope).T / self.values[self.solid]).T
 
     def undetermined(self, slope: Array) -> Array:
         """Return the part of a gradient along the other modes, (n,)."""
         vectors = self.vectors[:, ~self.solid]
-        return np.asarray(self.size * (vectors @ (vectors.T @ (slope / self.size))))
-
-
-def newton_step(
-    matrix: Array, slope: Array, least: Array
-) -> tuple[Definiteness, Array, float, Array]:
-    """Return the Newton step over the determined eigenvectors of a Hessian, and its definiteness.
-
-    Parameters
-    ----------
-    matrix : array, shape (cells, cells)
-    slope : array, shape (cells,)
-        Gradient g.
-    least : array, shape (cells,)
-        Smallest diagonal entries that are above rounding.
-
-    Returns
-    -------
-    definiteness : Definiteness
-    step : array, shape (cells,)
-        −H⁺ g over the eigenvectors whose eigenvalue is above rounding.
-    undetermined_slope : float
-        Largest entry of the gradient along the other eigenvectors.
-    lowest : array, shape (cells,)
-        Eigenvector of the lowest eigenvalue, in u.
-    """
-    modes = Modes.of(matrix, least)
-    if modes is None:
-        return Definiteness.UNDETERMINED, np.full(len(slope), np.inf), np.inf, slope
-    undetermined_slope = float(np.abs(modes.undetermined(slope)).max(initial=0.0))
-    lowest = modes.vectors[:, 0] / modes.size
-    return modes.definiteness, modes.step(slope), undetermined_slope, lowest
+        return self.size * (vectors @ (vectors.T @ (slope / self.size)))
 
 
 def clear_of_rounding(triangle: Array, norm: float) -> bool:
@@ -374,7 +336,7 @@ def _by_conjugate_gradients(
     chosen = np.flatnonzero(free)
     slope = hessian.gradient[chosen]
     product = restricted(hessian.product, chosen, free.size)
-    precondition = (preconditioner or TwoLevel.of(hessian)).over(free, hessian.at.cell_resistance)
+    precondition = (preconditioner or TwoLevel.of(hessian)).over(free, hessian.cells)
     solved = steihaug(product, precondition, slope, ACCURACY)
     moved = bool(solved.products) or not slope.any()
     definiteness = Definiteness.POSITIVE if moved else Definiteness.UNDETERMINED
@@ -385,8 +347,7 @@ def _by_conjugate_gradients(
         size = hessian.diagonal[chosen]
         of_products = ROUNDING * float(along @ (size * along))
         rounding = max(of_products, MIN_CURVATURE * hessian.at.cost_scale)
-        definiteness = Definiteness.INDEFINITE
-        if curvature > -rounding:
-            definiteness = Definiteness.UNDETERMINED
+        beyond = curvature <= -rounding
+        definiteness = Definiteness.INDEFINITE if beyond else Definiteness.UNDETERMINED
     definiteness, lower = _confirmed(hessian, definiteness, chosen, solved.step)
-    return Certificate.of(hessian, definiteness, chosen, solved.step, None, lower=lower)
+    return Certificate.of(hessian, definiteness, chosen, solved.step, lower=lower)

@@ -128,7 +128,7 @@ def _balanced_residual(hessian: Hessian) -> float | None:
     at = hessian.at
     dual = hessian.smoothing.dual
     cells = at.cell_resistance
-    jacobian = hessian.smoothing.jacobian(at)
+    jacobian = hessian.kinked
     by_log = (jacobian[:, : cells.size] * cells.ravel()).toarray()
     for row, by_reading in enumerate(jacobian[:, cells.size :].toarray()):
         by_log[row] += hessian.adjoint(by_reading.reshape(cells.shape)) if by_reading.any() else 0.0

@@ -7,6 +7,7 @@ closest to quadratic. With u = log r, δu = −log(1 − s) = s + s²/2 + …, s
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import log
 
 import numpy as np
 
@@ -20,8 +21,19 @@ from lampest.solvers.preconditioners import (
     gauss_newton_factor,
     preconditioner,
 )
-from lampest.solvers.steps import STEPS
 
+# Of log r of a cell in one step: beyond, the quadratic model of a cell is wrong.
+MAX_CHANGE = log(4.0)
+# Solves of one direction, each of which may stop further cells at bounds; tries of one step, whose
+# radius is then 4⁻¹⁵, within rounding; and further steps at a point that is stationary but not
+# settled
+MAX_TRIES = 15
+RADIUS_FACTOR = 0.25  # next trust radius over the length of a rejected step
+# Products in one solve, (sparse, dense): a new factor is cheaper on small problems.
+MAX_PRODUCTS = (400, 40)
+# Change of log r beyond which the preconditioner is made anew. Without it small panels take a third
+# more products.
+MAX_REUSE_DISTANCE = 0.7
 # (moving cells, step s, lowest and highest s) → cells that keep moving; the others stay at the
 # bound that they reached.
 ActiveSet = Callable[[Mask, Array, Array, Array], Mask]
@@ -29,12 +41,12 @@ ActiveSet = Callable[[Mask, Array, Array, Array], Mask]
 
 def log_resistance_change(share: Array) -> Array:
     """Return the change δu = −log(1 − s) of log r for a relative change s of a conductance."""
-    return np.asarray(-np.log1p(-share))
+    return -np.log1p(-share)
 
 
 def conductance_change(change: Array) -> Array:
     """Return the relative change s = 1 − exp(−δu) of a conductance for a change δu of log r."""
-    return np.asarray(-np.expm1(-change))
+    return -np.expm1(-change)
 
 
 def shares_conductance(at: Evaluation) -> bool:
@@ -83,11 +95,10 @@ class QuadraticModel:
             # factor loses under heavy weights.
             matrix = hessian.matrix.copy()
             matrix.flat[:: len(matrix) + 1] += curved
-            chosen = np.flatnonzero(hessian.free)
-            part = matrix if len(chosen) == len(matrix) else matrix[np.ix_(chosen, chosen)]
-            cached = Cholesky.of(point.at.cell_resistance, chosen, part)
+            free = np.flatnonzero(hessian.free)
+            cached = Cholesky.of(point.at.cell_resistance, free, matrix)
         cached = cached or point.newest_preconditioner
-        if cached is None or cached.distance(point.at.cell_resistance) > STEPS.max_reuse_distance:
+        if cached is None or cached.distance(point.at.cell_resistance) > MAX_REUSE_DISTANCE:
             cached = preconditioner(hessian, hessian.free)
         return cls(lambda step: hessian.product(step) + curved * step, cached)
 
@@ -124,20 +135,20 @@ def newton_direction(
     gradient = point.hessian.gradient
     in_log_r = shares_conductance(at)
     room = (bound.ravel() - at.position.ravel() for bound in at.data.log_bounds)
-    limits = [np.clip(change, -STEPS.max_step, STEPS.max_step) for change in room]
+    limits = [np.clip(change, -MAX_CHANGE, MAX_CHANGE) for change in room]
     low, high = limits if in_log_r else map(conductance_change, limits)
     # Forcing term: superlinear convergence (Nocedal & Wright 2006, section 7.1). The gradient of
     # smoothed absolute losses stays large between narrow corners, so that it is no measure.
     smooth = not len(at.nonsmooth)
     accuracy = min(0.1, point.residual**0.5 if smooth else point.error ** (1 / 3))
-    limit = STEPS.max_products[point.hessian.dense]
+    limit = MAX_PRODUCTS[point.hessian.dense]
     moving = point.hessian.free
     step = np.zeros(moving.size)
     slope = gradient
     products = 0
     negative = False
     clipped = False
-    for _ in range(STEPS.max_tries):
+    for _ in range(MAX_TRIES):
         chosen = np.flatnonzero(moving)
         part = restricted(model.product, chosen, moving.size)
         inverse = model.preconditioner.over(moving, at.cell_resistance)

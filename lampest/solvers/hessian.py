@@ -22,7 +22,6 @@ from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.trust_region import DENSE_CELLS, MATRIX_CELLS
 from lampest.solvers.bounds import free_cells
 from lampest.solvers.smoothing import Smoothing
-from lampest.solvers.sparse_rows import SparseRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +46,18 @@ class Hessian:
     def dense(self) -> bool:
         """Whether a matrix over the cells that can move is cheaper than products."""
         data = self.at.data
-        size = self.at.cell_resistance.size
+        size = self.cells.size
         if size <= DENSE_CELLS or size > MATRIX_CELLS:
             return size <= DENSE_CELLS
         # Absolute losses and joint pairs need many products, so a matrix pays off up to
         # MATRIX_CELLS.
         stiff = len(self.at.cost.slope) > 0 or len(self.at.networks) > 1
         return stiff or int(np.sum(data.lower < data.upper)) <= DENSE_CELLS
+
+    @property
+    def cells(self) -> Array:
+        """Cells at the point, (…, frames, rows, columns) ohm."""
+        return self.at.cell_resistance
 
     def elsewhere(self, position: Array) -> "Hessian":
         """Return the derivatives at another point u, (…, cells), clipped to the bounds.
@@ -77,7 +81,7 @@ class Hessian:
     @cached_property
     def residual(self) -> Array:
         """Largest entry of the projected gradient relative to the cost's scale, (…)."""
-        return self.at.projected_gradients(self.gradient.reshape(self.at.cell_resistance.shape))
+        return self.at.projected_gradients(self.gradient.reshape(self.cells.shape))
 
     @cached_property
     def free(self) -> Mask:
@@ -99,7 +103,7 @@ class Hessian:
     @cached_property
     def direct(self) -> Array:
         """Part of the gradient at fixed readings, r·∂φ/∂r, (…, cells)."""
-        return self._flat(self.at.cell_resistance * self._partials[0])
+        return self._flat(self.cells * self._partials[0])
 
     @cached_property
     def through(self) -> Array:
@@ -118,7 +122,7 @@ class Hessian:
 
         The change has the shape (frames, rows, columns).
         """
-        pairs = zip(self.at.networks, step.reshape(self.at.cell_resistance.shape), strict=True)
+        pairs = zip(self.at.networks, step.reshape(self.cells.shape), strict=True)
         return np.stack([network.forward(frame) for network, frame in pairs])
 
     def adjoint(self, weights: Array) -> Array:
@@ -145,9 +149,10 @@ class Hessian:
         return self.at.cost.slope * self.smoothing.stiffness(self.at.nonsmooth)
 
     @cached_property
-    def _kinked(self) -> sparse.csc_array:
+    def kinked(self) -> sparse.csc_array:
         """∂x/∂(r; y) of the residuals with absolute losses, sparse (residuals, 2·cells)."""
-        return self.smoothing.jacobian(self.at)
+        function = self.at.cost.functions.nonsmooth_jacobian
+        return with_entries(function.structure, self.at.call(function, self.smoothing.dual))
 
     def nonsmooth_change(self, step: Array) -> Array:
         """Return ∂x/∂u·δu of the residuals with absolute losses, (residuals,).
@@ -158,23 +163,23 @@ class Hessian:
             return np.zeros(0)
         lower, upper = (bound.ravel() - self.position for bound in self.at.data.log_bounds)
         step = np.clip(step, lower, upper)
-        move = np.concatenate([self.at.cell_resistance.ravel() * step, self.forward(step).ravel()])
-        return np.asarray(self._kinked @ move)
+        move = np.concatenate([self.cells.ravel() * step, self.forward(step).ravel()])
+        return np.asarray(self.kinked @ move)
 
     @cached_property
     def diagonal_of_terms(self) -> Array:
         """Diagonal of T, (2·frames·cells): cells, then readings."""
         numbers, places = self.at.cost.functions.entries.on_diagonal
-        diagonal = np.zeros(2 * self.at.cell_resistance.size)
+        diagonal = np.zeros(2 * self.cells.size)
         diagonal[places] = self._smooth_terms[numbers]
         if len(self.at.cost.slope):
-            diagonal += self._kinked.power(2).T @ self._kinks
+            diagonal += self.kinked.power(2).T @ self._kinks
         return diagonal
 
     @property
     def curvature(self) -> Array:
         """Second derivative of the cost by each reading, ∂²φ/∂y², flat."""
-        return self.diagonal_of_terms[self.at.cell_resistance.size :]
+        return self.diagonal_of_terms[self.cells.size :]
 
     def product(self, step: Array) -> Array:
         """Return ∇²φ·p, flat.
@@ -183,14 +188,14 @@ class Hessian:
         forms a matrix over the cells: sums of its large and small entries would lose digits where
         readings span decades.
         """
-        cells = self.at.cell_resistance
+        cells = self.cells
         pairs = zip(self._second_orders, step.reshape(cells.shape), strict=True)
         changes, seconds = zip(*(order.products(frame) for order, frame in pairs), strict=True)
         # (diag r; J)ᵀ T (diag r; J)·p: T applied to the changes (δr; δy) = (r·p; J·p)
         move = np.concatenate([cells.ravel() * step, *(change.ravel() for change in changes)])
         force = self.terms @ move
         if len(self._kinks):
-            force += self._kinked.T @ (self._kinks * (self._kinked @ move))
+            force += self.kinked.T @ (self._kinks * (self.kinked @ move))
         through = self.adjoint(force[step.size :].reshape(cells.shape))
         # + N·p + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y)·p
         force_of = (
@@ -219,7 +224,7 @@ class Hessian:
             stiffness = self._stiffness(part)
             # W_i = Σ_k (∂x_k/∂y_i)²·ρ'(x_k)/x_k
             weight = part.jacobian("reading", self.at).power(2).T @ stiffness
-        return np.asarray(weight.reshape(self.at.cell_resistance.shape))
+        return weight.reshape(self.cells.shape)
 
     @cached_property
     def penalty_matrix(self) -> sparse.csr_array:
@@ -228,11 +233,11 @@ class Hessian:
         The matrix is sparse and semidefinite, (frames·cells, frames·cells).
         """
         part = residuals(self.at.cost).penalties
-        size = self.at.cell_resistance.size
+        size = self.cells.size
         if not len(part.term):
             return sparse.csr_array((size, size))
         # P = ∂x/∂u = (∂x/∂r)·diag(r)
-        slopes = by_log(part.jacobian("cell_resistance", self.at), self.at.cell_resistance)
+        slopes = by_log(part.jacobian("cell_resistance", self.at), self.cells)
         weight = self._stiffness(part)[slopes.indices]
         return sparse.csr_array(slopes.T @ with_entries(slopes, weight * slopes.data))
 
@@ -258,7 +263,7 @@ class Hessian:
 
         Costs of one frame without a penalty on its cells have none.
         """
-        cells = self.at.cell_resistance
+        cells = self.cells
         functions = self.at.cost.functions
         absolute = functions.nonsmooth_jacobian.pattern[1] < cells.size
         return len(cells) == 1 and not (len(functions.entries.cells) or absolute.any())
@@ -271,7 +276,7 @@ class Hessian:
     @property
     def own(self) -> Array:
         """Part W_c·J_cc² of each cell's own reading in the diagonal of JᵀWJ, flat."""
-        return np.asarray(self.reading_weight.ravel() * self.own_response**2)
+        return self.reading_weight.ravel() * self.own_response**2
 
     @cached_property
     def diagonal(self) -> Array:
@@ -288,7 +293,7 @@ class Hessian:
         """The Hessian ∇²φ, dense (…, frames · cells, frames · cells)."""
         matrix = block_diagonal([second.matrix() for second in self._second_orders])
         jacobian = self.jacobian
-        cells = self._flat(self.at.cell_resistance)
+        cells = self._flat(self.cells)
         count = cells.shape[-1]
         entries, values = self.at.cost.functions.entries, self._smooth_terms
         # N + diag(r) T_rr diag(r)
@@ -324,12 +329,12 @@ class Hessian:
     @property
     def _kinked_matrix(self) -> Array:
         """Part (∂x/∂u)ᵀ diag(w·ψ'') ∂x/∂u of the absolute losses in the Hessian, dense."""
-        cells = self.at.cell_resistance
-        rows = by_log(self._kinked[:, : cells.size], cells).tocsr()
-        if rows.nnz == self._kinked.nnz:
-            return SparseRows(rows).square(self._kinks)
-        by_reading = self._kinked[:, cells.size :]
-        return weighted_square(rows.toarray() + by_reading @ self.jacobian, self._kinks)
+        cells = self.cells
+        by_cells = by_log(self.kinked[:, : cells.size], cells)
+        by_reading = self.kinked[:, cells.size :]
+        if not by_reading.nnz:
+            return square_of_rows(sparse.csr_array(by_cells), self._kinks)
+        return weighted_square(by_cells.toarray() + by_reading @ self.jacobian, self._kinks)
 
     @cached_property
     def _smooth_terms(self) -> Array:
@@ -346,6 +351,11 @@ def by_log(jacobian: sparse.csc_array, cells: Array) -> sparse.csc_array:
 def block_diagonal(blocks: Sequence[Array]) -> Array:
     """Return the block-diagonal matrix of the blocks; a single block is returned unchanged."""
     return blocks[0] if len(blocks) == 1 else np.asarray(linalg.block_diag(*blocks))
+
+
+def square_of_rows(rows: sparse.csr_array, weight: Array) -> Array:
+    """Return BᵀDB, dense (columns, columns), for sparse rows B and diagonal weights D (rows,)."""
+    return np.asarray((rows.T @ (sparse.diags_array(weight) @ rows)).toarray())
 
 
 def weighted_square(matrix: Array, weight: Array) -> Array:

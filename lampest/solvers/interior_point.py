@@ -22,42 +22,20 @@ from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky, TwoLevel
 from lampest.solvers.smoothing import Smoothing
 
-
-@dataclass(frozen=True)
-class InteriorPoint:
-    """Parameters of the method.
-
-    Attributes
-    ----------
-    start_margin : float
-        Distance of the first point from the bounds, as a share of the median conductance; at most a
-        fiftieth of the distance between the bounds of the cell.
-    barrier_reduction : float
-        Factor of μ after a step of which bounds left more than half.
-    step_to_boundary : float
-        Share of the distance to the nearest bound that a step may cover.
-    min_step : float
-        Share of a step that bounds must leave. Conjugate gradients end before a longer one, which
-        directions of nearly no curvature cause.
-    max_steps, max_lengths : int
-        Maximum number of steps of the method, and of tried lengths of one step.
-    max_barrier_share : float
-        Share of the cost due to the bounds at which the method ends; the last steps are left to
-        Newton's method.
-    """
-
-    start_margin: float = 0.05
-    barrier_reduction: float = 0.2
-    step_to_boundary: float = 0.99
-    min_step: float = 0.03
-    max_steps: int = 90
-    max_lengths: int = 12
-    max_barrier_share: float = 1e-8
-
-
-# Without min_step, and with μ reduced after every step, a frame of a large panel may take ten times
-# as long (docs/studies/speed.md).
-METHOD = InteriorPoint()
+# Distance of the first point from the bounds, as a share of the median conductance; at most a
+# fiftieth of the distance between the bounds of the cell
+START_MARGIN = 0.05
+BARRIER_REDUCTION = 0.2  # factor of μ after a step of which bounds left more than half
+STEP_TO_BOUNDARY = 0.99  # share of the distance to the nearest bound that a step may cover
+# Share of a step that bounds must leave. Conjugate gradients end before a longer one, which
+# directions of nearly no curvature cause. Without it, and with μ reduced after every step, a frame
+# of a large panel may take ten times as long (docs/studies/speed.md).
+MIN_STEP = 0.03
+MAX_STEPS = 90
+MAX_LENGTHS = 12  # tried lengths of one step
+# Share of the cost due to the bounds at which the method ends; the last steps are left to Newton's
+# method.
+MAX_BARRIER_SHARE = 1e-8
 # Change of the distances (g − g_low, g_high − g) with g.
 SIDES = np.array([1.0, -1.0])[:, None, None, None]
 
@@ -69,9 +47,9 @@ def central_path(start: Evaluation, max_steps: int | None = None) -> tuple[Evalu
     """
     barrier = Barrier.of(start)
     steps = 0
-    limit = METHOD.max_steps if max_steps is None else min(max_steps, METHOD.max_steps)
+    limit = MAX_STEPS if max_steps is None else min(max_steps, MAX_STEPS)
     while steps < limit and not start.data.overdue:
-        if not barrier.added > METHOD.max_barrier_share * barrier.at.objective:
+        if not barrier.added > MAX_BARRIER_SHARE * barrier.at.objective:
             break
         trial = barrier.advanced()
         if trial is None:
@@ -86,14 +64,12 @@ def reach(distances: Array, change: Array) -> float:
     """Return the largest share ≤ 1 of a change that keeps all positive distances positive."""
     falling = (change < 0) & (distances > 0)
     nearest = float((-distances[falling] / change[falling]).min(initial=np.inf))
-    return min(1.0, METHOD.step_to_boundary * nearest)
+    return min(1.0, STEP_TO_BOUNDARY * nearest)
 
 
 def over(force: Array | float, distances: Array) -> Array:
     """Return force/distance; zero where the distance is zero."""
-    return np.asarray(
-        np.divide(force, distances, out=np.zeros_like(distances), where=distances > 0)
-    )
+    return np.divide(force, distances, out=np.zeros_like(distances), where=distances > 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +98,7 @@ class Barrier:
         low = 1 / start.data.upper
         high = 1 / start.data.lower
         conductance = 1 / start.cell_resistance
-        margin = np.minimum(METHOD.start_margin * float(np.median(conductance)), (high - low) / 50)
+        margin = np.minimum(START_MARGIN * float(np.median(conductance)), (high - low) / 50)
         at = start.elsewhere(1 / np.clip(conductance, low + margin, high - margin))
         bare = cls(at, np.zeros((2, *low.shape)), 0.0)
         mean = 0.1 * float(
@@ -133,7 +109,7 @@ class Barrier:
     @cached_property
     def conductance(self) -> Array:
         """Conductances g, (frames, rows, columns) siemens."""
-        return np.asarray(1 / self.at.cell_resistance)
+        return 1 / self.at.cell_resistance
 
     @cached_property
     def distances(self) -> Array:
@@ -144,7 +120,7 @@ class Barrier:
     @property
     def moving(self) -> Mask:
         """Whether the bounds of a cell differ, boolean (frames, rows, columns)."""
-        return np.asarray(self.at.data.lower < self.at.data.upper)
+        return self.at.data.lower < self.at.data.upper
 
     @cached_property
     def hessian(self) -> Hessian:
@@ -154,7 +130,7 @@ class Barrier:
     @cached_property
     def gradient(self) -> Array:
         """Gradient ∂φ/∂g = −(∂φ/∂u)/g, (frames, rows, columns)."""
-        return np.asarray(-self.hessian.gradient.reshape(self.conductance.shape) / self.conductance)
+        return -self.hessian.gradient.reshape(self.conductance.shape) / self.conductance
 
     @property
     def added(self) -> float:
@@ -178,7 +154,7 @@ class Barrier:
 
     def advanced(self) -> "Barrier | None":
         """Return the iterate after one step; None if no step lowers the barrier function."""
-        mean = self.mean * (METHOD.barrier_reduction if self.length > 0.5 else 1.0)
+        mean = self.mean * (BARRIER_REDUCTION if self.length > 0.5 else 1.0)
         # −∇ of the barrier function: −∂φ/∂g + μ/(g − g_low) − μ/(g_high − g)
         push = (SIDES * over(mean, self.distances)).sum(axis=0) - self.gradient
         step = self.newton_step(push)
@@ -195,7 +171,7 @@ class Barrier:
             except np.linalg.LinAlgError:
                 return None
 
-        trial = backtracked(lower, METHOD.max_lengths)
+        trial = backtracked(lower, MAX_LENGTHS)
         if trial is None:
             return None
         # δz = (μ − z·δg)/(g − g_low) − z, δw = (μ + w·δg)/(g_high − g) − w, as far as they stay
@@ -226,10 +202,10 @@ class Barrier:
         """Return the relative step of the chosen cells by Cholesky's factor."""
         hessian = self.hessian
         exact = hessian.matrix + np.diag(hessian.gradient + stiff)
-        factor = Cholesky.of(self.at.cell_resistance, chosen, exact[np.ix_(chosen, chosen)])
+        factor = Cholesky.of(self.at.cell_resistance, chosen, exact)
         if factor is None:
             squares = hessian.gauss_newton_matrix + np.diag(stiff)
-            factor = Cholesky.of(self.at.cell_resistance, chosen, squares[np.ix_(chosen, chosen)])
+            factor = Cholesky.of(self.at.cell_resistance, chosen, squares)
         return np.full(len(chosen), np.nan) if factor is None else -factor.solve(slope)
 
     def _sparse(self, chosen: Numbers, stiff: Array, slope: Array) -> Array:
@@ -244,7 +220,7 @@ class Barrier:
         distances = (self.distances / self.conductance).reshape(2, -1)[:, chosen]
 
         def admits(step: Array) -> bool:
-            return reach(distances, SIDES[:, 0, 0] * step) >= METHOD.min_step
+            return reach(distances, SIDES[:, 0, 0] * step) >= MIN_STEP
 
         def exact(step: Array) -> Array:
             return hessian.product(step) + (stiff + hessian.gradient) * step

@@ -8,14 +8,14 @@ which ends in lower minima than steps straight down (docs/studies/speed.md).
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count, islice
 from typing import Any
 
 import numpy as np
 
 from lampest.cost.cost import Cost
-from lampest.cost.problem import NO_DUAL, Data, Evaluation
+from lampest.cost.problem import Data, Evaluation
 from lampest.files.errors import BROKEN
 from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
@@ -23,11 +23,10 @@ from lampest.solvers.certificate import MIN_COST_SHARE
 from lampest.solvers.check import check
 from lampest.solvers.solution import (
     MAX_STARTS,
-    Outcome,
     Solution,
     Solver,
     Status,
-    failure,
+    blank,
     lower_of,
 )
 
@@ -40,64 +39,38 @@ MAX_UNSOLVED = 300
 START_SPREAD = 20.0  # largest factor between a scattered start and the apparent resistance
 
 
-@dataclass(frozen=True)
-class Effort:
-    """Number of starts and iterations that a frame may spend.
+def most_starts(solver: Solver, data: Data) -> int:
+    """Return the number of starts that a frame may spend.
 
-    Attributes
-    ----------
-    starts : int
-    requested : bool
-        Whether the settings state the number of starts, so that the iterations have no limit.
-    continues : bool
-        Whether the frame begins at the estimate of an earlier one.
-    convex_losses : bool
-        See `Cost.convex_losses`.
+    Unless the settings state it, it is MAX_MINIMA where the cost may have several minima,
+    MAX_SEARCHED with losses that are not convex, and 1 otherwise.
     """
+    if solver.settings.starts is not None:
+        return solver.settings.starts
+    if not solver.cost.convex_losses:
+        return MAX_SEARCHED
+    return MAX_MINIMA if several_minima(solver.cost, data) else 1
 
-    starts: int
-    requested: bool
-    continues: bool = False
-    convex_losses: bool = True
 
-    @classmethod
-    def of(cls, solver: Solver, data: Data, previous: Array | None) -> "Effort":
-        """Return the effort of a frame.
+def _is_spent(
+    solver: Solver, data: Data, best: Solution, ends: Sequence[Solution], *, continues: bool
+) -> bool:
+    """Return whether no further start is tried after these solutions, given the best of them.
 
-        The number of starts, unless the settings state it, is MAX_MINIMA where the cost may have
-        several minima, MAX_SEARCHED with losses that are not convex, and 1 otherwise.
-        """
-        if solver.settings.starts is not None:
-            return cls(solver.settings.starts, requested=True)
-        continues = previous is not None and not data.first
-        convex_losses = solver.cost.convex_losses
-        starts = MAX_MINIMA if several_minima(solver.cost, data) else 1
-        return cls(
-            starts if convex_losses else MAX_SEARCHED,
-            requested=False,
-            continues=continues,
-            convex_losses=convex_losses,
-        )
-
-    def is_spent(self, best: Solution, ends: Sequence[Solution]) -> bool:
-        """Return whether no further start is tried after these solutions, given the best of them.
-
-        A strict minimum from the first start is kept in two cases: in a frame that continues an
-        earlier one, and where the solver met no direction of negative curvature on its way. Further
-        starts then rarely find a lower minimum (docs/studies/speed.md). With losses that are not
-        convex, the search ends itself, see `lampest.solvers.relaxation`.
-        """
-        iterations = sum(end.iterations for end in ends)
-        if self.requested:
-            return len(ends) >= self.starts
-        if not best.solved:
-            return iterations > MAX_UNSOLVED
-        if len(ends) >= self.starts:
-            return True
-        if not self.convex_losses:
-            return False
-        kept = len(ends) == 1 and best.strict and (best.convex or self.continues)
-        return kept or iterations > MAX_SPENT
+    A strict minimum from the first start is kept in two cases: in a frame that continues an earlier
+    one, and where the solver met no direction of negative curvature on its way. Further starts then
+    rarely find a lower minimum (docs/studies/speed.md). With losses that are not convex, the search
+    ends itself, see `lampest.solvers.relaxation`. A number of starts that the settings state has no
+    limit of iterations.
+    """
+    iterations = sum(end.iterations for end in ends)
+    requested = solver.settings.starts is not None
+    if not (requested or best.solved):
+        return iterations > MAX_UNSOLVED
+    if requested or len(ends) >= most_starts(solver, data) or not solver.cost.convex_losses:
+        return len(ends) >= most_starts(solver, data)
+    kept = len(ends) == 1 and best.strict and (best.convex or continues)
+    return kept or iterations > MAX_SPENT
 
 
 def best_solution(
@@ -118,7 +91,7 @@ def best_solution(
         What the solution of the previous frame carries, see `Outcome`.
     """
     solver = solver.continued(carried)
-    effort = Effort.of(solver, data, previous)
+    continues = previous is not None and not data.first
     best = None
     branch = None
     ends = list[Solution]()
@@ -126,11 +99,11 @@ def best_solution(
         for start in evaluable(solver.cost, data, _places(solver, data, previous, ends)):
             attempt = solver
             if ends:  # only the first start continues the previous frame
-                attempt = solver.cold() if effort.convex_losses else solver.continued(None)
+                attempt = solver.cold() if solver.cost.convex_losses else solver.continued(None)
             ends.append(solved_from(attempt, start))
             branch = start.branch if branch is None else branch
             best = preferred(best, ends[-1], branch)
-            if data.overdue or effort.is_spent(best, ends):
+            if data.overdue or _is_spent(solver, data, best, ends, continues=continues):
                 break
     best = _broken(solver.cost, data) if best is None else best
     return replace(best, starts=len(ends) or 1, solver=solver.name)
@@ -252,5 +225,4 @@ def solved_from(solver: Solver, start: Evaluation) -> Solution:
 
 def _broken(cost: Cost, data: Data) -> Solution:
     """Return a solution of NaN with the status BREAKDOWN."""
-    outcome = Outcome(data.measured, NO_DUAL, Status.BREAKDOWN, 0)
-    return failure(cost, data, Status.BREAKDOWN, float("nan"), outcome)
+    return blank(data.measured.shape, len(cost.terms), Status.BREAKDOWN)

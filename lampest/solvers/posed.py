@@ -220,11 +220,8 @@ def with_weights_of_missing(readings: Readings, scene: Scene, stand_ins: Mask) -
             wide[frame] = np.where(missing[frame], readings.value[frame] * spread, wide[frame])
     # weight usual/own, at most 1; σ · weight is the typical noise, so that weighted residuals keep
     # their scale
-    share = np.where(
-        missing,
-        np.minimum(usual / wide, MAX_STAND_IN_WEIGHT),
-        np.where(bounded, np.minimum(usual / wide, 1.0), 1.0),
-    )
+    most = np.where(missing, MAX_STAND_IN_WEIGHT, 1.0)
+    share = np.where(missing | bounded, np.minimum(usual / wide, most), 1.0)
     sigma = (
         None
         if readings.sigma is None

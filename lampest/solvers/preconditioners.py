@@ -92,8 +92,11 @@ class Cholesky(Preconditioner):
     ) -> "Cholesky | None":
         """Return the factor of a matrix over the chosen cells; None if it is not positive definite.
 
-        `least` is added to the unit diagonal of the scaled matrix.
+        The matrix is over all cells, or over the chosen ones. `least` is added to the unit diagonal
+        of the scaled matrix.
         """
+        if len(matrix) > len(cells):
+            matrix = matrix[np.ix_(cells, cells)]
         pivots = matrix.diagonal()
         if not pivots.min() > 0:
             return None
@@ -168,7 +171,7 @@ class TwoLevel(Preconditioner):
         matrix.
         """
         in_log_r = hessian.penalty_matrix if penalties is None else penalties
-        cells = hessian.at.cell_resistance
+        cells = hessian.cells
         inverse = sparse.diags_array(1 / cells.ravel())
 
         # T + diag(c) by ohm: the matrix in u = log r divided by r on both sides
@@ -185,23 +188,16 @@ class TwoLevel(Preconditioner):
             parts = hessian.at.networks[0].normal_by_lines(weight)
             level = local(parts.own.ravel())
             along = parts.along / cells
-            if hessian.only_data and along.size > 0:
-                not_needed = np.zeros((0, 0))
-                lines: CoarseLines | None = CoarseLines(level, along, not_needed, not_needed)
-            else:
-                lines = CoarseLines.of(level, along, parts.mixed)
-            if lines is not None and level.nnz <= level.shape[0]:
+            if len(along) and level.nnz <= level.shape[0]:
                 diagonal = floored(level.diagonal()).reshape(cells.shape[1:])
-                return Woodbury(cells, diagonal, lines, parts.mixed_inverse)
+                return Woodbury(cells, diagonal, LineColumns(along), parts.mixed_inverse)
+            lines = CoarseLines.of(level, along, parts.mixed)
             if lines is not None:
                 return cls(cells, sparse_inverse(level), lines)
         return cls(cells, sparse_inverse(local(hessian.own)))
 
     def over(self, free: Mask, cell_resistance: Array) -> Linear:
-        chosen = np.flatnonzero(free)
-        size = cell_resistance.ravel()[chosen]
-        part = restricted(self._solved, chosen, free.size)
-        return lambda values: np.asarray(part(values / size) / size)
+        return _by_log(self._solved, free, cell_resistance)
 
     def _solved(self, values: Array) -> Array:
         """Return the product with the preconditioner.
@@ -213,7 +209,7 @@ class TwoLevel(Preconditioner):
             return self.solve(values)
         first = self.lines.solve(values)
         between = self.solve(values - self.lines.product(first))
-        return np.asarray(first + between - self.lines.solve(self.lines.product(between)))
+        return first + between - self.lines.solve(self.lines.product(between))
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +217,7 @@ class Woodbury(Preconditioner):
     """A⁻¹ between any cells, exactly, where T + diag(c) is `diagonal`, in ohm (rows, columns)."""
 
     diagonal: Array
-    lines: "CoarseLines"
+    lines: "LineColumns"
     mixed_inverse: LineBlocks
 
     def over(self, free: Mask, cell_resistance: Array) -> Linear:
@@ -231,37 +227,62 @@ class Woodbury(Preconditioner):
         inner: Linear = np.zeros_like  # D⁻¹ alone remains if contrasts exceed double precision
         with suppress(np.linalg.LinAlgError):
             inner = (self.mixed_inverse + self.lines.between(inverse)).inverse()
-        chosen = np.flatnonzero(free)
         flat = inverse.ravel()
 
         def solve(values: Array) -> Array:
             return flat * (values - self.lines.back(inner(self.lines.sums(flat * values))))
 
-        size = cell_resistance.ravel()[chosen]
-        part = restricted(solve, chosen, free.size)
-        return lambda values: np.asarray(part(values / size) / size)
+        return _by_log(solve, free, cell_resistance)
 
 
 @dataclass(frozen=True, eq=False)
-class CoarseLines:
-    """Coarse space V = [diag(v)·U for v in along] of rows and columns.
+class LineColumns:
+    """Columns V = [diag(v)·U for v in along] of rows and columns.
 
     U is the incidence of cells and lines.
 
     Attributes
     ----------
-    local : sparse.csr_array, shape (cells, cells)
-        T + diag(c).
     along : array, shape (vectors, rows, columns)
         The vectors v.
+    """
+
+    along: Array
+
+    def between(self, values: Array) -> LineBlocks:
+        """Return Vᵀ diag(x) V for x (rows, columns)."""
+        grids = self.along[:, None] * self.along * values
+        return LineBlocks(line_sums(grids), grids)
+
+    def sums(self, values: Array) -> Array:
+        """Return Vᵀ·x, (vectors · lines,)."""
+        return line_sums(self.along * values.reshape(self.along.shape[1:])).ravel()
+
+    def back(self, lines: Array) -> Array:
+        """Return V·y, flat."""
+        of_rows, of_columns = np.split(
+            lines.reshape(len(self.along), -1), [self.along.shape[1]], axis=1
+        )
+        return np.asarray(
+            (self.along * (of_rows[:, :, None] + of_columns[:, None])).sum(axis=0)
+        ).ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class CoarseLines(LineColumns):
+    """Coarse space V.
+
+    Attributes
+    ----------
+    local : sparse.csr_array, shape (cells, cells)
+        T + diag(c).
     mixed : array, shape (vectors · lines, vectors · lines)
-        S; empty where it is not needed.
+        S.
     coarse : array, shape (vectors · lines, vectors · lines)
-        (VᵀAV)⁻¹; empty where it is not needed.
+        (VᵀAV)⁻¹.
     """
 
     local: sparse.csr_array
-    along: Array
     mixed: Array
     coarse: Array
 
@@ -299,7 +320,7 @@ class CoarseLines:
         coarse.flat[:: len(coarse) + 1] += SHIFTS[0]  # columns that are alike on even panels
         scale = 1 / (size * length)
         inverse = np.linalg.inv(coarse) * scale[:, None] * scale
-        return cls(local, along, mixed, (inverse + inverse.T) / 2)
+        return cls(along, local, mixed, (inverse + inverse.T) / 2)
 
     def solve(self, values: Array) -> Array:
         """Return Q·x, flat."""
@@ -309,24 +330,6 @@ class CoarseLines:
         """Return A·x, flat."""
         return np.asarray(self.local @ values + self.back(self.mixed @ self.sums(values)))
 
-    def between(self, values: Array) -> LineBlocks:
-        """Return Vᵀ diag(x) V for x (rows, columns)."""
-        grids = self.along[:, None] * self.along * values
-        return LineBlocks(line_sums(grids), grids)
-
-    def sums(self, values: Array) -> Array:
-        """Return Vᵀ·x, (vectors · lines,)."""
-        return line_sums(self.along * values.reshape(self.along.shape[1:])).ravel()
-
-    def back(self, lines: Array) -> Array:
-        """Return V·y, flat."""
-        of_rows, of_columns = np.split(
-            lines.reshape(len(self.along), -1), [self.along.shape[1]], axis=1
-        )
-        return np.asarray(
-            (self.along * (of_rows[:, :, None] + of_columns[:, None])).sum(axis=0)
-        ).ravel()
-
 
 def preconditioner(hessian: Hessian, free: Mask) -> Preconditioner:
     """Return a new preconditioner at a point.
@@ -335,9 +338,8 @@ def preconditioner(hessian: Hessian, free: Mask) -> Preconditioner:
     """
     if not hessian.dense:
         return TwoLevel.of(hessian)
-    cells = hessian.at.cell_resistance
-    chosen = np.flatnonzero(free)
-    factor = Cholesky.of(cells, chosen, hessian.matrix[np.ix_(chosen, chosen)])
+    cells = hessian.cells
+    factor = Cholesky.of(cells, np.flatnonzero(free), hessian.matrix)
     return factor or gauss_newton_factor(hessian, free) or TwoLevel.of(hessian)
 
 
@@ -353,7 +355,7 @@ def gauss_newton_factor(
     if not hessian.dense:
         return None
     chosen = np.flatnonzero(free)
-    cells = hessian.at.cell_resistance
+    cells = hessian.cells
     matrix = hessian.gauss_newton_matrix[np.ix_(chosen, chosen)]
     matrix.flat[:: len(matrix) + 1] = floored(np.diag(matrix))
     tried = (
@@ -364,11 +366,17 @@ def gauss_newton_factor(
     return next((factor for factor in tried if factor is not None), None)
 
 
+def _by_log(product: Linear, free: Mask, cell_resistance: Array) -> Linear:
+    """Return a product by ohm over all cells as one in u = log r over the free cells."""
+    chosen = np.flatnonzero(free)
+    size = cell_resistance.ravel()[chosen]
+    part = restricted(product, chosen, free.size)
+    return lambda values: np.asarray(part(values / size) / size)
+
+
 def floored(diagonal: Array) -> Array:
     """Return a diagonal with entries raised to at least MIN_DIAGONAL of the largest."""
-    return np.asarray(
-        np.maximum(diagonal, MIN_DIAGONAL * (float(diagonal.max(initial=0.0)) or 1.0))
-    )
+    return np.maximum(diagonal, MIN_DIAGONAL * (float(diagonal.max(initial=0.0)) or 1.0))
 
 
 def sparse_inverse(matrix: sparse.csr_array) -> Linear:

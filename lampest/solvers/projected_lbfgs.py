@@ -17,21 +17,26 @@ from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.panel.panel import Array, Mask, Numbers
 from lampest.solvers.bounds import MILLIONTH
 from lampest.solvers.certificate import clear_of_rounding
-from lampest.solvers.direction import conductance_change, log_resistance_change
+from lampest.solvers.direction import (
+    MAX_CHANGE,
+    MAX_REUSE_DISTANCE,
+    MAX_TRIES,
+    RADIUS_FACTOR,
+    conductance_change,
+    log_resistance_change,
+)
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky
 from lampest.solvers.progress import decreases_enough
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings
-from lampest.solvers.steps import STEPS
 
 MAX_STEPS = 40  # of a panel in a batch; the solver for single panels continues from there
 # Change of log r by which ∇²φ changes by about as much; its definiteness is then tested again.
 CERTIFIED_DISTANCE = 0.1
 # Change of log r; M⁻¹ ∇φ is within a tenth of Newton’s step in CERTIFIED_DISTANCE.
 LAST_STEP = 0.01 * MILLIONTH
-
-
+MAX_PAIRS = 4  # newest steps that correct M
 NAME = "L-BFGS"  # of the solver, in tables
 
 
@@ -73,7 +78,7 @@ class InverseHessian:
         inverse = np.diag(1 / np.where(scale > 0, scale, 1.0))
         factor = None
         if len(free):
-            factor = Cholesky.of(points.position[row], free, matrix[np.ix_(free, free)])
+            factor = Cholesky.of(points.position[row], free, matrix)
         positive = factor is not None and clear_of_rounding(factor.triangle, factor.norm)
         if factor is not None and positive:
             inverse[np.ix_(free, free)] = factor.inverse()
@@ -81,22 +86,22 @@ class InverseHessian:
         return cls(inverse, position, points.free[row].copy(), positive or not len(free))
 
 
+# Before the first frame of a panel
+NO_INVERSE = InverseHessian(
+    np.zeros(()), np.full((), np.inf), np.zeros((), dtype=bool), positive=False, worn=True
+)
+
+
 @dataclass(frozen=True, eq=False)
 class InverseHessians:
-    """Inverse Hessians of many panels.
+    """Inverse Hessians of many panels, NO_INVERSE before the first frame of a panel."""
 
-    Attributes
-    ----------
-    panels : tuple of InverseHessian or None
-        None before the first frame of a panel.
-    """
-
-    panels: tuple[InverseHessian | None, ...]
+    panels: tuple[InverseHessian, ...]
 
     @classmethod
     def nothing(cls, panels: int) -> "InverseHessians":
         """Return the state before the first frame, without any inverse."""
-        return cls((None,) * panels)
+        return cls((NO_INVERSE,) * panels)
 
     def some(self, numbers: Numbers) -> "InverseHessians":
         """Return the inverse Hessians of the panels with these numbers."""
@@ -112,17 +117,13 @@ class InverseHessians:
 
         The distance is infinite where there is no M.
         """
-        known = [panel is not None for panel in self.panels]
-        places = [
-            there if panel is None else panel.position
-            for panel, there in zip(self.panels, position, strict=True)
-        ]
-        return np.where(known, np.abs(position - np.stack(places)).max(axis=1), np.inf)
+        pairs = zip(self.panels, position, strict=True)
+        return np.array([np.abs(there - panel.position).max() for panel, there in pairs])
 
     @property
     def positive(self) -> Mask:
         """Whether ∇²φ of every panel was positive definite, (panels,); not where there is no M."""
-        return np.array([panel is not None and panel.positive for panel in self.panels])
+        return np.array([panel.positive for panel in self.panels])
 
     def shows_minimum(self, points: Hessian) -> Mask:
         """Return whether M, made near `points`, had a positive definite ∇²φ over their free cells.
@@ -130,24 +131,19 @@ class InverseHessians:
         The point of M is near within CERTIFIED_DISTANCE of log r.
         """
         near = self.distance(points.position) <= CERTIFIED_DISTANCE
-        covered = [
-            panel is not None and not (free & ~panel.free).any()
-            for panel, free in zip(self.panels, points.free, strict=True)
-        ]
+        pairs = zip(self.panels, points.free, strict=True)
+        covered = [not (free & ~panel.free).any() for panel, free in pairs]
         return np.asarray(near & self.positive & np.array(covered))
 
     def newton(self, gradient: Array) -> Array:
         """Return M⁻¹ g, (panels, cells); 0 where there is no M."""
-        step = np.zeros_like(gradient)
-        for row, panel in enumerate(self.panels):
-            if panel is not None:
-                np.matmul(panel.inverse, gradient[row], out=step[row])
-        return step
+        pairs = zip(self.panels, gradient, strict=True)
+        return np.array([np.dot(panel.inverse, slope) for panel, slope in pairs])
 
     def old(self, position: Array) -> Mask:
         """Return whether M failed a step, or was made far from a position, (panels,)."""
-        worn = np.array([panel is not None and panel.worn for panel in self.panels])
-        return worn | (self.distance(position) > STEPS.max_reuse_distance)
+        worn = np.array([panel.worn for panel in self.panels])
+        return worn | (self.distance(position) > MAX_REUSE_DISTANCE)
 
     def renewed(self, chosen: Mask, points: Hessian) -> "InverseHessians":
         """Return the inverse Hessians with M of the chosen panels made anew at their points.
@@ -165,11 +161,10 @@ class InverseHessians:
 
     def worn_where(self, failed: Mask) -> "InverseHessians":
         """Return the inverse Hessians after a failed step of some panels."""
-        panels = (
-            replace(panel, worn=True) if fails and panel is not None else panel
-            for panel, fails in zip(self.panels, failed.tolist(), strict=True)
+        pairs = zip(self.panels, failed.tolist(), strict=True)
+        return InverseHessians(
+            tuple(replace(panel, worn=panel.worn or fails) for panel, fails in pairs)
         )
-        return InverseHessians(tuple(panels))
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,12 +288,9 @@ class Secants:
     pairs : tuple of (s, y, 1/sᵀy)
         Steps s and changes y of the gradient, (panels, cells) each, and 1/sᵀy (panels,), the newest
         last. 1/sᵀy is 0 where a pair does not count.
-    most : int
-        Maximum number of pairs.
     """
 
     pairs: tuple[tuple[Array, Array, Array], ...] = ()
-    most: int = 4
 
     def some(self, chosen: Mask) -> "Secants":
         """Return the secants of some panels."""
@@ -321,7 +313,7 @@ class Secants:
         along = (step * change).sum(axis=1)
         # Pairs without positive curvature sᵀy are excluded.
         size = np.where(along > 0, 1 / np.where(along > 0, along, 1.0), 0.0)
-        return Secants((*self.pairs, (step, change, size))[-self.most :])
+        return Secants((*self.pairs, (step, change, size))[-MAX_PAIRS:])
 
     def direction(self, points: Hessian, inverses: InverseHessians) -> Array:
         """Return −H ∇φ over the free cells, H = M⁻¹ corrected by the secants in two loops."""
@@ -362,14 +354,14 @@ def _advanced(
     step = secants.direction(points, inverses)
     count = len(inverses.panels)
     length = np.ones((count, 1))
-    low = points.position - STEPS.max_step
-    high = points.position + STEPS.max_step
-    most = conductance_change(np.asarray(STEPS.max_step))
+    low = points.position - MAX_CHANGE
+    high = points.position + MAX_CHANGE
+    most = conductance_change(np.asarray(MAX_CHANGE))
     trial = points
     moved = np.zeros(count, dtype=bool)
     # Backtracking line search: u − log(1 − t·s), t shortened for the panels that have not found a
     # step, at last to 0.
-    for attempt in range(STEPS.max_tries + 1):
+    for attempt in range(MAX_TRIES + 1):
         target = points.position + log_resistance_change(np.minimum(length * step, most))
         trial = points.elsewhere(np.where(length > 0, np.clip(target, low, high), points.position))
         gain = points.at.objectives - trial.at.objectives
@@ -381,5 +373,5 @@ def _advanced(
         if stays.all():
             break
         inverses = inverses.worn_where(~stays)
-        length[~stays] *= STEPS.radius_factor if attempt + 1 < STEPS.max_tries else 0.0
+        length[~stays] *= RADIUS_FACTOR if attempt + 1 < MAX_TRIES else 0.0
     return trial, secants.after(points, trial), inverses, moved & (length[:, 0] > 0)

@@ -17,13 +17,16 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.panel.trust_region import SUFFICIENT_DECREASE, SubproblemStep
 from lampest.solvers.certificate import Definiteness, toward_readings
 from lampest.solvers.direction import (
+    MAX_CHANGE,
+    MAX_TRIES,
+    RADIUS_FACTOR,
     ActiveSet,
     QuadraticModel,
     hold_beyond_bounds,
     newton_direction,
 )
 from lampest.solvers.hessian import Hessian
-from lampest.solvers.iterate import Iterate
+from lampest.solvers.iterate import GAUSS_NEWTON_STEPS, MIN_DAMPING, Iterate
 from lampest.solvers.preconditioners import Preconditioner, gauss_newton_factor
 from lampest.solvers.progress import (
     History,
@@ -33,10 +36,16 @@ from lampest.solvers.progress import (
 )
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Solver, Status
-from lampest.solvers.steps import STEPS
 
 # Fraction of a solver's tolerance with absolute losses; optima agree to 1e-9 of the cost.
 KINKED_SHARE = 0.1
+# Products of one step, (sparse, dense), beyond which the preconditioner is made anew
+MAX_REUSE_PRODUCTS = (30, 5)
+NEXT_DAMPING = 1e-4  # least μ of a second try of Levenberg's step
+MAX_DAMPING = 1e3
+# Projected gradient, relative to the cost's scale, below which a start does not follow the central
+# path. Frames in sequence begin at 0.05, frames that are solved again at their tolerance.
+PATH_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -130,7 +139,7 @@ class ProjectedNewton(Solver):
             # At an optimum: end where the certificate holds.
             if dual is not None:
                 iterate = iterate.certified()
-                if iterate.settled or unsettled == STEPS.max_tries:
+                if iterate.settled or unsettled == MAX_TRIES:
                     return iterate.outcome(Status.OPTIMUM, iteration, dual)
                 unsettled += 1
             trial = None
@@ -192,7 +201,7 @@ def crowds_bounds(start: Evaluation) -> bool:
         cells, data.upper, rtol=1e-12, atol=0
     )
     crowded = np.sum(at_bound & (data.lower < data.upper)) > sum(cells.shape[1:])
-    return bool(crowded and has_central_path(start) and hessian.residual > STEPS.path_tolerance)
+    return bool(crowded and has_central_path(start) and hessian.residual > PATH_TOLERANCE)
 
 
 def certified_step(point: Iterate, parts: NewtonParts = NewtonParts()) -> Iterate | None:
@@ -210,7 +219,7 @@ def certified_step(point: Iterate, parts: NewtonParts = NewtonParts()) -> Iterat
     trial = point.at_step(verdict.step)
     if trial is None or not parts.acceptance(point, trial, 0.5 * verdict.decrement**2):
         return None
-    patience = STEPS.gauss_newton
+    patience = GAUSS_NEWTON_STEPS
     return _next_point(
         point, trial, point.newest_preconditioner, patience, convex=point.convex, worn=False
     )
@@ -239,7 +248,7 @@ def trust_region_step(point: Iterate, parts: NewtonParts) -> Iterate | None:
     radius = inf
     patience = point.gauss_newton
     convex = point.convex
-    for _ in range(STEPS.max_tries):
+    for _ in range(MAX_TRIES):
         direction = parts.direction(point, model, radius, parts.active_set)
         convex = convex and not direction.negative
         # Negative curvature: up to `gauss_newton` times, a Levenberg step or the Gauss–Newton
@@ -254,9 +263,9 @@ def trust_region_step(point: Iterate, parts: NewtonParts) -> Iterate | None:
         trial = point.at_step(direction.step)
         if trial is not None and parts.acceptance(point, trial, direction.decrease):
             if model.exact and not direction.negative:
-                patience = STEPS.gauss_newton
+                patience = GAUSS_NEWTON_STEPS
             # If conjugate gradients took too many products, no factor is reused.
-            worn = direction.products > STEPS.max_reuse_products[point.hessian.dense]
+            worn = direction.products > MAX_REUSE_PRODUCTS[point.hessian.dense]
             return _next_point(
                 point, trial, model.preconditioner, patience, convex=convex, worn=worn
             )
@@ -264,7 +273,7 @@ def trust_region_step(point: Iterate, parts: NewtonParts) -> Iterate | None:
         # gradient would have to halve, which a step of a quarter of the length cannot do.
         if trial is not None and not exceeds_rounding(point, abs(direction.decrease)):
             break
-        radius = STEPS.radius_factor * direction.length
+        radius = RADIUS_FACTOR * direction.length
         if not radius > 0:
             break
     return None
@@ -310,11 +319,11 @@ def levenberg_step(point: Iterate) -> Iterate | None:
         return None
     slope = hessian.gradient[free]
     damping = point.damping
-    while damping <= STEPS.max_damping:
+    while damping <= MAX_DAMPING:
         factor = gauss_newton_factor(hessian, free, damping)
         if factor is not None:
             step = np.zeros(free.size)
-            step[free] = np.clip(factor.solve(-slope), -STEPS.max_step, STEPS.max_step)
+            step[free] = np.clip(factor.solve(-slope), -MAX_CHANGE, MAX_CHANGE)
             trial = point.at_step(step)
             # Predicted decrease of the damped model: −½ ∇φᵀδu
             predicted = -0.5 * float(step[free] @ slope)
@@ -323,6 +332,6 @@ def levenberg_step(point: Iterate) -> Iterate | None:
             decrease = -inf if trial is None else point.objective - trial.objective
             if trial is not None and decrease > SUFFICIENT_DECREASE * predicted:
                 eased = damping / 10 if decrease > predicted / 2 else damping
-                return replace(trial, preconditioner=None, damping=max(eased, STEPS.min_damping))
-        damping = max(10 * damping, STEPS.next_damping)
+                return replace(trial, preconditioner=None, damping=max(eased, MIN_DAMPING))
+        damping = max(10 * damping, NEXT_DAMPING)
     return None

@@ -31,11 +31,6 @@ from lampest.solvers.solution import Solution, Solver, lower_of
 CORNER = 0.1  # of the residual at which the loss ceases to be convex
 FAR_OUT = 2.0  # times the range in which a loss is convex: residuals of outliers are beyond
 LARGEST_STEP = 2.0  # of log r: change of a cell where a reading is exchanged
-SPREAD = 0.5  # of log r: largest change of a cell in a start around another one
-# Starts around another one end where SHARED solutions have costs within SAME_END of the lowest.
-SHARED = 2
-MAX_AROUND = 6
-SAME_END = 1e-6
 # Residuals among which the end of convexity is searched for, in any unit.
 RESIDUALS = np.geomspace(1e-12, 1e12, 4801)
 
@@ -77,7 +72,7 @@ def searched_starts(solver: Solver, start: Evaluation, ends: Sequence[Solution])
     """Yield starts of a cost with losses that are not convex, (frames, rows, columns) ohm.
 
     The first is the minimum of the relaxed cost, unless that breaks down. Those at which a reading
-    is exchanged follow, and, where a penalty has such a loss, starts around the first two.
+    is exchanged follow.
 
     Parameters
     ----------
@@ -88,14 +83,10 @@ def searched_starts(solver: Solver, start: Evaluation, ends: Sequence[Solution])
         Solutions from all starts so far; the caller appends to it.
     """
     cost = relaxed(solver.cost)
-    centres = [start.cell_resistance]
     with suppress(*BROKEN):
         begin = Evaluation.at(cost, start.data, start.cell_resistance)
-        centres.insert(0, replace(solver, cost=cost).solve(start.data, begin).cell_resistance)
-        yield centres[0]
+        yield replace(solver, cost=cost).solve(start.data, begin).cell_resistance
     yield from exchanging_starts(ends)
-    if not all(term.loss.convex or term.reads_measurement for term in solver.cost.terms):
-        yield from starts_around(centres, ends)
 
 
 def exchanging_starts(ends: Sequence[Solution]) -> Iterator[Array]:
@@ -186,19 +177,3 @@ def exchanges(minimum: Solution) -> list[Exchange]:
 def _cost(loss: Loss, residual: float) -> float:
     """Return ρ of one residual."""
     return float(loss.cost(np.array([residual])))
-
-
-def starts_around(centres: Sequence[Array], ends: Sequence[Solution]) -> Iterator[Array]:
-    """Yield starts around centres in turn, until SHARED solutions agree on the lowest cost.
-
-    The sequence has at most MAX_AROUND starts.
-    """
-    for number in range(MAX_AROUND):
-        costs = [end.objective for end in ends if end.solved]
-        if np.isclose(costs, min(costs, default=np.inf), rtol=SAME_END, atol=0).sum() >= SHARED:
-            return
-        centre = centres[number % len(centres)]
-        # fractional parts of √3·n², in place of random numbers (Rudnick, Sarnak & Zaharescu 2001)
-        places = np.arange(1, centre.size + 1, dtype=float) + centre.size * number
-        share = (np.sqrt(3.0) * places**2 % 1.0).reshape(centre.shape)
-        yield centre * np.exp(SPREAD * (2 * share - 1))

@@ -15,10 +15,8 @@ Math. Program. 106, 2006, equations (7) and (8) (μ and the share of the way to 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
 
 from lampest.cost.problem import Evaluation
-from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array
 
 MAX_SHARE = 0.1  # of the mean complementarity: μ of the next step
@@ -43,15 +41,15 @@ class Smoothing:
 
     def _size(self, residual: Array) -> Array:
         """Return t = β + √(β² + x²)."""
-        return np.asarray(self.width + np.sqrt(self.width**2 + residual**2))
+        return self.width + np.sqrt(self.width**2 + residual**2)
 
     def slope(self, residual: Array) -> Array:
         """Return ψ'(x) = x/t."""
-        return np.asarray(residual / self._size(residual))
+        return residual / self._size(residual)
 
     def stiffness(self, residual: Array) -> Array:
         """Return the second derivative (1 − z²)/(t + z x) with the duals as unknowns."""
-        return np.asarray((1 - self.dual**2) / (self._size(residual) + self.dual * residual))
+        return (1 - self.dual**2) / (self._size(residual) + self.dual * residual)
 
     def objective(self, at: Evaluation) -> float:
         """Return φ with ψ(x) in place of |x|."""
@@ -65,11 +63,6 @@ class Smoothing:
             np.delete(at.costs, np.unique(at.cost.functions.nonsmooth_terms)).sum()
             + at.cost.slope @ smoothed
         )
-
-    def jacobian(self, at: Evaluation) -> sparse.csc_array:
-        """Return ∂x/∂(r; y), sparse (rows, 2·cells)."""
-        function = at.cost.functions.nonsmooth_jacobian
-        return with_entries(function.structure, at.call(function, self.dual))
 
     @classmethod
     def start(cls, at: Evaluation) -> "Smoothing":

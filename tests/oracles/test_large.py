@@ -37,7 +37,7 @@ from lampest.estimate.sequence import reconstruct
 from lampest.panel.kirchhoff import Stencil
 from lampest.panel.readouts import TwoPointReadout, floating
 from lampest.solvers import hessian, interior_point, projected_newton
-from lampest.solvers.interior_point import METHOD, Barrier, central_path
+from lampest.solvers.interior_point import Barrier, central_path
 from lampest.solvers.multistart import solved_from
 from tests.estimates import recording_of
 
@@ -168,7 +168,7 @@ def test_the_interior_point_method_and_the_projected_method_agree(
 @pytest.fixture
 def barrier(by_products: None, monkeypatch: pytest.MonkeyPatch) -> Barrier:
     """An interior point whose next step is exact, however little room bounds leave it."""
-    monkeypatch.setattr(interior_point, "METHOD", replace(METHOD, min_step=0.0))
+    monkeypatch.setattr(interior_point, "MIN_STEP", 0.0)
     monkeypatch.setattr(interior_point, "ACCURACY", 1e-12)
     return Barrier.of(crowded(0.3, 3))
 

@@ -121,7 +121,7 @@ def test_a_solver_that_returns_its_start_is_not_verified(
     method: str, formulation: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def start_of(
-        interface: Interface, instance: Instance, warm: Multipliers | None = None
+        interface: Interface, instance: Instance, warm: Multipliers | None = None, **how: bool
     ) -> ProgramResult:
         zeros = np.zeros_like(instance.start), np.zeros_like(instance.equations[0])
         return ProgramResult(instance.start, *zeros, "Solve_Succeeded", 0)

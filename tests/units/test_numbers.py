@@ -42,11 +42,11 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
         ("a move of 0.1 is enough", projected_lbfgs.CERTIFIED_DISTANCE, 0.1),
         ("up to 256 cells that can move", trust_region.DENSE_CELLS, 256),
         ("or 600 with absolute losses or two frames", trust_region.MATRIX_CELLS, 600),
-        ("the corrections of the last four steps", projected_lbfgs.Secants.most, 4),
+        ("the corrections of the last four steps", projected_lbfgs.MAX_PAIRS, 4),
     ],
     "docs/theory/posterior.md": [
         ("a factor of at least 1.25", variance_components.MIN_EXCESS, 1.25),
-        ("with three degrees of freedom", reference_fit.MODEL.degrees_of_freedom, 3),
+        ("with three degrees of freedom", reference_fit.DEGREES_OF_FREEDOM, 3),
     ],
     "docs/theory/model_check.md": [
         (

@@ -14,6 +14,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.panel.trust_region import SUFFICIENT_DECREASE, SubproblemStep
 from lampest.solvers.bounds import MIN_DECREASE_SHARE
 from lampest.solvers.direction import (
+    MAX_CHANGE,
     ActiveSet,
     Mask,
     QuadraticModel,
@@ -23,12 +24,18 @@ from lampest.solvers.direction import (
     newton_direction,
 )
 from lampest.solvers.iterate import Iterate
-from lampest.solvers.multistart import Effort, evaluated
-from lampest.solvers.progress import History, decreases_enough, late_or_stalled, stalled
+from lampest.solvers.multistart import evaluated, most_starts
+from lampest.solvers.progress import (
+    MIN_REDUCTION,
+    WINDOW,
+    History,
+    decreases_enough,
+    late_or_stalled,
+    stalled,
+)
 from lampest.solvers.projected_newton import NewtonParts, ProjectedNewton
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status
-from lampest.solvers.steps import STEPS
 
 STUDENT = lampest.Student(corner=3.0)
 SAME_MINIMUM = 1e-6  # relative; solves end at gradients below 1e-8 of the cost
@@ -76,7 +83,7 @@ def gradient_direction(
     curvature = float(along @ model.product(along))
     norm = np.sqrt(-slope)
     length = min(-slope / curvature if curvature > 0 else np.inf, radius / norm)
-    size = min(length * float(np.abs(along).max()), STEPS.max_step) / float(np.abs(along).max())
+    size = min(length * float(np.abs(along).max()), MAX_CHANGE) / float(np.abs(along).max())
     decrease = -(size * slope + 0.5 * size**2 * curvature)
     return SubproblemStep(size * along, size * norm, decrease, curvature <= 0, 1)
 
@@ -198,16 +205,16 @@ def test_a_step_within_rounding_is_accepted_where_the_gradient_halves() -> None:
 
 def test_a_solve_stalls_where_neither_cost_nor_gradient_falls_over_a_window() -> None:
     """One of them that falls, or a window that is not full, is no stall."""
-    flat = [(1.0, 1.0)] * (STEPS.window + 1)
+    flat = [(1.0, 1.0)] * (WINDOW + 1)
     assert stalled(flat)
     assert not stalled(flat[1:])
     assert not stalled([(2.0, 1.0), *flat[1:]])
-    assert not stalled([*flat[:-1], (1.0, STEPS.min_reduction / 2)])
+    assert not stalled([*flat[:-1], (1.0, MIN_REDUCTION / 2)])
 
 
 def test_the_time_limit_comes_before_a_stall() -> None:
     """Data that are overdue end a solve at once."""
-    flat = [(1.0, 1.0)] * (STEPS.window + 1)
+    flat = [(1.0, 1.0)] * (WINDOW + 1)
     late = SimpleNamespace(overdue=True)
     punctual = SimpleNamespace(overdue=False)
     assert late_or_stalled(late, flat) is Status.TIME  # type: ignore[arg-type]
@@ -249,8 +256,8 @@ def test_solvers_with_different_parts_are_different(start: Evaluation) -> None:
 def test_settings_state_the_largest_number_of_starts(
     start: Evaluation, terms: tuple[lampest.Term, ...], most: int
 ) -> None:
-    """The numbers in the description of `Settings.starts` are those of a frame's effort."""
+    """The numbers in the description of `Settings.starts` are those that a frame may spend."""
     cost = lampest.Estimator(terms, "reduced").cost(SCENE, 1)
-    assert Effort.of(ProjectedNewton(cost, Settings()), start.data, None).starts == most
+    assert most_starts(ProjectedNewton(cost, Settings()), start.data) == most
     described = str(Settings.__doc__).split("starts : int or None")[1]
     assert (f"up to {most}" if most > 1 else "None: one where") in " ".join(described.split())
