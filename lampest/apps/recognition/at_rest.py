@@ -1,7 +1,5 @@
 """Loads on a panel at rest: in its unloaded frames, or before any frame."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from lampest.files.process import ONE_BLAS_THREAD
@@ -45,12 +43,10 @@ def touched(recording: Recording) -> bool:
 
     if scene.panel.crossings > MAX_CELLS:
         return False
-    supply = FrameNoise(scene, len(unloaded.value), MAX_GAIN, NO_RIPPLE, NO_RIPPLE)
-    setup = replace(
-        WatchSetup.of(scene, ModelErrors().of_scene(scene, 0.0)),
-        common=lambda measured: supply.columns(measured[None], baseline=False),
-        motion=np.zeros(3),
+    supply = FrameNoise(
+        scene, len(unloaded.value), MAX_GAIN, NO_RIPPLE, NO_RIPPLE, motion=np.zeros(3)
     )
+    setup = WatchSetup.of(scene, ModelErrors().of_scene(scene, 0.0)).with_noise(supply)
     sigma = np.min(np.where(unloaded.plain, unloaded.known_sigma, np.inf), axis=0)
     values = unloaded.plain_values
     return Watch.begin(setup, unloaded.mean().value, sigma, values, 0.0).touched(values)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky
 
 from lampest.apps.recognition.observation import Observation, Whitening, outliers
 from lampest.files.levels import MAX_MEAN_SQUARE
@@ -62,8 +61,7 @@ class CellsUnderPrior:
         """
         most_probable = frame.cells(start, covariance)
         change = most_probable.state.reshape(start.shape)
-        noise = Whitening(cholesky(most_probable.noise, lower=True))
-        misfit = noise @ frame.residual(change)
+        misfit = Whitening.of(most_probable.noise) @ frame.residual(change)
         chi2 = float(misfit @ misfit)
         contradicting = np.zeros(0, dtype=np.intp)
         if chi2 >= MAX_MEAN_SQUARE * frame.measured.size:

@@ -407,17 +407,14 @@ class Observation:
         return most_probable(model, start.ravel(), means, prior, MAX_STEP / 10)
 
     @cached_property
-    def _mapped(self) -> MostProbable:
-        zero = np.zeros(self.measured.shape)
-        return self.cells(zero, np.full(zero.size, self.baseline.model_errors.mapped**2))
-
-    @property
     def map(self) -> Array:
         """Most probable ln r/r0 of every cell, (rows, columns).
 
         Cells are independent, with the prior `mapped`.
         """
-        return self._mapped.state.reshape(self.measured.shape)
+        zero = np.zeros(self.measured.shape)
+        prior = np.full(zero.size, self.baseline.model_errors.mapped**2)
+        return self.cells(zero, prior).state.reshape(zero.shape)
 
     @cached_property
     def free(self) -> MostProbable:
@@ -447,7 +444,7 @@ class Observation:
         """
         rest = self.baseline.network()
         slope = self.sensitivity(rest)
-        whitening = Whitening(cholesky(slope @ slope.T + self.covariance(rest), lower=True))
+        whitening = Whitening.of(slope @ slope.T + self.covariance(rest))
         # the posterior's diagonal with the prior I: 1 − diag Jᵀ (J Jᵀ + C)⁻¹ J
         variance = 1 - ((whitening @ slope) ** 2).sum(axis=0)
         at_rest = np.sqrt(np.maximum(variance, np.finfo(float).eps)).reshape(self.measured.shape)
@@ -476,6 +473,11 @@ class Whitening:
     root: Array
 
     @classmethod
+    def of(cls, covariance: Array) -> "Whitening":
+        """Return the whitening of C, (readings, readings)."""
+        return cls(cholesky(covariance, lower=True))
+
+    @classmethod
     def about(
         cls,
         frame: Observation,
@@ -486,7 +488,12 @@ class Whitening:
 
         `cells` is this covariance, (cells, cells).
         """
-        return cls(cholesky(frame.covariance(frame.baseline.network(change), cells), lower=True))
+        return cls.of(frame.covariance(frame.baseline.network(change), cells))
+
+    @property
+    def matrix(self) -> Array:
+        """L⁻¹, (readings, readings)."""
+        return self @ np.eye(len(self.root))
 
     @cached_property
     def volume(self) -> float:
@@ -512,7 +519,7 @@ def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
     residual : array, shape (readings,)
         e.
     """
-    inverse = whitening @ np.eye(len(residual))
+    inverse = whitening.matrix
     precision = inverse.T @ inverse
     pull = precision @ residual
     fitting = np.ones(len(residual), dtype=bool)

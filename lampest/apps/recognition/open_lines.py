@@ -4,9 +4,6 @@ Suction raises the cells of a mouth. Only an open line raises nearly all resista
 column.
 """
 
-from collections.abc import Iterable
-from typing import NamedTuple
-
 import numpy as np
 
 from lampest.panel.panel import Array
@@ -17,27 +14,8 @@ OPEN_RATIO = 2.0
 OPEN_SHARE = 0.8
 
 
-class Line(NamedTuple):
-    """A row or a column.
-
-    Attributes
-    ----------
-    axis : int
-        0 for rows, 1 for columns.
-    number : int
-    """
-
-    axis: int
-    number: int
-
-    @property
-    def name(self) -> str:
-        """The line in words, such as 'row 3'."""
-        return f"{('row', 'column')[self.axis]} {self.number}"
-
-
-def open_lines(measured: Array, sigma: Array, at_rest: Array) -> list[Line]:
-    """Return the open lines of a frame.
+def without_open_lines(measured: Array, sigma: Array, at_rest: Array) -> tuple[Array, list[str]]:
+    """Return σ, infinite for the readings of open lines, and the lines, such as 'row 3'.
 
     Parameters
     ----------
@@ -48,17 +26,11 @@ def open_lines(measured: Array, sigma: Array, at_rest: Array) -> list[Line]:
     """
     counts = np.isfinite(sigma)
     raised = np.where(counts, measured, 0.0) / at_rest > OPEN_RATIO
-    lines = list[Line]()
-    for axis in (0, 1):
+    remaining = sigma.copy()
+    lines = list[str]()
+    for axis, name in enumerate(("row", "column")):
         read = np.maximum(counts.sum(axis=1 - axis), 1)
-        opened = raised.sum(axis=1 - axis) > OPEN_SHARE * read
-        lines += [Line(axis, int(number)) for number in np.flatnonzero(opened)]
-    return lines
-
-
-def without_lines(sigma: Array, lines: Iterable[Line]) -> Array:
-    """Return σ, infinite for the readings of the lines."""
-    excluded = sigma.copy()
-    for line in lines:
-        np.moveaxis(excluded, line.axis, 0)[line.number] = np.inf
-    return excluded
+        opened = np.flatnonzero(raised.sum(axis=1 - axis) > OPEN_SHARE * read)
+        np.moveaxis(remaining, axis, 0)[opened] = np.inf
+        lines += [f"{name} {number}" for number in opened]
+    return remaining, lines

@@ -57,7 +57,7 @@ class Patterns(NamedTuple):
         Cells that neither the load nor `others` contain, each by itself; none in `of`.
     curve : float
         Relative standard deviation of the depth by a curve under suction that was not measured.
-    bodies : array
+    adjoining : array
         The part of `others` by loads and bodies that adjoin the load and may move its rim; none in
         `of`.
     """
@@ -67,7 +67,7 @@ class Patterns(NamedTuple):
     moves: Array
     others: Array
     beside: Array
-    bodies: Array
+    adjoining: Array
     curve: float = 0.0
 
     @classmethod
@@ -121,14 +121,11 @@ class Patterns(NamedTuple):
         changes : array, shape (frames, readings)
         """
         span = np.linalg.qr(self.others)[0]
-        suction, rim, moves, beside, remaining = (
-            pattern - span @ (span.T @ pattern)
-            for pattern in (self.own, self.rim, self.moves, self.beside, changes.T)
-        )
-        return self._replace(own=suction, rim=rim, moves=moves, beside=beside), remaining.T
+        projection = np.eye(len(span)) - span @ span.T
+        return self.whitened(projection), changes @ projection
 
     def whitened(self, whitening: Array) -> "Patterns":
-        """Return the patterns of readings that are whitened once more, by (readings, readings)."""
+        """Return the patterns of readings that a matrix (readings, readings) combines once more."""
         return self._replace(
             own=whitening @ self.own,
             rim=whitening @ self.rim,
@@ -210,7 +207,7 @@ def patterns_of(verdict: Verdict, whitening: Array) -> list[Patterns]:
         patterns.append(
             pattern._replace(
                 beside=by_cell[:, ~(under | beside)],
-                bodies=by_cell[:, beside & adjoin(panel, beside, under)],
+                adjoining=by_cell[:, beside & adjoin(panel, beside, under)],
             )
         )
     return patterns

@@ -3,87 +3,15 @@
 No current crosses a seam, so that the network of a window is block diagonal.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.apps.recognition.attachment import Attachment
-from lampest.apps.recognition.recognition_scene import RecognitionScene
+from lampest.apps.recognition.recognition_scene import RecognitionScene, WindowScene
 from lampest.apps.recognition.step_test import NEAR_PITCHES
-from lampest.panel.joined_network import JoinedNetwork
-from lampest.panel.network import Network
-from lampest.panel.panel import Array, Modules, Panel
-from lampest.panel.readouts.wiring import Wiring
-from lampest.panel.response import Response
-
-
-@dataclass(frozen=True, eq=False)
-class WindowScene:
-    """Neighbouring modules with the interface of a scene and of its circuit that recognition needs.
-
-    Attributes
-    ----------
-    panel : Panel
-        The window.
-    response : Response or None
-    of_modules : tuple of RecognitionScene
-        Scene of each module.
-    wiring : None
-        Each module has its own.
-    """
-
-    panel: Panel
-    response: Response | None
-    of_modules: tuple[RecognitionScene, ...]
-    wiring: None = None
-
-    @property
-    def circuit(self) -> "WindowScene":
-        """The circuit of all modules."""
-        return self
-
-    @property
-    def unit(self) -> str:
-        """Unit of the readings, ohm or volt."""
-        return self.of_modules[0].circuit.unit
-
-    @property
-    def series_ohm(self) -> Array:
-        """Resistance in series, (rows, columns) ohm."""
-        return self._joined(lambda scene, part: scene.series_ohm + part, np.zeros(self.panel.shape))
-
-    @property
-    def broken(self) -> NDArray[np.bool_]:
-        """Whether a crossing has no cell to be estimated, (rows, columns)."""
-        return (
-            self._joined(lambda scene, part: scene.broken.astype(float), np.zeros(self.panel.shape))
-            > 0
-        )
-
-    def uniform_start(self, measured: Array) -> Array:
-        """Return the uniform start of every module, as `Readout.uniform_start`."""
-        return self._joined(lambda scene, part: scene.circuit.uniform_start(part), measured)
-
-    def ties(self, cells: Array) -> Array:
-        """Return an empty array, because every module has its own ties."""
-        return np.zeros(0)
-
-    def network(self, cells: Array, ties: Array, wiring: Wiring | None) -> Network:
-        """Return the network of all modules."""
-        layout = layout_of(self.panel)
-        parts = zip(self.of_modules, layout.split(cells), strict=True)
-        solved = [
-            module.circuit.network(part, module.circuit.ties(part), module.wiring)
-            for module, part in parts
-        ]
-        return JoinedNetwork.of(cells, solved, layout)
-
-    def _joined(self, part: Callable[[RecognitionScene, Array], Array], image: Array) -> Array:
-        layout = layout_of(self.panel)
-        pairs = zip(self.of_modules, layout.split(image), strict=True)
-        return np.asarray(layout.joined(np.stack([part(*pair) for pair in pairs])))
+from lampest.panel.panel import Array, Panel
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +41,7 @@ class Window:
     @classmethod
     def about(cls, scene: RecognitionScene, place: Array) -> "Window":
         """Return the window over the modules that a load at a place (x, y) in mm may reach."""
-        layout = layout_of(scene.panel)
+        layout = scene.panel.layout
         spans = list[NDArray[np.intp]]()
         sizes = layout.each.columns, layout.each.rows
         for at, axis, size in zip(place, scene.panel.centres_mm(), sizes, strict=True):
@@ -142,9 +70,3 @@ class Window:
         x, x_sd = load.x_mm
         y, y_sd = load.y_mm
         return replace(load, x_mm=(x + self.x_mm, x_sd), y_mm=(y + self.y_mm, y_sd))
-
-
-def layout_of(panel: Panel) -> Modules:
-    """Return the layout of a panel of modules."""
-    assert panel.modules is not None
-    return panel.modules

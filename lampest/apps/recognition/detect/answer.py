@@ -2,8 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -152,7 +153,8 @@ class Detected:
         """
         if not known.get("mat", False):
             attachments = disturbances(attachments)
-        loads = [*filter(lambda load: load.present, reversed(attachments)), *reversed(attachments)]
+        # present ones first, and the last one first
+        loads = sorted(attachments, key=lambda load: load.present)[::-1]
         called = [answer_of(load, rate, known.get("threshold", MIN_PROBABILITY)) for load in loads]
         chosen = min(
             called, key=lambda load: ANSWERS.index(load[0]), default=(NOTHING, BARE_PROBABILITY, "")
@@ -178,11 +180,8 @@ class Detected:
     def chosen(self) -> Attachment | None:
         """The attachment of the answer: the last one that is present, or the last one."""
         pairs = zip(reversed(self.attachments), reversed(self.called), strict=True)
-        return max(
-            (load for load, name in pairs if name == self.answer),
-            key=lambda load: load.present,
-            default=None,
-        )
+        own = (load for load, name in pairs if name == self.answer)
+        return max(own, key=lambda load: load.present, default=None)
 
     @property
     def sentence(self) -> str:
@@ -197,19 +196,9 @@ class Detected:
             shown = [*map(_described, present[:MAX_SHOWN])]
             shown += [f"{len(present) - MAX_SHOWN} more"] if len(present) > MAX_SHOWN else []
             return f"{len(present)} contacts: {'; '.join(shown)} ({odds})"
-        if self._visits > 1:
-            return f"{self._headline}; last: {self._described(load, present)} ({odds}){why}"
-        return f"{self._described(load, present)} ({odds}){why}"
-
-    @property
-    def _visits(self) -> int:
-        """Number of attachments that suck."""
-        return sum(name in (LAMPREY, SUCKS, CUP) for name in self.called)
-
-    @property
-    def _headline(self) -> str:
-        """Counts of sucking loads, in words, such as '7 lamprey visits, 2 unsure'."""
-        return headline(self.called)
+        visits = sum(name in (LAMPREY, SUCKS, CUP) for name in self.called)
+        earlier = f"{headline(self.called)}; last: " if visits > 1 else ""
+        return f"{earlier}{self._described(load, present)} ({odds}){why}"
 
     def _described(self, load: Attachment, present: Sequence[Attachment]) -> str:
         name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(
@@ -218,14 +207,11 @@ class Detected:
         messages = [f"{name}{' attached' if load.sucks > 0.5 else ''} {_described(load)}"]
         if self.answer == LAMPREY and load.pumps >= self.threshold:
             messages.append("pumping up its suction")
-        if (
-            self.answer == LAMPREY
-            and load.breathes > 0.5
-            and load.breathing_hz
-            and load.breathing_depth
-        ):
-            depth = (100 * load.breathing_depth[0], 100 * load.breathing_depth[1])
-            messages += [f"breathing {load.breathing_hz[0]:.1f} Hz", _shown(depth, "%")]
+        hertz = load.breathing_hz
+        depth = load.breathing_depth
+        if self.answer == LAMPREY and load.breathes > 0.5 and hertz and depth:
+            percent = _shown((100 * depth[0], 100 * depth[1]), "%")
+            messages += [f"breathing {hertz[0]:.1f} Hz", percent]
         others = len(present) - load.present
         if others:
             messages.append(f"and {others} more")
@@ -241,8 +227,8 @@ class Detected:
                 ("touched", touched),
                 ("attached", load.sucks_s),
                 *(("moved", time) for time in load.moved_s),
+                ("released", load.until_s),
             ]
-            times.append(("released", load.until_s))
             events += [Event(kind, time, number) for kind, time in times if time is not None]
         return tuple(sorted(events, key=lambda event: event.time_s))
 
@@ -350,14 +336,13 @@ def headline(called: Sequence[str]) -> str:
     contacts = len(called) - lampreys - unsure - cups
     if called and contacts == len(called):
         return _plural(contacts, "contact")
-    parts = [_plural(lampreys, "lamprey visit")]
-    if unsure:
-        parts.append(f"{unsure} unsure")
-    if cups:
-        parts.append(_plural(cups, "suction cup"))
-    if contacts:
-        parts.append(_plural(contacts, "other contact"))
-    return ", ".join(parts)
+    further = (
+        (unsure, f"{unsure} unsure"),
+        (cups, _plural(cups, "suction cup")),
+        (contacts, _plural(contacts, "other contact")),
+    )
+    lines = [_plural(lampreys, "lamprey visit"), *(text for count, text in further if count)]
+    return ", ".join(lines)
 
 
 def _plural(number: int, noun: str) -> str:
@@ -404,11 +389,7 @@ def _shown(pair: Pair | None, unit: str = "") -> str:
     if pair is None:
         return ""
     value, sd = pair
-    digits = 2
-    if sd >= 1:
-        digits = 0
-    elif sd >= 0.05:
-        digits = 1
+    digits = 2 - (sd >= 0.05) - (sd >= 1)
     error = max(sd, 0.01)
     return f"{value:.{digits}f} ± {error:.{digits}f} {unit}".replace("-", "−").strip()
 
@@ -417,14 +398,12 @@ def event_table(answers: Sequence[Detected]) -> Table:
     """Return a table with a row for each event."""
     rows = []
     for answer in answers:
-        for event in answer.events:
-            load = answer.attachments[event.number]
-            name = answer.called[event.number]
+        called = answer.called
+        for kind, time, number in answer.events:
+            load = answer.attachments[number]
             place = f"{load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}"
-            pairs = (load.diameter_mm, load.suction_kpa, load.breathing_hz)
-            numbers = [_shown(pair) for pair in pairs]
-            time = f"{event.time_s:.1f}"
-            rows.append((answer.recording, time, event.kind, name, place, *numbers))
+            numbers = map(_shown, (load.diameter_mm, load.suction_kpa, load.breathing_hz))
+            rows.append((answer.recording, f"{time:.1f}", kind, called[number], place, *numbers))
     return Table(EVENT_HEADERS, tuple(rows))
 
 
@@ -439,12 +418,10 @@ def load_table(answers: Sequence[Detected]) -> Table:
         for load in answer.attachments:
             since = f"{load.since_s:.1f}"
             chances = [f"{getattr(load, chance):.3f}" for chance in shown]
-            area = "" if load.area_mm2 is None else f"{load.area_mm2[0]:.0f}"
-            conductance = ""
-            if load.conductance_s is not None:
-                conductance = f"{1e3 * load.conductance_s[0]:.3g}"
-            row = (answer.recording, since, *chances, str(load.cells), area, conductance)
-            rows.append(row)
+            area = load.area_mm2 and f"{load.area_mm2[0]:.0f}"
+            conductance = load.conductance_s and f"{1e3 * load.conductance_s[0]:.3g}"
+            cells = str(load.cells)
+            rows.append((answer.recording, since, *chances, cells, area or "", conductance or ""))
     chances = [f"P({chance})" for chance in shown]
     return Table(
         ("recording", "since [s]", *chances, "cells", "area [mm²]", "conductance [mS]"), tuple(rows)
@@ -479,45 +456,36 @@ def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
             group = entry.create_group(answer.recording)
             hdf5.set_attributes(group, NX_class="NXsubentry", order=order, **about)
             if answer.attachments:
-                _write_table(group, "attachments", _attachment_columns(content["attachments"]))
-                _write_table(group, "events", _event_columns(answer.events))
+                _write_attachments(_collection(group, "attachments"), content["attachments"])
+                _write_events(_collection(group, "events"), answer.events)
     return path
 
 
-TableColumns: TypeAlias = dict[str, tuple[Any, str, str]]  # name → values, units and text
-
-
-def _attachment_columns(loads: Sequence[dict[str, Any]]) -> TableColumns:
-    """Return the columns of attachments as in `Detected.content`."""
-    answers = hdf5.ascii_array([load["answer"] for load in loads])
-    reasons = hdf5.ascii_array([load["why"] for load in loads])
-    probabilities = np.array([load["probability"] for load in loads])
-    columns: TableColumns = {
-        "answer": (answers, "1", "what it is"),
-        "why": (reasons, "1", "why the answer is no more specific"),
-        "probability": (probabilities, "1", "probability of the answer"),
-    }
-    for name, (units, text) in (CHANCES | NUMBERS).items():
-        columns[name] = np.array([load[name] for load in loads], dtype=float), units, text
-    for name, (units, text) in PAIRS.items():
-        values, errors = np.array([load[name] or (None, None) for load in loads], dtype=float).T
-        columns[name] = values, units, text
-        columns[f"{name}{ERRORS}"] = errors, units, f"standard deviation: {text}"
-    return columns
-
-
-def _event_columns(events: Sequence[Event]) -> TableColumns:
-    """Return the columns of events."""
-    kinds, times, numbers = zip(*events, strict=True)
-    return {
-        "event": (hdf5.ascii_array(kinds), "1", "touched, attached, moved or released"),
-        "time": (np.array(times), "s", "when it was first seen"),
-        "attachment": (np.array(numbers), "1", "number of the attachment"),
-    }
-
-
-def _write_table(entry: Any, name: str, columns: TableColumns) -> None:
+def _collection(entry: Any, name: str) -> Any:
     group = entry.create_group(name)
     hdf5.set_attributes(group, NX_class="NXcollection")
-    for name, (values, units, text) in columns.items():
-        hdf5.write_dataset(group, name, values, units, text)
+    return group
+
+
+def _write_attachments(group: Any, loads: Sequence[dict[str, Any]]) -> None:
+    """Write attachments as in `Detected.content`."""
+    write = partial(hdf5.write_dataset, group)
+    write("answer", hdf5.ascii_array([load["answer"] for load in loads]), "1", "what it is")
+    reasons = hdf5.ascii_array([load["why"] for load in loads])
+    write("why", reasons, "1", "why the answer is no more specific")
+    probabilities = np.array([load["probability"] for load in loads])
+    write("probability", probabilities, "1", "probability of the answer")
+    for name, (units, text) in (CHANCES | NUMBERS).items():
+        write(name, np.array([load[name] for load in loads], dtype=float), units, text)
+    for name, (units, text) in PAIRS.items():
+        values, errors = np.array([load[name] or (None, None) for load in loads], dtype=float).T
+        write(name, values, units, text)
+        write(f"{name}{ERRORS}", errors, units, f"standard deviation: {text}")
+
+
+def _write_events(group: Any, events: Sequence[Event]) -> None:
+    kinds, times, numbers = zip(*events, strict=True)
+    write = partial(hdf5.write_dataset, group)
+    write("event", hdf5.ascii_array(kinds), "1", "touched, attached, moved or released")
+    write("time", np.array(times), "s", "when it was first seen")
+    write("attachment", np.array(numbers), "1", "number of the attachment")

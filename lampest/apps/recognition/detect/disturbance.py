@@ -35,5 +35,4 @@ def _returns(former: Attachment, load: Attachment) -> bool:
     if former.until_s is None or former.sucks > 0.5 or load.sucks > 0.5:
         return False
     pause_s = load.since_s - former.until_s
-    near = former.distance(load.place) < max(former.width, load.width)
-    return 0 <= pause_s <= MAX_PAUSE_S and near
+    return 0 <= pause_s <= MAX_PAUSE_S and former.adjoins(load)

@@ -1,28 +1,18 @@
 """Picture of a season: the visits over days and hours, and their number by the hour of the day."""
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lampest.apps.recognition.detect.answer import CUP, LAMPREY, SUCKS
 from lampest.apps.recognition.detect.timeline import COLOURS
 from lampest.apps.recognition.detect.visits import DAY_HOURS, HOUR_S, Visit
-from lampest.report.plots.style import SMALL_POINT, dressed, new_figure, write_all
+from lampest.report.plots.style import SMALL_POINT, dressed, new_figure
 
 SHOWN = (LAMPREY, SUCKS, CUP)  # other contacts are grey and behind
 MIN_BAR_H = 0.15  # so that a short visit is visible on a day
-
-
-def plot_season(path: str | Path, visits: Sequence[Visit]) -> Path:
-    """Draw the visits into a file. Raises InputError where it cannot be written."""
-    (file,) = write_all(
-        [lambda: season(visits)], [Path(path)], lambda done, total: None, in_process=True
-    )
-    return file
+MAX_LABELS = 12  # of days or recordings
 
 
 def season(visits: Sequence[Visit]) -> Figure:
@@ -36,15 +26,20 @@ def season(visits: Sequence[Visit]) -> Figure:
         dict.fromkeys(_row(visit) for visit in sorted(visits, key=lambda visit: visit.visit))
     )
     for visit in sorted(visits, key=lambda visit: visit.answer in SHOWN):
-        length = max((visit.duration_s or 0.0) / HOUR_S, MIN_BAR_H)
-        look: dict[str, Any] = {"color": COLOURS[visit.answer], "lw": 0, "width": 0.7}
-        left.bar(rows.index(_row(visit)), length, bottom=_hour(visit), label=visit.answer, **look)
-    left.set_xticks(range(len(rows)), rows, rotation=60 if len(rows) > 6 else 0)
-    left.xaxis.set_major_locator(_sparse(len(rows)))
-    highest = max(
-        24.0,
-        max((_hour(visit) + (visit.duration_s or 0.0) / HOUR_S for visit in visits), default=24.0),
-    )
+        left.bar(
+            rows.index(_row(visit)),
+            max((visit.duration_s or 0.0) / HOUR_S, MIN_BAR_H),
+            width=0.7,
+            bottom=_hour(visit),
+            label=visit.answer,
+            color=COLOURS[visit.answer],
+            lw=0,
+        )
+    step = -(-len(rows) // MAX_LABELS)
+    labelled = range(0, len(rows), step)
+    left.set_xticks(labelled, rows[::step], rotation=60 if len(rows) > 6 else 0)
+    ends = (_hour(visit) + (visit.duration_s or 0.0) / HOUR_S for visit in visits)
+    highest = max(24.0, *ends)
     left.set_ylim(min(highest, 48.0), 0)
     clocked = any(visit.clock is not None for visit in visits)
     dressed(
@@ -52,7 +47,9 @@ def season(visits: Sequence[Visit]) -> Figure:
         "day" if clocked else "recording",
         "hour of the day" if clocked else "hours since its begin",
     )
-    _legend(left)
+    handles, labels = left.get_legend_handles_labels()
+    known = dict(zip(labels, handles, strict=True))
+    left.legend(known.values(), known.keys(), fontsize=SMALL_POINT, frameon=False, loc="best")
     for name in SHOWN:
         hours = [_hour(visit) for visit in visits if visit.answer == name]
         counts, edges = np.histogram(hours, bins=np.arange(0, np.ceil(highest) + 1))
@@ -76,16 +73,3 @@ def _hour(visit: Visit) -> float:
     if visit.clock is None:
         return visit.begin_s / HOUR_S
     return visit.clock.hour + visit.clock.minute / 60 + visit.clock.second / HOUR_S
-
-
-def _sparse(count: int) -> Any:
-    """Return the places of at most twelve labels among `count`."""
-    from matplotlib.ticker import FixedLocator
-
-    return FixedLocator(list(range(0, count, max(1, -(-count // 12)))))
-
-
-def _legend(axes: Axes) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    known = dict(zip(labels, handles, strict=True))
-    axes.legend(known.values(), known.keys(), fontsize=SMALL_POINT, frameon=False, loc="best")

@@ -1,8 +1,5 @@
 """Timelines of detections: change of the readings over time, attachments, and a map."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +17,6 @@ from lampest.report.plots.style import (
     TEXT_POINT,
     dressed,
     new_figure,
-    write_all,
 )
 
 # Those of Okabe and Ito, apart for the colour-blind.
@@ -29,30 +25,6 @@ MAX_NUMBERED = 20  # visits whose numbers fit on a map
 LABEL_LINES = 5
 LABEL_WIDTH = 0.22
 COLOURS = {LAMPREY: "#D55E00", SUCKS: "#E69F00", CUP: "#56B4E9", PRESSES: "0.6"}
-
-
-def plot_timelines(
-    answers: Sequence[Detected],
-    folder: str | Path,
-    on_picture: Callable[[int, int], None] = lambda done, total: None,
-) -> list[Path]:
-    """Draw every recording into timeline_<recording>.png in a folder; return the files.
-
-    `on_picture` is called as in `write_all`. Raises InputError if the folder cannot be written.
-    """
-    shown = [answer for answer in answers if answer.course is not None]
-    return write_all(
-        [partial(timeline, answer) for answer in shown], timeline_files(answers, folder), on_picture
-    )
-
-
-def timeline_files(answers: Sequence[Detected], folder: str | Path) -> list[Path]:
-    """Return the files that `plot_timelines` writes."""
-    return [
-        Path(folder) / f"timeline_{answer.recording}.png"
-        for answer in answers
-        if answer.course is not None
-    ]
 
 
 def timeline(answer: Detected) -> Figure:
@@ -82,13 +54,14 @@ def _course(axes: Axes, answer: Detected) -> None:
         line = next((line for line, taken in enumerate(ends) if taken <= place), None)
         if line is not None:  # else there is no room, and its colour alone says what it is
             ends[line] = place + LABEL_WIDTH
-            look: dict[str, Any] = {
-                "fontsize": SMALL_POINT,
-                "va": "top",
-                "transform": axes.get_xaxis_transform(),
-            }
             mark = axes.text(
-                attachment.since_s, 0.98 - 0.07 * line, f" {name}", clip_on=True, **look
+                attachment.since_s,
+                0.98 - 0.07 * line,
+                f" {name}",
+                clip_on=True,
+                fontsize=SMALL_POINT,
+                va="top",
+                transform=axes.get_xaxis_transform(),
             )
             mark.set_path_effects([withStroke(linewidth=2, foreground="white")])
     axes.set_xlim(time[0], time[-1])
@@ -101,7 +74,8 @@ def _map(axes: Axes, answer: Detected) -> None:
 
     If there are several visits, or contacts of a mat, their places are drawn.
     """
-    if len(answer.attachments) > 1 and answer.panel is not None:
+    loads = answer.attachments
+    if answer.panel is not None and len(loads) > 1:
         _visits(axes, answer, answer.panel)
         return
     if answer.change is None or answer.panel is None:
@@ -114,16 +88,12 @@ def _map(axes: Axes, answer: Detected) -> None:
     painter.bar(axes.figure, axes, "bottom")
     axes.set_xlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
     axes.set_ylabel(DOWN_LABEL, fontsize=TEXT_POINT)
-    for attachment in [
-        attachment for attachment in answer.attachments if attachment.present
-    ] or answer.attachments:
-        if attachment.diameter_mm is not None:  # the outer edge of a load that is round
-            circle = Circle(
-                attachment.place, attachment.diameter_mm[0] / 2, fill=False, color="black", lw=1.1
-            )
+    for load in loads:
+        if load.diameter_mm is not None:  # the outer edge of a load that is round
+            circle = Circle(load.place, load.diameter_mm[0] / 2, fill=False, color="black", lw=1.1)
             circle.set_path_effects([withStroke(linewidth=2.6, foreground="white")])
             axes.add_patch(circle)
-        axes.plot(*attachment.place, "+", color="black", ms=5, mew=0.9)
+        axes.plot(*load.place, "+", color="black", ms=5, mew=0.9)
 
 
 def _visits(axes: Axes, answer: Detected, panel: Panel) -> None:
@@ -133,20 +103,14 @@ def _visits(axes: Axes, answer: Detected, panel: Panel) -> None:
     """
     across, down = panel.places_mm[:, panel.present]
     axes.plot(across, down, ".", color="0.8", ms=2)
-    for number, (attachment, name) in enumerate(
-        zip(answer.attachments, answer.called, strict=True), 1
-    ):
-        if attachment.diameter_mm is not None:
-            radius = attachment.diameter_mm[0] / 2
-            axes.add_patch(
-                Circle(attachment.place, radius, fill=False, color=COLOURS[name], lw=1.1)
-            )
+    for number, (load, name) in enumerate(zip(answer.attachments, answer.called, strict=True), 1):
+        if load.diameter_mm is not None:
+            radius = load.diameter_mm[0] / 2
+            axes.add_patch(Circle(load.place, radius, fill=False, color=COLOURS[name], lw=1.1))
         else:
-            axes.plot(*attachment.place, "x", color=COLOURS[name], ms=4, mew=0.9)
+            axes.plot(*load.place, "x", color=COLOURS[name], ms=4, mew=0.9)
         if len(answer.attachments) <= MAX_NUMBERED:
-            axes.annotate(
-                str(number), attachment.place, fontsize=SMALL_POINT, ha="center", va="center"
-            )
+            axes.annotate(str(number), load.place, fontsize=SMALL_POINT, ha="center", va="center")
     (left, right), (top, bottom) = panel.extents_mm
     axes.set(
         xlim=(left - panel.pitch_mm, right + panel.pitch_mm),

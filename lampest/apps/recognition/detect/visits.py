@@ -3,6 +3,7 @@
 Visits are one row for each attachment, with clock times.
 """
 
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -20,6 +21,7 @@ PICTURE = "visits.png"
 DAY_HOURS = (6, 18)  # of the clock: from the first on and before the second it is day
 REVISIT_H = 24.0  # between the end of a visit and one that may be by the same animal
 HOUR_S = 3600.0
+WITHOUT_CLOCK = "without a clock"
 ALIKE = 2.0  # standard deviations of the difference of the diameters of one animal
 COLUMNS = {
     "visit": "number of the visit, in the order of time",
@@ -104,18 +106,18 @@ def numbered(rows: Iterable[Visit]) -> list[Visit]:
 
     An earlier visit may be by the same animal. Visits of recordings without a clock come last.
     """
-    visits = list(rows)
-    clocked = sorted((visit for visit in visits if visit.begin is not None), key=_since_epoch)
-    ordered = [*clocked, *(visit for visit in visits if visit.begin is None)]
+    ordered = sorted(rows, key=_since_epoch)
     counted = [replace(visit, visit=number) for number, visit in enumerate(ordered, 1)]
     earlier = _earlier(counted)
     return [replace(visit, may_be_visit=earlier.get(visit.visit)) for visit in counted]
 
 
 def _since_epoch(visit: Visit) -> float:
-    """Return the time of arrival in s; times without a zone are of the clock of this computer."""
-    assert visit.clock is not None
-    return visit.clock.timestamp()
+    """Return the time of arrival in s, infinite without a clock.
+
+    Times without a zone are of the clock of this computer.
+    """
+    return inf if visit.clock is None else visit.clock.timestamp()
 
 
 def rows_of(
@@ -138,9 +140,13 @@ def rows_of(
         since = load["since_s"]
         until = load["until_s"]
         stop = end if until is None else until
-        names = "x_mm", "y_mm", "breathing_hz", "breathing_depth"
-        values: Any = {name: _significant(load[name])[0] for name in names}
-        suction = _with_error("suction_kpa", load) | _with_error("strongest_kpa", load)
+        numbers: dict[str, Any] = {}
+        for name in ("x_mm", "y_mm", "breathing_hz", "breathing_depth"):
+            numbers[name], _ = _significant(load[name])
+        for name in ("diameter", *(("suction", "strongest") if load["sucks"] > 0.5 else ())):
+            unit = "mm" if name == "diameter" else "kpa"
+            pair = _significant(load[f"{name}_{unit}"])
+            numbers[f"{name}_{unit}"], numbers[f"{name}_sd_{unit}"] = pair
         visits.append(
             Visit(
                 recording=recording,
@@ -150,22 +156,13 @@ def rows_of(
                 duration_s=None if stop is None else round(max(stop - since, 0.0), 3),
                 begin=_clock(begin, since),
                 left="no" if until is None else "yes",
-                **values,
-                **_with_error("diameter_mm", load),
-                **(suction if load["sucks"] > 0.5 else {}),
                 pumps=None if load["pump_count"] is None else int(load["pump_count"]),
                 pump_interval_s=load["pump_interval_s"],
                 why=load["why"] or None,
+                **numbers,
             )
         )
     return visits
-
-
-def _with_error(name: str, load: dict[str, Any]) -> Any:
-    """Return a pair of a load as two columns."""
-    value, sd = _significant(load[name])
-    stem, unit = name.rsplit("_", 1)
-    return {name: value, f"{stem}_sd_{unit}": sd}
 
 
 def _significant(pair: tuple[float, float] | None) -> tuple[float | None, float | None]:
@@ -231,7 +228,7 @@ def _pause_s(earlier: Visit, later: Visit) -> float | None:
     """Return the time between two visits, s; None where it is unknown."""
     if earlier.duration_s is None:
         return None
-    if earlier.clock is not None and later.clock is not None:
+    if earlier.begin is not None and later.begin is not None:
         return _since_epoch(later) - _since_epoch(earlier) - earlier.duration_s
     if earlier.recording != later.recording:
         return None
@@ -243,7 +240,7 @@ def write_visits(path: str | Path, visits: Sequence[Visit]) -> Path:
 
     Raises InputError where the place cannot be written.
     """
-    write_whole(Path(path), comma_separated([list(COLUMNS), *(visit.row for visit in visits)]))
+    write_whole(Path(path), comma_separated([COLUMNS, *(visit.row for visit in visits)]))
     return Path(path)
 
 
@@ -253,20 +250,20 @@ def count_table(answers: Sequence[Detected], visits: Sequence[Visit]) -> Table:
     Visits are counted by day and by night, and per recorded hour. Recordings without a clock are
     one row.
     """
-    hours = dict[str, list[float]]()
+    hours = defaultdict[tuple[str, bool], float](float)
     for answer in answers:
-        for name, night, seconds in _recorded(answer):
-            hours.setdefault(name, [0.0, 0.0])[night] += seconds / HOUR_S
+        for when, seconds in _recorded(answer):
+            hours[when] += seconds / HOUR_S
+    counts = Counter((_day_or_night(visit.clock), visit.answer) for visit in visits)
     rows = []
-    for name, recorded in sorted(hours.items()):
-        own = [visit for visit in visits if _date(visit) == name]
-        cells = [name]
-        for night in (0, 1):
-            answers_then = [visit.answer for visit in own if _is_night(visit.clock) == bool(night)]
-            lampreys = answers_then.count(LAMPREY)
-            unsure = answers_then.count(SUCKS)
-            rate = f"{lampreys / recorded[night]:.2g}" if recorded[night] > 0 else ""
-            cells += [f"{recorded[night]:.2g}", str(lampreys), str(unsure), rate]
+    for day in sorted({day for day, _ in hours}):
+        cells = [day]
+        for night in (False, True):
+            recorded = hours[day, night]
+            lampreys = counts[(day, night), LAMPREY]
+            rate = f"{lampreys / recorded:.2g}" if recorded > 0 else ""
+            unsure = counts[(day, night), SUCKS]
+            cells += [f"{recorded:.2g}", str(lampreys), str(unsure), rate]
         rows.append(tuple(cells))
     first, last = DAY_HOURS
     heads = ["day"]
@@ -276,36 +273,30 @@ def count_table(answers: Sequence[Detected], visits: Sequence[Visit]) -> Table:
     return Table(tuple(heads), tuple(rows), title="visits by day and by night")
 
 
-def _recorded(answer: Detected) -> Iterable[tuple[str, int, float]]:
+def _recorded(answer: Detected) -> Iterable[tuple[tuple[str, bool], float]]:
     """Generate the day, whether it is night, and the seconds of each recorded hour.
 
     A recorded hour is one that a recording covers.
     """
-    end = answer.end_s or 0.0
+    remaining = answer.end_s or 0.0
     begin = _clock(answer.start_time, 0.0)
     if begin is None:
-        yield WITHOUT_CLOCK, 0, end
+        yield _day_or_night(None), remaining
         return
     clock = datetime.fromisoformat(begin)
-    remaining = end
     while remaining > 0:
         next_hour = (clock + timedelta(hours=1)).replace(minute=0, second=0, microsecond=0)
         part = min((next_hour - clock).total_seconds(), remaining)
-        yield clock.date().isoformat(), int(_is_night(clock)), part
+        yield _day_or_night(clock), part
         clock = next_hour
         remaining = remaining - part
 
 
-WITHOUT_CLOCK = "without a clock"
-
-
-def _date(visit: Visit) -> str:
-    return WITHOUT_CLOCK if visit.clock is None else visit.clock.date().isoformat()
-
-
-def _is_night(clock: datetime | None) -> bool:
-    """Return whether a time of day is outside of DAY_HOURS; without a clock it counts as day."""
-    return clock is not None and not DAY_HOURS[0] <= clock.hour < DAY_HOURS[1]
+def _day_or_night(clock: datetime | None) -> tuple[str, bool]:
+    """Return the day, and whether the time is outside of DAY_HOURS; without a clock it is not."""
+    if clock is None:
+        return WITHOUT_CLOCK, False
+    return clock.date().isoformat(), not DAY_HOURS[0] <= clock.hour < DAY_HOURS[1]
 
 
 def visits_in(path: Path) -> list[Visit]:
@@ -320,13 +311,11 @@ def visits_in(path: Path) -> list[Visit]:
             names, key=lambda name: hdf5.read_number(file, f"entry/{name}", "order")
         ):
             group = f"entry/{name}"
-            begin = hdf5.read_attribute(file, group, "start_time")
-            end = hdf5.read_attribute(file, group, "end_s")
+            begin = str(hdf5.read_attribute(file, group, "start_time"))
+            end = float(hdf5.read_attribute(file, group, "end_s"))
             table = f"{group}/attachments"
             loads = _stored_loads(file, table) if hdf5.has(file, table) else []
-            visits += rows_of(
-                name, loads, str(begin) or None, None if isnan(float(end)) else float(end)
-            )
+            visits += rows_of(name, loads, begin, None if isnan(end) else end)
     return numbered(visits)
 
 
