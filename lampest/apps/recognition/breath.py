@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
-from numpy.typing import NDArray
 from scipy.special import expit, logsumexp
 
 from lampest.apps.recognition.hypotheses import (
@@ -40,7 +39,7 @@ from lampest.apps.recognition.observation import Whitening
 from lampest.apps.recognition.steady_frames import SteadyFrames
 from lampest.apps.recognition.swings import EDGE_SD, Patterns
 from lampest.files.levels import SIGNIFICANT
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.response import RESPONSE_SD
 from lampest.posterior.gaussian import Information
 
@@ -106,7 +105,7 @@ def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath
     patterns : Patterns
     """
     suction: Array = np.ones(len(interval.times))
-    spans: list[NDArray[np.bool_]] = [np.ones(len(interval.times), dtype=bool)]
+    spans: list[Mask] = [np.ones(len(interval.times), dtype=bool)]
     if interval.part.any():
         suction = _relative_suction(interval, changes, patterns)
         spans += [interval.part == number for number in range(interval.part.max() + 1)]
@@ -236,9 +235,7 @@ class _Window(NamedTuple):
         """Swings of the readings at every rate, (rates, 2, readings)."""
         return self.axes @ self.changes
 
-    def rates(
-        self, level: Array, rate: float
-    ) -> list[tuple[int, NDArray[np.bool_], NDArray[np.bool_]]]:
+    def rates(self, level: Array, rate: float) -> list[tuple[int, Mask, Mask]]:
         """Return the rates that may be the breath's, with the rates of its background.
 
         A rate comes with its number, the rates that it stands for, and those of the background,
@@ -264,9 +261,7 @@ class _Window(NamedTuple):
             rates.append((second, ~apart[:, 0], apart.all(axis=1)))
         return rates
 
-    def breath(
-        self, centre: int, near: NDArray[np.bool_], background: NDArray[np.bool_], freedom: int
-    ) -> Breath:
+    def breath(self, centre: int, near: Mask, background: Mask, freedom: int) -> Breath:
         """Return the breath at one of the rates `near`, each as probable as any rate of all.
 
         Parameters
@@ -316,7 +311,7 @@ class _Window(NamedTuple):
             depth=_depth(self.patterns, self.changes, self.waves[best], within, loud / mean_gain),
         )
 
-    def _rates_of(self, best: int) -> NDArray[np.bool_]:
+    def _rates_of(self, best: int) -> Mask:
         """Return the rates of movements that may oscillate at one rate, (2, rates).
 
         The first row has the rate itself, the second its half as well, also beyond half the frame
@@ -344,7 +339,7 @@ class _Window(NamedTuple):
         evidence = float(logsumexp(by_size)) - log(SIZES)
         return float(expit(EVIDENCE_SHARE * evidence - log(RIM.odds)))
 
-    def _odds(self, suction: Array, near: NDArray[np.bool_], freedom: int) -> float:
+    def _odds(self, suction: Array, near: Mask, freedom: int) -> float:
         """Return ln of the odds of A = BREATHING_SD against A = TREMBLE_SD, or a leak.
 
         `suction` (frames,) is the relative suction, `near` (rates,) has the rates of the breath.
@@ -365,7 +360,7 @@ def _without(trend: Array, series: Array) -> Array:
 
     The trend is an orthonormal basis (frames, k).
     """
-    return np.asarray(series - trend @ (trend.T @ series))
+    return series - trend @ (trend.T @ series)
 
 
 def _waves(hertz: Array, times: Array) -> Array:
@@ -435,7 +430,7 @@ def _relative_suction(interval: SteadyFrames, changes: Array, patterns: Patterns
     """
     level = changes @ patterns.suction_weights(np.eye(changes.shape[1]))
     means = np.bincount(interval.part, level) / np.bincount(interval.part)
-    return np.asarray(np.clip(1 + means, 1 / MAX_PULL, MAX_PULL)[interval.part])
+    return np.clip(1 + means, 1 / MAX_PULL, MAX_PULL)[interval.part]
 
 
 def _depth(
@@ -513,9 +508,7 @@ def _evidence(series: Array, axes: Array, gain: Array, sd: float, freedom: int) 
     return np.asarray(logsumexp(fits + volume, axis=0))
 
 
-def _suction(
-    patterns: Patterns, swings: Array, gain: float, rates: NDArray[np.bool_], pushed: float
-) -> float:
+def _suction(patterns: Patterns, swings: Array, gain: float, rates: Mask, pushed: float) -> float:
     """Return the probability that suction oscillates with its rim, against all other causes.
 
     Cells beside the load may swing in any case, by the size that explains the swing best at the

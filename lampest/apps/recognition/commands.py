@@ -199,19 +199,18 @@ def _tell(
 
 def _draw(answers: "Sequence[Detected]", season: "Sequence[Visit]", folder: Path) -> list[Path]:
     """Draw the timelines of the answers, and the visits, and return the files."""
+    from lampest.apps.recognition.detect import timeline as pictures
     from lampest.apps.recognition.detect import visits
-    from lampest.apps.recognition.detect.season import season as drawn_season
-    from lampest.apps.recognition.detect.timeline import timeline
     from lampest.files.whole import refuse_inputs
     from lampest.report.plots.style import write_all
 
     figures = {
-        folder / f"timeline_{answer.recording}.png": partial(timeline, answer)
+        folder / f"timeline_{answer.recording}.png": partial(pictures.timeline, answer)
         for answer in answers
         if answer.course is not None
     }
     if season:
-        figures[folder / visits.PICTURE] = partial(drawn_season, season)
+        figures[folder / visits.PICTURE] = partial(pictures.season, season)
     files = list(figures)
     refuse_inputs(files)
     with screen.progress("pictures") as on_picture:

@@ -5,12 +5,11 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array, diags_array, vstack
 
 from lampest.apps.recognition.patches import pressure_at_places
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Mask, Panel
 from lampest.panel.response import RESPONSE_SD
 from lampest.recording.shapes.disc import Disc
 
@@ -109,7 +108,7 @@ class DiscSearch:
         )
 
     @cached_property
-    def faint(self) -> NDArray[np.bool_]:
+    def faint(self) -> Mask:
         """Whether each disc's template is used for detection in noise, (discs,)."""
         return np.repeat(
             [template.faint for template in self.templates], len(self.discs) // len(self.templates)

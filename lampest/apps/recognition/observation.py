@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import blas, cholesky, lapack
 
 from lampest.apps.recognition.model_errors import ModelErrors
@@ -20,7 +19,7 @@ from lampest.apps.recognition.recognition_scene import RecognitionScene
 from lampest.files.levels import SIGNIFICANT
 from lampest.panel.effects.line_effect import LineEffect
 from lampest.panel.network import Network
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Numbers, Panel
 from lampest.panel.response import PUBLISHED, Response
 from lampest.posterior.gaussian import Conditioned, posterior_covariance
 
@@ -262,7 +261,7 @@ class Baseline:
         )
         shared = np.stack([errors.bent * change, errors.patch * patches])
         uneven = similar * np.outer(change, change) + np.diag((errors.edge_mm * edges) ** 2)
-        return uneven, np.asarray(shared.T @ shared)
+        return uneven, shared.T @ shared
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,7 +303,7 @@ class Observation:
     def deviation(self, network: Network) -> Array:
         """Return R − f − E δ, (cells,), of a solved network with the readings f."""
         expected = network.reading().ravel() + self.offsets(network) @ self.baseline.offsets
-        return np.asarray(self.measured.ravel() - expected)
+        return self.measured.ravel() - expected
 
     def offsets(self, network: Network) -> Array:
         """Return E (cells, offsets), the effect of every offset's standard deviation.
@@ -321,7 +320,7 @@ class Observation:
 
     def sensitivity(self, network: Network) -> Array:
         """Return the derivative of f + E δ by ln r, (cells, cells), of a solved network."""
-        return np.asarray(self._gain[:, None] * network.sensitivity())
+        return self._gain[:, None] * network.sensitivity()
 
     def change(self, pressure: Array, response: Response | None = None) -> tuple[Array, Array]:
         """Return the change of cells under pressures (rows, columns) kPa.
@@ -383,13 +382,13 @@ class Observation:
         both = np.hstack([slope, self.offsets(network)])
         # the root is triangular, and a product with the own transpose symmetric: half of each
         spread = blas.dtrmm(1.0, self._resting_root.T, both.T).T
-        total = spread @ spread.T
+        total: Array = spread @ spread.T
         if np.ndim(cells):
             total += slope @ cells @ slope.T
         if self.common is not None:
             shared = self.common(network.reading())
             total += shared @ shared.T
-        return np.asarray(total + np.diag(self.sigma.ravel() ** 2))
+        return total + np.diag(self.sigma.ravel() ** 2)
 
     def cells(self, start: Array, prior: Array, mean: Array | float = 0.0) -> MostProbable:
         """Return the most probable ln r/r0 of all cells with the prior N(`mean`, `prior`).
@@ -450,7 +449,7 @@ class Observation:
         at_rest = np.sqrt(np.maximum(variance, np.finfo(float).eps)).reshape(self.measured.shape)
         return np.asarray(2 / (1 / at_rest + 1 / self.free_sd))
 
-    def without(self, dropped: NDArray[np.intp]) -> "Observation":
+    def without(self, dropped: Numbers) -> "Observation":
         """Return the observation without the readings of these numbers.
 
         Their σ is so large that they do not count.
@@ -505,7 +504,7 @@ class Whitening:
         return np.asarray(lapack.dtrtrs(self.root, vectors, lower=1)[0])
 
 
-def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
+def outliers(whitening: Whitening, residual: Array) -> Numbers:
     """Return the numbers of the readings that deviate from their prediction by all other readings.
 
     z_i = (C⁻¹e)_i/√(C⁻¹)_ii is the leave-one-out residual over its standard deviation. The largest
@@ -537,7 +536,7 @@ def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
     return np.flatnonzero(~fitting)
 
 
-def alone(panel: Panel, cells: NDArray[np.intp]) -> NDArray[np.intp]:
+def alone(panel: Panel, cells: Numbers) -> Numbers:
     """Return those of the numbered cells that have no neighbour among them."""
     first, second, _ = panel.neighbours
     both = np.isin(first, cells) & np.isin(second, cells)

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.panel.joined_network import JoinedNetwork
 from lampest.panel.network import Network
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Mask, Panel
+from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.response import Response
 from lampest.panel.scene import Scene
 
@@ -50,7 +50,7 @@ class WindowScene:
         return self._joined([module.series_ohm for module in self.of_modules])
 
     @property
-    def broken(self) -> NDArray[np.bool_]:
+    def broken(self) -> Mask:
         """Whether a crossing has no cell to be estimated, (rows, columns)."""
         return self._joined([module.broken for module in self.of_modules]) > 0
 
@@ -63,7 +63,7 @@ class WindowScene:
         """Return an empty array, because every module has its own ties."""
         return np.zeros(0)
 
-    def network(self, cells: Array, ties: Array, wiring: None) -> Network:
+    def network(self, cells: Array, ties: Array, wiring: Wiring | None) -> Network:
         """Return the network of all modules."""
         parts = zip(self.of_modules, self.panel.layout.split(cells), strict=True)
         solved = [
@@ -72,7 +72,7 @@ class WindowScene:
         ]
         return JoinedNetwork.of(cells, solved, self.panel.layout)
 
-    def _joined(self, parts: Sequence[Array]) -> Array:
+    def _joined(self, parts: Sequence[Array | Mask]) -> Array:
         """Return the image of values of each module, to be broadcast to (rows, columns)."""
         shape = self.panel.network.shape
         return self.panel.layout.joined(np.stack([np.broadcast_to(part, shape) for part in parts]))

@@ -10,10 +10,11 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import csc_array
 
 from lampest.apps.recognition.disc_search import DiscSearch
-from lampest.apps.recognition.observation import Observation, Whitening
+from lampest.apps.recognition.observation import Observation
 from lampest.files.levels import OUTLIER_THRESHOLD
 from lampest.panel.panel import Array
 
@@ -78,8 +79,10 @@ class StepTest:
         if frame.common is not None:
             shared.append(frame.common(frame.measured) / value[:, None])
         columns = np.hstack(shared)
-        noise = np.diag((frame.sigma.ravel() / value) ** 2)
-        whitening = Whitening.of(noise + settled + columns @ columns.T).matrix
+        root = cholesky(
+            np.diag((frame.sigma.ravel() / value) ** 2) + settled + columns @ columns.T, lower=True
+        )
+        whitening = solve_triangular(root, np.eye(cells), lower=True)
         response = whitening @ slope
         templates = search.matched(response)
         matched = response.T @ whitening

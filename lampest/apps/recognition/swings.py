@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
-from numpy.typing import NDArray
 
 from lampest.apps.recognition import mouth_model
 from lampest.apps.recognition.hypotheses import BREATH, BREATHING_SD
@@ -18,7 +17,7 @@ from lampest.apps.recognition.observation import Observation
 from lampest.apps.recognition.suction import MIN_FALL
 from lampest.apps.recognition.verdict import Verdict
 from lampest.files.levels import NOISE_REACH
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Mask, Panel
 from lampest.panel.response import CURVE_KPA, CURVE_RATIO, PublishedResponse
 
 # Assumed relative standard deviation of the whole rim's swing against that of suction, because the
@@ -152,7 +151,7 @@ class Patterns(NamedTuple):
         film = np.hstack([depth * self.own[:, 1:], moving * self.rim, moving * self.moves])
         # w = C⁻¹ m/(mᵀ C⁻¹ m), with C = noise + F Fᵀ of the film's deviations and movements
         weighed = np.linalg.solve(noise * np.eye(len(mean)) + film @ film.T, mean)
-        return np.asarray(weighed / max(float(mean @ weighed), 1e-300))
+        return weighed / max(float(mean @ weighed), 1e-300)
 
     def suction_weights(self, whitening: Array) -> Array:
         """Return the weights (readings,) for the relative change of the load's suction.
@@ -162,7 +161,7 @@ class Patterns(NamedTuple):
         (readings, readings) whitens changes of ln y.
         """
         suction, _ = self.beside_others(np.zeros((1, len(whitening))))
-        return np.asarray(whitening.T @ suction.weights(BREATH.largest, 1.0, EDGE_SD))
+        return whitening.T @ suction.weights(BREATH.largest, 1.0, EDGE_SD)
 
 
 def patterns_of(verdict: Verdict, whitening: Array) -> list[Patterns]:
@@ -213,7 +212,7 @@ def patterns_of(verdict: Verdict, whitening: Array) -> list[Patterns]:
     return patterns
 
 
-def adjoin(panel: Panel, body: NDArray[np.bool_], load: NDArray[np.bool_]) -> bool:
+def adjoin(panel: Panel, body: Mask, load: Mask) -> bool:
     """Return whether one of a body's cells, (cells,), is within ADJOINS_PITCHES of a load's."""
     x, y = (line.ravel() / panel.pitch_mm for line in panel.places_mm)
     distance = np.hypot(x[body, None] - x[load], y[body, None] - y[load])

@@ -16,15 +16,13 @@ import numpy as np
 
 from lampest.apps.recognition.attachment import Attachment, attachments_of, continued_by
 from lampest.apps.recognition.breathing import WINDOW_S
-from lampest.apps.recognition.departure import relieved_by_departure
 from lampest.apps.recognition.hypotheses import RARE_LOG_ODDS
 from lampest.apps.recognition.leaks import Leaks, leaks_of
 from lampest.apps.recognition.observation import Observation, counting
-from lampest.apps.recognition.open_lines import without_open_lines
 from lampest.apps.recognition.step_test import StepTest
 from lampest.apps.recognition.suction import MIN_FALL
 from lampest.apps.recognition.swings import patterns_of
-from lampest.apps.recognition.verdict import Verdict
+from lampest.apps.recognition.verdict import Verdict, relieved_by_departure
 from lampest.apps.recognition.watch_parts import (
     FOLLOWS_S,
     MIN_FRAMES,
@@ -34,6 +32,7 @@ from lampest.apps.recognition.watch_parts import (
     UnloadedPanel,
     WatchSetup,
     latest,
+    without_open_lines,
 )
 from lampest.files.levels import NOISE_REACH
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
@@ -449,7 +448,7 @@ class Watch:
         if self.known or look is None:
             return self.film_sd
         fall = np.maximum(look.reached - np.abs(frame.map), 0.0).ravel()
-        return np.asarray(np.maximum(self.film_sd, self.setup.errors.residue * fall))
+        return np.maximum(self.film_sd, self.setup.errors.residue * fall)
 
     def _gone(self, time: float) -> "Watch":
         """Return the watch after the load has left at a time in s.

@@ -23,6 +23,10 @@ from lampest.posterior.frame_noise import FrameNoise
 FOLLOWS_S = 20.0
 MIN_FRAMES = 3  # that a recognition needs
 DEVIATION_ROUNDS = 12  # of weighted least squares, which approach least absolute deviations
+# Resistances of an open line over those at rest, and the share of its readings that have them:
+# mouths raise up to five cells of a row of ten.
+OPEN_RATIO = 2.0
+OPEN_SHARE = 0.8
 # Times in s, and readings ln y, (cells,).
 Frames = tuple[tuple[float, Array], ...]
 
@@ -222,9 +226,34 @@ class Look:
 
     def fading(self, time: float) -> Array:
         """Return the scores of the residue of a load that left, (discs,)."""
-        return np.asarray(self.size / (1 + max(time - self.time_s, 0.0) / FOLLOWS_S))
+        return self.size / (1 + max(time - self.time_s, 0.0) / FOLLOWS_S)
 
 
 def latest(window: Frames) -> Frames:
     """Return the last frames: those within WINDOW_S, and at least MIN_FRAMES."""
     return window[-max(sum(at > window[-1][0] - WINDOW_S for at, _ in window), MIN_FRAMES) :]
+
+
+def without_open_lines(measured: Array, sigma: Array, at_rest: Array) -> tuple[Array, list[str]]:
+    """Return σ, infinite for the readings of open lines, and the lines, such as 'row 3'.
+
+    Suction raises the cells of a mouth. Only an open line raises nearly all resistances of a row or
+    a column.
+
+    Parameters
+    ----------
+    measured, sigma : array, shape (rows, columns)
+        Resistances, ohm, and their standard deviations; one without a finite σ does not count.
+    at_rest : array, shape (rows, columns)
+        Resistances without a load, ohm.
+    """
+    counts = np.isfinite(sigma)
+    raised = np.where(counts, measured, 0.0) / at_rest > OPEN_RATIO
+    remaining = sigma.copy()
+    lines = list[str]()
+    for axis, name in enumerate(("row", "column")):
+        read = np.maximum(counts.sum(axis=1 - axis), 1)
+        opened = np.flatnonzero(raised.sum(axis=1 - axis) > OPEN_SHARE * read)
+        np.moveaxis(remaining, axis, 0)[opened] = np.inf
+        lines += [f"{name} {number}" for number in opened]
+    return remaining, lines

@@ -1,17 +1,16 @@
 """Answer of `lampest detect`: a sentence, attachments and events; as a table, JSON and a file."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from lampest.apps.recognition.attachment import Attachment, Pair
-from lampest.apps.recognition.breath import too_slow
+from lampest.apps.recognition.attachment import Attachment
+from lampest.apps.recognition.breath import Pair, too_slow
 from lampest.apps.recognition.breathing import MIN_WINDOW_S
-from lampest.apps.recognition.detect.disturbance import disturbances
 from lampest.apps.recognition.hypotheses import MIN_DEPTH
 from lampest.files import hdf5
 from lampest.files.errors import counted
@@ -27,6 +26,9 @@ LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS
 BARE_PROBABILITY = 0.99
 MIN_PROBABILITY = 0.9  # from which an attachment is called a lamprey, or a suction cup
 MIN_PUMP_MINUTES = 10.0  # three of the longest published intervals between pumps
+# Assumed longest pause between two contacts of one disturbance, s: plants wave and bodies beat
+# several times a minute, and a visit after a longer pause counts as another.
+MAX_PAUSE_S = 20.0
 TOO_SMALL = "it is too small for this pitch: no cell would show whether it sucks"
 FAINT = "no breath shows, but no full window excludes one as deep as a mouth's"
 CHANCES = {
@@ -256,6 +258,34 @@ class Detected:
                 for kind, time, number in self.events
             ],
         }
+
+
+def disturbances(attachments: Sequence[Attachment]) -> tuple[Attachment, ...]:
+    """Return attachments in which each contact is joined to the last one in its place.
+
+    The pause between both is at most MAX_PAUSE_S, and neither sucks. The joined contact has the
+    figures of the clearest one, from the first arrival to the last departure.
+    """
+    joined = list[Attachment]()
+    for load in sorted(attachments, key=lambda attachment: attachment.since_s):
+        number = next(
+            (number for number in range(len(joined)) if _returns(joined[number], load)), None
+        )
+        if number is None:
+            joined.append(load)
+        else:
+            former = joined[number]
+            clearest = max(former, load, key=lambda contact: contact.clear)
+            joined[number] = replace(clearest, since_s=former.since_s, until_s=load.until_s)
+    return tuple(joined)
+
+
+def _returns(former: Attachment, load: Attachment) -> bool:
+    """Return whether a contact is one of the same disturbance as a former one, which has left."""
+    if former.until_s is None or former.sucks > 0.5 or load.sucks > 0.5:
+        return False
+    pause_s = load.since_s - former.until_s
+    return 0 <= pause_s <= MAX_PAUSE_S and former.adjoins(load)
 
 
 def answer_of(

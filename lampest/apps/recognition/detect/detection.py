@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.apps.film.tare import sigma_of_frames
 from lampest.apps.recognition.at_rest import touched
@@ -28,7 +27,7 @@ from lampest.inference.noise import NoiseEstimate, without_factors
 from lampest.inference.nuisances import CircuitEffects, without_effects_of
 from lampest.inference.prepared import Prepared
 from lampest.inference.warnings import warnings_of
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings, Sidedness
@@ -472,7 +471,7 @@ def recognition_noise(prepared: Prepared) -> NoiseEstimate:
     return prepared.noise if prepared.layout is None else prepared.frame_noise
 
 
-def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -> Frames:
+def measured_frames(part: Recording, watched: Known, asked: Mask) -> Frames:
     """Generate the values, σ and time in s of the requested measured frames, corrected for effects.
 
     Parameters

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.apps.film.pressure import KPA_MM2, determined, sum_sd
 from lampest.files.whole import write_whole
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Mask, Numbers, Panel
 from lampest.report.compare import Table, comma_separated
 from lampest.runs.case import CaseResult
 from lampest.runs.results import Results
@@ -43,7 +42,7 @@ class PressedCells:
     case: CaseResult
     values: Array
     errors: Array
-    saturated: NDArray[np.int64]
+    saturated: Numbers
 
 
 def pressed_of(case: CaseResult) -> PressedCells | None:
@@ -78,7 +77,7 @@ def pressed(results: Results) -> tuple[PressedCells, ...]:
 
 
 def _frame(
-    panel: Panel, touched: NDArray[np.bool_], pressure: Array, own_sd: Array, common_sd: Array
+    panel: Panel, touched: Mask, pressure: Array, own_sd: Array, common_sd: Array
 ) -> tuple[Array, Array]:
     """Return the figures of one frame and their standard deviations, (5,) each.
 

@@ -13,11 +13,14 @@ from typing import Any
 
 from lampest.apps.recognition.detect.answer import ERRORS, LAMPREY, SUCKS, Detected
 from lampest.files import hdf5
-from lampest.files.whole import write_whole
+from lampest.files.errors import InputError
+from lampest.files.whole import refuse_inputs, sparing, whole_file, write_whole
 from lampest.report.compare import Table, comma_separated
+from lampest.report.export.formats import Export, write_matlab, write_parquet
 
 FILE = "visits.csv"
 PICTURE = "visits.png"
+KINDS = ("csv", "parquet", "mat")  # of files to which visits are exported
 DAY_HOURS = (6, 18)  # of the clock: from the first on and before the second it is day
 REVISIT_H = 24.0  # between the end of a visit and one that may be by the same animal
 HOUR_S = 3600.0
@@ -335,3 +338,28 @@ def _stored_loads(file: Any, group: str) -> list[dict[str, Any]]:
         pairs = zip(columns[name], columns.pop(f"{name}{ERRORS}"), strict=True)
         columns[name] = [None if value is None else (value, sd) for value, sd in pairs]
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
+def export_visits(path: Path, to: str | Export, out: str | Path | None) -> Path:
+    """Write the visits of a file of detections in a format, atomically; return the file.
+
+    Raises InputError for a damaged file, a format that has no table, or a place that cannot be
+    written.
+    """
+    kind = to if isinstance(to, str) else to.kind
+    if kind not in KINDS:
+        raise InputError(f"{path}: visits are exported as {', '.join(KINDS)}, not as {kind}")
+    target = path.with_name(f"visits.{kind}") if out is None else Path(out)
+    with sparing((path,)):
+        refuse_inputs((target,))
+        visits = visits_in(path)
+        columns = {name: [getattr(visit, name) for visit in visits] for name in COLUMNS}
+        with whole_file(target) as unfinished:
+            if kind == "csv":
+                rows = zip(*columns.values(), strict=True)
+                unfinished.write_text(comma_separated([COLUMNS, *rows]), encoding="utf-8")
+            elif kind == "parquet":
+                write_parquet(unfinished, columns, COLUMNS)
+            else:
+                write_matlab(unfinished, "visits", columns)
+    return target
