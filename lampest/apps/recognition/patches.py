@@ -109,24 +109,22 @@ def _at_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) ->
     turned = 2 * rim * (form.lobe_across * twice - form.lobe_along * cross) / square
     by_u = outward * u + (disc.tilt_x / outer) * rim - turned * v
     by_v = outward * v + (disc.tilt_y / outer) * rim + turned * u
-    integrands = np.array(
-        [
-            rim * level + disc.suction_kpa * hole,
-            form.across * by_v - (1 - form.along) * by_u,
-            form.across * by_u - (1 + form.along) * by_v,
-            -(by_outer + rim * tilt / outer) / 2,
-            by_inner / 2,
-            hole,
-            (whole - hole) * level,
-            rim * u / outer,
-            rim * v / outer,
-            by_v * y - by_u * x,
-            -by_u * y - by_v * x,
-            rim * twice,
-            rim * cross,
-        ]
-    )
-    return np.asarray(integrands.mean(axis=2))
+    integrands = [
+        rim * level + disc.suction_kpa * hole,
+        form.across * by_v - (1 - form.along) * by_u,
+        form.across * by_u - (1 + form.along) * by_v,
+        -(by_outer + rim * tilt / outer) / 2,
+        by_inner / 2,
+        hole,
+        (whole - hole) * level,
+        rim * u / outer,
+        rim * v / outer,
+        by_v * y - by_u * x,
+        -by_u * y - by_v * x,
+        rim * twice,
+        rim * cross,
+    ]
+    return np.asarray(np.mean(integrands, axis=2))
 
 
 def _inside(beyond: Array, soft: float) -> tuple[Array, Array]:

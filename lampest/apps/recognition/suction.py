@@ -7,7 +7,7 @@ loads next to it, or on the film's curve.
 """
 
 from dataclasses import dataclass
-from math import hypot, log, pi
+from math import dist, hypot, inf, log, pi
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -15,7 +15,7 @@ from scipy.special import expit, log_ndtr, logit, ndtr
 
 from lampest.apps.recognition.observation import Observation, patch_of
 from lampest.panel.panel import Array, Mask, Panel
-from lampest.recording.shapes.disc import Disc
+from lampest.recording.shapes.disc import Disc, bearing_kpa
 
 # ln r/r0 by a suction of 1 kPa. Of 64 hands, rocks, fish, fins, bubbles, rods and rings none raised
 # a cell by more than 0.1 beyond its error; of 48 mouths and cups of −2.5 kPa and more, 47 raised
@@ -66,21 +66,18 @@ class Suction:
         """Probability that the place is under suction."""
         return float(expit(self.odds))
 
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Coordinates x and y of the middle, mm."""
+        return self.x_mm, self.y_mm
+
     def disc(self, panel: Panel) -> Disc:
         """Return the disc of the same area of suction with a usual rim."""
         inner = 2 * (float(self.cells.sum()) / pi) ** 0.5 * panel.pitch_mm
         width, suction = RIM_MM
         outer = inner + 2 * width
-        return Disc(
-            self.x_mm,
-            self.y_mm,
-            outer,
-            inner,
-            suction,
-            -suction * inner**2 / (outer**2 - inner**2),
-            0.0,
-            0.0,
-        )
+        bearing = bearing_kpa(suction, inner, outer)
+        return Disc(*self.centre, outer, inner, suction, bearing, 0.0, 0.0)
 
 
 def suctions(frame: Observation) -> list[Suction]:
@@ -115,9 +112,14 @@ def suctions(frame: Observation) -> list[Suction]:
         weight = change[cells] / change[cells].sum()
         x, y = panel.places_mm[:, cells] @ weight
         places.append(Suction(cells, odds, float(x), float(y)))
-    places = [place for place in places if place.odds > 0]
     places.sort(key=lambda place: -float(change[place.cells].sum()))
-    return _merged(panel, places)
+    # without those that are nearer to a larger one than two mouths can be
+    separate = list[Suction]()
+    for place in places:
+        distances = [dist(place.centre, larger.centre) for larger in separate]
+        if place.odds > 0 and min(distances, default=inf) > APART_PITCHES * panel.pitch_mm:
+            separate.append(place)
+    return separate
 
 
 def under(panel: Panel, disc: Disc) -> Mask:
@@ -241,15 +243,3 @@ def around(panel: Panel, group: Mask) -> Mask:
     beside[second[group.flat[first]]] = True
     beside[first[group.flat[second]]] = True
     return beside.reshape(group.shape) & ~group
-
-
-def _merged(panel: Panel, places: list[Suction]) -> list[Suction]:
-    """Return the places without those that are nearer to a larger one than two mouths can be."""
-    separate = list[Suction]()
-    for place in places:
-        distances_mm = [
-            np.hypot(place.x_mm - larger.x_mm, place.y_mm - larger.y_mm) for larger in separate
-        ]
-        if min(distances_mm, default=np.inf) / panel.pitch_mm > APART_PITCHES:
-            separate.append(place)
-    return separate

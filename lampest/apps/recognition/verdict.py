@@ -95,11 +95,10 @@ class Verdict:
 
         Its cells decide. A load without a cell that would show its suction has 1/2.
         """
-        places = [sucking.place for sucking in self.discs]
         near = [
-            place.probability
-            for place in places
-            if dist((place.x_mm, place.y_mm), centre) < diameter_mm / 2
+            sucking.place.probability
+            for sucking in self.discs
+            if dist(sucking.place.centre, centre) < diameter_mm / 2
         ]
         if near:
             return max(near)

@@ -30,6 +30,7 @@ MIN_PUMP_MINUTES = 10.0  # three of the longest published intervals between pump
 # several times a minute, and a visit after a longer pause counts as another.
 MAX_PAUSE_S = 20.0
 TOO_SMALL = "it is too small for this pitch: no cell would show whether it sucks"
+SHAKEN = "it moves at a breathing rate, but probably not by its suction: it may be shaken"
 FAINT = "no breath shows, but no full window excludes one as deep as a mouth's"
 CHANCES = {
     "sucks": ("1", "probability that it sucks"),
@@ -315,22 +316,19 @@ def answer_of(
         return PRESSES, 1 - load.sucks, TOO_SMALL if load.small else ""
     if alive >= threshold:
         return LAMPREY, alive, ""
-    too_slow_sentence = too_slow(rate)
-    if too_slow_sentence:
-        return SUCKS, load.sucks, f"{too_slow_sentence}; {_pumps_in_words(load)}"
-    if breath.odds > 0 and breath.suction < 0.5:
-        return (
-            SUCKS,
-            load.sucks,
-            "it moves at a breathing rate, but probably not by its suction: it may be shaken",
-        )
-    if breath.hertz is None:
-        return SUCKS, load.sucks, _silence_in_words(load)
-    if lifeless >= threshold and breath.max_depth < MIN_DEPTH:
+    if too_slow(rate):
+        why = f"{too_slow(rate)}; {_pumps_in_words(load)}"
+    elif breath.odds > 0 and breath.suction < 0.5:
+        why = SHAKEN
+    elif breath.hertz is None:
+        why = _silence_in_words(load)
+    elif lifeless < threshold:
+        why = f"whether it breathes is not clear (P = {load.breathes:.2f})"
+    elif breath.max_depth < MIN_DEPTH:
         return CUP, lifeless, ""
-    if lifeless >= threshold:
-        return SUCKS, load.sucks, FAINT
-    return SUCKS, load.sucks, f"whether it breathes is not clear (P = {load.breathes:.2f})"
+    else:
+        why = FAINT
+    return SUCKS, load.sucks, why
 
 
 def _pumps_in_words(load: Attachment) -> str:

@@ -130,13 +130,11 @@ def _visits(axes: Axes, answer: Detected, panel: Panel) -> None:
 def season(visits: Sequence[Visit]) -> Figure:
     """Draw each visit as a bar at its day and hour, and visits of lampreys by hour of the day.
 
-    Hours are counted from the begin of a recording if it has no clock.
+    Visits are in the order of time. Hours are counted from the begin of a recording if it has no clock.
     """
     figure = new_figure(3.4)
     left, right = figure.subplots(1, 2, width_ratios=(2.2, 1), sharey=True)
-    rows = list(
-        dict.fromkeys(_row(visit) for visit in sorted(visits, key=lambda visit: visit.visit))
-    )
+    rows = list(dict.fromkeys(map(_row, visits)))
     for visit in sorted(visits, key=lambda visit: visit.answer in SHOWN):
         left.bar(
             rows.index(_row(visit)),
@@ -148,24 +146,20 @@ def season(visits: Sequence[Visit]) -> Figure:
             lw=0,
         )
     step = -(-len(rows) // MAX_LABELS)
-    labelled = range(0, len(rows), step)
-    left.set_xticks(labelled, rows[::step], rotation=60 if len(rows) > 6 else 0)
+    turned = 60 if len(rows) > 6 else 0
+    left.set_xticks(range(0, len(rows), step), rows[::step], rotation=turned)
     ends = (_hour(visit) + (visit.duration_s or 0.0) / HOUR_S for visit in visits)
     highest = max(24.0, *ends)
     left.set_ylim(min(highest, 48.0), 0)
     clocked = any(visit.clock is not None for visit in visits)
-    dressed(
-        left,
-        "day" if clocked else "recording",
-        "hour of the day" if clocked else "hours since its begin",
-    )
-    handles, labels = left.get_legend_handles_labels()
-    known = dict(zip(labels, handles, strict=True))
-    left.legend(known.values(), known.keys(), fontsize=SMALL_POINT, frameon=False, loc="best")
+    days = "day", "hour of the day"
+    dressed(left, *(days if clocked else ("recording", "hours since its begin")))
+    handles = dict(zip(*reversed(left.get_legend_handles_labels()), strict=True))
+    left.legend(handles.values(), handles.keys(), fontsize=SMALL_POINT, frameon=False, loc="best")
+    look: dict[str, Any] = {"orientation": "horizontal", "rwidth": 0.8, "alpha": 0.8}
     for name in SHOWN:
         hours = [_hour(visit) for visit in visits if visit.answer == name]
-        counts, edges = np.histogram(hours, bins=np.arange(0, np.ceil(highest) + 1))
-        right.barh(edges[:-1] + 0.5, counts, height=0.8, color=COLOURS[name], alpha=0.8)
+        right.hist(hours, np.arange(0, np.ceil(highest) + 1), color=COLOURS[name], **look)
     if clocked:
         for edge in DAY_HOURS:
             right.axhline(edge, color="0.6", lw=0.6, ls=":")
