@@ -147,11 +147,9 @@ def _say_answers(answers: "Sequence[Detected]") -> None:
 
 def _tables(folder: Path, loads: "Sequence[PressedCells]") -> list[Path]:
     """Return the files of the answers without pictures: events, visits, and pressed cells."""
-    from lampest.apps.recognition.detect import visits
-    from lampest.apps.recognition.detect.answer import FILE
-    from lampest.apps.recognition.detect.pressed import FILE as PRESSED
+    from lampest.apps.recognition.detect import answer, pressed, visits
 
-    names = (FILE, visits.FILE, *((PRESSED,) if loads else ()))
+    names = (answer.FILE, visits.FILE, *((pressed.FILE,) if loads else ()))
     return [folder / name for name in names]
 
 
@@ -163,29 +161,27 @@ def _tell(
     everything: bool,
 ) -> None:
     """Write the files of the answers, print their warnings and tables, and draw the pictures."""
-    from lampest.apps.recognition.detect import visits
-    from lampest.apps.recognition.detect.answer import event_table, load_table, write_detections
-    from lampest.apps.recognition.detect.pressed import pressed_table, write_pressed
+    from lampest.apps.recognition.detect import answer, pressed, visits
 
     # days and nights, and hours, are counted for animals alone
-    animals = [answer for answer in answers if not answer.mat]
+    animals = [each for each in answers if not each.mat]
     counted = visits.visits_of(animals)
     files = _tables(folder, loads)
-    write_detections(files[0], answers)
+    answer.write_detections(files[0], answers)
     visits.write_visits(files[1], visits.visits_of(answers))
     if loads:
-        write_pressed(files[2], loads)
-    for answer in answers:
-        screen.print_notes(f"warning: {answer.recording}: {line}" for line in answer.warnings)
-    screen.print_table(event_table(answers))
+        pressed.write_pressed(files[2], loads)
+    for each in answers:
+        screen.print_notes(f"warning: {each.recording}: {line}" for line in each.warnings)
+    screen.print_table(answer.event_table(answers))
     several = len(counted) > 1  # which days and hours a table and a picture show
     if several:
         screen.print_table(visits.count_table(animals, counted))
     if everything:
-        screen.print_table(load_table(answers))
-        screen.print_table(pressed_table(loads))
-        for answer in answers:
-            screen.print_notes(f"{answer.recording}: {note}" for note in answer.notes)
+        screen.print_table(answer.load_table(answers))
+        screen.print_table(pressed.pressed_table(loads))
+        for each in answers:
+            screen.print_notes(f"{each.recording}: {note}" for note in each.notes)
     drawing = find_spec("matplotlib") is not None
     if drawing:
         files += _draw(answers, counted if several else [], folder)

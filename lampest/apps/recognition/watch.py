@@ -232,11 +232,8 @@ class Watch:
             np.median(logarithm[first : first + 3], axis=0) for first in range(len(unloaded) - 2)
         ]
         changes = np.nan_to_num([*medians, logarithm[0], logarithm[-1]] - self.rest.mean)
-        excess = np.array(
-            [np.max(self.test.scores(change) / self.test.least()) for change in changes]
-        )
-        first_and_last = slice(-2, None)
-        excess[first_and_last] /= SINGLE_FRAME
+        excess = np.max(self.test.scores(changes.T) / self.test.least()[:, None], axis=0)
+        excess[-2:] /= SINGLE_FRAME  # of the first and the last frame
         if excess.max() < 1:
             return False
         shown = self.rest.mean + changes[np.argmax(excess)]
@@ -323,8 +320,7 @@ class Watch:
         share = min((time - self.level.until_s) / FOLLOWS_S, 1.0)
         follows = max(1 / (self.level.frames + 1), share)
         mean = self.level.mean + follows * (shown - self.level.mean)
-        frames = min(self.level.frames + 1, max(1 / follows, 1.0))
-        level = Level(mean, frames, self.level.since_s, time)
+        level = Level(mean, 1 / follows, self.level.since_s, time)
         if self.present:
             return replace(self, level=level, window=latest((*self.window, (time, logarithm))))
         scores = self.test.scores(shown - self.level.mean)
@@ -382,9 +378,7 @@ class Watch:
 
     def _unloaded_panel(self) -> UnloadedPanel:
         """Return the panel at rest."""
-        mean = np.exp(self.rest.mean).reshape(self.setup.scene.panel.shape)
-        frames = max(self.rest.frames, 1.0)
-        return UnloadedPanel(self.setup, mean, self.resting_sigma, frames, self.leaks)
+        return UnloadedPanel(self.setup, self.rest, self.resting_sigma, self.leaks)
 
     def _with_leaks(self, logarithm: Array, time: float) -> tuple["Watch", Observation]:
         """Return the watch with the leaks that readings ln y show, and the frame of the readings.

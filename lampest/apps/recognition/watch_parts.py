@@ -151,23 +151,23 @@ class UnloadedPanel:
     Attributes
     ----------
     setup : WatchSetup
-    mean, sigma : array, shape (rows, columns)
-        Mean of the unloaded readings, and standard deviations of those of one frame.
-    frames : float
-        Number of frames in the mean.
+    rest : Level
+        The unloaded readings.
+    sigma : array, shape (rows, columns)
+        Standard deviations of those of one frame.
     leaks : tuple of LineEffect
     """
 
     setup: WatchSetup
-    mean: Array
+    rest: "Level"
     sigma: Array
-    frames: float
-    leaks: Leaks = ()
+    leaks: Leaks
 
     @cached_property
     def baseline(self) -> Baseline:
         """The cells and the offsets, computed once as long as a load is present."""
-        return self.setup.baseline(self.mean, self.sigma, self.frames, self.leaks)
+        measured = np.exp(self.rest.mean).reshape(self.sigma.shape)
+        return self.setup.baseline(measured, self.sigma, self.rest.frames, self.leaks)
 
 
 @dataclass(frozen=True, eq=False)

@@ -130,7 +130,8 @@ def _visits(axes: Axes, answer: Detected, panel: Panel) -> None:
 def season(visits: Sequence[Visit]) -> Figure:
     """Draw each visit as a bar at its day and hour, and visits of lampreys by hour of the day.
 
-    Visits are in the order of time. Hours are counted from the begin of a recording if it has no clock.
+    Visits are in the order of time. Hours are counted from the begin of a recording without a
+    clock.
     """
     figure = new_figure(3.4)
     left, right = figure.subplots(1, 2, width_ratios=(2.2, 1), sharey=True)
