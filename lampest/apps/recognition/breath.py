@@ -433,9 +433,7 @@ def _relative_suction(interval: SteadyFrames, changes: Array, patterns: Patterns
     return np.clip(1 + means, 1 / MAX_PULL, MAX_PULL)[interval.part]
 
 
-def _depth(
-    patterns: Patterns, changes: Array, waves: Array, at: Array, noise: float
-) -> tuple[float, float]:
+def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: float) -> Pair:
     """Return the relative amplitude of the suction and its standard deviation.
 
     The amplitude and the phase of the wave may change linearly over the window. The readings show
@@ -464,7 +462,7 @@ def _depth(
         weights = patterns.weights(depth, noise)
         series = changes @ weights
         # amplitudes with the prior N(0, largest²), which near half the frame rate alone decides
-        freedom = max(len(at) - 8, 1)  # four numbers here, four of trend
+        freedom = len(at) - 8  # four numbers here, four of trend
         residual = series - basis @ np.linalg.lstsq(basis, series, rcond=None)[0]
         variance_left = max(float(residual @ residual) / freedom, 1e-12)
         known = Information(square / variance_left, basis.T @ series / variance_left)

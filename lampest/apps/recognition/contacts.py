@@ -97,15 +97,12 @@ def _basins(panel: Panel, strength: Array, sd: Array, touched: Mask) -> Numbers:
     """
     beside = _cells_beside(panel)
     basin = np.full(strength.size, -1, dtype=np.intp)
-    faint: dict[int, Mask] = {}
-    for cell in np.argsort(-strength, axis=None, kind="stable"):
-        if not touched.flat[cell]:
-            continue
+    order = np.argsort(-strength, axis=None, kind="stable")
+    for cell in order[touched.flat[order]]:
         peaks = {int(basin[near]) for near in beside.get(int(cell), []) if basin[near] >= 0}
         strongest = max(peaks, key=lambda peak: strength.flat[peak], default=int(cell))
         basin[cell] = strongest
         for peak in peaks - {strongest}:
-            faint.setdefault(peak, _is_faint(strength, sd, peak))
-            if not faint[peak].flat[cell]:
+            if not _is_faint(strength, sd, peak).flat[cell]:
                 basin[basin == peak] = strongest
     return basin.reshape(strength.shape)

@@ -363,18 +363,14 @@ def headline(called: Sequence[str]) -> str:
     cups = called.count(CUP)
     contacts = len(called) - lampreys - unsure - cups
     if called and contacts == len(called):
-        return _plural(contacts, "contact")
+        return counted(contacts, "contact")
     further = (
         (unsure, f"{unsure} unsure"),
-        (cups, _plural(cups, "suction cup")),
-        (contacts, _plural(contacts, "other contact")),
+        (cups, counted(cups, "suction cup")),
+        (contacts, counted(contacts, "other contact")),
     )
-    lines = [_plural(lampreys, "lamprey visit"), *(text for count, text in further if count)]
+    lines = [counted(lampreys, "lamprey visit"), *(text for count, text in further if count)]
     return ", ".join(lines)
-
-
-def _plural(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def alarming(detected: Detected) -> list[float]:
@@ -456,14 +452,13 @@ def load_table(answers: Sequence[Detected]) -> Table:
     )
 
 
-def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
+def write_detections(path: Path, answers: Sequence[Detected]) -> Path:
     """Write all answers into one HDF5 file atomically.
 
     Raises InputError where it cannot be written. Each recording has a group with the names of
     `Detected.content`. A number of an attachment is one dataset, a pair two datasets, the second of
     which is `<name>_errors`.
     """
-    path = Path(path)
     with hdf5.new_file(path) as file:
         hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
         entry = file.create_group("entry")

@@ -146,7 +146,7 @@ def figure(value: float, error: float) -> str:
     return f"{value:.{min(digits, 3)}f} ± {error:.{min(digits, 3)}f}".replace("-", "−")
 
 
-def write_pressed(path: str | Path, all_pressed: Sequence[PressedCells]) -> Path:
+def write_pressed(path: Path, all_pressed: Sequence[PressedCells]) -> Path:
     """Write every frame of every estimate as CSV atomically.
 
     Cells are empty where nothing presses.
@@ -166,5 +166,5 @@ def write_pressed(path: str | Path, all_pressed: Sequence[PressedCells]) -> Path
             numbers = [float(value) if np.isfinite(value) else None for value in row]
             head = case.recording, case.estimator, int(frame), float(time)
             lines.append([*head, *numbers, int(saturated)])
-    write_whole(Path(path), comma_separated(lines))
-    return Path(path)
+    write_whole(path, comma_separated(lines))
+    return path

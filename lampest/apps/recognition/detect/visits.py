@@ -217,34 +217,27 @@ def _earlier(visits: Sequence[Visit]) -> dict[int, int]:
 def _may_return(animal: Sequence[Visit], visit: Visit) -> bool:
     """Return whether a visit may be of an animal with earlier visits: its size, and the pause."""
     last = animal[-1]
-    pause_s = _pause_s(last, visit) if last.left == "yes" else None
-    if pause_s is None or not 0 <= pause_s < REVISIT_H * HOUR_S:
+    if last.left == "no" or last.duration_s is None:
         return False
-    return all(
+    if last.begin is not None and visit.begin is not None:
+        between_s = _since_epoch(visit) - _since_epoch(last)
+    elif last.recording == visit.recording:
+        between_s = visit.begin_s - last.begin_s
+    else:
+        return False
+    return 0 <= between_s - last.duration_s < REVISIT_H * HOUR_S and all(
         abs((visit.diameter_mm or 0.0) - (other.diameter_mm or 0.0))
         < ALIKE * hypot(visit.diameter_sd_mm or 0.0, other.diameter_sd_mm or 0.0)
         for other in animal
     )
 
 
-def _pause_s(earlier: Visit, later: Visit) -> float | None:
-    """Return the time between two visits, s; None where it is unknown."""
-    if earlier.duration_s is None:
-        return None
-    if earlier.begin is not None and later.begin is not None:
-        return _since_epoch(later) - _since_epoch(earlier) - earlier.duration_s
-    if earlier.recording != later.recording:
-        return None
-    return later.begin_s - earlier.begin_s - earlier.duration_s
-
-
-def write_visits(path: str | Path, visits: Sequence[Visit]) -> Path:
+def write_visits(path: Path, visits: Sequence[Visit]) -> None:
     """Write one row for each visit as CSV atomically.
 
     Raises InputError where the place cannot be written.
     """
-    write_whole(Path(path), comma_separated([COLUMNS, *(visit.row for visit in visits)]))
-    return Path(path)
+    write_whole(path, comma_separated([COLUMNS, *(visit.row for visit in visits)]))
 
 
 def count_table(answers: Sequence[Detected], visits: Sequence[Visit]) -> Table:
