@@ -16,10 +16,10 @@ MAX_GAIN = 0.1
 
 def lies_on(panel: Panel, logarithm: Array) -> bool:
     """Return whether unloaded cells, ln r (rows, columns), are uneven in the shape of a load."""
-    from lampest.apps.recognition.detector import Detector
+    from lampest.apps.recognition.disc_search import DiscSearch
     from lampest.apps.recognition.observation import patch_of
 
-    return Detector(patch_of(panel)).search(panel).lies_on(logarithm)
+    return DiscSearch.over(panel, patch_of(panel)).lies_on(logarithm)
 
 
 @ONE_BLAS_THREAD

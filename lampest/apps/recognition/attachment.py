@@ -23,6 +23,7 @@ from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without
 from lampest.apps.recognition.suction import UNRISEN, inner_cells, rise_odds, under
 from lampest.apps.recognition.swings import Patterns
 from lampest.apps.recognition.verdict import Verdict
+from lampest.apps.recognition.watch_parts import Frames
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
 from lampest.panel.panel import Array, Mask, Panel
 
@@ -213,7 +214,7 @@ class Attachment:
 
     def departed(
         self,
-        frames: Sequence[tuple[float, Array]],
+        frames: Frames,
         whitening: Array,
         frame: Observation,
         loads: Sequence["Attachment"],
@@ -290,7 +291,7 @@ class Attachment:
 
     def listened(
         self,
-        frames: Sequence[tuple[float, Array]],
+        frames: Frames,
         steps: Sequence[float],
         whitening: Array,
         verdict: Verdict,
@@ -327,9 +328,7 @@ class Attachment:
         shown = breath(interval, changes, self.patterns)
         return replace(self, breath=before.after(shown, last, full=full))
 
-    def sampled(
-        self, frames: Sequence[tuple[float, Array]], whitening: Array, frame: Observation
-    ) -> "Attachment":
+    def sampled(self, frames: Frames, whitening: Array, frame: Observation) -> "Attachment":
         """Return the attachment after a sample of its suction, where the last one is BLOCK_S old.
 
         `frame` is the recognised one, `whitening` (cells, cells) whitens changes of ln y. A sample

@@ -226,9 +226,9 @@ class _Window(NamedTuple):
     bodies: Patterns
 
     @property
-    def distance(self) -> float:
-        """Distance in Hz beyond which a tapered wave does not leak."""
-        return LEAKS / float(self.times[-1] - self.times[0])
+    def lasted(self) -> float:
+        """Duration, s."""
+        return float(self.times[-1] - self.times[0])
 
     @property
     def swings(self) -> Array:
@@ -250,14 +250,15 @@ class _Window(NamedTuple):
         rate : float
             Frames per second.
         """
+        distance = LEAKS / self.lasted
         strongest = int(np.argmax((self.swings**2).sum(axis=(1, 2))))
-        elsewhere = np.abs(self.hertz - self.hertz[strongest]) > self.distance
+        elsewhere = np.abs(self.hertz - self.hertz[strongest]) > distance
         rates = [(strongest, np.ones(len(self.hertz), dtype=bool), elsewhere)]
         if elsewhere.any():
             second = int(np.argmax(elsewhere * ((self.axes @ level) ** 2).sum(axis=1)))
             hertz = self.hertz[second]
             halves = np.array([hertz, hertz / 2, (rate - hertz) / 2])
-            apart = np.abs(self.hertz[:, None] - halves) > self.distance
+            apart = np.abs(self.hertz[:, None] - halves) > distance
             rates.append((second, ~apart[:, 0], apart.all(axis=1)))
         return rates
 
@@ -273,7 +274,6 @@ class _Window(NamedTuple):
         freedom : int
             Degrees of freedom of a series in the window.
         """
-        lasted = float(self.times[-1] - self.times[0])
         mean_gain = float(self.gain.mean())
         swings = self.swings
         # without the wave itself, which gaps between the parts of a window spread over all rates
@@ -293,11 +293,11 @@ class _Window(NamedTuple):
         best = int(np.argmax(power))
         remaining = max(float(suction @ suction) - power[best], 1e-12) / (freedom - 2)
         # Rife, Boorstyn, IEEE Trans. IT-20, 1974
-        spread = np.sqrt(3 * remaining / max(power[best], 1e-12)) / (np.pi * lasted)
+        spread = np.sqrt(3 * remaining / max(power[best], 1e-12)) / (np.pi * self.lasted)
         loud = _background(swings)  # with what the wave leaks into other rates
-        within = (self.times - self.times[0]) / lasted
+        within = (self.times - self.times[0]) / self.lasted
         # a rate is uniform within a step of the grid
-        hertz_sd = float(np.hypot(spread, RATE_STEP / lasted / 12**0.5))
+        hertz_sd = float(np.hypot(spread, RATE_STEP / self.lasted / 12**0.5))
         return Breath(
             odds=float(logsumexp(odds) - log(len(odds))),
             suction=_suction(
@@ -318,11 +318,11 @@ class _Window(NamedTuple):
         rate, because the square of a movement oscillates at twice its rate.
         """
         hertz = self.hertz[best]
-        lasted = float(self.times[-1] - self.times[0])
-        frames_hz = (len(self.times) - 1) / lasted
-        same = np.abs(self.hertz - hertz) < 1 / (2 * lasted)
+        frames_hz = (len(self.times) - 1) / self.lasted
+        same = np.abs(self.hertz - hertz) < 1 / (2 * self.lasted)
         halves = np.array([hertz / 2, (frames_hz - hertz) / 2])[:, None]
-        return np.stack([same, same | (np.abs(self.hertz - halves) < 1 / (4 * lasted)).any(axis=0)])
+        halved = (np.abs(self.hertz - halves) < 1 / (4 * self.lasted)).any(axis=0)
+        return np.stack([same, same | halved])
 
     def _pushed(self, best: int, gain: float) -> float:
         """Return the probability that a body that adjoins the load swings at one rate.

@@ -61,7 +61,7 @@ class DiscSearch:
     ----------
     panel : Panel
     changes : sparse array, shape (cells, discs)
-        ln r/r0 under each template, normalised to unit length, at one place after the other.
+        ln r/r0 under each template at all places, template by template, of unit length.
     faint : boolean array, shape (discs,)
         Whether each disc's template is used for detection in noise.
     places : array, shape (faint discs, 2)

@@ -83,12 +83,10 @@ class Verdict:
         shrinks large changes.
         """
         cells = self.frame.free_map
-        agreed = np.where(
-            cells * self.change > 0, np.maximum(np.abs(cells), np.abs(self.change)), np.abs(cells)
-        )
-        return np.where(
-            np.abs(cells) > NOISE_REACH * self.frame.free_sd, np.sign(cells) * agreed, 0.0
-        )
+        size = np.abs(cells)
+        sign = np.sign(cells)
+        clear = size > NOISE_REACH * self.frame.free_sd
+        return np.where(clear, sign * np.maximum(size, sign * self.change), 0.0)
 
     def sucks_at(self, centre: tuple[float, float], diameter_mm: float) -> float:
         """Return the probability that a round load sucks, with its centre in mm.
