@@ -496,19 +496,16 @@ def continued_by(
 
     Parameters
     ----------
-    before : sequence of Attachment
-    loads : sequence of Attachment
-        Loads that were recognised.
+    before, loads : sequence of Attachment
+        Known attachments, and loads that were recognised.
     time : float
-        Time of the last step, s; attachments without a load left then, unless their cells show
-        them.
+        Time of the last step, s; attachments whose cells do not show them left then.
     frame : Observation
     has_left : callable
         Returns whether the cells of an attachment show it no more.
     again : bool
-        Whether it is a repeated recognition since that step. Attachments without a load then stay,
-        because nothing leaves without a step, except those that arrived with the step and were
-        parts of a load, or nothing.
+        Whether it is a repeated recognition since that step. Nothing leaves without a step, but
+        attachments that arrived with it may have been parts of a load, or nothing.
     """
     attachments = list(before)
     unmatched = [number for number, load in enumerate(before) if load.present]
@@ -533,13 +530,12 @@ def continued_by(
                 attachments[near] = former.continued(load)
         elif not any(former.contains(load) for former in kept):
             attachments.append(load)
-    parts = list[int]()
-    for number in unmatched:
+    for number in reversed(unmatched):
         load = attachments[number]
         if again and load.since_s >= time and (has_left(load) or any(map(load.adjoins, loads))):
-            parts.append(number)
+            del attachments[number]
         elif again or not has_left(load):
             attachments[number] = load.beside(frame)
         else:
             attachments[number] = load.ended(time)
-    return tuple(load for number, load in enumerate(attachments) if number not in parts)
+    return tuple(attachments)
