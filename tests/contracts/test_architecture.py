@@ -92,7 +92,6 @@ DOORS: dict[str, tuple[str, ...]] = {
         "report.plots",
         "apps.page.all_frames",
         "apps.studies",
-        "apps.recognition.detect.season",
         "apps.recognition.detect.timeline",
     ),
     "jinja2": ("apps.page",),

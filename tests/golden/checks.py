@@ -23,7 +23,7 @@ from lampest.apps.recognition.breathing import Breathing
 from lampest.apps.recognition.detect import detection
 from lampest.apps.recognition.detect.answer import Detected, alarming, event_table, load_table
 from lampest.apps.recognition.detector import Detector
-from lampest.apps.recognition.image import ImageWatch
+from lampest.apps.recognition.image import ImageWatch, Window
 from lampest.apps.recognition.pumping import Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without_water, settled
 from lampest.apps.recognition.suction import suctions
@@ -31,7 +31,6 @@ from lampest.apps.recognition.swings import Patterns, patterns_of
 from lampest.apps.recognition.verdict import Verdict
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import Look, WatchSetup
-from lampest.apps.recognition.window import Window
 from lampest.inference import evidence, noise
 from lampest.inference.circuits.compared_frames import noise_factor
 from lampest.inference.circuits.explanation import Explanation
@@ -879,7 +878,7 @@ def swings_row() -> list[Any]:
                     track.since_s,
                     track.moves,
                     np.abs(track.weights).sum(),
-                    track.mean.sum(),
+                    track.moments.mean.sum(),
                 ]
             )
     return [

@@ -18,8 +18,8 @@ from lampest.apps.film.pressure import (
 )
 from lampest.apps.film.tare import TareWatch
 from lampest.apps.recognition import mouth_model
-from lampest.apps.recognition.bent_suction import BentSuction
 from lampest.apps.recognition.disc_search import TEMPLATES, DiscSearch
+from lampest.apps.recognition.sucking_disc import BentSuction
 from lampest.files.typed import members_of, shipped
 from lampest.inference.readings.free_tests import free_tests, largest_series_ohm
 from lampest.inference.unobservable import unobservable_numbers

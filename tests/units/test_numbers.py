@@ -12,7 +12,6 @@ from lampest.apps.recognition import (
     breathing,
     contacts,
     hypotheses,
-    open_lines,
     pumping,
     suction,
     watch,
@@ -62,8 +61,8 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
     "docs/theory/recognition.md": [
         ("with a time constant of 20 s", watch_parts.FOLLOWS_S, 20),
         ("A change has to exceed half of it.", watch.MIN_CHANGE, 0.5),
-        ("more than 80 % of its resistances", open_lines.OPEN_SHARE, 0.8),
-        ("exceed twice those at rest", open_lines.OPEN_RATIO, 2),
+        ("more than 80 % of its resistances", watch_parts.OPEN_SHARE, 0.8),
+        ("exceed twice those at rest", watch_parts.OPEN_RATIO, 2),
         ("The longest time between two looks is a minute.", watch.LOOKS_S, 60),
         ("an interquartile range of ln r₀ of 0.9", suction.MAX_RANGE, 0.9),
         ("A window is full after 8 s.", breathing.WINDOW_S, 8),

@@ -18,7 +18,7 @@ APPLICATION = Application(
     },
     scene_keys={"purpose": "builtins:str"},
     answers={
-        "visits": "lampest.apps.recognition.detect.export:export_visits",
+        "visits": "lampest.apps.recognition.detect.visits:export_visits",
         "a load on unloaded cells": "lampest.apps.recognition.at_rest:lies_on",
         "a load while unloaded frames were taken": "lampest.apps.recognition.at_rest:touched",
     },

@@ -1,7 +1,5 @@
 """Loads on a panel at rest: in its unloaded frames, or before any frame."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from lampest.files.process import ONE_BLAS_THREAD
@@ -18,10 +16,10 @@ MAX_GAIN = 0.1
 
 def lies_on(panel: Panel, logarithm: Array) -> bool:
     """Return whether unloaded cells, ln r (rows, columns), are uneven in the shape of a load."""
-    from lampest.apps.recognition.detector import Detector
+    from lampest.apps.recognition.disc_search import DiscSearch
     from lampest.apps.recognition.observation import patch_of
 
-    return Detector(patch_of(panel)).search(panel).lies_on(logarithm)
+    return DiscSearch.over(panel, patch_of(panel)).lies_on(logarithm)
 
 
 @ONE_BLAS_THREAD
@@ -45,12 +43,10 @@ def touched(recording: Recording) -> bool:
 
     if scene.panel.crossings > MAX_CELLS:
         return False
-    supply = FrameNoise(scene, len(unloaded.value), MAX_GAIN, NO_RIPPLE, NO_RIPPLE)
-    setup = replace(
-        WatchSetup.of(scene, ModelErrors().of_scene(scene, 0.0)),
-        common=lambda measured: supply.columns(measured[None], baseline=False),
-        motion=np.zeros(3),
+    supply = FrameNoise(
+        scene, len(unloaded.value), MAX_GAIN, NO_RIPPLE, NO_RIPPLE, motion=np.zeros(3)
     )
+    setup = WatchSetup.of(scene, ModelErrors().of_scene(scene, 0.0)).with_noise(supply)
     sigma = np.min(np.where(unloaded.plain, unloaded.known_sigma, np.inf), axis=0)
     values = unloaded.plain_values
     return Watch.begin(setup, unloaded.mean().value, sigma, values, 0.0).touched(values)

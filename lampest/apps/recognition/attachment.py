@@ -5,14 +5,14 @@ Each attachment has the probabilities that it sucks, breathes and pumps.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from math import exp, hypot, inf
+from itertools import compress
+from math import hypot, inf
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit, logit
 
-from lampest.apps.recognition.breath import breath
+from lampest.apps.recognition.breath import Pair, breath
 from lampest.apps.recognition.breathing import MAX_LOG_ODDS, MIN_WINDOW_S, WINDOW_S, Breathing
 from lampest.apps.recognition.contacts import contacts_of
 from lampest.apps.recognition.hold import Hold
@@ -23,10 +23,10 @@ from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without
 from lampest.apps.recognition.suction import UNRISEN, inner_cells, rise_odds, under
 from lampest.apps.recognition.swings import Patterns
 from lampest.apps.recognition.verdict import Verdict
+from lampest.apps.recognition.watch_parts import Frames
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Mask, Panel
 
-Pair = tuple[float, float]
 # Largest ln odds of suction that one recognition leaves to later ones: all have the same film and
 # unloaded frames, and err together.
 MAX_LOOK_LOG_ODDS = 3.0
@@ -142,7 +142,7 @@ class Attachment:
 
         The value is 1/2 before any observation.
         """
-        return 1 / (1 + exp(-self._pumping))
+        return float(expit(self._pumping))
 
     @property
     def pump_count(self) -> int | None:
@@ -162,7 +162,7 @@ class Attachment:
         """
         # one mouth in ten never shows its breath; ln odds of pumps add
         breathes = max(float(logit(self.breathes)), -SILENT_LOG_ODDS)
-        return 1 / (1 + exp(-breathes - self._pumping))
+        return float(expit(breathes + self._pumping))
 
     @property
     def _pumping(self) -> float:
@@ -197,9 +197,9 @@ class Attachment:
 
         Such a contact is a part of the rim.
         """
-        comparable = self.diameter_mm is not None and contact.diameter_mm is None
-        reach = self.size / 2 + contact.x_mm[1]
-        return comparable and self.distance(contact.place) < reach
+        if self.diameter_mm is None or contact.diameter_mm is not None:
+            return False
+        return self.distance(contact.place) < self.size / 2 + contact.x_mm[1]
 
     def adjoins(self, load: "Attachment") -> bool:
         """Return whether the centre of one of two loads lies within the width of the other."""
@@ -214,7 +214,7 @@ class Attachment:
 
     def departed(
         self,
-        frames: Sequence[tuple[float, Array]],
+        frames: Frames,
         whitening: Array,
         frame: Observation,
         loads: Sequence["Attachment"],
@@ -291,7 +291,7 @@ class Attachment:
 
     def listened(
         self,
-        frames: Sequence[tuple[float, Array]],
+        frames: Frames,
         steps: Sequence[float],
         whitening: Array,
         verdict: Verdict,
@@ -311,27 +311,24 @@ class Attachment:
             The last recognition.
         """
         before = self.breath.parted(steps)
+        unjudged = replace(self, breath=before)
         begin = max(before.full_s, self.placed_s)
         times = np.array([at for at, _ in frames if at > begin])
-        if self.patterns is None or len(times) < 3:
-            return replace(self, breath=before)
+        if self.patterns is None or not times.size:
+            return unjudged
         last = float(times[-1])
         if last - times[0] < MIN_WINDOW_S or last - before.judged_s < JUDGED_S:
-            return replace(self, breath=before)
-        interval = SteadyFrames.of(
-            times, np.array([logarithm for at, logarithm in frames if at > begin]), steps
-        )
-        if not len(interval.times):
-            return replace(self, breath=before)
+            return unjudged
+        logarithms = np.array([logarithm for at, logarithm in frames if at > begin])
+        interval = SteadyFrames.of(times, logarithms, steps)
+        if not interval.times.size:
+            return unjudged
         full = float(np.ptp(interval.times)) > WINDOW_S - 2.5 * interval.period
         changes = changes_without_water(interval, verdict.frame, verdict.change) @ whitening.T
-        return replace(
-            self, breath=before.after(breath(interval, changes, self.patterns), last, full=full)
-        )
+        shown = breath(interval, changes, self.patterns)
+        return replace(self, breath=before.after(shown, last, full=full))
 
-    def sampled(
-        self, frames: Sequence[tuple[float, Array]], whitening: Array, frame: Observation
-    ) -> "Attachment":
+    def sampled(self, frames: Frames, whitening: Array, frame: Observation) -> "Attachment":
         """Return the attachment after a sample of its suction, where the last one is BLOCK_S old.
 
         `frame` is the recognised one, `whitening` (cells, cells) whitens changes of ln y. A sample
@@ -342,16 +339,15 @@ class Attachment:
         track = self.track
         moves = len(self.moved_s)
         time = frames[-1][0]
-        current = track if track is not None and track.moves == moves else None
-        begin = max(self.placed_s, frames[0][0]) if current is None else current.since_s
+        holds = track is not None and track.moves == moves
+        begin = track.since_s if track is not None and holds else max(self.placed_s, frames[0][0])
         block = np.array([logarithm for at, logarithm in frames if at > begin])
         if time - begin < BLOCK_S or len(block) < MIN_SAMPLE_FRAMES:
             return self
-        if current is None:
+        if track is None or not holds:
             weights = self.patterns.suction_weights(whitening)
-            reference = np.log(frame.measured.ravel())
-            current = Pumping.begin(weights, reference, begin, moves, track)
-        return replace(self, track=current.after(block, time))
+            track = Pumping.begin(weights, np.log(frame.measured.ravel()), begin, moves, track)
+        return replace(self, track=track.after(block, time))
 
 
 def attachments_of(
@@ -395,11 +391,11 @@ def attachments_of(
     groups = _contacts(frame)
     if any_form:
         return [_of_cells(verdict, group, since) for group in groups]
-    joined = _touching(frame.panel, groups)
-    return [_judged(_of_cells(verdict, group, since), verdict) for group in joined]
+    groups = _touching(frame.panel, groups)
+    return [_judged(_of_cells(verdict, group, since), verdict) for group in groups]
 
 
-def _of_cells(verdict: Verdict, group: NDArray[np.bool_], since: float) -> Attachment:
+def _of_cells(verdict: Verdict, group: Mask, since: float) -> Attachment:
     """Return a load with the place, the area and the conductance of a group of cells."""
     frame = verdict.frame
     panel = frame.panel
@@ -446,7 +442,7 @@ def _drift_sd(frame: Observation) -> float:
     return frame.baseline.model_errors.resting_sd(frame.seconds)
 
 
-def _contacts(frame: Observation) -> list[NDArray[np.bool_]]:
+def _contacts(frame: Observation) -> list[Mask]:
     """Return the cells of the contacts without which the readings are not explained.
 
     The misfit rises by more than SIGNIFICANT² where the cells of such a contact are as at rest and
@@ -455,34 +451,33 @@ def _contacts(frame: Observation) -> list[NDArray[np.bool_]]:
     pressed.
     """
     sd = np.hypot(frame.mean_sd, _drift_sd(frame))
-    groups = contacts_of(frame.panel, frame.free_map, sd)
     least = frame.free.misfit + SIGNIFICANT**2
-    return [group for group in groups if _misfit_without(frame, group) > least]
+    contacts = list[Mask]()
+    for group in contacts_of(frame.panel, frame.free_map, sd):
+        others = np.where(group, 0.0, 1.0)
+        if frame.cells(frame.free_map * others, others.ravel()).misfit > least:
+            contacts.append(group)
+    return contacts
 
 
-def _touching(panel: Panel, contacts: Sequence[NDArray[np.bool_]]) -> list[NDArray[np.bool_]]:
+def _touching(panel: Panel, contacts: Sequence[Mask]) -> list[Mask]:
     """Return the contacts, joined where cells of two of them touch, also by their corners.
 
     A ring is one load, and the feet on a mat are several.
     """
     x, y = panel.places_mm
-    joined = list[NDArray[np.bool_]]()
+    joined = list[Mask]()
     for contact in contacts:
-        apart = [
-            np.hypot(x[contact, None] - x[other], y[contact, None] - y[other]).min()
-            for other in joined
-        ]
-        touching = [distance < CORNER_PITCHES * panel.pitch_mm for distance in apart]
-        parts = [other for other, near in zip(joined, touching, strict=True) if near]
-        joined = [other for other, near in zip(joined, touching, strict=True) if not near]
-        joined.append(np.any([contact, *parts], axis=0))
+        distances = np.array(
+            [
+                np.hypot(x[contact, None] - x[other], y[contact, None] - y[other]).min()
+                for other in joined
+            ]
+        )
+        touching = distances < CORNER_PITCHES * panel.pitch_mm
+        whole = np.any([contact, *compress(joined, touching)], axis=0)
+        joined = [*compress(joined, ~touching), whole]
     return joined
-
-
-def _misfit_without(frame: Observation, group: NDArray[np.bool_]) -> float:
-    """Return the misfit of the most probable cells where those of a group are as at rest."""
-    free = np.where(group, 0.0, 1.0)
-    return frame.cells(frame.free_map * free, free.ravel()).misfit
 
 
 def continued_by(
@@ -501,19 +496,16 @@ def continued_by(
 
     Parameters
     ----------
-    before : sequence of Attachment
-    loads : sequence of Attachment
-        Loads that were recognised.
+    before, loads : sequence of Attachment
+        Known attachments, and loads that were recognised.
     time : float
-        Time of the last step, s; attachments without a load left then, unless their cells show
-        them.
+        Time of the last step, s; attachments whose cells do not show them left then.
     frame : Observation
     has_left : callable
         Returns whether the cells of an attachment show it no more.
     again : bool
-        Whether it is a repeated recognition since that step. Attachments without a load then stay,
-        because nothing leaves without a step, except those that arrived with the step and were
-        parts of a load, or nothing.
+        Whether it is a repeated recognition since that step. Nothing leaves without a step, but
+        attachments that arrived with it may have been parts of a load, or nothing.
     """
     attachments = list(before)
     unmatched = [number for number, load in enumerate(before) if load.present]
@@ -538,13 +530,12 @@ def continued_by(
                 attachments[near] = former.continued(load)
         elif not any(former.contains(load) for former in kept):
             attachments.append(load)
-    parts = list[int]()
-    for number in unmatched:
+    for number in reversed(unmatched):
         load = attachments[number]
         if again and load.since_s >= time and (has_left(load) or any(map(load.adjoins, loads))):
-            parts.append(number)
+            del attachments[number]
         elif again or not has_left(load):
             attachments[number] = load.beside(frame)
         else:
             attachments[number] = load.ended(time)
-    return tuple(load for number, load in enumerate(attachments) if number not in parts)
+    return tuple(attachments)

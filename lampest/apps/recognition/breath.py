@@ -19,8 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
-from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
 from scipy.special import expit, logsumexp
 
 from lampest.apps.recognition.hypotheses import (
@@ -37,10 +35,11 @@ from lampest.apps.recognition.hypotheses import (
     WANDER,
     Cause,
 )
+from lampest.apps.recognition.observation import Whitening
 from lampest.apps.recognition.steady_frames import SteadyFrames
 from lampest.apps.recognition.swings import EDGE_SD, Patterns
 from lampest.files.levels import SIGNIFICANT
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.response import RESPONSE_SD
 from lampest.posterior.gaussian import Information
 
@@ -106,7 +105,7 @@ def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath
     patterns : Patterns
     """
     suction: Array = np.ones(len(interval.times))
-    spans: list[NDArray[np.bool_]] = [np.ones(len(interval.times), dtype=bool)]
+    spans: list[Mask] = [np.ones(len(interval.times), dtype=bool)]
     if interval.part.any():
         suction = _relative_suction(interval, changes, patterns)
         spans += [interval.part == number for number in range(interval.part.max() + 1)]
@@ -225,18 +224,16 @@ class _Window(NamedTuple):
     bodies: Patterns
 
     @property
-    def distance(self) -> float:
-        """Distance in Hz beyond which a tapered wave does not leak."""
-        return LEAKS / float(self.times[-1] - self.times[0])
+    def lasted(self) -> float:
+        """Duration, s."""
+        return float(self.times[-1] - self.times[0])
 
     @property
     def swings(self) -> Array:
         """Swings of the readings at every rate, (rates, 2, readings)."""
         return self.axes @ self.changes
 
-    def rates(
-        self, level: Array, rate: float
-    ) -> list[tuple[int, NDArray[np.bool_], NDArray[np.bool_]]]:
+    def rates(self, level: Array, rate: float) -> list[tuple[int, Mask, Mask]]:
         """Return the rates that may be the breath's, with the rates of its background.
 
         A rate comes with its number, the rates that it stands for, and those of the background,
@@ -251,20 +248,19 @@ class _Window(NamedTuple):
         rate : float
             Frames per second.
         """
+        distance = LEAKS / self.lasted
         strongest = int(np.argmax((self.swings**2).sum(axis=(1, 2))))
-        elsewhere = np.abs(self.hertz - self.hertz[strongest]) > self.distance
+        elsewhere = np.abs(self.hertz - self.hertz[strongest]) > distance
         rates = [(strongest, np.ones(len(self.hertz), dtype=bool), elsewhere)]
         if elsewhere.any():
             second = int(np.argmax(elsewhere * ((self.axes @ level) ** 2).sum(axis=1)))
             hertz = self.hertz[second]
             halves = np.array([hertz, hertz / 2, (rate - hertz) / 2])
-            apart = np.abs(self.hertz[:, None] - halves) > self.distance
+            apart = np.abs(self.hertz[:, None] - halves) > distance
             rates.append((second, ~apart[:, 0], apart.all(axis=1)))
         return rates
 
-    def breath(
-        self, centre: int, near: NDArray[np.bool_], background: NDArray[np.bool_], freedom: int
-    ) -> Breath:
+    def breath(self, centre: int, near: Mask, background: Mask, freedom: int) -> Breath:
         """Return the breath at one of the rates `near`, each as probable as any rate of all.
 
         Parameters
@@ -276,7 +272,6 @@ class _Window(NamedTuple):
         freedom : int
             Degrees of freedom of a series in the window.
         """
-        lasted = float(self.times[-1] - self.times[0])
         mean_gain = float(self.gain.mean())
         swings = self.swings
         # without the wave itself, which gaps between the parts of a window spread over all rates
@@ -285,20 +280,22 @@ class _Window(NamedTuple):
         steadied = self.patterns.whitened(whitening)
         # A rim that swings less than the suction lets expect cancels it in a mean of both. Weights
         # that leave movements out see such a breath, but less of a faint one; each is as probable.
-        rhythms = [
-            self._rhythm(steadied.weights(BREATHING_SD, 1 / mean_gain, moving), whitening, near)
+        white = self.changes @ whitening.T
+        courses = [
+            white @ steadied.weights(BREATHING_SD, 1 / mean_gain, moving)
             for moving in (0.0, EDGE_SD)
         ]
-        odds = [rhythm.odds(freedom) for rhythm in rhythms]
-        rhythm = rhythms[int(np.argmax(odds))]
-        best = rhythm.best
-        remaining = max(rhythm.total - rhythm.power[best], 1e-12) / (freedom - 2)
+        odds = [self._odds(suction, near, freedom) for suction in courses]
+        suction = courses[int(np.argmax(odds))]
+        power = near * ((self.axes @ suction) ** 2).sum(axis=1)
+        best = int(np.argmax(power))
+        remaining = max(float(suction @ suction) - power[best], 1e-12) / (freedom - 2)
         # Rife, Boorstyn, IEEE Trans. IT-20, 1974
-        spread = np.sqrt(3 * remaining / max(rhythm.power[best], 1e-12)) / (np.pi * lasted)
+        spread = np.sqrt(3 * remaining / max(power[best], 1e-12)) / (np.pi * self.lasted)
         loud = _background(swings)  # with what the wave leaks into other rates
-        within = (self.times - self.times[0]) / lasted
+        within = (self.times - self.times[0]) / self.lasted
         # a rate is uniform within a step of the grid
-        hertz_sd = float(np.hypot(spread, RATE_STEP / lasted / 12**0.5))
+        hertz_sd = float(np.hypot(spread, RATE_STEP / self.lasted / 12**0.5))
         return Breath(
             odds=float(logsumexp(odds) - log(len(odds))),
             suction=_suction(
@@ -312,94 +309,48 @@ class _Window(NamedTuple):
             depth=_depth(self.patterns, self.changes, self.waves[best], within, loud / mean_gain),
         )
 
-    def _rates_of(self, best: int) -> NDArray[np.bool_]:
+    def _rates_of(self, best: int) -> Mask:
         """Return the rates of movements that may oscillate at one rate, (2, rates).
 
         The first row has the rate itself, the second its half as well, also beyond half the frame
         rate, because the square of a movement oscillates at twice its rate.
         """
         hertz = self.hertz[best]
-        lasted = float(self.times[-1] - self.times[0])
-        frames_hz = (len(self.times) - 1) / lasted
-        same = np.abs(self.hertz - hertz) < 1 / (2 * lasted)
+        frames_hz = (len(self.times) - 1) / self.lasted
+        same = np.abs(self.hertz - hertz) < 1 / (2 * self.lasted)
         halves = np.array([hertz / 2, (frames_hz - hertz) / 2])[:, None]
-        return np.stack([same, same | (np.abs(self.hertz - halves) < 1 / (4 * lasted)).any(axis=0)])
+        halved = (np.abs(self.hertz - halves) < 1 / (4 * self.lasted)).any(axis=0)
+        return np.stack([same, same | halved])
 
     def _pushed(self, best: int, gain: float) -> float:
         """Return the probability that a body that adjoins the load swings at one rate.
 
         It moves the load at the rates at which it moves itself.
         """
-        if not self.bodies.bodies.size:
+        if not self.bodies.adjoining.size:
             return 0.0
         breathing = BREATHING_SD**2 * gain * self.bodies.own @ self.bodies.own.T
-        root = cholesky(np.eye(len(breathing)) + breathing, lower=True)
-        swing = self.axes[best : best + 1] @ self.with_bodies
-        white = solve_triangular(
-            root, np.hstack([swing[0].T, gain**0.5 * self.bodies.bodies]), lower=True
-        )
-        by_size = _explained(white[:, 2:], BREATH.largest, white[None, :, :2].swapaxes(1, 2))
+        whitening = Whitening.of(np.eye(len(breathing)) + breathing)
+        swing = whitening @ (self.axes[best] @ self.with_bodies).T
+        adjoining = whitening @ (gain**0.5 * self.bodies.adjoining)
+        by_size = _explained(adjoining, BREATH.largest, swing.T[None])
         evidence = float(logsumexp(by_size)) - log(SIZES)
         return float(expit(EVIDENCE_SHARE * evidence - log(RIM.odds)))
 
-    def _rhythm(self, weights: Array, whitening: Array, near: NDArray[np.bool_]) -> "_Rhythm":
-        """Return the oscillations of the suction that weights (readings,) sum to."""
-        series = self.changes @ whitening.T @ weights
-        power = near * ((self.axes @ series) ** 2).sum(axis=1)
-        return _Rhythm(
-            total=float(series @ series),
-            power=power,
-            amplitude=self.wide_axes @ series,
-            gain=self.wide_gain,
-            leak=self.leak_axes @ series,
-            leak_gain=self.leak_gain,
-            near=near,
-        )
+    def _odds(self, suction: Array, near: Mask, freedom: int) -> float:
+        """Return ln of the odds of A = BREATHING_SD against A = TREMBLE_SD, or a leak.
 
-
-class _Rhythm(NamedTuple):
-    """The suction of a window, and its oscillations at every rate.
-
-    Attributes
-    ----------
-    total : float
-        Σ s² of the relative suction s.
-    power : array, shape (rates,)
-        Squares of the oscillation at the rates of the breath; 0 at others.
-    amplitude : array, shape (rates, n)
-        Projections of s on the axes of waves whose rate wanders.
-    gain : array, shape (rates, n)
-        Squares of the axes' singular values.
-    leak, leak_gain : arrays, shape (times, 1)
-        The same of leaks that begin at some times.
-    near : boolean array, shape (rates,)
-        Rates of the breath.
-    """
-
-    total: float
-    power: Array
-    amplitude: Array
-    gain: Array
-    leak: Array
-    leak_gain: Array
-    near: NDArray[np.bool_]
-
-    @property
-    def best(self) -> int:
-        """Number of the strongest rate."""
-        return int(np.argmax(self.power))
-
-    def odds(self, freedom: int) -> float:
-        """Return ln of the odds of A = BREATHING_SD against A = TREMBLE_SD, or a leak."""
+        `suction` (frames,) is the relative suction, `near` (rates,) has the rates of the breath.
+        """
         breathing, jitter = (
-            logsumexp(_evidence(self.total, self.amplitude, self.gain, sd, freedom)[self.near])
-            - log(self.near.sum())
+            logsumexp(_evidence(suction, self.wide_axes, self.wide_gain, sd, freedom)[near])
+            - log(near.sum())
             for sd in (BREATHING_SD, TREMBLE_SD)
         )
-        leaks = _evidence(self.total, self.leak, self.leak_gain, LEAK_SD, freedom)
+        leaks = _evidence(suction, self.leak_axes, self.leak_gain, LEAK_SD, freedom)
         leaking = logsumexp(leaks) - log(len(leaks))
         steady = np.logaddexp(log(1 - LEAK_SHARE) + jitter, log(LEAK_SHARE) + leaking)
-        return float(breathing - steady + np.log(self.near.mean()))
+        return float(breathing - steady + np.log(near.mean()))
 
 
 def _without(trend: Array, series: Array) -> Array:
@@ -407,7 +358,7 @@ def _without(trend: Array, series: Array) -> Array:
 
     The trend is an orthonormal basis (frames, k).
     """
-    return np.asarray(series - trend @ (trend.T @ series))
+    return series - trend @ (trend.T @ series)
 
 
 def _waves(hertz: Array, times: Array) -> Array:
@@ -466,8 +417,7 @@ def _whitening(swings: Array) -> Array:
     """
     samples = swings.reshape(-1, swings.shape[2])
     noise = _background(swings) * np.eye(samples.shape[1])
-    root = cholesky(noise + samples.T @ samples / max(len(samples), 1), lower=True)
-    return np.asarray(solve_triangular(root, np.eye(len(root)), lower=True))
+    return Whitening.of(noise + samples.T @ samples / max(len(samples), 1)).matrix
 
 
 def _relative_suction(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Array:
@@ -478,12 +428,10 @@ def _relative_suction(interval: SteadyFrames, changes: Array, patterns: Patterns
     """
     level = changes @ patterns.suction_weights(np.eye(changes.shape[1]))
     means = np.bincount(interval.part, level) / np.bincount(interval.part)
-    return np.asarray(np.clip(1 + means, 1 / MAX_PULL, MAX_PULL)[interval.part])
+    return np.clip(1 + means, 1 / MAX_PULL, MAX_PULL)[interval.part]
 
 
-def _depth(
-    patterns: Patterns, changes: Array, waves: Array, at: Array, noise: float
-) -> tuple[float, float]:
+def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: float) -> Pair:
     """Return the relative amplitude of the suction and its standard deviation.
 
     The amplitude and the phase of the wave may change linearly over the window. The readings show
@@ -512,7 +460,7 @@ def _depth(
         weights = patterns.weights(depth, noise)
         series = changes @ weights
         # amplitudes with the prior N(0, largest²), which near half the frame rate alone decides
-        freedom = max(len(at) - 8, 1)  # four numbers here, four of trend
+        freedom = len(at) - 8  # four numbers here, four of trend
         residual = series - basis @ np.linalg.lstsq(basis, series, rcond=None)[0]
         variance_left = max(float(residual @ residual) / freedom, 1e-12)
         known = Information(square / variance_left, basis.T @ series / variance_left)
@@ -528,25 +476,26 @@ def _depth(
     return scale * depth, scale * variance**0.5
 
 
-def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: int) -> Array:
+def _evidence(series: Array, axes: Array, gain: Array, sd: float, freedom: int) -> Array:
     """Return ln P(s | f) up to a constant, (rates,), summed over σ.
 
     Parameters
     ----------
-    total : float
-        Σ s².
-    amplitude : array, shape (rates, n)
-        Projections of s on the axes.
+    series : array, shape (frames,)
+        s.
+    axes : array, shape (rates, n, frames)
+        Orthonormal axes of the waves.
     gain : array, shape (rates, n)
-        Squares of the axes' singular values.
+        Squares of their singular values.
     sd : float
         A.
     freedom : int
         Degrees of freedom of s.
     """
+    amplitude = axes @ series
     noise = np.geomspace(1e-4, 1.0, 25)[:, None, None] ** 2
     wide = noise + sd**2 * gain
-    remaining = total - (amplitude**2).sum(axis=1)
+    remaining = series @ series - (amplitude**2).sum(axis=1)
     # amplitude ~ N(0, σ² + A² gain), all other directions ~ N(0, σ²); axes (noises, rates, n)
     fits = -0.5 * ((amplitude**2 / wide).sum(axis=2) + np.maximum(remaining, 0.0) / noise[..., 0])
     volume = -0.5 * (
@@ -555,9 +504,7 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
     return np.asarray(logsumexp(fits + volume, axis=0))
 
 
-def _suction(
-    patterns: Patterns, swings: Array, gain: float, rates: NDArray[np.bool_], pushed: float
-) -> float:
+def _suction(patterns: Patterns, swings: Array, gain: float, rates: Mask, pushed: float) -> float:
     """Return the probability that suction oscillates with its rim, against all other causes.
 
     Cells beside the load may swing in any case, by the size that explains the swing best at the
@@ -580,8 +527,7 @@ def _suction(
     beside = gain**0.5 * patterns.beside
     by_size = _explained(beside, BESIDE.largest, own[best : best + 1])[:, 0]
     size = _sizes(BESIDE.largest)[np.argmax(by_size)]
-    root = cholesky(np.eye(len(beside)) + size**2 * beside @ beside.T, lower=True)
-    whitening = solve_triangular(root, np.eye(len(root)), lower=True)
+    whitening = Whitening.of(np.eye(len(beside)) + size**2 * beside @ beside.T).matrix
 
     def evidence(cause: Cause, swings: Array) -> float:
         pattern = gain**0.5 * whitening @ getattr(patterns, cause.pattern)

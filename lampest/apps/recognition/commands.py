@@ -3,6 +3,7 @@
 import json
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -126,9 +127,11 @@ def _with_checks(answers: "Sequence[Detected]", pending: "Sequence[Unchecked]") 
     bar = screen.progress("checks") if count else nullcontext(lambda *counts: None)
     with bar as on_check:
         on_check(0, count)
-        for number, (answer, unchecked) in enumerate(zip(answers, pending, strict=True), 1):
+        done = 0
+        for answer, unchecked in zip(answers, pending, strict=True):
             checked.append(replace(answer, warnings=unchecked.checked().warnings))
-            on_check(sum(earlier.waits for earlier in pending[:number]), count)
+            done += unchecked.waits
+            on_check(done, count)
     return checked
 
 
@@ -142,23 +145,20 @@ def _folder_of_answers(sources: "Sequence[Path]", answers: "Sequence[Detected]")
 def _say_answers(answers: "Sequence[Detected]") -> None:
     """Print the sentences of the answers, of several behind their common headline."""
     from lampest.apps.recognition.detect.answer import headline
-    from lampest.apps.recognition.detect.visits import visits_of
 
     several = len(answers) > 1
     if several:
-        season = visits_of(answers)
-        screen.say(f"{len(answers)} recordings: {headline([visit.answer for visit in season])}")
+        called = [name for answer in answers for name in answer.called]
+        screen.say(f"{len(answers)} recordings: {headline(called)}")
     for answer in answers:
         screen.say(f"{answer.recording}: {answer.sentence}" if several else answer.sentence)
 
 
 def _tables(folder: Path, loads: "Sequence[PressedCells]") -> list[Path]:
     """Return the files of the answers without pictures: events, visits, and pressed cells."""
-    from lampest.apps.recognition.detect import visits
-    from lampest.apps.recognition.detect.answer import FILE
-    from lampest.apps.recognition.detect.pressed import FILE as PRESSED
+    from lampest.apps.recognition.detect import answer, pressed, visits
 
-    names = (FILE, visits.FILE, *((PRESSED,) if loads else ()))
+    names = (answer.FILE, visits.FILE, *((pressed.FILE,) if loads else ()))
     return [folder / name for name in names]
 
 
@@ -170,36 +170,27 @@ def _tell(
     everything: bool,
 ) -> None:
     """Write the files of the answers, print their warnings and tables, and draw the pictures."""
-    from lampest.apps.recognition.detect import visits
-    from lampest.apps.recognition.detect.answer import (
-        FILE,
-        event_table,
-        load_table,
-        write_detections,
-    )
-    from lampest.apps.recognition.detect.pressed import FILE as PRESSED
-    from lampest.apps.recognition.detect.pressed import pressed_table, write_pressed
+    from lampest.apps.recognition.detect import answer, pressed, visits
 
-    season = visits.visits_of(answers)
     # days and nights, and hours, are counted for animals alone
-    animals = [answer for answer in answers if not answer.mat]
+    animals = [each for each in answers if not each.mat]
     counted = visits.visits_of(animals)
     files = _tables(folder, loads)
-    write_detections(folder / FILE, answers)
-    visits.write_visits(folder / visits.FILE, season)
+    answer.write_detections(files[0], answers)
+    visits.write_visits(files[1], visits.visits_of(answers))
     if loads:
-        write_pressed(folder / PRESSED, loads)
-    for answer in answers:
-        screen.print_notes(f"warning: {answer.recording}: {line}" for line in answer.warnings)
-    screen.print_table(event_table(answers))
+        pressed.write_pressed(files[2], loads)
+    for each in answers:
+        screen.print_notes(f"warning: {each.recording}: {line}" for line in each.warnings)
+    screen.print_table(answer.event_table(answers))
     several = len(counted) > 1  # which days and hours a table and a picture show
     if several:
         screen.print_table(visits.count_table(animals, counted))
     if everything:
-        screen.print_table(load_table(answers))
-        screen.print_table(pressed_table(loads))
-        for answer in answers:
-            screen.print_notes(f"{answer.recording}: {note}" for note in answer.notes)
+        screen.print_table(answer.load_table(answers))
+        screen.print_table(pressed.pressed_table(loads))
+        for each in answers:
+            screen.print_notes(f"{each.recording}: {note}" for note in each.notes)
     drawing = find_spec("matplotlib") is not None
     if drawing:
         files += _draw(answers, counted if several else [], folder)
@@ -213,17 +204,19 @@ def _tell(
 
 def _draw(answers: "Sequence[Detected]", season: "Sequence[Visit]", folder: Path) -> list[Path]:
     """Draw the timelines of the answers, and the visits, and return the files."""
+    from lampest.apps.recognition.detect import timeline as pictures
     from lampest.apps.recognition.detect import visits
-    from lampest.apps.recognition.detect.season import plot_season
-    from lampest.apps.recognition.detect.timeline import plot_timelines, timeline_files
     from lampest.files.whole import refuse_inputs
+    from lampest.report.plots.style import write_all
 
-    files = list(timeline_files(answers, folder))
+    figures = {
+        folder / f"timeline_{answer.recording}.png": partial(pictures.timeline, answer)
+        for answer in answers
+        if answer.course is not None
+    }
     if season:
-        files.append(folder / visits.PICTURE)
+        figures[folder / visits.PICTURE] = partial(pictures.season, season)
+    files = list(figures)
     refuse_inputs(files)
     with screen.progress("pictures") as on_picture:
-        files = list(plot_timelines(answers, folder, on_picture))
-    if season:
-        files.append(plot_season(folder / visits.PICTURE, season))
-    return files
+        return write_all(list(figures.values()), files, on_picture)

@@ -8,11 +8,10 @@ a real insole they did.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.apps.recognition.suction import MIN_FALL
 from lampest.files.levels import NOISE_REACH
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Mask, Numbers, Panel
 
 # Of the strongest ln r0/r of a contact: cells with less are its surroundings. Between two feet
 # under a soft cover it is a fifth, under the arch of one foot a half.
@@ -25,7 +24,7 @@ SMALL_SHARE = 0.15
 GHOST_SHARE = 0.05
 
 
-def contacts_of(panel: Panel, change: Array, sd: Array) -> list[NDArray[np.bool_]]:
+def contacts_of(panel: Panel, change: Array, sd: Array) -> list[Mask]:
     """Return the cells of every contact, boolean (rows, columns) each, the strongest one first.
 
     Parameters
@@ -55,10 +54,10 @@ def contacts_of(panel: Panel, change: Array, sd: Array) -> list[NDArray[np.bool_
     ]
 
 
-def _is_faint(strength: Array, sd: Array, peak: int) -> NDArray[np.bool_]:
+def _is_faint(strength: Array, sd: Array, peak: int) -> Mask:
     """Return whether cells changed by clearly less than a share of a contact's strongest cell."""
     error = np.hypot(sd, FAINT_SHARE * sd.flat[peak])
-    return np.asarray(FAINT_SHARE * strength.flat[peak] - strength > NOISE_REACH * error)
+    return FAINT_SHARE * strength.flat[peak] - strength > NOISE_REACH * error
 
 
 def _cells_beside(panel: Panel) -> dict[int, list[int]]:
@@ -70,7 +69,7 @@ def _cells_beside(panel: Panel) -> dict[int, list[int]]:
     return beside
 
 
-def _joined(panel: Panel, strength: Array, sd: Array, basin: NDArray[np.intp]) -> NDArray[np.intp]:
+def _joined(panel: Panel, strength: Array, sd: Array, basin: Numbers) -> Numbers:
     """Return the basins, joined where the cells between them may have changed as they have.
 
     One such cell between two basins is enough. Of a cell whose readings are bounds, or of a dead
@@ -90,9 +89,7 @@ def _joined(panel: Panel, strength: Array, sd: Array, basin: NDArray[np.intp]) -
     return joined
 
 
-def _basins(
-    panel: Panel, strength: Array, sd: Array, touched: NDArray[np.bool_]
-) -> NDArray[np.intp]:
+def _basins(panel: Panel, strength: Array, sd: Array, touched: Mask) -> Numbers:
     """Return the number of the strongest cell of every touched cell's contact.
 
     Shape (rows, columns); −1 elsewhere. Cells are added from the strongest to the weakest. A cell
@@ -100,15 +97,12 @@ def _basins(
     """
     beside = _cells_beside(panel)
     basin = np.full(strength.size, -1, dtype=np.intp)
-    faint: dict[int, NDArray[np.bool_]] = {}
-    for cell in np.argsort(-strength, axis=None, kind="stable"):
-        if not touched.flat[cell]:
-            continue
+    order = np.argsort(-strength, axis=None, kind="stable")
+    for cell in order[touched.flat[order]]:
         peaks = {int(basin[near]) for near in beside.get(int(cell), []) if basin[near] >= 0}
         strongest = max(peaks, key=lambda peak: strength.flat[peak], default=int(cell))
         basin[cell] = strongest
         for peak in peaks - {strongest}:
-            faint.setdefault(peak, _is_faint(strength, sd, peak))
-            if not faint[peak].flat[cell]:
+            if not _is_faint(strength, sd, peak).flat[cell]:
                 basin[basin == peak] = strongest
     return basin.reshape(strength.shape)

@@ -1,29 +1,26 @@
 """Matched filter of round loads on the map of the cells."""
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array, diags_array, vstack
 
 from lampest.apps.recognition.patches import pressure_at_places
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Mask, Panel
 from lampest.panel.response import RESPONSE_SD
 from lampest.recording.shapes.disc import Disc
 
 # Standard deviations of a template's score. Of 720 bare panels with films uneven by 12 to 25 %,
 # some with correlated neighbours or with faulty cells, the largest score was 6.3.
 MAX_UNEVENNESS = 8.0
-# pressures inside, and under the rim
-FULL_KPA = (0.0, 8.0)
-HOLLOW_KPA = (-6.0, 30.0)
 
 
 class Template(NamedTuple):
-    """A disc that is compared with the map of the cells at all places, to find starts of fits.
+    """A disc that is compared with unloaded cells, and with steps, at all places.
 
     Attributes
     ----------
@@ -63,17 +60,18 @@ class DiscSearch:
     Attributes
     ----------
     panel : Panel
-    templates : tuple of Template
-    discs : tuple of Disc
-        One for each template and place, template by template.
     changes : sparse array, shape (cells, discs)
-        ln r/r0 under each template, normalised to unit length.
+        ln r/r0 under each template at all places, template by template, of unit length.
+    faint : boolean array, shape (discs,)
+        Whether each disc's template is used for detection in noise.
+    places : array, shape (faint discs, 2)
+        Centres of the faint discs, mm.
     """
 
     panel: Panel
-    templates: tuple[Template, ...]
-    discs: tuple[Disc, ...]
     changes: csc_array
+    faint: Mask
+    places: Array
 
     @classmethod
     @lru_cache(maxsize=16)
@@ -81,44 +79,29 @@ class DiscSearch:
         cls, panel: Panel, patch_mm: float, templates: tuple[Template, ...] = TEMPLATES
     ) -> "DiscSearch":
         """Return the search with all templates at all places of a panel."""
-        discs = []
-        patterns = []
         x, y = panel.places_mm[:, panel.present]
         # Complex places: regular panels have few distinct displacements, computed once each.
         places = x + 1j * y
         steps, step = np.unique(np.round(places - places[:, None], 6), return_inverse=True)
-        for template in templates:
+        shifts = (0.0, panel.pitch_mm / 2)
+        patterns = []
+        for template, shift in product(templates, shifts):
             size = (template.outer_mm, template.inner_mm)
-            pressures = HOLLOW_KPA if template.inner_mm else FULL_KPA
-            for shift in (0.0, panel.pitch_mm / 2):
-                shifted = Disc(shift, shift, *size, template.inside, -1.0, 0.0, 0.0)
-                pattern, _ = pressure_at_places(
-                    np.stack([steps.real, steps.imag]), patch_mm, shifted
-                )
-                patterns.append(csr_array(pattern[step.reshape(len(places), -1)]))
-                discs += [
-                    Disc(*at, *size, *pressures, 0.0, 0.0)
-                    for at in zip(x + shift, y + shift, strict=True)
-                ]
+            shifted = Disc(shift, shift, *size, template.inside, -1.0, 0.0, 0.0)
+            pattern, _ = pressure_at_places(np.stack([steps.real, steps.imag]), patch_mm, shifted)
+            patterns.append(csr_array(pattern[step.reshape(len(places), -1)]))
         changes = vstack(patterns)
         changes.data /= np.repeat(np.sqrt(changes.power(2).sum(axis=1)), np.diff(changes.indptr))
         cells = np.flatnonzero(panel.present)[changes.indices]
-        shape = panel.crossings, len(discs)
+        shape = panel.crossings, changes.shape[0]
+        centres = np.vstack([np.column_stack([x + shift, y + shift]) for shift in shifts])
+        faint = [template.faint for template in templates]
         return cls(
-            panel, templates, tuple(discs), csc_array((changes.data, cells, changes.indptr), shape)
+            panel,
+            csc_array((changes.data, cells, changes.indptr), shape),
+            np.repeat(faint, len(centres)),
+            np.tile(centres, (sum(faint), 1)),
         )
-
-    @cached_property
-    def faint(self) -> NDArray[np.bool_]:
-        """Whether each disc's template is used for detection in noise, (discs,)."""
-        return np.repeat(
-            [template.faint for template in self.templates], len(self.discs) // len(self.templates)
-        )
-
-    @cached_property
-    def places(self) -> Array:
-        """Centres of the faint discs, (faint discs, 2) mm."""
-        return np.array([disc[:2] for disc in self.discs])[self.faint]
 
     def matched(self, response: Array) -> csc_array:
         """Return the faint templates t, (cells, faint discs), scaled to |B t| = 1.

@@ -7,12 +7,10 @@ neighbours. The evidence integrates over the cells about the most probable ones.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import cholesky
 
 from lampest.apps.recognition.observation import Observation, Whitening, outliers
 from lampest.files.levels import MAX_MEAN_SQUARE
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Numbers, Panel
 
 # Assumed standard deviations of ln r/r0 in the four states: no load, half a kPa, a few kPa, tens of
 # kPa.
@@ -40,7 +38,7 @@ class CellsUnderPrior:
     change: Array
     evidence: float
     chi2: float
-    contradicting: NDArray[np.intp]
+    contradicting: Numbers
 
     @classmethod
     def of(
@@ -62,8 +60,7 @@ class CellsUnderPrior:
         """
         most_probable = frame.cells(start, covariance)
         change = most_probable.state.reshape(start.shape)
-        noise = Whitening(cholesky(most_probable.noise, lower=True))
-        misfit = noise @ frame.residual(change)
+        misfit = Whitening.of(most_probable.noise) @ frame.residual(change)
         chi2 = float(misfit @ misfit)
         contradicting = np.zeros(0, dtype=np.intp)
         if chi2 >= MAX_MEAN_SQUARE * frame.measured.size:
@@ -128,12 +125,10 @@ def prior(frame: Observation, sd: Array) -> Array:
     Neighbours are correlated.
     """
     shared = frame.baseline.model_errors.common + frame.baseline.model_errors.near
-    return np.asarray(
-        np.outer(sd, sd) * ((1 - shared) * np.eye(sd.size) + shared * frame.baseline.near)
-    )
+    return np.outer(sd, sd) * ((1 - shared) * np.eye(sd.size) + shared * frame.baseline.near)
 
 
-def states(panel: Panel, change: Array) -> NDArray[np.intp]:
+def states(panel: Panel, change: Array) -> Numbers:
     """Return the state of each cell, 0 to 3 for quiet to strongly changed.
 
     The changes of the cell and of its neighbours determine the state.
@@ -150,7 +145,7 @@ def states(panel: Panel, change: Array) -> NDArray[np.intp]:
     return np.asarray(np.digitize(np.sqrt(0.6 * square + 0.1 * near), limits)).reshape(change.shape)
 
 
-def potts_cost(panel: Panel, of_cells: NDArray[np.intp]) -> float:
+def potts_cost(panel: Panel, of_cells: Numbers) -> float:
     """Return −ln P of the states in the Potts field.
 
     Each pair of unlike neighbours costs 1 (an assumption); a constant normalises the probability.

@@ -3,11 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.apps.recognition.suction import MIN_RISE
 from lampest.files.levels import NOISE_REACH
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 
 # Of the square of a load's change, which a later recognition of it shows in the same place. A slide
 # gives less, and a rim that begins to suck.
@@ -27,12 +26,12 @@ class Hold(NamedTuple):
     sd: Array
 
     @property
-    def _clear(self) -> NDArray[np.bool_]:
+    def _clear(self) -> Mask:
         """Cells that have clearly changed, boolean (rows, columns)."""
-        return np.asarray(np.abs(self.change) > NOISE_REACH * self.sd)
+        return np.abs(self.change) > NOISE_REACH * self.sd
 
     @property
-    def risen(self) -> NDArray[np.bool_]:
+    def risen(self) -> Mask:
         """Cells that clearly rose as under suction, boolean (rows, columns)."""
         return self._clear & (self.change > MIN_RISE)
 

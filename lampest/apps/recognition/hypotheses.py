@@ -72,6 +72,5 @@ BREATH = Cause("own", 0.15, 1.0, 1.0)
 RIM = Cause("rim", 1.0, 10.0, 0.1)
 MOVES = Cause("moves", 10.0, 10.0, 0.1)
 BESIDE = Cause("beside", 0.05, 30.0, 0.1)
-CAUSES = (BREATH, RIM, MOVES, BESIDE)
 # of breath, against all other causes together
-PRIOR_ODDS = 1 / sum(1 / cause.odds for cause in CAUSES[1:])
+PRIOR_ODDS = 1 / sum(1 / cause.odds for cause in (RIM, MOVES, BESIDE))

@@ -6,7 +6,7 @@ crosses a seam, so that the network of a window is block diagonal; loads may lie
 load in several windows is taken from the window whose middle is nearest.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
@@ -16,13 +16,72 @@ import numpy as np
 
 from lampest.apps.recognition.attachment import Attachment
 from lampest.apps.recognition.leaks import Leaks
+from lampest.apps.recognition.recognition_scene import RecognitionScene, WindowScene
+from lampest.apps.recognition.step_test import NEAR_PITCHES
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import Level, WatchSetup
-from lampest.apps.recognition.window import Window, layout_of
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.panel.panel import Array, Modules
+from lampest.panel.panel import Array, Modules, Numbers, Panel
 
 CALM_S = 60.0  # s, three time constants of the mean, `FOLLOWS_S`
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A rectangle of modules.
+
+    Attributes
+    ----------
+    scene : WindowScene
+    numbers : tuple of int
+        Numbers of the modules, row by row.
+    cells : pair of slice
+        Rows and columns in the image.
+    x_mm, y_mm : float
+        Place of the first cell in the image.
+    middle : array, shape (2,)
+        Mean place of the cells, mm.
+    """
+
+    scene: WindowScene
+    numbers: tuple[int, ...]
+    cells: tuple[slice, slice]
+    x_mm: float
+    y_mm: float
+    middle: Array
+
+    @classmethod
+    def about(cls, scene: RecognitionScene, place: Array) -> "Window":
+        """Return the window over the modules that a load at a place (x, y) in mm may reach."""
+        layout = scene.panel.layout
+        spans = list[Numbers]()
+        sizes = layout.each.columns, layout.each.rows
+        for at, axis, size in zip(place, scene.panel.centres_mm(), sizes, strict=True):
+            first = axis[::size]
+            last = axis[size - 1 :: size]
+            reach = min(NEAR_PITCHES * scene.panel.pitch_mm, float(last[0] - first[0]) / 2)
+            distance = np.maximum(first - at, at - last)
+            spans.append(np.flatnonzero((distance <= reach) | (distance == distance.min())))
+        columns, rows = spans
+        numbers = tuple(int(j * layout.columns + k) for j in rows for k in columns)
+        top, left = layout.cells(numbers[0])
+        bottom, right = layout.cells(numbers[-1])
+        cells = slice(top.start, bottom.stop), slice(left.start, right.stop)
+        part = replace(layout, rows=len(rows), columns=len(columns))
+        response = scene.response
+        scenes = tuple(scene.of_modules[number] for number in numbers)
+        window_scene = WindowScene(
+            Panel(modules=part), response and response.of_cells(cells), scenes
+        )
+        places = scene.panel.places_mm[:, *cells]
+        x, y = places[:, 0, 0]
+        return cls(window_scene, numbers, cells, float(x), float(y), places.mean(axis=(1, 2)))
+
+    def in_image(self, load: Attachment) -> Attachment:
+        """Return an attachment with its place in the image instead of the window."""
+        x, x_sd = load.x_mm
+        y, y_sd = load.y_mm
+        return replace(load, x_mm=(x + self.x_mm, x_sd), y_mm=(y + self.y_mm, y_sd))
 
 
 Opened: TypeAlias = tuple[Window, Watch, float]
@@ -43,12 +102,16 @@ class ImageWatch:
         The open windows, and the time of the last touch of each, s.
     attachments : tuple of Attachment
         Attachments of all windows, each once.
+    leaks, leaks_since_s
+        As of `Watch`: between lines of modules no leaks are sought.
     """
 
     setup: WatchSetup
     modules: Mapping[int, Watch]
     opened: tuple[Opened, ...] = ()
     attachments: tuple[Attachment, ...] = ()
+    leaks: Leaks = ()
+    leaks_since_s: float = inf
 
     @classmethod
     def begin(
@@ -57,7 +120,7 @@ class ImageWatch:
         """Return the watch before the first frame, as `Watch.begin`."""
         modules = dict[int, Watch]()
         for number, module_scene in enumerate(setup.scene.of_modules):
-            cells = layout_of(setup.scene.panel).cells(number)
+            cells = setup.scene.panel.layout.cells(number)
             finite = np.isfinite(sigma[cells]) & np.isfinite(measured[cells])
             if not finite.any():
                 continue
@@ -111,16 +174,6 @@ class ImageWatch:
         return tuple(dict.fromkeys(fault for watch in self._watches for fault in watch.faults))
 
     @property
-    def leaks(self) -> Leaks:
-        """No leaks, which are not sought between lines of modules."""
-        return ()
-
-    @property
-    def leaks_since_s(self) -> float:
-        """As `Watch.leaks_since_s`."""
-        return inf
-
-    @property
     def brief(self) -> tuple[tuple[float, float], ...]:
         """Times of loads that left too soon to be recognised, of all windows, as `Watch.brief`."""
         return tuple(dict.fromkeys(times for _, watch, _ in self.opened for times in watch.brief))
@@ -147,7 +200,7 @@ class ImageWatch:
 
     @property
     def _layout(self) -> Modules:
-        return layout_of(self.setup.scene.panel)
+        return self.setup.scene.panel.layout
 
     @property
     def _watches(self) -> list[Watch]:
@@ -168,37 +221,34 @@ class ImageWatch:
 
         A module that is not read gets the median of the others.
         """
-        layout = layout_of(window.scene.panel)
-        parts = [self.modules[number] for number in window.numbers if number in self.modules]
-        typical = np.median([np.median(part.rest.mean) for part in parts])
-        unread = np.full(layout.each.rows * layout.each.columns, typical)
-
-        def joined(value: Callable[[Watch], Array]) -> Array:
-            """Return an image (rows, columns) of a value of each module, (cells,)."""
-            images = [
-                value(self.modules[number]) if number in self.modules else unread
-                for number in window.numbers
-            ]
-            return layout.joined(np.reshape(images, (-1, layout.each.rows, layout.each.columns)))
-
-        setup = replace(self.setup, scene=window.scene, water=self.setup.water[window.cells])
+        layout = window.scene.panel.layout
+        parts = {
+            number: self.modules[number] for number in window.numbers if number in self.modules
+        }
+        typical = np.median([np.median(part.rest.mean) for part in parts.values()])
+        unread = np.full((4, layout.each.rows * layout.each.columns), typical)
+        levels = [
+            levels_of(parts[number]) if number in parts else unread for number in window.numbers
+        ]
+        images = layout.of_parts(np.swapaxes(levels, 0, 1))
+        mean, *recent = images[1:].reshape(3, -1)
         start = Watch.begin(
-            setup,
-            np.exp(joined(lambda module: module.rest.mean)),
+            replace(self.setup, scene=window.scene, water=self.setup.water[window.cells]),
+            np.exp(images[0]),
             sigma[window.cells],
             np.zeros((0, *layout.shape)),
-            max(part.rest.until_s for part in parts),
+            max(part.rest.until_s for part in parts.values()),
         )
-        loudest = max(float(part.test.loud.mean()) for part in parts)
-        test = replace(start.test, loud=np.full(len(start.test.loud), loudest))
-        rest = replace(start.rest, frames=min(part.rest.frames for part in parts))
-        begun_s = max(part.level.until_s for part in parts)
-        level = Level(joined(lambda module: module.level.mean).ravel(), 1.0, begun_s, begun_s)
-        recent = (
-            joined(lambda module: module.recent[0]).ravel(),
-            joined(lambda module: module.recent[1]).ravel(),
+        loudest = max(float(part.test.loud.mean()) for part in parts.values())
+        begun_s = max(part.level.until_s for part in parts.values())
+        return replace(
+            start,
+            test=replace(start.test, loud=np.full(len(start.test.loud), loudest)),
+            rest=replace(start.rest, frames=min(part.rest.frames for part in parts.values())),
+            level=Level(mean, 1.0, begun_s, begun_s),
+            recent=tuple(recent),
+            history="",
         )
-        return replace(start, test=test, rest=rest, level=level, recent=recent, history="")
 
     def _closed(self, time: float) -> "ImageWatch":
         """Return the watch without the windows that were calm for CALM_S.
@@ -210,11 +260,9 @@ class ImageWatch:
         covered = under_windows(opened)
         modules = dict(self.modules)
         for window, watch, _ in calm:
-            layout = layout_of(window.scene.panel)
-            levels_of_window = watch.rest.mean, watch.level.mean, *watch.recent
-            images = np.reshape(levels_of_window, (4, *layout.shape))
-            of_modules = np.swapaxes(layout.split(images), 0, 1)
-            for number, levels in zip(window.numbers, of_modules, strict=True):
+            layout = window.scene.panel.layout
+            images = layout.split(levels_of(watch).reshape(4, *layout.shape))
+            for number, levels in zip(window.numbers, np.swapaxes(images, 0, 1), strict=True):
                 if number in modules and number not in covered:
                     baseline, mean, *recent = levels.reshape(4, -1)
                     modules[number] = replace(
@@ -231,22 +279,33 @@ class ImageWatch:
 
         A load in two windows is taken from the nearer middle.
         """
-        loads = list[tuple[Window, Attachment]]()
-        for window, watch, _ in self.opened:
-            loads += [(window, window.in_image(load)) for load in watch.attachments]
+        loads = [
+            (window, window.in_image(load))
+            for window, watch, _ in self.opened
+            for load in watch.attachments
+        ]
         # nearest to its window's middle first; equal loads of other windows are dropped
         loads.sort(key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1])))
         merged = list[tuple[Window, Attachment]]()
         for window, load in loads:
-            elsewhere = [nearer for neighbour, nearer in merged if neighbour is not window]
-            if not any(_same_load(load, nearer) for nearer in elsewhere):
+            if not any(
+                neighbour is not window and _same_load(load, nearer) for neighbour, nearer in merged
+            ):
                 merged.append((window, load))
-        ended = [load for load in self.attachments if load.until_s is not None]
-        past = [load for load in ended if not any(_same_load(load, late) for _, late in merged)]
         present = [load for _, load in merged]
+        past = [
+            load
+            for load in self.attachments
+            if not load.present and not any(_same_load(load, late) for late in present)
+        ]
         return tuple(
             sorted([*past, *present], key=lambda load: (load.since_s, load.x_mm, load.y_mm))
         )
+
+
+def levels_of(watch: Watch) -> Array:
+    """Return the panel at rest, the level and the last two frames of a watch, ln y (4, cells)."""
+    return np.stack([watch.rest.mean, watch.level.mean, *watch.recent])
 
 
 def under_windows(opened: Sequence[Opened]) -> set[int]:
@@ -261,4 +320,4 @@ def _same_load(first: Attachment, second: Attachment) -> bool:
     """
     ends = (inf if load.until_s is None else load.until_s for load in (second, first))
     simultaneous = all(load.since_s < end for load, end in zip((first, second), ends, strict=True))
-    return simultaneous and first.distance(second.place) < max(first.width, second.width)
+    return simultaneous and first.adjoins(second)

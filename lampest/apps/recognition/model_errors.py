@@ -140,7 +140,7 @@ class ModelErrors:
         """
         shape = scene.panel.shape
         none, one = (self.offsets(end, scene) for end in (np.zeros(shape), np.ones(shape)))
-        return np.asarray(1 + (one - none) @ shifts)
+        return 1 + (one - none) @ shifts
 
 
 @lru_cache(maxsize=16)

@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import blas, cholesky, lapack
 
 from lampest.apps.recognition.model_errors import ModelErrors
@@ -20,7 +19,7 @@ from lampest.apps.recognition.recognition_scene import RecognitionScene
 from lampest.files.levels import SIGNIFICANT
 from lampest.panel.effects.line_effect import LineEffect
 from lampest.panel.network import Network
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Numbers, Panel
 from lampest.panel.response import PUBLISHED, Response
 from lampest.posterior.gaussian import Conditioned, posterior_covariance
 
@@ -263,7 +262,7 @@ class Baseline:
         )
         shared = np.stack([errors.bent * change, errors.patch * patches])
         uneven = similar * np.outer(change, change) + np.diag((errors.edge_mm * edges) ** 2)
-        return uneven, np.asarray(shared.T @ shared)
+        return uneven, shared.T @ shared
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,7 +304,7 @@ class Observation:
     def deviation(self, network: Network) -> Array:
         """Return R − f − E δ, (cells,), of a solved network with the readings f."""
         expected = network.reading().ravel() + self.offsets(network) @ self.baseline.offsets
-        return np.asarray(self.measured.ravel() - expected)
+        return self.measured.ravel() - expected
 
     def offsets(self, network: Network) -> Array:
         """Return E (cells, offsets), the effect of every offset's standard deviation.
@@ -322,7 +321,7 @@ class Observation:
 
     def sensitivity(self, network: Network) -> Array:
         """Return the derivative of f + E δ by ln r, (cells, cells), of a solved network."""
-        return np.asarray(self._gain[:, None] * network.sensitivity())
+        return self._gain[:, None] * network.sensitivity()
 
     def change(self, pressure: Array, response: Response | None = None) -> tuple[Array, Array]:
         """Return the change of cells under pressures (rows, columns) kPa.
@@ -384,13 +383,13 @@ class Observation:
         both = np.hstack([slope, self.offsets(network)])
         # the root is triangular, and a product with the own transpose symmetric: half of each
         spread = blas.dtrmm(1.0, self._resting_root.T, both.T).T
-        total = spread @ spread.T
+        total: Array = spread @ spread.T
         if np.ndim(cells):
             total += slope @ cells @ slope.T
         if self.common is not None:
             shared = self.common(network.reading())
             total += shared @ shared.T
-        return np.asarray(total + np.diag(self.sigma.ravel() ** 2))
+        return total + np.diag(self.sigma.ravel() ** 2)
 
     def cells(self, start: Array, prior: Array, mean: Array | float = 0.0) -> MostProbable:
         """Return the most probable ln r/r0 of all cells with the prior N(`mean`, `prior`).
@@ -408,17 +407,14 @@ class Observation:
         return most_probable(model, start.ravel(), means, prior, MAX_STEP / 10)
 
     @cached_property
-    def _mapped(self) -> MostProbable:
-        zero = np.zeros(self.measured.shape)
-        return self.cells(zero, np.full(zero.size, self.baseline.model_errors.mapped**2))
-
-    @property
     def map(self) -> Array:
         """Most probable ln r/r0 of every cell, (rows, columns).
 
         Cells are independent, with the prior `mapped`.
         """
-        return self._mapped.state.reshape(self.measured.shape)
+        zero = np.zeros(self.measured.shape)
+        prior = np.full(zero.size, self.baseline.model_errors.mapped**2)
+        return self.cells(zero, prior).state.reshape(zero.shape)
 
     @cached_property
     def free(self) -> MostProbable:
@@ -448,13 +444,13 @@ class Observation:
         """
         rest = self.baseline.network()
         slope = self.sensitivity(rest)
-        whitening = Whitening(cholesky(slope @ slope.T + self.covariance(rest), lower=True))
+        whitening = Whitening.of(slope @ slope.T + self.covariance(rest))
         # the posterior's diagonal with the prior I: 1 − diag Jᵀ (J Jᵀ + C)⁻¹ J
         variance = 1 - ((whitening @ slope) ** 2).sum(axis=0)
         at_rest = np.sqrt(np.maximum(variance, np.finfo(float).eps)).reshape(self.measured.shape)
         return np.asarray(2 / (1 / at_rest + 1 / self.free_sd))
 
-    def without(self, dropped: NDArray[np.intp]) -> "Observation":
+    def without(self, dropped: Numbers) -> "Observation":
         """Return the observation without the readings of these numbers.
 
         Their σ is so large that they do not count.
@@ -477,6 +473,11 @@ class Whitening:
     root: Array
 
     @classmethod
+    def of(cls, covariance: Array) -> "Whitening":
+        """Return the whitening of C, (readings, readings)."""
+        return cls(cholesky(covariance, lower=True))
+
+    @classmethod
     def about(
         cls,
         frame: Observation,
@@ -487,7 +488,12 @@ class Whitening:
 
         `cells` is this covariance, (cells, cells).
         """
-        return cls(cholesky(frame.covariance(frame.baseline.network(change), cells), lower=True))
+        return cls.of(frame.covariance(frame.baseline.network(change), cells))
+
+    @property
+    def matrix(self) -> Array:
+        """L⁻¹, (readings, readings)."""
+        return self @ np.eye(len(self.root))
 
     @cached_property
     def volume(self) -> float:
@@ -499,7 +505,7 @@ class Whitening:
         return np.asarray(lapack.dtrtrs(self.root, vectors, lower=1)[0])
 
 
-def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
+def outliers(whitening: Whitening, residual: Array) -> Numbers:
     """Return the numbers of the readings that deviate from their prediction by all other readings.
 
     z_i = (C⁻¹e)_i/√(C⁻¹)_ii is the leave-one-out residual over its standard deviation. The largest
@@ -513,7 +519,7 @@ def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
     residual : array, shape (readings,)
         e.
     """
-    inverse = whitening @ np.eye(len(residual))
+    inverse = whitening.matrix
     precision = inverse.T @ inverse
     pull = precision @ residual
     fitting = np.ones(len(residual), dtype=bool)
@@ -531,7 +537,7 @@ def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
     return np.flatnonzero(~fitting)
 
 
-def alone(panel: Panel, cells: NDArray[np.intp]) -> NDArray[np.intp]:
+def alone(panel: Panel, cells: Numbers) -> Numbers:
     """Return those of the numbered cells that have no neighbour among them."""
     first, second, _ = panel.neighbours
     both = np.isin(first, cells) & np.isin(second, cells)

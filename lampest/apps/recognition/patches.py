@@ -74,6 +74,9 @@ def pressure_at_places(
 def _at_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) -> Array:
     """Return the mean over points of the pressure and of its derivatives, (13, cells).
 
+    The pressure is p = rim_kpa · (whole − hole) · (1 + tilt·(u, v)/R + lobes) + suction · hole,
+    with soft indicators of disc and hole.
+
     Parameters
     ----------
     x, y : array, shape (cells, points)
@@ -84,72 +87,6 @@ def _at_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) ->
         Half the width of soft edges, mm.
     """
     outer = disc.diameter_mm / 2
-    press = disc.rim_kpa
-    means = _means_over_points(x, y, disc, form, soft)
-    lean = (disc.tilt_x * means.rim_u + disc.tilt_y * means.rim_v) / outer
-    return np.array(
-        [
-            press * means.level + disc.suction_kpa * means.hole,
-            form.across * means.by_v - (1 - form.along) * means.by_u,
-            form.across * means.by_u - (1 + form.along) * means.by_v,
-            -press * (means.by_outer + lean / outer) / 2,
-            (press * means.by_inner - disc.suction_kpa * means.hole_slope) / 2,
-            means.hole,
-            means.level,
-            press / outer * means.rim_u,
-            press / outer * means.rim_v,
-            means.by_along,
-            -means.by_across,
-            press * means.rim_twice,
-            press * means.rim_cross,
-        ]
-    )
-
-
-class _Means(NamedTuple):
-    """Means over the points of a patch, (cells,) each, which the derivatives are composed of.
-
-    Attributes
-    ----------
-    level, hole : array
-        Relative pressure of the rim, and share of the hole.
-    by_u, by_v : array
-        Slopes of the pressure, kPa/mm.
-    by_outer, by_inner : array
-        Relative pressure of the rim times the slopes of the edges.
-    hole_slope : array
-        Slope of the hole's edge.
-    rim_u, rim_v : array
-        First moments of the rim.
-    by_along, by_across : array
-        Changes of the pressure with the elongation.
-    rim_twice, rim_cross : array
-        Rim times cos 2θ and sin 2θ.
-    """
-
-    level: Array
-    hole: Array
-    by_u: Array
-    by_v: Array
-    by_outer: Array
-    by_inner: Array
-    hole_slope: Array
-    rim_u: Array
-    rim_v: Array
-    by_along: Array
-    by_across: Array
-    rim_twice: Array
-    rim_cross: Array
-
-
-def _means_over_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) -> _Means:
-    """Return the means that `_at_points` combines; both functions have the same parameters.
-
-    The pressure is p = rim_kpa · (whole − hole) · (1 + tilt·(u, v)/R + lobes) + suction · hole,
-    with soft indicators of disc and hole.
-    """
-    outer = disc.diameter_mm / 2
-    press = disc.rim_kpa
     # Coordinates in which the elongated disc is round: (u, v) = ((1 − a) x − s y, (1 + a) y − s x).
     u = (1 - form.along) * x - form.across * y
     v = (1 + form.along) * y - form.across * x
@@ -159,38 +96,35 @@ def _means_over_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: f
     (whole, hole), (whole_slope, hole_slope) = _inside(radius - edges[:, None, None], soft)
     if not disc.inner_mm:
         hole = hole_slope = np.zeros_like(radius)
-    rim = whole - hole
+    rim = disc.rim_kpa * (whole - hole)
     # cos 2θ and sin 2θ
     twice = (u * u - v * v) / square
     cross = 2 * u * v / square
-    level = (
-        1
-        + (disc.tilt_x / outer) * u
-        + (disc.tilt_y / outer) * v
-        + form.lobe_along * twice
-        + form.lobe_across * cross
-    )
+    tilt = (disc.tilt_x * u + disc.tilt_y * v) / outer
+    level = 1 + tilt + form.lobe_along * twice + form.lobe_across * cross
+    by_outer = disc.rim_kpa * level * whole_slope
+    by_inner = (disc.rim_kpa * level - disc.suction_kpa) * hole_slope
     # ∂p/∂u and ∂p/∂v by the chain rule: radially, by the tilt, and by the angle of the lobes
-    outward = (press * level * (whole_slope - hole_slope) + disc.suction_kpa * hole_slope) / radius
-    turned = (2 * press) * rim * (form.lobe_across * twice - form.lobe_along * cross) / square
-    by_u = outward * u + (press * disc.tilt_x / outer) * rim - turned * v
-    by_v = outward * v + (press * disc.tilt_y / outer) * rim + turned * u
-    integrands = _Means(
-        level=rim * level,
-        hole=hole,
-        by_u=by_u,
-        by_v=by_v,
-        by_outer=level * whole_slope,
-        by_inner=level * hole_slope,
-        hole_slope=hole_slope,
-        rim_u=rim * u,
-        rim_v=rim * v,
-        by_along=by_v * y - by_u * x,
-        by_across=by_u * y + by_v * x,
-        rim_twice=rim * twice,
-        rim_cross=rim * cross,
-    )
-    return _Means(*(np.array(integrands) @ np.full(x.shape[1], 1 / x.shape[1])))
+    outward = (by_outer - by_inner) / radius
+    turned = 2 * rim * (form.lobe_across * twice - form.lobe_along * cross) / square
+    by_u = outward * u + (disc.tilt_x / outer) * rim - turned * v
+    by_v = outward * v + (disc.tilt_y / outer) * rim + turned * u
+    integrands = [
+        rim * level + disc.suction_kpa * hole,
+        form.across * by_v - (1 - form.along) * by_u,
+        form.across * by_u - (1 + form.along) * by_v,
+        -(by_outer + rim * tilt / outer) / 2,
+        by_inner / 2,
+        hole,
+        (whole - hole) * level,
+        rim * u / outer,
+        rim * v / outer,
+        by_v * y - by_u * x,
+        -by_u * y - by_v * x,
+        rim * twice,
+        rim * cross,
+    ]
+    return np.asarray(np.mean(integrands, axis=2))
 
 
 def _inside(beyond: Array, soft: float) -> tuple[Array, Array]:

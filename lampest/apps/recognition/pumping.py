@@ -79,6 +79,26 @@ GRID = (len(KINDS), len(LEAKS), len(NOISES), len(DRIFTS), HYPOTHESES)
 MIN_LOG_ODDS = -5.0
 
 
+class Moments(NamedTuple):
+    """Suction under every hypothesis, arrays (kinds, leaks, noises, drifts, hypotheses) each.
+
+    Attributes
+    ----------
+    mean, variance : array
+        Mean and variance of u.
+    age_s : array
+        Time since its last jump, s.
+    level, level_variance : array
+        Mean and variance of u after its last jump.
+    """
+
+    mean: Array
+    variance: Array
+    age_s: Array
+    level: Array
+    level_variance: Array
+
+
 @dataclass(frozen=True, eq=False)
 class Pumping:
     """State of the change-point detection of one attachment's suction.
@@ -95,12 +115,7 @@ class Pumping:
         Number of the attachment's moves when the weights were computed.
     logarithm : array, shape (kinds, leaks, noises, drifts, hypotheses)
         ln of the joint probability.
-    mean, variance : array, same shape
-        Mean and variance of u given a hypothesis.
-    age_s : array, same shape
-        Time since its last jump, s.
-    level, level_variance : array, same shape
-        Mean and variance of u after its last jump.
+    moments : Moments
     observed_s : float
         Time over which samples were taken, s.
     pumps : tuple of (int, float, float)
@@ -112,11 +127,7 @@ class Pumping:
     since_s: float
     moves: int
     logarithm: Array
-    mean: Array
-    variance: Array
-    age_s: Array
-    level: Array
-    level_variance: Array
+    moments: Moments
     observed_s: float = 0.0
     pumps: tuple[int, float, float] = (0, np.inf, -np.inf)
 
@@ -133,24 +144,19 @@ class Pumping:
 
         `before` is that of the same attachment in its previous place.
         """
-        logarithm = np.asarray(np.log(OF_KINDS.share))
-        if before is not None:
-            logarithm = np.asarray(logsumexp(before.logarithm, axis=-1, keepdims=True))
-        track = cls(
-            weights=weights,
-            reference=reference,
-            since_s=time,
-            moves=moves,
-            logarithm=np.broadcast_to(logarithm, GRID),
-            mean=np.zeros(GRID),
-            variance=np.ones(GRID),
-            age_s=np.zeros(GRID),
-            level=np.full(GRID, FIRST_LEVEL[0]),
-            level_variance=np.full(GRID, FIRST_LEVEL[1] ** 2),
-        )
+        level, level_sd = FIRST_LEVEL
+        moments = Moments(*(np.full(GRID, value) for value in (0.0, 1.0, 0.0, level, level_sd**2)))
+        prior = np.broadcast_to(np.log(OF_KINDS.share), GRID)
+        track = cls(weights, reference, time, moves, prior, moments)
         if before is None:
             return track
-        return replace(track, observed_s=before.observed_s, pumps=before.pumps)
+        logarithm = logsumexp(before.logarithm, axis=-1, keepdims=True)
+        return replace(
+            track,
+            logarithm=np.broadcast_to(logarithm, GRID),
+            observed_s=before.observed_s,
+            pumps=before.pumps,
+        )
 
     def interrupted(self) -> "Pumping":
         """Return the state whose weights and reference hold no more, as after a move."""
@@ -175,17 +181,14 @@ class Pumping:
         u decays by λ Δt, and its variance grows by q² Δt. A jump has the probability 1 − e^(−rate
         Δt).
         """
-        leak = LEAKS[:, None, None, None]
-        drift = DRIFTS[:, None]
-        rate = np.where(self.age_s < OF_KINDS.interval_s, KINDS[0].rate_hz / 2, OF_KINDS.rate_hz)
-        mean = self.mean - leak * seconds
-        variance = self.variance + drift**2 * seconds
+        mean, variance, age_s, level, level_variance = self.moments
+        rate = np.where(age_s < OF_KINDS.interval_s, KINDS[0].rate_hz / 2, OF_KINDS.rate_hz)
+        mean = mean - LEAKS[:, None, None, None] * seconds
+        variance = variance + DRIFTS[:, None] ** 2 * seconds
         jumps = self.logarithm + np.log(-np.expm1(-rate * seconds))
-        stays = self.logarithm - rate * seconds
         # A pump raises the suction. The hypothesis of a jump merges all leaks and all earlier
         # hypotheses by their mean and variance.
-        rises = self.level - mean
-        higher = ndtr(rises / np.sqrt(self.level_variance + variance + RESTORED_SD**2))
+        higher = ndtr((level - mean) / np.sqrt(level_variance + variance + RESTORED_SD**2))
         jumps[-1] += np.log(np.maximum(higher[-1], np.exp(-MAX_LOG_RATIO)))
         total = logsumexp(jumps, axis=(1, 4), keepdims=True)
         share = np.exp(jumps - total)
@@ -196,55 +199,36 @@ class Pumping:
             return middle, spread
 
         middle, spread = merged(mean, variance)
-        level, level_spread = merged(self.level, self.level_variance)
+        restored, restored_spread = merged(level, level_variance)
         after = middle + OF_KINDS.jump
         after_spread = spread + OF_KINDS.jump_sd**2
-        after[-1] = level[-1]
-        after_spread[-1] = level_spread[-1] + RESTORED_SD**2
-        return replace(
-            self,
-            logarithm=_with_hypothesis(total - np.log(len(LEAKS)), stays),
-            mean=_with_hypothesis(after, mean),
-            variance=_with_hypothesis(after_spread, variance),
-            age_s=_with_hypothesis(np.zeros_like(total), self.age_s + seconds),
-            level=_with_hypothesis(level, self.level),
-            level_variance=_with_hypothesis(level_spread, self.level_variance),
-        )
+        after[-1] = restored[-1]
+        after_spread[-1] = restored_spread[-1] + RESTORED_SD**2
+        jumped = Moments(after, after_spread, np.zeros_like(total), restored, restored_spread)
+        stays = Moments(mean, variance, age_s + seconds, level, level_variance)
+        logarithm = _with_hypothesis(total - np.log(len(LEAKS)), self.logarithm - rate * seconds)
+        moments = Moments(*map(_with_hypothesis, jumped, stays))
+        return replace(self, logarithm=logarithm, moments=moments)
 
     def _updated(self, sample: float) -> "Pumping":
         """Return the state with a sample s ~ N(mean, variance + σ²), and the best hypotheses.
 
         Mean and variance are updated by a Kalman step.
         """
-        noise = NOISES[:, None, None]
-        wide: Array = self.variance + noise**2
-        misfit = (sample - self.mean) ** 2 / wide + np.log(wide)
+        wide: Array = self.moments.variance + NOISES[:, None, None] ** 2
+        misfit = (sample - self.moments.mean) ** 2 / wide + np.log(wide)
         logarithm: Array = self.logarithm - 0.5 * misfit
         best = np.argsort(-logarithm, axis=-1)[..., :HYPOTHESES]
-        logarithm, mean, variance, age, level, level_variance, wide = (
-            np.take_along_axis(values, best, axis=-1)
-            for values in (
-                logarithm,
-                self.mean,
-                self.variance,
-                self.age_s,
-                self.level,
-                self.level_variance,
-                wide,
-            )
+        logarithm, wide, mean, variance, age_s, level, level_variance = (
+            np.take_along_axis(values, best, axis=-1) for values in (logarithm, wide, *self.moments)
         )
         mean = mean + variance / wide * (sample - mean)
         variance = variance * (1 - variance / wide)
-        pumped = age == 0
-        return replace(
-            self,
-            logarithm=logarithm - logsumexp(logarithm),
-            mean=mean,
-            variance=variance,
-            age_s=age,
-            level=np.where(pumped, mean, level),
-            level_variance=np.where(pumped, variance, level_variance),
-        )
+        pumped = age_s == 0
+        level = np.where(pumped, mean, level)
+        level_variance = np.where(pumped, variance, level_variance)
+        moments = Moments(mean, variance, age_s, level, level_variance)
+        return replace(self, logarithm=logarithm - logsumexp(logarithm), moments=moments)
 
     def _limited(self) -> "Pumping":
         """Return the state in which no combination is much less probable than the best.
@@ -263,7 +247,7 @@ class Pumping:
         """
         count, first, last = self.pumps
         mouth = self.logarithm[-1]
-        share = np.exp(logsumexp(mouth[self.age_s[-1] <= seconds]) - logsumexp(mouth))
+        share = np.exp(logsumexp(mouth[self.moments.age_s[-1] <= seconds]) - logsumexp(mouth))
         if share <= 0.5 or time - last < KINDS[-1].interval_s:
             return self
         return replace(self, pumps=(count + 1, min(first, time), time))

@@ -8,12 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from lampest.apps.recognition.observation import Observation
 from lampest.files.levels import MAD_TO_SIGMA
 from lampest.panel.conditions import motion_patterns
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 
 LEVEL_FRAMES = 9  # two seconds at four frames a second: more than one breath
 MIN_PART = 4  # frames between two steps, with which a part says more than its mean
@@ -54,7 +53,7 @@ class SteadyFrames(NamedTuple):
 
     times: Array
     logarithms: Array
-    part: NDArray[np.intp]
+    part: Numbers
     period: float
     leak_s: float = np.inf
 
@@ -67,7 +66,7 @@ class SteadyFrames(NamedTuple):
         none = np.zeros(len(times), dtype=np.intp)
         return cls(times, logarithms, none, float(np.median(np.diff(times)))).parted(steps)[0]
 
-    def parted(self, steps: Sequence[float]) -> tuple["SteadyFrames", NDArray[np.bool_]]:
+    def parted(self, steps: Sequence[float]) -> tuple["SteadyFrames", Mask]:
         """Return the interval with further steps.
 
         Returns
@@ -85,13 +84,9 @@ class SteadyFrames(NamedTuple):
         still &= np.array(
             [np.sum(still & (apart == number)) >= MIN_PART for number in apart], dtype=bool
         )
-        _, part = np.unique(apart[still], return_inverse=True)
-        steady = self._replace(
-            times=self.times[still], logarithms=self.logarithms[still], part=part
-        )
-        return steady, still
+        return self._replace(part=apart).only(still), still
 
-    def only(self, frames: NDArray[np.bool_]) -> "SteadyFrames":
+    def only(self, frames: Mask) -> "SteadyFrames":
         """Return the interval of some frames, (frames,)."""
         _, part = np.unique(self.part[frames], return_inverse=True)
         return self._replace(
@@ -193,7 +188,7 @@ def changes_without_water(interval: SteadyFrames, frame: Observation, change: Ar
     by_cell = frame.slope(change) / frame.measured.ravel()[:, None]
     slopes = by_cell @ patterns.reshape(len(patterns), -1).T
     water = np.linalg.pinv(slopes[free]) @ changes[:, free].T
-    return np.asarray(changes - (slopes @ water).T)
+    return changes - (slopes @ water).T
 
 
 def settled(series: Array) -> Array:
@@ -205,4 +200,4 @@ def settled(series: Array) -> Array:
     around = np.pad(series, ((half, half), *((0, 0) for _ in series.shape[1:])), mode="edge")
     level = np.median(sliding_window_view(around, LEVEL_FRAMES, axis=0), axis=-1)
     most = 4 * MAD_TO_SIGMA * np.median(np.abs(series - level), axis=0)
-    return np.asarray(np.clip(series, level - most, level + most))
+    return np.clip(series, level - most, level + most)

@@ -9,10 +9,10 @@ from functools import cached_property
 from math import exp, expm1, log, sqrt
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import softmax
 
 from lampest.apps.recognition import mouth_model
-from lampest.apps.recognition.bent_suction import BentSuction
 from lampest.apps.recognition.hypotheses import EVIDENCE_SHARE
 from lampest.apps.recognition.mouth_model import SUCTION
 from lampest.apps.recognition.observation import MostProbable, Observation, Whitening
@@ -22,6 +22,7 @@ from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.response import (
     CURVE_KPA,
+    CURVE_RATIO,
     TYPICAL_RESPONSE_SD,
     PublishedResponse,
     Response,
@@ -38,6 +39,25 @@ PLACE_MM = 0.5
 EXPONENTS = (1 / 3, 2.0)
 # Of a film's response from cell to cell, over the usual deviation: films are glued and bent.
 UNEVENNESS = 2.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class BentSuction(PublishedResponse):
+    """Published curve with a power law for suction through the one published point.
+
+    ln f = 2.02·(p/−10)^exponent. A straight line of r through that point corresponds to exponents
+    of ½ at −5 kPa and ⅓ at −30 kPa, a threshold of 2 kPa to one of about 2.
+    """
+
+    exponent: float
+
+    def logarithm(self, pressure: ArrayLike) -> Array:
+        """Return ln f(p) for pressures in kPa, any shape."""
+        pressure = np.asarray(pressure, dtype=float)
+        # ln f = ln 7.54·(p/−10)^exponent for suction
+        share = np.minimum(pressure, 0.0) / CURVE_KPA[0]
+        rise = np.log(CURVE_RATIO[0]) * share**self.exponent
+        return np.asarray(super().logarithm(np.maximum(pressure, 0.0)) + rise)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -229,7 +249,7 @@ class SuckingDisc:
         )
         explained = np.stack([point.own, np.abs(upper - lower) / 2, (large - small) / (1.1 - 0.9)])
         uneven, shared = frame.baseline.film_parts(explained)
-        return np.asarray(self.scatter**2 * uneven + shared + np.diag(free**2))
+        return self.scatter**2 * uneven + shared + np.diag(free**2)
 
     def _errors_about(self, point: DiscPoint) -> Whitening:
         """Return the errors of the readings about a disc."""

@@ -7,16 +7,15 @@ loads next to it, or on the film's curve.
 """
 
 from dataclasses import dataclass
-from math import hypot, log, pi
+from math import dist, hypot, inf, log, pi
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.special import expit, log_ndtr, logit, ndtr
 
 from lampest.apps.recognition.observation import Observation, patch_of
-from lampest.panel.panel import Array, Panel
-from lampest.recording.shapes.disc import Disc
+from lampest.panel.panel import Array, Mask, Panel
+from lampest.recording.shapes.disc import Disc, bearing_kpa
 
 # ln r/r0 by a suction of 1 kPa. Of 64 hands, rocks, fish, fins, bubbles, rods and rings none raised
 # a cell by more than 0.1 beyond its error; of 48 mouths and cups of −2.5 kPa and more, 47 raised
@@ -57,7 +56,7 @@ class Suction:
         Their middle, weighted with ln r/r0.
     """
 
-    cells: NDArray[np.bool_]
+    cells: Mask
     odds: float
     x_mm: float
     y_mm: float
@@ -67,21 +66,18 @@ class Suction:
         """Probability that the place is under suction."""
         return float(expit(self.odds))
 
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Coordinates x and y of the middle, mm."""
+        return self.x_mm, self.y_mm
+
     def disc(self, panel: Panel) -> Disc:
         """Return the disc of the same area of suction with a usual rim."""
         inner = 2 * (float(self.cells.sum()) / pi) ** 0.5 * panel.pitch_mm
         width, suction = RIM_MM
         outer = inner + 2 * width
-        return Disc(
-            self.x_mm,
-            self.y_mm,
-            outer,
-            inner,
-            suction,
-            -suction * inner**2 / (outer**2 - inner**2),
-            0.0,
-            0.0,
-        )
+        bearing = bearing_kpa(suction, inner, outer)
+        return Disc(*self.centre, outer, inner, suction, bearing, 0.0, 0.0)
 
 
 def suctions(frame: Observation) -> list[Suction]:
@@ -116,20 +112,24 @@ def suctions(frame: Observation) -> list[Suction]:
         weight = change[cells] / change[cells].sum()
         x, y = panel.places_mm[:, cells] @ weight
         places.append(Suction(cells, odds, float(x), float(y)))
-    places = [place for place in places if place.odds > 0]
     places.sort(key=lambda place: -float(change[place.cells].sum()))
-    return _merged(panel, places)
+    # without those that are nearer to a larger one than two mouths can be
+    separate = list[Suction]()
+    for place in places:
+        distances = [dist(place.centre, larger.centre) for larger in separate]
+        if place.odds > 0 and min(distances, default=inf) > APART_PITCHES * panel.pitch_mm:
+            separate.append(place)
+    return separate
 
 
-def under(panel: Panel, disc: Disc) -> NDArray[np.bool_]:
+def under(panel: Panel, disc: Disc) -> Mask:
     """Return the cells whose centre is within a disc enlarged by half a pitch, (rows, columns)."""
     across, down = panel.places_mm
-    return np.asarray(
-        np.hypot(across - disc.x_mm, down - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2
-    )
+    reach = (disc.diameter_mm + panel.pitch_mm) / 2
+    return np.asarray(np.hypot(across - disc.x_mm, down - disc.y_mm) < reach)
 
 
-def inner_cells(panel: Panel, place: tuple[float, float], diameter_mm: float) -> NDArray[np.bool_]:
+def inner_cells(panel: Panel, place: tuple[float, float], diameter_mm: float) -> Mask:
     """Return the cells that would show that a round load sucks, boolean (rows, columns).
 
     Their patches lie within a usual rim.
@@ -147,7 +147,7 @@ def inner_cells(panel: Panel, place: tuple[float, float], diameter_mm: float) ->
     return np.asarray(panel.present & inside)
 
 
-def rise_odds(frame: Observation, cells: NDArray[np.bool_]) -> float:
+def rise_odds(frame: Observation, cells: Mask) -> float:
     """Return the ln likelihood ratio of suction by the clearest of some cells.
 
     At least UNRISEN remains: that suction raises no cell. The result is 0 without cells.
@@ -193,7 +193,7 @@ def _even(frame: Observation) -> bool:
     return bool(upper - lower < MAX_RANGE)
 
 
-def _rise_of_lines(frame: Observation, cells: NDArray[np.bool_]) -> float:
+def _rise_of_lines(frame: Observation, cells: Mask) -> float:
     """Return by how much the rows or the columns of a group have risen beside it, 0 or more.
 
     An amplifier that saturates under a heavy load raises all cells of its line that have not
@@ -204,7 +204,7 @@ def _rise_of_lines(frame: Observation, cells: NDArray[np.bool_]) -> float:
     return max([0.0, *(float(np.median(frame.free_map[line])) for line in lines if line.any())])
 
 
-def _enclosure(frame: Observation, cells: NDArray[np.bool_]) -> float:
+def _enclosure(frame: Observation, cells: Mask) -> float:
     """Return the ln likelihood ratio of suction by the neighbours of a group, (rows, columns).
 
     A neighbour has fallen by more than MIN_FALL with the probability p. It has with the probability
@@ -220,7 +220,7 @@ def _enclosure(frame: Observation, cells: NDArray[np.bool_]) -> float:
     return float(np.sum(np.log(under / (1 - under))))
 
 
-def groups_of(panel: Panel, which: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
+def groups_of(panel: Panel, which: Mask) -> list[Mask]:
     """Return the groups of neighbouring cells among some, in the order of their cells.
 
     Each group is a boolean array (rows, columns).
@@ -236,22 +236,10 @@ def groups_of(panel: Panel, which: NDArray[np.bool_]) -> list[NDArray[np.bool_]]
     return [labels.reshape(which.shape) == label for label in dict.fromkeys(labels[which.ravel()])]
 
 
-def around(panel: Panel, group: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def around(panel: Panel, group: Mask) -> Mask:
     """Return the neighbours of a group of cells that are not of it, boolean (rows, columns)."""
     first, second, _ = panel.neighbours
     beside = np.zeros(group.size, dtype=bool)
     beside[second[group.flat[first]]] = True
     beside[first[group.flat[second]]] = True
     return beside.reshape(group.shape) & ~group
-
-
-def _merged(panel: Panel, places: list[Suction]) -> list[Suction]:
-    """Return the places without those that are nearer to a larger one than two mouths can be."""
-    separate = list[Suction]()
-    for place in places:
-        distances_mm = [
-            np.hypot(place.x_mm - larger.x_mm, place.y_mm - larger.y_mm) for larger in separate
-        ]
-        if min(distances_mm, default=np.inf) / panel.pitch_mm > APART_PITCHES:
-            separate.append(place)
-    return separate

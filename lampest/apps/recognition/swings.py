@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
-from numpy.typing import NDArray
 
 from lampest.apps.recognition import mouth_model
 from lampest.apps.recognition.hypotheses import BREATH, BREATHING_SD
@@ -18,7 +17,7 @@ from lampest.apps.recognition.observation import Observation
 from lampest.apps.recognition.suction import MIN_FALL
 from lampest.apps.recognition.verdict import Verdict
 from lampest.files.levels import NOISE_REACH
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Mask, Panel
 from lampest.panel.response import CURVE_KPA, CURVE_RATIO, PublishedResponse
 
 # Assumed relative standard deviation of the whole rim's swing against that of suction, because the
@@ -57,7 +56,7 @@ class Patterns(NamedTuple):
         Cells that neither the load nor `others` contain, each by itself; none in `of`.
     curve : float
         Relative standard deviation of the depth by a curve under suction that was not measured.
-    bodies : array
+    adjoining : array
         The part of `others` by loads and bodies that adjoin the load and may move its rim; none in
         `of`.
     """
@@ -67,7 +66,7 @@ class Patterns(NamedTuple):
     moves: Array
     others: Array
     beside: Array
-    bodies: Array
+    adjoining: Array
     curve: float = 0.0
 
     @classmethod
@@ -121,14 +120,11 @@ class Patterns(NamedTuple):
         changes : array, shape (frames, readings)
         """
         span = np.linalg.qr(self.others)[0]
-        suction, rim, moves, beside, remaining = (
-            pattern - span @ (span.T @ pattern)
-            for pattern in (self.own, self.rim, self.moves, self.beside, changes.T)
-        )
-        return self._replace(own=suction, rim=rim, moves=moves, beside=beside), remaining.T
+        projection = np.eye(len(span)) - span @ span.T
+        return self.whitened(projection), changes @ projection
 
     def whitened(self, whitening: Array) -> "Patterns":
-        """Return the patterns of readings that are whitened once more, by (readings, readings)."""
+        """Return the patterns of readings that a matrix (readings, readings) combines once more."""
         return self._replace(
             own=whitening @ self.own,
             rim=whitening @ self.rim,
@@ -155,7 +151,7 @@ class Patterns(NamedTuple):
         film = np.hstack([depth * self.own[:, 1:], moving * self.rim, moving * self.moves])
         # w = C⁻¹ m/(mᵀ C⁻¹ m), with C = noise + F Fᵀ of the film's deviations and movements
         weighed = np.linalg.solve(noise * np.eye(len(mean)) + film @ film.T, mean)
-        return np.asarray(weighed / max(float(mean @ weighed), 1e-300))
+        return weighed / max(float(mean @ weighed), 1e-300)
 
     def suction_weights(self, whitening: Array) -> Array:
         """Return the weights (readings,) for the relative change of the load's suction.
@@ -165,7 +161,7 @@ class Patterns(NamedTuple):
         (readings, readings) whitens changes of ln y.
         """
         suction, _ = self.beside_others(np.zeros((1, len(whitening))))
-        return np.asarray(whitening.T @ suction.weights(BREATH.largest, 1.0, EDGE_SD))
+        return whitening.T @ suction.weights(BREATH.largest, 1.0, EDGE_SD)
 
 
 def patterns_of(verdict: Verdict, whitening: Array) -> list[Patterns]:
@@ -210,13 +206,13 @@ def patterns_of(verdict: Verdict, whitening: Array) -> list[Patterns]:
         patterns.append(
             pattern._replace(
                 beside=by_cell[:, ~(under | beside)],
-                bodies=by_cell[:, beside & adjoin(panel, beside, under)],
+                adjoining=by_cell[:, beside & adjoin(panel, beside, under)],
             )
         )
     return patterns
 
 
-def adjoin(panel: Panel, body: NDArray[np.bool_], load: NDArray[np.bool_]) -> bool:
+def adjoin(panel: Panel, body: Mask, load: Mask) -> bool:
     """Return whether one of a body's cells, (cells,), is within ADJOINS_PITCHES of a load's."""
     x, y = (line.ravel() / panel.pitch_mm for line in panel.places_mm)
     distance = np.hypot(x[body, None] - x[load], y[body, None] - y[load])

@@ -15,13 +15,16 @@ from lampest.apps.recognition.field import CellsUnderPrior
 from lampest.apps.recognition.hypotheses import EVIDENCE_SHARE
 from lampest.apps.recognition.observation import Observation
 from lampest.apps.recognition.sucking_disc import SuckingDisc
-from lampest.apps.recognition.suction import inner_cells, rise_odds
+from lampest.apps.recognition.suction import MIN_RISE, inner_cells, rise_odds
 from lampest.files.levels import NOISE_REACH
 from lampest.panel.panel import Array
 
 # χ² of a reading beyond which an explanation is refuted by its own misfit: films that keep a part
 # of a load have less (tests/apps/recognition/test_detector.py).
 MAX_MISFIT = 10.0
+MIN_RELIEVED = 3  # cells that rise where a load left: one or two are even by chance
+# Of the unevenness of cells under a load, which is left where it has gone: films keep an eighth.
+MAX_REMAINING = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,25 +83,46 @@ class Verdict:
         shrinks large changes.
         """
         cells = self.frame.free_map
-        agreed = np.where(
-            cells * self.change > 0, np.maximum(np.abs(cells), np.abs(self.change)), np.abs(cells)
-        )
-        return np.where(
-            np.abs(cells) > NOISE_REACH * self.frame.free_sd, np.sign(cells) * agreed, 0.0
-        )
+        size = np.abs(cells)
+        sign = np.sign(cells)
+        clear = size > NOISE_REACH * self.frame.free_sd
+        return np.where(clear, sign * np.maximum(size, sign * self.change), 0.0)
 
     def sucks_at(self, centre: tuple[float, float], diameter_mm: float) -> float:
         """Return the probability that a round load sucks, with its centre in mm.
 
         Its cells decide. A load without a cell that would show its suction has 1/2.
         """
-        places = [sucking.place for sucking in self.discs]
         near = [
-            place.probability
-            for place in places
-            if dist((place.x_mm, place.y_mm), centre) < diameter_mm / 2
+            sucking.place.probability
+            for sucking in self.discs
+            if dist(sucking.place.centre, centre) < diameter_mm / 2
         ]
         if near:
             return max(near)
         inner = inner_cells(self.frame.panel, centre, diameter_mm)
         return float(expit(min(rise_odds(self.frame, inner), 0.0)))
+
+
+def relieved_by_departure(verdict: Verdict) -> bool:
+    """Return whether the first change of a panel is a load that left.
+
+    Cells that a load leaves rise: half of those that changed, and at least MIN_RELIEVED. Before,
+    their deviations from the median of all are as uneven as loads make them; afterwards they have
+    less than MAX_REMAINING of the former sum of squares.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        Recognition of the first change.
+    """
+    frame = verdict.frame
+    intact = frame.panel.present & ~frame.baseline.scene.broken
+    least = np.maximum(MIN_RISE, NOISE_REACH * frame.free_sd)
+    changed = intact & (np.abs(frame.free_map) > least)
+    risen = changed & (frame.free_map > 0)
+    if risen.sum() < max(MIN_RELIEVED, changed.sum() / 2):
+        return False
+    before = frame.baseline.logarithm - np.median(frame.baseline.logarithm[intact])
+    after = before + frame.free_map
+    return bool(np.sum(after[changed] ** 2) < MAX_REMAINING * np.sum(before[changed] ** 2))

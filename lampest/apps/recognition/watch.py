@@ -16,15 +16,13 @@ import numpy as np
 
 from lampest.apps.recognition.attachment import Attachment, attachments_of, continued_by
 from lampest.apps.recognition.breathing import WINDOW_S
-from lampest.apps.recognition.departure import relieved_by_departure
 from lampest.apps.recognition.hypotheses import RARE_LOG_ODDS
 from lampest.apps.recognition.leaks import Leaks, leaks_of
 from lampest.apps.recognition.observation import Observation, counting
-from lampest.apps.recognition.open_lines import open_lines, without_lines
 from lampest.apps.recognition.step_test import StepTest
 from lampest.apps.recognition.suction import MIN_FALL
 from lampest.apps.recognition.swings import patterns_of
-from lampest.apps.recognition.verdict import Verdict
+from lampest.apps.recognition.verdict import Verdict, relieved_by_departure
 from lampest.apps.recognition.watch_parts import (
     FOLLOWS_S,
     MIN_FRAMES,
@@ -34,6 +32,7 @@ from lampest.apps.recognition.watch_parts import (
     UnloadedPanel,
     WatchSetup,
     latest,
+    without_open_lines,
 )
 from lampest.files.levels import NOISE_REACH
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
@@ -154,26 +153,18 @@ class Watch:
         sigma = counting(sigma, measured)
         resting = np.log(measured.ravel())
         baseline = setup.baseline(measured, sigma, frames)
-        swaying = np.full(len(setup.motion), setup.errors.swaying)
-        frame = setup.moved_by(swaying).frame(measured, sigma, baseline)
-        filled = np.where(np.isnan(unloaded), measured, unloaded).reshape(
-            len(unloaded), resting.size
+        swaying = replace(setup, motion=np.maximum(setup.motion, setup.errors.swaying))
+        filled = np.where(np.isnan(unloaded), measured, unloaded)
+        search = setup.detector.search(setup.scene.panel)
+        test = StepTest.of(
+            swaying.frame(measured, sigma, baseline),
+            search,
+            np.log(filled).reshape(len(unloaded), resting.size),
         )
-        search = setup.detector.search(frame.panel)
-        intact = np.where(setup.scene.broken, np.nan, frame.baseline.logarithm)
-        test = StepTest.of(frame, search, np.log(filled))
-        uneven = search.lies_on(intact)
+        intact = np.where(setup.scene.broken, np.nan, baseline.logarithm)
+        history = UNEVENLY if search.lies_on(intact) else ""
         rest = Level(resting, frames, time, time)
-        return cls(
-            setup,
-            test,
-            sigma,
-            sigma,
-            rest,
-            rest,
-            (resting, resting),
-            history=UNEVENLY if uneven else "",
-        )
+        return cls(setup, test, sigma, sigma, rest, rest, (resting, resting), history=history)
 
     @ONE_BLAS_THREAD
     def push(self, measured: Array, sigma: Array, time: float) -> "Watch":
@@ -207,10 +198,9 @@ class Watch:
         faults = dict(self.faults)
         if self.setup.scene.circuit.unit == "ohm":
             at_rest = np.exp(self.rest.mean).reshape(measured.shape)
-            opened = open_lines(measured, sigma, at_rest)
-            sigma = without_lines(sigma, opened)
+            sigma, opened = without_open_lines(measured, sigma, at_rest)
             for line in opened:
-                faults.setdefault(line.name, time)
+                faults.setdefault(line, time)
         counts = np.isfinite(sigma).ravel()
         logarithm = np.where(
             counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.level.mean
@@ -242,11 +232,8 @@ class Watch:
             np.median(logarithm[first : first + 3], axis=0) for first in range(len(unloaded) - 2)
         ]
         changes = np.nan_to_num([*medians, logarithm[0], logarithm[-1]] - self.rest.mean)
-        excess = np.array(
-            [np.max(self.test.scores(change) / self.test.least()) for change in changes]
-        )
-        first_and_last = slice(-2, None)
-        excess[first_and_last] /= SINGLE_FRAME
+        excess = np.max(self.test.scores(changes.T) / self.test.least()[:, None], axis=0)
+        excess[-2:] /= SINGLE_FRAME  # of the first and the last frame
         if excess.max() < 1:
             return False
         shown = self.rest.mean + changes[np.argmax(excess)]
@@ -277,7 +264,12 @@ class Watch:
     @property
     def _recognised(self) -> bool:
         """Whether the load on the panel was recognised before or since the last step."""
-        return self.look is not None and not self.look.over
+        return self._standing_look is not None
+
+    @property
+    def _standing_look(self) -> Look | None:
+        """The last recognition of the load on the panel; None without one."""
+        return None if self.look is None or self.look.over else self.look
 
     @property
     def _since_step(self) -> Frames:
@@ -328,8 +320,7 @@ class Watch:
         share = min((time - self.level.until_s) / FOLLOWS_S, 1.0)
         follows = max(1 / (self.level.frames + 1), share)
         mean = self.level.mean + follows * (shown - self.level.mean)
-        frames = min(self.level.frames + 1, max(1 / follows, 1.0))
-        level = Level(mean, frames, self.level.since_s, time)
+        level = Level(mean, 1 / follows, self.level.since_s, time)
         if self.present:
             return replace(self, level=level, window=latest((*self.window, (time, logarithm))))
         scores = self.test.scores(shown - self.level.mean)
@@ -348,13 +339,12 @@ class Watch:
         least = former._least_step(former.level.until_s)
         if np.any(former.test.scores(logarithm - former.level.mean) >= least):
             return self
-        level = replace(former.level, until_s=self.level.until_s)
         return replace(
             former,
             recent=self.recent,
             sigma=self.sigma,
             window=self.window,
-            level=level,
+            level=replace(former.level, until_s=self.level.until_s),
             faults=self.faults,
         )
 
@@ -377,11 +367,10 @@ class Watch:
         The film's residue is in C.
         """
         setup, change = self.setup.without_motion(logarithm - self.rest.mean)
-        logarithm = self.rest.mean + change
         unloaded = self.unloaded or self._unloaded_panel()
         # of the errors, the motion changes those of a frame's cells, and not the unloaded panel
         baseline = replace(unloaded.baseline, model_errors=setup.moved_errors)
-        measured = np.exp(logarithm).reshape(self.setup.scene.panel.shape)
+        measured = np.exp(self.rest.mean + change).reshape(self.setup.scene.panel.shape)
         frame = setup.frame(measured, self.sigma, baseline, time - self.rest.until_s)
         covariance = baseline.covariance.copy()
         np.einsum("ii->i", covariance)[: logarithm.size] += self._keeps(frame) ** 2
@@ -389,9 +378,7 @@ class Watch:
 
     def _unloaded_panel(self) -> UnloadedPanel:
         """Return the panel at rest."""
-        mean = np.exp(self.rest.mean).reshape(self.setup.scene.panel.shape)
-        frames = max(self.rest.frames, 1.0)
-        return UnloadedPanel(self.setup, mean, self.resting_sigma, frames, self.leaks)
+        return UnloadedPanel(self.setup, self.rest, self.resting_sigma, self.leaks)
 
     def _with_leaks(self, logarithm: Array, time: float) -> tuple["Watch", Observation]:
         """Return the watch with the leaks that readings ln y show, and the frame of the readings.
@@ -431,8 +418,9 @@ class Watch:
         if load.held is None or self.look is None:
             return True
         change = frame.free_map - self._common(frame.free_map)
-        residue = self.setup.errors.residue
-        return load.held.has_left(change, frame.free_sd, self.look.reached, residue)
+        return load.held.has_left(
+            change, frame.free_sd, self.look.reached, self.setup.errors.residue
+        )
 
     @property
     def _standing(self) -> tuple[Attachment, ...]:
@@ -441,25 +429,20 @@ class Watch:
 
     def _common(self, change: Array) -> float:
         """Return the median of ln r/r0, (rows, columns), over the cells without a load."""
-        free = self._before == 0
-        return float(np.median(change[free])) if np.any(free) else 0.0
+        look = self._standing_look
+        free = change if look is None else change[look.verdict.changed == 0]
+        return float(np.median(free)) if free.size else 0.0
 
     def _keeps(self, frame: Observation) -> Array | float:
         """Return `film_sd` after a step of the recognised load.
 
         The film keeps the residue of each cell's decrease from the largest |ln r/r0| it reached.
         """
-        if self.known or self.look is None or self.look.over:
+        look = self._standing_look
+        if self.known or look is None:
             return self.film_sd
-        fall = np.maximum(self.look.reached - np.abs(frame.map), 0.0).ravel()
-        return np.asarray(np.maximum(self.film_sd, self.setup.errors.residue * fall))
-
-    @property
-    def _before(self) -> Array:
-        """ln r/r0 (rows, columns) of the load before the last step; 0 without one."""
-        if self.look is None or self.look.over:
-            return np.zeros(self.setup.scene.panel.shape)
-        return self.look.verdict.changed
+        fall = np.maximum(look.reached - np.abs(frame.map), 0.0).ravel()
+        return np.maximum(self.film_sd, self.setup.errors.residue * fall)
 
     def _gone(self, time: float) -> "Watch":
         """Return the watch after the load has left at a time in s.
@@ -468,15 +451,22 @@ class Watch:
         """
         closed = tuple(load.ended(time) if load.present else load for load in self.attachments)
         watch = replace(
-            self, present=False, known=False, former=None, attachments=closed, film_sd=0.0
+            self,
+            present=False,
+            known=False,
+            former=None,
+            attachments=closed,
+            film_sd=0.0,
+            next_s=np.inf,
+            window=(),
+            steps=(),
+            unloaded=None,
         )
-        watch = replace(watch, next_s=np.inf, window=(), steps=(), unloaded=None)
-        if self.look is None or self.look.over:
+        look = self._standing_look
+        if look is None:
             return replace(watch, level=replace(self.rest, until_s=self.level.until_s))
         rest = replace(self.level, since_s=time)
-        return replace(
-            watch, level=rest, rest=rest, look=replace(self.look, time_s=time, over=True)
-        )
+        return replace(watch, level=rest, rest=rest, look=replace(look, time_s=time, over=True))
 
     def _with_brief_load(self) -> "Watch":
         """Return the watch with a load that has left before it was looked at.
@@ -494,11 +484,12 @@ class Watch:
         ]
         if len(stood) < MIN_FRAMES:
             return self
-        begin = stood[0][0]
+        times, logarithms = zip(*stood, strict=True)
+        begin = times[0]
         end = self.level.since_s
         if not self.setup.detector.any_form:
             return replace(self, brief=(*self.brief, (begin, end)))
-        frame = self._frame(np.median([logarithm for _, logarithm in stood], axis=0), begin)
+        frame = self._frame(np.median(logarithms, axis=0), begin)
         verdict = self.setup.detector.verdict(frame)
         loads = [load.ended(end) for load in attachments_of(verdict, begin, any_form=True)]
         return replace(self, attachments=(*self.attachments, *loads))
@@ -571,14 +562,15 @@ class Watch:
 
         The cells that the loads have reached, before a slide, too, then show no more than it.
         """
-        if self.known or not self._recognised or self.look is None:
+        look = self._standing_look
+        if self.known or look is None:
             return False
         change = verdict.changed
         remains = np.where(change != 0, change - self._common(verdict.frame.free_map), 0.0)
         if any(load.held is not None and np.any(load.held.change < 0) for load in self._standing):
             remains = np.minimum(remains, 0.0)
         remains = np.where(np.abs(remains) > MIN_FALL, np.abs(remains), 0.0)  # less is drift
-        residues = NOISE_REACH * self.setup.errors.residue * self.look.reached
+        residues = NOISE_REACH * self.setup.errors.residue * look.reached
         return bool(np.sum(remains**2) <= np.sum(remains * residues))
 
     def _heard(self, time: float) -> "Watch":
@@ -589,12 +581,13 @@ class Watch:
         have left, so its breath is judged again from the next recognition on.
         """
         assert self.look is not None
-        loads = list(self.attachments)
         verdict = self.look.verdict
-        for number, load in enumerate(loads):
+        whitening = self.test.whitening
+        loads = list[Attachment]()
+        for load in self.attachments:
             if load.present and load.patterns is not None:
-                load = load.sampled(self.window, self.test.whitening, verdict.frame)
+                load = load.sampled(self.window, whitening, verdict.frame)
                 if self.known:
-                    load = load.listened(self.window[:-1], self.steps, self.test.whitening, verdict)
-                loads[number] = load
+                    load = load.listened(self.window[:-1], self.steps, whitening, verdict)
+            loads.append(load)
         return replace(self, attachments=tuple(loads))

@@ -17,11 +17,16 @@ from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH
 from lampest.panel.conditions import motion_patterns, moved_by_water, water_pressure
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from lampest.posterior.frame_noise import FrameNoise
 
 # Time constant, s, with which means follow the frames, and with which a residue fades.
 FOLLOWS_S = 20.0
 MIN_FRAMES = 3  # that a recognition needs
 DEVIATION_ROUNDS = 12  # of weighted least squares, which approach least absolute deviations
+# Resistances of an open line over those at rest, and the share of its readings that have them:
+# mouths raise up to five cells of a row of ten.
+OPEN_RATIO = 2.0
+OPEN_SHARE = 0.8
 # Times in s, and readings ln y, (cells,).
 Frames = tuple[tuple[float, Array], ...]
 
@@ -73,6 +78,15 @@ class WatchSetup:
         detector = Detector(patch_of(scene.panel, patch_mm), any_form=scene.purpose == "mat")
         return cls(scene, detector, water_pressure(scene.panel, scene.water), errors)
 
+    def with_noise(self, noise: FrameNoise) -> "WatchSetup":
+        """Return the constants with random errors that the readings of a frame share."""
+        electronic = replace(noise, motion=np.zeros(0))
+
+        def common(measured: Array) -> Array:
+            return electronic.columns(measured[None], baseline=False)
+
+        return replace(self, common=common, motion=noise.motion)
+
     def frame(
         self, measured: Array, sigma: Array, baseline: Baseline, seconds: float = 0.0
     ) -> Observation:
@@ -98,10 +112,6 @@ class WatchSetup:
         """The errors in water that moves by `motion`."""
         return self.errors.in_motion(self.motion)
 
-    def moved_by(self, motion: Array) -> "WatchSetup":
-        """Return the constants where water moves cells by `motion`, (3,) or (0,), or more."""
-        return replace(self, motion=np.maximum(self.motion, motion))
-
     def without_motion(self, change: Array) -> tuple["WatchSetup", Array]:
         """Return the constants for a frame, and its change of ln y without the water's motion.
 
@@ -118,23 +128,19 @@ class WatchSetup:
         patterns = motion_patterns(self.scene.panel.shape).reshape(len(self.motion), -1).T
         weights = np.ones(len(change))
         for _ in range(DEVIATION_ROUNDS):
-            amplitudes = np.linalg.lstsq(weights[:, None] * patterns, weights * change, rcond=None)[
-                0
-            ]
-            deviations = np.abs(change - patterns @ amplitudes)
-            usual = float(np.median(deviations))
-            weights = 1 / np.sqrt(np.maximum(deviations, max(usual / 10, 1e-9)))
+            amplitudes, *_ = np.linalg.lstsq(weights[:, None] * patterns, weights * change)
+            remaining = change - patterns @ amplitudes
+            usual = float(np.median(np.abs(remaining)))
+            weights = 1 / np.sqrt(np.maximum(np.abs(remaining), max(usual / 10, 1e-9)))
         errors = self.errors.in_motion(np.maximum(np.abs(amplitudes), self.motion))
-        remaining = np.full(len(self.motion), MAD_TO_SIGMA * usual)
-        return replace(self, errors=errors, motion=remaining), change - patterns @ amplitudes
+        motion = np.full(len(self.motion), MAD_TO_SIGMA * usual)
+        return replace(self, errors=errors, motion=motion), remaining
 
     def _common(self, readings: Array) -> Array:
         """Return a root (cells, n) of the covariance of errors that a frame's readings share."""
-        parts: list[Array] = [np.zeros((readings.size, 0))]
-        parts += [] if self.common is None else [self.common(readings)]
+        parts = [] if self.common is None else [self.common(readings)]
         if self.motion.size:
-            moved = moved_by_water(readings, self.motion)
-            parts.append(moved.reshape(len(moved), -1).T)
+            parts.append(moved_by_water(readings, self.motion).reshape(-1, readings.size).T)
         return np.hstack(parts)
 
 
@@ -145,23 +151,23 @@ class UnloadedPanel:
     Attributes
     ----------
     setup : WatchSetup
-    mean, sigma : array, shape (rows, columns)
-        Mean of the unloaded readings, and standard deviations of those of one frame.
-    frames : float
-        Number of frames in the mean.
+    rest : Level
+        The unloaded readings.
+    sigma : array, shape (rows, columns)
+        Standard deviations of those of one frame.
     leaks : tuple of LineEffect
     """
 
     setup: WatchSetup
-    mean: Array
+    rest: "Level"
     sigma: Array
-    frames: float
-    leaks: Leaks = ()
+    leaks: Leaks
 
     @cached_property
     def baseline(self) -> Baseline:
         """The cells and the offsets, computed once as long as a load is present."""
-        return self.setup.baseline(self.mean, self.sigma, self.frames, self.leaks)
+        measured = np.exp(self.rest.mean).reshape(self.sigma.shape)
+        return self.setup.baseline(measured, self.sigma, self.rest.frames, self.leaks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,17 +219,41 @@ class Look:
         changed = np.abs(verdict.frame.free_map)
         noise = NOISE_REACH * verdict.frame.free_sd
         touched = (changed > noise) | (verdict.change != 0)
-        most = changed + noise
-        reached = np.where(touched, most, 0.0)
+        reached = np.where(touched, changed + noise, 0.0)
         if former is not None and not former.over:
             reached = np.maximum(former.reached, reached)
         return cls(verdict, size, time, reached)
 
     def fading(self, time: float) -> Array:
         """Return the scores of the residue of a load that left, (discs,)."""
-        return np.asarray(self.size / (1 + max(time - self.time_s, 0.0) / FOLLOWS_S))
+        return self.size / (1 + max(time - self.time_s, 0.0) / FOLLOWS_S)
 
 
 def latest(window: Frames) -> Frames:
     """Return the last frames: those within WINDOW_S, and at least MIN_FRAMES."""
     return window[-max(sum(at > window[-1][0] - WINDOW_S for at, _ in window), MIN_FRAMES) :]
+
+
+def without_open_lines(measured: Array, sigma: Array, at_rest: Array) -> tuple[Array, list[str]]:
+    """Return σ, infinite for the readings of open lines, and the lines, such as 'row 3'.
+
+    Suction raises the cells of a mouth. Only an open line raises nearly all resistances of a row or
+    a column.
+
+    Parameters
+    ----------
+    measured, sigma : array, shape (rows, columns)
+        Resistances, ohm, and their standard deviations; one without a finite σ does not count.
+    at_rest : array, shape (rows, columns)
+        Resistances without a load, ohm.
+    """
+    counts = np.isfinite(sigma)
+    raised = np.where(counts, measured, 0.0) / at_rest > OPEN_RATIO
+    remaining = sigma.copy()
+    lines = list[str]()
+    for axis, name in enumerate(("row", "column")):
+        read = np.maximum(counts.sum(axis=1 - axis), 1)
+        opened = np.flatnonzero(raised.sum(axis=1 - axis) > OPEN_SHARE * read)
+        np.moveaxis(remaining, axis, 0)[opened] = np.inf
+        lines += [f"{name} {number}" for number in opened]
+    return remaining, lines

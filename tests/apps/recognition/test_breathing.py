@@ -80,7 +80,7 @@ def window(
     changes += (body or 0.0) * np.outer(swinging[0], bodies.sum(axis=1))
     others = np.hstack([supply, bodies])
     known = Patterns.of(np.eye(READINGS), rise, slopes[None], spread, moves, others)
-    known = known._replace(bodies=bodies)
+    known = known._replace(adjoining=bodies)
     return breath(SteadyFrames.of(TIMES, changes), settled(changes), known)
 
 

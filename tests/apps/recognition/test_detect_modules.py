@@ -27,9 +27,9 @@ from lampest import (
 from lampest.apps.recognition.detect.answer import CUP, LAMPREY, SUCKS
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.image import Window
 from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.apps.recognition.observation import Observation
-from lampest.apps.recognition.window import Window
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.response import ratio_from_pressure
 

@@ -1,16 +1,16 @@
 """Answer of `lampest detect`: a sentence, attachments and events; as a table, JSON and a file."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from lampest.apps.recognition.attachment import Attachment, Pair
-from lampest.apps.recognition.breath import too_slow
+from lampest.apps.recognition.attachment import Attachment
+from lampest.apps.recognition.breath import Pair, too_slow
 from lampest.apps.recognition.breathing import MIN_WINDOW_S
-from lampest.apps.recognition.detect.disturbance import disturbances
 from lampest.apps.recognition.hypotheses import MIN_DEPTH
 from lampest.files import hdf5
 from lampest.files.errors import counted
@@ -26,7 +26,11 @@ LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS
 BARE_PROBABILITY = 0.99
 MIN_PROBABILITY = 0.9  # from which an attachment is called a lamprey, or a suction cup
 MIN_PUMP_MINUTES = 10.0  # three of the longest published intervals between pumps
+# Assumed longest pause between two contacts of one disturbance, s: plants wave and bodies beat
+# several times a minute, and a visit after a longer pause counts as another.
+MAX_PAUSE_S = 20.0
 TOO_SMALL = "it is too small for this pitch: no cell would show whether it sucks"
+SHAKEN = "it moves at a breathing rate, but probably not by its suction: it may be shaken"
 FAINT = "no breath shows, but no full window excludes one as deep as a mouth's"
 CHANCES = {
     "sucks": ("1", "probability that it sucks"),
@@ -152,7 +156,8 @@ class Detected:
         """
         if not known.get("mat", False):
             attachments = disturbances(attachments)
-        loads = [*filter(lambda load: load.present, reversed(attachments)), *reversed(attachments)]
+        # present ones first, and the last one first
+        loads = sorted(attachments, key=lambda load: load.present)[::-1]
         called = [answer_of(load, rate, known.get("threshold", MIN_PROBABILITY)) for load in loads]
         chosen = min(
             called, key=lambda load: ANSWERS.index(load[0]), default=(NOTHING, BARE_PROBABILITY, "")
@@ -178,11 +183,8 @@ class Detected:
     def chosen(self) -> Attachment | None:
         """The attachment of the answer: the last one that is present, or the last one."""
         pairs = zip(reversed(self.attachments), reversed(self.called), strict=True)
-        return max(
-            (load for load, name in pairs if name == self.answer),
-            key=lambda load: load.present,
-            default=None,
-        )
+        own = (load for load, name in pairs if name == self.answer)
+        return max(own, key=lambda load: load.present, default=None)
 
     @property
     def sentence(self) -> str:
@@ -197,19 +199,9 @@ class Detected:
             shown = [*map(_described, present[:MAX_SHOWN])]
             shown += [f"{len(present) - MAX_SHOWN} more"] if len(present) > MAX_SHOWN else []
             return f"{len(present)} contacts: {'; '.join(shown)} ({odds})"
-        if self._visits > 1:
-            return f"{self._headline}; last: {self._described(load, present)} ({odds}){why}"
-        return f"{self._described(load, present)} ({odds}){why}"
-
-    @property
-    def _visits(self) -> int:
-        """Number of attachments that suck."""
-        return sum(name in (LAMPREY, SUCKS, CUP) for name in self.called)
-
-    @property
-    def _headline(self) -> str:
-        """Counts of sucking loads, in words, such as '7 lamprey visits, 2 unsure'."""
-        return headline(self.called)
+        visits = sum(name in (LAMPREY, SUCKS, CUP) for name in self.called)
+        earlier = f"{headline(self.called)}; last: " if visits > 1 else ""
+        return f"{earlier}{self._described(load, present)} ({odds}){why}"
 
     def _described(self, load: Attachment, present: Sequence[Attachment]) -> str:
         name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(
@@ -218,14 +210,11 @@ class Detected:
         messages = [f"{name}{' attached' if load.sucks > 0.5 else ''} {_described(load)}"]
         if self.answer == LAMPREY and load.pumps >= self.threshold:
             messages.append("pumping up its suction")
-        if (
-            self.answer == LAMPREY
-            and load.breathes > 0.5
-            and load.breathing_hz
-            and load.breathing_depth
-        ):
-            depth = (100 * load.breathing_depth[0], 100 * load.breathing_depth[1])
-            messages += [f"breathing {load.breathing_hz[0]:.1f} Hz", _shown(depth, "%")]
+        hertz = load.breathing_hz
+        depth = load.breathing_depth
+        if self.answer == LAMPREY and load.breathes > 0.5 and hertz and depth:
+            percent = _shown((100 * depth[0], 100 * depth[1]), "%")
+            messages += [f"breathing {hertz[0]:.1f} Hz", percent]
         others = len(present) - load.present
         if others:
             messages.append(f"and {others} more")
@@ -241,8 +230,8 @@ class Detected:
                 ("touched", touched),
                 ("attached", load.sucks_s),
                 *(("moved", time) for time in load.moved_s),
+                ("released", load.until_s),
             ]
-            times.append(("released", load.until_s))
             events += [Event(kind, time, number) for kind, time in times if time is not None]
         return tuple(sorted(events, key=lambda event: event.time_s))
 
@@ -272,6 +261,34 @@ class Detected:
         }
 
 
+def disturbances(attachments: Sequence[Attachment]) -> tuple[Attachment, ...]:
+    """Return attachments in which each contact is joined to the last one in its place.
+
+    The pause between both is at most MAX_PAUSE_S, and neither sucks. The joined contact has the
+    figures of the clearest one, from the first arrival to the last departure.
+    """
+    joined = list[Attachment]()
+    for load in sorted(attachments, key=lambda attachment: attachment.since_s):
+        number = next(
+            (number for number in range(len(joined)) if _returns(joined[number], load)), None
+        )
+        if number is None:
+            joined.append(load)
+        else:
+            former = joined[number]
+            clearest = max(former, load, key=lambda contact: contact.clear)
+            joined[number] = replace(clearest, since_s=former.since_s, until_s=load.until_s)
+    return tuple(joined)
+
+
+def _returns(former: Attachment, load: Attachment) -> bool:
+    """Return whether a contact is one of the same disturbance as a former one, which has left."""
+    if former.until_s is None or former.sucks > 0.5 or load.sucks > 0.5:
+        return False
+    pause_s = load.since_s - former.until_s
+    return 0 <= pause_s <= MAX_PAUSE_S and former.adjoins(load)
+
+
 def answer_of(
     load: Attachment, rate: float, threshold: float = MIN_PROBABILITY
 ) -> tuple[str, float, str]:
@@ -299,22 +316,19 @@ def answer_of(
         return PRESSES, 1 - load.sucks, TOO_SMALL if load.small else ""
     if alive >= threshold:
         return LAMPREY, alive, ""
-    too_slow_sentence = too_slow(rate)
-    if too_slow_sentence:
-        return SUCKS, load.sucks, f"{too_slow_sentence}; {_pumps_in_words(load)}"
-    if breath.odds > 0 and breath.suction < 0.5:
-        return (
-            SUCKS,
-            load.sucks,
-            "it moves at a breathing rate, but probably not by its suction: it may be shaken",
-        )
-    if breath.hertz is None:
-        return SUCKS, load.sucks, _silence_in_words(load)
-    if lifeless >= threshold and breath.max_depth < MIN_DEPTH:
+    if too_slow(rate):
+        why = f"{too_slow(rate)}; {_pumps_in_words(load)}"
+    elif breath.odds > 0 and breath.suction < 0.5:
+        why = SHAKEN
+    elif breath.hertz is None:
+        why = _silence_in_words(load)
+    elif lifeless < threshold:
+        why = f"whether it breathes is not clear (P = {load.breathes:.2f})"
+    elif breath.max_depth < MIN_DEPTH:
         return CUP, lifeless, ""
-    if lifeless >= threshold:
-        return SUCKS, load.sucks, FAINT
-    return SUCKS, load.sucks, f"whether it breathes is not clear (P = {load.breathes:.2f})"
+    else:
+        why = FAINT
+    return SUCKS, load.sucks, why
 
 
 def _pumps_in_words(load: Attachment) -> str:
@@ -349,19 +363,14 @@ def headline(called: Sequence[str]) -> str:
     cups = called.count(CUP)
     contacts = len(called) - lampreys - unsure - cups
     if called and contacts == len(called):
-        return _plural(contacts, "contact")
-    parts = [_plural(lampreys, "lamprey visit")]
-    if unsure:
-        parts.append(f"{unsure} unsure")
-    if cups:
-        parts.append(_plural(cups, "suction cup"))
-    if contacts:
-        parts.append(_plural(contacts, "other contact"))
-    return ", ".join(parts)
-
-
-def _plural(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
+        return counted(contacts, "contact")
+    further = (
+        (unsure, f"{unsure} unsure"),
+        (cups, counted(cups, "suction cup")),
+        (contacts, counted(contacts, "other contact")),
+    )
+    lines = [counted(lampreys, "lamprey visit"), *(text for count, text in further if count)]
+    return ", ".join(lines)
 
 
 def alarming(detected: Detected) -> list[float]:
@@ -404,11 +413,7 @@ def _shown(pair: Pair | None, unit: str = "") -> str:
     if pair is None:
         return ""
     value, sd = pair
-    digits = 2
-    if sd >= 1:
-        digits = 0
-    elif sd >= 0.05:
-        digits = 1
+    digits = 2 - (sd >= 0.05) - (sd >= 1)
     error = max(sd, 0.01)
     return f"{value:.{digits}f} ± {error:.{digits}f} {unit}".replace("-", "−").strip()
 
@@ -417,14 +422,12 @@ def event_table(answers: Sequence[Detected]) -> Table:
     """Return a table with a row for each event."""
     rows = []
     for answer in answers:
-        for event in answer.events:
-            load = answer.attachments[event.number]
-            name = answer.called[event.number]
+        called = answer.called
+        for kind, time, number in answer.events:
+            load = answer.attachments[number]
             place = f"{load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}"
-            pairs = (load.diameter_mm, load.suction_kpa, load.breathing_hz)
-            numbers = [_shown(pair) for pair in pairs]
-            time = f"{event.time_s:.1f}"
-            rows.append((answer.recording, time, event.kind, name, place, *numbers))
+            numbers = map(_shown, (load.diameter_mm, load.suction_kpa, load.breathing_hz))
+            rows.append((answer.recording, f"{time:.1f}", kind, called[number], place, *numbers))
     return Table(EVENT_HEADERS, tuple(rows))
 
 
@@ -439,26 +442,23 @@ def load_table(answers: Sequence[Detected]) -> Table:
         for load in answer.attachments:
             since = f"{load.since_s:.1f}"
             chances = [f"{getattr(load, chance):.3f}" for chance in shown]
-            area = "" if load.area_mm2 is None else f"{load.area_mm2[0]:.0f}"
-            conductance = ""
-            if load.conductance_s is not None:
-                conductance = f"{1e3 * load.conductance_s[0]:.3g}"
-            row = (answer.recording, since, *chances, str(load.cells), area, conductance)
-            rows.append(row)
+            area = load.area_mm2 and f"{load.area_mm2[0]:.0f}"
+            conductance = load.conductance_s and f"{1e3 * load.conductance_s[0]:.3g}"
+            cells = str(load.cells)
+            rows.append((answer.recording, since, *chances, cells, area or "", conductance or ""))
     chances = [f"P({chance})" for chance in shown]
     return Table(
         ("recording", "since [s]", *chances, "cells", "area [mm²]", "conductance [mS]"), tuple(rows)
     )
 
 
-def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
+def write_detections(path: Path, answers: Sequence[Detected]) -> Path:
     """Write all answers into one HDF5 file atomically.
 
     Raises InputError where it cannot be written. Each recording has a group with the names of
     `Detected.content`. A number of an attachment is one dataset, a pair two datasets, the second of
     which is `<name>_errors`.
     """
-    path = Path(path)
     with hdf5.new_file(path) as file:
         hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
         entry = file.create_group("entry")
@@ -479,45 +479,36 @@ def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
             group = entry.create_group(answer.recording)
             hdf5.set_attributes(group, NX_class="NXsubentry", order=order, **about)
             if answer.attachments:
-                _write_table(group, "attachments", _attachment_columns(content["attachments"]))
-                _write_table(group, "events", _event_columns(answer.events))
+                _write_attachments(_collection(group, "attachments"), content["attachments"])
+                _write_events(_collection(group, "events"), answer.events)
     return path
 
 
-TableColumns: TypeAlias = dict[str, tuple[Any, str, str]]  # name → values, units and text
-
-
-def _attachment_columns(loads: Sequence[dict[str, Any]]) -> TableColumns:
-    """Return the columns of attachments as in `Detected.content`."""
-    answers = hdf5.ascii_array([load["answer"] for load in loads])
-    reasons = hdf5.ascii_array([load["why"] for load in loads])
-    probabilities = np.array([load["probability"] for load in loads])
-    columns: TableColumns = {
-        "answer": (answers, "1", "what it is"),
-        "why": (reasons, "1", "why the answer is no more specific"),
-        "probability": (probabilities, "1", "probability of the answer"),
-    }
-    for name, (units, text) in (CHANCES | NUMBERS).items():
-        columns[name] = np.array([load[name] for load in loads], dtype=float), units, text
-    for name, (units, text) in PAIRS.items():
-        values, errors = np.array([load[name] or (None, None) for load in loads], dtype=float).T
-        columns[name] = values, units, text
-        columns[f"{name}{ERRORS}"] = errors, units, f"standard deviation: {text}"
-    return columns
-
-
-def _event_columns(events: Sequence[Event]) -> TableColumns:
-    """Return the columns of events."""
-    kinds, times, numbers = zip(*events, strict=True)
-    return {
-        "event": (hdf5.ascii_array(kinds), "1", "touched, attached, moved or released"),
-        "time": (np.array(times), "s", "when it was first seen"),
-        "attachment": (np.array(numbers), "1", "number of the attachment"),
-    }
-
-
-def _write_table(entry: Any, name: str, columns: TableColumns) -> None:
+def _collection(entry: Any, name: str) -> Any:
     group = entry.create_group(name)
     hdf5.set_attributes(group, NX_class="NXcollection")
-    for name, (values, units, text) in columns.items():
-        hdf5.write_dataset(group, name, values, units, text)
+    return group
+
+
+def _write_attachments(group: Any, loads: Sequence[dict[str, Any]]) -> None:
+    """Write attachments as in `Detected.content`."""
+    write = partial(hdf5.write_dataset, group)
+    write("answer", hdf5.ascii_array([load["answer"] for load in loads]), "1", "what it is")
+    reasons = hdf5.ascii_array([load["why"] for load in loads])
+    write("why", reasons, "1", "why the answer is no more specific")
+    probabilities = np.array([load["probability"] for load in loads])
+    write("probability", probabilities, "1", "probability of the answer")
+    for name, (units, text) in (CHANCES | NUMBERS).items():
+        write(name, np.array([load[name] for load in loads], dtype=float), units, text)
+    for name, (units, text) in PAIRS.items():
+        values, errors = np.array([load[name] or (None, None) for load in loads], dtype=float).T
+        write(name, values, units, text)
+        write(f"{name}{ERRORS}", errors, units, f"standard deviation: {text}")
+
+
+def _write_events(group: Any, events: Sequence[Event]) -> None:
+    kinds, times, numbers = zip(*events, strict=True)
+    write = partial(hdf5.write_dataset, group)
+    write("event", hdf5.ascii_array(kinds), "1", "touched, attached, moved or released")
+    write("time", np.array(times), "s", "when it was first seen")
+    write("attachment", np.array(numbers), "1", "number of the attachment")

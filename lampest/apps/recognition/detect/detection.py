@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.apps.film.tare import sigma_of_frames
 from lampest.apps.recognition.at_rest import touched
@@ -28,7 +27,7 @@ from lampest.inference.noise import NoiseEstimate, without_factors
 from lampest.inference.nuisances import CircuitEffects, without_effects_of
 from lampest.inference.prepared import Prepared
 from lampest.inference.warnings import warnings_of
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings, Sidedness
@@ -121,29 +120,17 @@ class Known:
         Raises ValueError if the panel is too large.
         """
         panel = self.scene.panel
-        layout = self.scene.panel.modules
-        noise = self.noise
         if panel.network.crossings > MAX_CELLS:
             raise ValueError(
                 f"loads are recognised on panels and modules of up to {MAX_CELLS} cells"
             )
         errors = ModelErrors().of_scene(self.scene, self.reading_error)
         setup = WatchSetup.of(self.scene, errors, self.patch_mm)
-        if noise is not None and not layout:
-            electronic = replace(noise, motion=np.zeros(0))
-            setup = replace(
-                setup,
-                common=lambda measured: electronic.columns(measured[None], baseline=False),
-                motion=noise.motion,
-            )
-        kind: type[Watch] | type[ImageWatch] = ImageWatch if layout else Watch
-        return kind.begin(
-            replace(setup, explained=self.explained),
-            self.resting,
-            self.sigma,
-            self.unloaded,
-            self.begin,
-        )
+        setup = replace(setup, explained=self.explained)
+        if self.noise is not None and panel.modules is None:
+            setup = setup.with_noise(self.noise)
+        kind: type[Watch] | type[ImageWatch] = Watch if panel.modules is None else ImageWatch
+        return kind.begin(setup, self.resting, self.sigma, self.unloaded, self.begin)
 
     @ONE_BLAS_THREAD
     def answer(self, frames: Frames) -> Detected:
@@ -167,8 +154,8 @@ class Known:
                 self.name, failed[0] if failed else "one frame shows no change; three are needed"
             )
         answer = self.detected(watch.ended(), [time for time, _ in course], np.array(course).T)
-        more = (f"so are {len(failed) - 1} more frames",) if len(failed) > 1 else ()
-        return replace(answer, notes=(*answer.notes, *failed[:1], *more))
+        failed[1:] = [f"so are {len(failed) - 1} more frames"] if len(failed) > 1 else []
+        return replace(answer, notes=(*answer.notes, *failed))
 
     def detected(
         self, watch: Watch | ImageWatch, times: Sequence[float], course: Array | None = None
@@ -186,7 +173,6 @@ class Known:
         attachments = watch.attachments
         response = self.scene.response
         rate = frame_rate(times)
-        time = times[-1] if times else None
         if watch.doubt and not attachments:
             return replace(
                 Detected.unknown(self.name, watch.doubt), frames_per_second=rate, course=course
@@ -208,18 +194,21 @@ class Known:
             for leak in watch.leaks
         )
         slow = too_slow(rate) if any(load.sucks > 0.5 for load in attachments) else ""
-        doubts = filter(None, (slow, watch.doubt))
-        notes = (*self.notes, *faults, *brief, BY, *(() if response else (NO_RESPONSE,)), *doubts)
-        about: dict[str, Any] = {
-            "notes": notes,
-            "course": course,
-            "change": watch.change,
-            "panel": self.scene.panel,
-            "mat": self.scene.purpose == "mat",
-            "warnings": leaks,
-        }
-        about |= {"threshold": self.threshold, "start_time": self.start_time, "end_s": time}
-        detected = Detected.of(self.name, attachments, rate, **about)
+        assumed = (BY, "" if response else NO_RESPONSE, slow, watch.doubt)
+        detected = Detected.of(
+            self.name,
+            attachments,
+            rate,
+            notes=(*self.notes, *faults, *brief, *filter(None, assumed)),
+            course=course,
+            change=watch.change,
+            panel=self.scene.panel,
+            mat=self.scene.purpose == "mat",
+            warnings=leaks,
+            threshold=self.threshold,
+            start_time=self.start_time,
+            end_s=times[-1] if times else None,
+        )
         return replace(detected, why=brief[-1]) if brief and not attachments else detected
 
     def values(self, readings: Readings) -> tuple[Array, Array]:
@@ -262,12 +251,12 @@ def with_bounds_counted(
     """
     was_bound = np.zeros(resting.shape) if resting_side is None else resting_side
     change = value - resting
-    beyond = (side * change > 0) & (np.abs(change) > NOISE_REACH * sigma)
+    size = np.abs(change)
     still = (side != Sidedness.VALUE) & (side == was_bound)
     known = (side == Sidedness.VALUE) | still
-    counted = np.where(known, sigma, np.inf)
-    counted = np.where(beyond & ~known, np.maximum(sigma, BOUND_SHARE * np.abs(change)), counted)
-    return np.where(still, resting, value), counted
+    beyond = (side * change > 0) & (size > NOISE_REACH * sigma)
+    counted = np.where(beyond, np.maximum(sigma, BOUND_SHARE * size), np.inf)
+    return np.where(still, resting, value), np.where(known, sigma, counted)
 
 
 def frame_rate(times: Sequence[float]) -> float:
@@ -314,18 +303,9 @@ class Unchecked:
         return _with_warnings(self.answer, self.warnings())
 
 
-def detect_recording(
-    path: Path,
-    patch_mm: float | None = None,
-    frames: range | None = None,
-    threshold: float = MIN_PROBABILITY,
-    on_frame: Callable[[int, int], None] = lambda done, total: None,
-    *,
-    check: bool = True,
-) -> Detected:
+def detect_recording(path: Path, **options: Any) -> Detected:
     """Return the answer to a recording with the check of its circuit, see `answer_recording`."""
-    unchecked = answer_recording(path, patch_mm, frames, threshold, on_frame, check=check)
-    return unchecked.checked()
+    return answer_recording(path, **options).checked()
 
 
 def answer_recording(
@@ -482,7 +462,7 @@ def recognition_noise(prepared: Prepared) -> NoiseEstimate:
     return prepared.noise if prepared.layout is None else prepared.frame_noise
 
 
-def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -> Frames:
+def measured_frames(part: Recording, watched: Known, asked: Mask) -> Frames:
     """Generate the values, σ and time in s of the requested measured frames, corrected for effects.
 
     Parameters
@@ -522,12 +502,10 @@ def recordings_in(paths: Sequence[Path]) -> list[Path]:
     """
     files = list[Path]()
     for path in paths:
-        if not path.is_dir():
-            files.append(path)
-            continue
-        inside = [
-            file for file in sorted(path.rglob("*.h5")) if format_of(file).startswith("recording/")
-        ]
+        inside = [path]
+        if path.is_dir():
+            inside = sorted(path.rglob("*.h5"))
+            inside = [file for file in inside if format_of(file).startswith("recording/")]
         if not inside:
             raise InputError(f"{path}: holds no recording (*.h5)")
         files += inside
@@ -536,14 +514,12 @@ def recordings_in(paths: Sequence[Path]) -> list[Path]:
 
 def named_apart(answers: Sequence[Detected]) -> list[Detected]:
     """Return the answers with a number after the names of recordings that another one has, too."""
-    used = set[str]()
-    named = list[Detected]()
+    named = dict[str, Detected]()
     for answer in answers:
         name = answer.recording
         number = 1
-        while name in used:
+        while name in named:
             number += 1
             name = f"{answer.recording}_{number}"
-        used.add(name)
-        named.append(replace(answer, recording=name))
-    return named
+        named[name] = replace(answer, recording=name)
+    return list(named.values())

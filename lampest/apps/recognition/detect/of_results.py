@@ -55,7 +55,6 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
     frames : iterable of (array, array, float)
         Values and σ, (rows, columns), and the time in s of each measured frame.
     """
-    side = np.where(case.valued, case.measured, np.nan)
     spread = case.sigma
     notes = tuple[str, ...]()
     period = float(np.median(np.diff(case.time))) if len(case.time) > 1 else 0.0
@@ -64,8 +63,8 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
     # share.
     count = case.unloaded_frames or (1 if noise is None else noise.unloaded)
     if spread is None or case.sigma_baseline is None:
-        deviation, notes = noise_by_scatter(side)
-        spread = np.broadcast_to(deviation, side.shape)
+        deviation, notes = noise_by_scatter(np.where(case.valued, case.measured, np.nan))
+        spread = np.broadcast_to(deviation, case.measured.shape)
     else:
         spread = _frame_sigma(case, spread, 1)
         deviation = _frame_sigma(case, case.sigma_baseline, count)
@@ -92,8 +91,7 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
     if case.reading_side is not None:
         bounded = np.isfinite(case.measured) & (case.reading_side != 0)
         sides = np.where(bounded, case.reading_side, sides)
-    bounds, spread = with_bounds_counted(case.measured, spread, sides, baseline, None)
-    values = np.where(np.isfinite(spread), bounds, side)
+    values, spread = with_bounds_counted(case.measured, spread, sides, baseline, None)
     return known, zip(values, spread, map(float, case.time), strict=True)
 
 

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.apps.film.pressure import KPA_MM2, determined, sum_sd
 from lampest.files.whole import write_whole
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Mask, Numbers, Panel
 from lampest.report.compare import Table, comma_separated
 from lampest.runs.case import CaseResult
 from lampest.runs.results import Results
@@ -43,7 +42,7 @@ class PressedCells:
     case: CaseResult
     values: Array
     errors: Array
-    saturated: NDArray[np.int64]
+    saturated: Numbers
 
 
 def pressed_of(case: CaseResult) -> PressedCells | None:
@@ -55,20 +54,15 @@ def pressed_of(case: CaseResult) -> PressedCells | None:
     outline may lie anywhere within it. The pressure between the films of two cells is not measured:
     a spot smaller than a cell has the force of one that fills it.
     """
-    names = ("pressure", "pressure_own", "pressure_common")
-    pressures = [case.column(name) for name in names]
-    pressing = case.column("pressing")
+    names = ("pressing", "pressure", "pressure_own", "pressure_common")
+    pressing, *pressures = [case.column(name) for name in names]
     if pressing is None or any(values is None for values in pressures):
         return None
     touched = pressing != 0
-    known = determined(case.scene, *pressures)
-    both = [
-        _frame(case.scene.panel, frame, *maps) for frame, *maps in zip(touched, *known, strict=True)
-    ]
+    frames = zip(touched, *determined(case.scene, *pressures), strict=True)
+    values, errors = np.array([_frame(case.scene.panel, *frame) for frame in frames]).swapaxes(0, 1)
     saturated = case.column("saturated")
-    beyond = np.zeros(touched.shape) if saturated is None else saturated
-    values, errors = (np.array([pair[part] for pair in both]) for part in (0, 1))
-    counts = np.sum(touched & (beyond != 0), axis=(1, 2))
+    counts = np.sum(touched & (False if saturated is None else saturated != 0), axis=(1, 2))
     return PressedCells(case, values, errors, counts)
 
 
@@ -77,10 +71,8 @@ def pressed(results: Results) -> tuple[PressedCells, ...]:
     return tuple(cells for case in results.cases if (cells := pressed_of(case)) is not None)
 
 
-def _frame(
-    panel: Panel, touched: NDArray[np.bool_], pressure: Array, own_sd: Array, common_sd: Array
-) -> tuple[Array, Array]:
-    """Return the figures of one frame and their standard deviations, (5,) each.
+def _frame(panel: Panel, touched: Mask, pressure: Array, own_sd: Array, common_sd: Array) -> Array:
+    """Return the figures of one frame and their standard deviations, (2, 5).
 
     The result is NaN without touched cells.
 
@@ -92,35 +84,34 @@ def _frame(
         Pressure, and standard deviations of its own and common errors, kPa.
     """
     if not touched.any():
-        return np.full(5, np.nan), np.full(5, np.nan)
+        return np.full((2, 5), np.nan)
     pitch = panel.pitch_mm
-    p = pressure[touched]
-    own = own_sd[touched]
-    common = common_sd[touched]
     cell = pitch**2
-    first, second, _ = panel.neighbours
-    both = touched.flat[first] & touched.flat[second]
-    pressed_neighbours = np.bincount(
-        np.concatenate([first[both], second[both]]), minlength=touched.size
-    )
+    p, own, common = (values[touched] for values in (pressure, own_sd, common_sd))
+    pairs = np.array(panel.neighbours[:2])
+    both = touched.ravel()[pairs].all(axis=0)
+    pressed_neighbours = np.bincount(pairs[:, both].ravel(), minlength=touched.size)
     outline = int(np.sum(touched.ravel() & (pressed_neighbours < SIDES)))
     force = p.sum()
-    values = []
-    variances = []
-    for at in panel.places_mm[:, touched]:
-        # x̄ = Σ p x/Σ p with ∂x̄/∂p_i = (x_i − x̄)/Σ p, and pitch²/12 · Σ (p/Σ p)² for the position
-        # within cells
-        centre = float(p @ at / force)
-        values.append(centre)
-        variances.append(
-            sum_sd((at - centre) / force, own, common) ** 2
-            + pitch**2 * POSITION_VARIANCE * np.sum((p / force) ** 2)
-        )
+    # x̄ = Σ p x/Σ p with ∂x̄/∂p_i = (x_i − x̄)/Σ p, and pitch²/12 · Σ (p/Σ p)² for the position within
+    # cells
+    places = panel.places_mm[:, touched]
+    centre = places @ p / force
+    within = cell * POSITION_VARIANCE * np.sum((p / force) ** 2)
+    centre_sd = [
+        np.sqrt(sum_sd((at - middle) / force, own, common) ** 2 + within)
+        for at, middle in zip(places, centre, strict=True)
+    ]
     peak = int(np.argmax(p))
-    values += [len(p) * cell, p[peak], KPA_MM2 * cell * force]
-    variances += [outline * cell**2 * POSITION_VARIANCE, own[peak] ** 2 + common[peak] ** 2]
-    variances += [sum_sd(KPA_MM2 * cell, own, common) ** 2]
-    return np.array(values), np.sqrt(variances)
+    area_sd = cell * np.sqrt(outline * POSITION_VARIANCE)
+    peak_sd = np.hypot(own[peak], common[peak])
+    force_sd = sum_sd(KPA_MM2 * cell, own, common)
+    return np.array(
+        [
+            [*centre, len(p) * cell, p[peak], KPA_MM2 * cell * force],
+            [*centre_sd, area_sd, peak_sd, force_sd],
+        ]
+    )
 
 
 def pressed_table(all_pressed: Sequence[PressedCells]) -> Table:
@@ -137,16 +128,8 @@ def pressed_table(all_pressed: Sequence[PressedCells]) -> Table:
             saturated = str(cells.saturated[at] or "")
             if saturated:
                 numbers[-2:] = [f"≥\N{NO-BREAK SPACE}{number}" for number in numbers[-2:]]
-            rows.append(
-                (
-                    case.recording,
-                    case.estimator,
-                    str(case.frame[at]),
-                    f"{case.time[at]:g}",
-                    *numbers,
-                    saturated,
-                )
-            )
+            when = str(case.frame[at]), f"{case.time[at]:g}"
+            rows.append((case.recording, case.estimator, *when, *numbers, saturated))
     return Table(
         ("recording", "from", "frame", "time [s]", *HEADERS, "saturated cells"), tuple(rows)
     )
@@ -163,7 +146,7 @@ def figure(value: float, error: float) -> str:
     return f"{value:.{min(digits, 3)}f} ± {error:.{min(digits, 3)}f}".replace("-", "−")
 
 
-def write_pressed(path: str | Path, all_pressed: Sequence[PressedCells]) -> Path:
+def write_pressed(path: Path, all_pressed: Sequence[PressedCells]) -> Path:
     """Write every frame of every estimate as CSV atomically.
 
     Cells are empty where nothing presses.
@@ -175,10 +158,13 @@ def write_pressed(path: str | Path, all_pressed: Sequence[PressedCells]) -> Path
         ["recording", "estimator", "frame", "time [s]", *named, "saturated cells"]
     ]
     for cells in all_pressed:
-        for number, (frame, time) in enumerate(zip(cells.case.frame, cells.case.time, strict=True)):
-            pairs = np.column_stack([cells.values[number], cells.errors[number]]).ravel()
-            numbers = [float(value) if np.isfinite(value) else None for value in pairs]
-            head = cells.case.recording, cells.case.estimator, int(frame), float(time)
-            lines.append([*head, *numbers, int(cells.saturated[number])])
-    write_whole(Path(path), comma_separated(lines))
-    return Path(path)
+        case = cells.case
+        pairs = np.stack([cells.values, cells.errors], axis=2).reshape(len(case.time), -1)
+        for frame, time, row, saturated in zip(
+            case.frame, case.time, pairs, cells.saturated, strict=True
+        ):
+            numbers = [float(value) if np.isfinite(value) else None for value in row]
+            head = case.recording, case.estimator, int(frame), float(time)
+            lines.append([*head, *numbers, int(saturated)])
+    write_whole(path, comma_separated(lines))
+    return path

@@ -1,8 +1,6 @@
-"""Timelines of detections: change of the readings over time, attachments, and a map."""
+"""Pictures of detections: a timeline and a map of each recording, and the visits of a season."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +10,7 @@ from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
 
 from lampest.apps.recognition.detect.answer import CUP, LAMPREY, PRESSES, SUCKS, Detected
+from lampest.apps.recognition.detect.visits import DAY_HOURS, HOUR_S, Visit
 from lampest.panel.panel import Panel
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, change_scale
 from lampest.report.plots.style import (
@@ -20,7 +19,6 @@ from lampest.report.plots.style import (
     TEXT_POINT,
     dressed,
     new_figure,
-    write_all,
 )
 
 # Those of Okabe and Ito, apart for the colour-blind.
@@ -29,30 +27,9 @@ MAX_NUMBERED = 20  # visits whose numbers fit on a map
 LABEL_LINES = 5
 LABEL_WIDTH = 0.22
 COLOURS = {LAMPREY: "#D55E00", SUCKS: "#E69F00", CUP: "#56B4E9", PRESSES: "0.6"}
-
-
-def plot_timelines(
-    answers: Sequence[Detected],
-    folder: str | Path,
-    on_picture: Callable[[int, int], None] = lambda done, total: None,
-) -> list[Path]:
-    """Draw every recording into timeline_<recording>.png in a folder; return the files.
-
-    `on_picture` is called as in `write_all`. Raises InputError if the folder cannot be written.
-    """
-    shown = [answer for answer in answers if answer.course is not None]
-    return write_all(
-        [partial(timeline, answer) for answer in shown], timeline_files(answers, folder), on_picture
-    )
-
-
-def timeline_files(answers: Sequence[Detected], folder: str | Path) -> list[Path]:
-    """Return the files that `plot_timelines` writes."""
-    return [
-        Path(folder) / f"timeline_{answer.recording}.png"
-        for answer in answers
-        if answer.course is not None
-    ]
+SHOWN = (LAMPREY, SUCKS, CUP)  # other contacts are grey and behind
+MIN_BAR_H = 0.15  # so that a short visit is visible on a day
+MAX_LABELS = 12  # of days or recordings
 
 
 def timeline(answer: Detected) -> Figure:
@@ -82,13 +59,14 @@ def _course(axes: Axes, answer: Detected) -> None:
         line = next((line for line, taken in enumerate(ends) if taken <= place), None)
         if line is not None:  # else there is no room, and its colour alone says what it is
             ends[line] = place + LABEL_WIDTH
-            look: dict[str, Any] = {
-                "fontsize": SMALL_POINT,
-                "va": "top",
-                "transform": axes.get_xaxis_transform(),
-            }
             mark = axes.text(
-                attachment.since_s, 0.98 - 0.07 * line, f" {name}", clip_on=True, **look
+                attachment.since_s,
+                0.98 - 0.07 * line,
+                f" {name}",
+                clip_on=True,
+                fontsize=SMALL_POINT,
+                va="top",
+                transform=axes.get_xaxis_transform(),
             )
             mark.set_path_effects([withStroke(linewidth=2, foreground="white")])
     axes.set_xlim(time[0], time[-1])
@@ -101,7 +79,8 @@ def _map(axes: Axes, answer: Detected) -> None:
 
     If there are several visits, or contacts of a mat, their places are drawn.
     """
-    if len(answer.attachments) > 1 and answer.panel is not None:
+    loads = answer.attachments
+    if answer.panel is not None and len(loads) > 1:
         _visits(axes, answer, answer.panel)
         return
     if answer.change is None or answer.panel is None:
@@ -114,16 +93,12 @@ def _map(axes: Axes, answer: Detected) -> None:
     painter.bar(axes.figure, axes, "bottom")
     axes.set_xlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
     axes.set_ylabel(DOWN_LABEL, fontsize=TEXT_POINT)
-    for attachment in [
-        attachment for attachment in answer.attachments if attachment.present
-    ] or answer.attachments:
-        if attachment.diameter_mm is not None:  # the outer edge of a load that is round
-            circle = Circle(
-                attachment.place, attachment.diameter_mm[0] / 2, fill=False, color="black", lw=1.1
-            )
+    for load in loads:
+        if load.diameter_mm is not None:  # the outer edge of a load that is round
+            circle = Circle(load.place, load.diameter_mm[0] / 2, fill=False, color="black", lw=1.1)
             circle.set_path_effects([withStroke(linewidth=2.6, foreground="white")])
             axes.add_patch(circle)
-        axes.plot(*attachment.place, "+", color="black", ms=5, mew=0.9)
+        axes.plot(*load.place, "+", color="black", ms=5, mew=0.9)
 
 
 def _visits(axes: Axes, answer: Detected, panel: Panel) -> None:
@@ -133,20 +108,14 @@ def _visits(axes: Axes, answer: Detected, panel: Panel) -> None:
     """
     across, down = panel.places_mm[:, panel.present]
     axes.plot(across, down, ".", color="0.8", ms=2)
-    for number, (attachment, name) in enumerate(
-        zip(answer.attachments, answer.called, strict=True), 1
-    ):
-        if attachment.diameter_mm is not None:
-            radius = attachment.diameter_mm[0] / 2
-            axes.add_patch(
-                Circle(attachment.place, radius, fill=False, color=COLOURS[name], lw=1.1)
-            )
+    for number, (load, name) in enumerate(zip(answer.attachments, answer.called, strict=True), 1):
+        if load.diameter_mm is not None:
+            radius = load.diameter_mm[0] / 2
+            axes.add_patch(Circle(load.place, radius, fill=False, color=COLOURS[name], lw=1.1))
         else:
-            axes.plot(*attachment.place, "x", color=COLOURS[name], ms=4, mew=0.9)
+            axes.plot(*load.place, "x", color=COLOURS[name], ms=4, mew=0.9)
         if len(answer.attachments) <= MAX_NUMBERED:
-            axes.annotate(
-                str(number), attachment.place, fontsize=SMALL_POINT, ha="center", va="center"
-            )
+            axes.annotate(str(number), load.place, fontsize=SMALL_POINT, ha="center", va="center")
     (left, right), (top, bottom) = panel.extents_mm
     axes.set(
         xlim=(left - panel.pitch_mm, right + panel.pitch_mm),
@@ -156,3 +125,58 @@ def _visits(axes: Axes, answer: Detected, panel: Panel) -> None:
     what = "contacts" if answer.mat else "visits"
     axes.set_title(f"places of all {what}", fontsize=SMALL_POINT)
     dressed(axes, ACROSS_LABEL, DOWN_LABEL)
+
+
+def season(visits: Sequence[Visit]) -> Figure:
+    """Draw each visit as a bar at its day and hour, and visits of lampreys by hour of the day.
+
+    Visits are in the order of time. Hours are counted from the begin of a recording without a
+    clock.
+    """
+    figure = new_figure(3.4)
+    left, right = figure.subplots(1, 2, width_ratios=(2.2, 1), sharey=True)
+    rows = list(dict.fromkeys(map(_row, visits)))
+    for visit in sorted(visits, key=lambda visit: visit.answer in SHOWN):
+        left.bar(
+            rows.index(_row(visit)),
+            max((visit.duration_s or 0.0) / HOUR_S, MIN_BAR_H),
+            width=0.7,
+            bottom=_hour(visit),
+            label=visit.answer,
+            color=COLOURS[visit.answer],
+            lw=0,
+        )
+    step = -(-len(rows) // MAX_LABELS)
+    turned = 60 if len(rows) > 6 else 0
+    left.set_xticks(range(0, len(rows), step), rows[::step], rotation=turned)
+    ends = (_hour(visit) + (visit.duration_s or 0.0) / HOUR_S for visit in visits)
+    highest = max(24.0, *ends)
+    left.set_ylim(min(highest, 48.0), 0)
+    clocked = any(visit.clock is not None for visit in visits)
+    days = "day", "hour of the day"
+    dressed(left, *(days if clocked else ("recording", "hours since its begin")))
+    handles = dict(zip(*reversed(left.get_legend_handles_labels()), strict=True))
+    left.legend(handles.values(), handles.keys(), fontsize=SMALL_POINT, frameon=False, loc="best")
+    look: dict[str, Any] = {"orientation": "horizontal", "rwidth": 0.8, "alpha": 0.8}
+    for name in SHOWN:
+        hours = [_hour(visit) for visit in visits if visit.answer == name]
+        right.hist(hours, np.arange(0, np.ceil(highest) + 1), color=COLOURS[name], **look)
+    if clocked:
+        for edge in DAY_HOURS:
+            right.axhline(edge, color="0.6", lw=0.6, ls=":")
+    dressed(right, "visits in the hour", "")
+    return figure
+
+
+def _row(visit: Visit) -> str:
+    return visit.recording if visit.clock is None else visit.clock.date().isoformat()
+
+
+def _hour(visit: Visit) -> float:
+    """Return the hour of the day of the arrival.
+
+    Hours are counted from the begin of the recording if it has no clock.
+    """
+    if visit.clock is None:
+        return visit.begin_s / HOUR_S
+    return visit.clock.hour + visit.clock.minute / 60 + visit.clock.second / HOUR_S

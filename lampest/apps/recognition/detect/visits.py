@@ -3,6 +3,7 @@
 Visits are one row for each attachment, with clock times.
 """
 
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -12,14 +13,18 @@ from typing import Any
 
 from lampest.apps.recognition.detect.answer import ERRORS, LAMPREY, SUCKS, Detected
 from lampest.files import hdf5
-from lampest.files.whole import write_whole
+from lampest.files.errors import InputError
+from lampest.files.whole import refuse_inputs, sparing, whole_file, write_whole
 from lampest.report.compare import Table, comma_separated
+from lampest.report.export.formats import Export, write_matlab, write_parquet
 
 FILE = "visits.csv"
 PICTURE = "visits.png"
+KINDS = ("csv", "parquet", "mat")  # of files to which visits are exported
 DAY_HOURS = (6, 18)  # of the clock: from the first on and before the second it is day
 REVISIT_H = 24.0  # between the end of a visit and one that may be by the same animal
 HOUR_S = 3600.0
+WITHOUT_CLOCK = "without a clock"
 ALIKE = 2.0  # standard deviations of the difference of the diameters of one animal
 COLUMNS = {
     "visit": "number of the visit, in the order of time",
@@ -104,18 +109,18 @@ def numbered(rows: Iterable[Visit]) -> list[Visit]:
 
     An earlier visit may be by the same animal. Visits of recordings without a clock come last.
     """
-    visits = list(rows)
-    clocked = sorted((visit for visit in visits if visit.begin is not None), key=_since_epoch)
-    ordered = [*clocked, *(visit for visit in visits if visit.begin is None)]
+    ordered = sorted(rows, key=_since_epoch)
     counted = [replace(visit, visit=number) for number, visit in enumerate(ordered, 1)]
     earlier = _earlier(counted)
     return [replace(visit, may_be_visit=earlier.get(visit.visit)) for visit in counted]
 
 
 def _since_epoch(visit: Visit) -> float:
-    """Return the time of arrival in s; times without a zone are of the clock of this computer."""
-    assert visit.clock is not None
-    return visit.clock.timestamp()
+    """Return the time of arrival in s, infinite without a clock.
+
+    Times without a zone are of the clock of this computer.
+    """
+    return inf if visit.clock is None else visit.clock.timestamp()
 
 
 def rows_of(
@@ -138,9 +143,13 @@ def rows_of(
         since = load["since_s"]
         until = load["until_s"]
         stop = end if until is None else until
-        names = "x_mm", "y_mm", "breathing_hz", "breathing_depth"
-        values: Any = {name: _significant(load[name])[0] for name in names}
-        suction = _with_error("suction_kpa", load) | _with_error("strongest_kpa", load)
+        numbers: dict[str, Any] = {}
+        for name in ("x_mm", "y_mm", "breathing_hz", "breathing_depth"):
+            numbers[name], _ = _significant(load[name])
+        for name in ("diameter", *(("suction", "strongest") if load["sucks"] > 0.5 else ())):
+            unit = "mm" if name == "diameter" else "kpa"
+            pair = _significant(load[f"{name}_{unit}"])
+            numbers[f"{name}_{unit}"], numbers[f"{name}_sd_{unit}"] = pair
         visits.append(
             Visit(
                 recording=recording,
@@ -150,22 +159,13 @@ def rows_of(
                 duration_s=None if stop is None else round(max(stop - since, 0.0), 3),
                 begin=_clock(begin, since),
                 left="no" if until is None else "yes",
-                **values,
-                **_with_error("diameter_mm", load),
-                **(suction if load["sucks"] > 0.5 else {}),
                 pumps=None if load["pump_count"] is None else int(load["pump_count"]),
                 pump_interval_s=load["pump_interval_s"],
                 why=load["why"] or None,
+                **numbers,
             )
         )
     return visits
-
-
-def _with_error(name: str, load: dict[str, Any]) -> Any:
-    """Return a pair of a load as two columns."""
-    value, sd = _significant(load[name])
-    stem, unit = name.rsplit("_", 1)
-    return {name: value, f"{stem}_sd_{unit}": sd}
 
 
 def _significant(pair: tuple[float, float] | None) -> tuple[float | None, float | None]:
@@ -217,34 +217,27 @@ def _earlier(visits: Sequence[Visit]) -> dict[int, int]:
 def _may_return(animal: Sequence[Visit], visit: Visit) -> bool:
     """Return whether a visit may be of an animal with earlier visits: its size, and the pause."""
     last = animal[-1]
-    pause_s = _pause_s(last, visit) if last.left == "yes" else None
-    if pause_s is None or not 0 <= pause_s < REVISIT_H * HOUR_S:
+    if last.left == "no" or last.duration_s is None:
         return False
-    return all(
+    if last.begin is not None and visit.begin is not None:
+        between_s = _since_epoch(visit) - _since_epoch(last)
+    elif last.recording == visit.recording:
+        between_s = visit.begin_s - last.begin_s
+    else:
+        return False
+    return 0 <= between_s - last.duration_s < REVISIT_H * HOUR_S and all(
         abs((visit.diameter_mm or 0.0) - (other.diameter_mm or 0.0))
         < ALIKE * hypot(visit.diameter_sd_mm or 0.0, other.diameter_sd_mm or 0.0)
         for other in animal
     )
 
 
-def _pause_s(earlier: Visit, later: Visit) -> float | None:
-    """Return the time between two visits, s; None where it is unknown."""
-    if earlier.duration_s is None:
-        return None
-    if earlier.clock is not None and later.clock is not None:
-        return _since_epoch(later) - _since_epoch(earlier) - earlier.duration_s
-    if earlier.recording != later.recording:
-        return None
-    return later.begin_s - earlier.begin_s - earlier.duration_s
-
-
-def write_visits(path: str | Path, visits: Sequence[Visit]) -> Path:
+def write_visits(path: Path, visits: Sequence[Visit]) -> None:
     """Write one row for each visit as CSV atomically.
 
     Raises InputError where the place cannot be written.
     """
-    write_whole(Path(path), comma_separated([list(COLUMNS), *(visit.row for visit in visits)]))
-    return Path(path)
+    write_whole(path, comma_separated([COLUMNS, *(visit.row for visit in visits)]))
 
 
 def count_table(answers: Sequence[Detected], visits: Sequence[Visit]) -> Table:
@@ -253,20 +246,20 @@ def count_table(answers: Sequence[Detected], visits: Sequence[Visit]) -> Table:
     Visits are counted by day and by night, and per recorded hour. Recordings without a clock are
     one row.
     """
-    hours = dict[str, list[float]]()
+    hours = defaultdict[tuple[str, bool], float](float)
     for answer in answers:
-        for name, night, seconds in _recorded(answer):
-            hours.setdefault(name, [0.0, 0.0])[night] += seconds / HOUR_S
+        for when, seconds in _recorded(answer):
+            hours[when] += seconds / HOUR_S
+    counts = Counter((_day_or_night(visit.clock), visit.answer) for visit in visits)
     rows = []
-    for name, recorded in sorted(hours.items()):
-        own = [visit for visit in visits if _date(visit) == name]
-        cells = [name]
-        for night in (0, 1):
-            answers_then = [visit.answer for visit in own if _is_night(visit.clock) == bool(night)]
-            lampreys = answers_then.count(LAMPREY)
-            unsure = answers_then.count(SUCKS)
-            rate = f"{lampreys / recorded[night]:.2g}" if recorded[night] > 0 else ""
-            cells += [f"{recorded[night]:.2g}", str(lampreys), str(unsure), rate]
+    for day in sorted({day for day, _ in hours}):
+        cells = [day]
+        for night in (False, True):
+            recorded = hours[day, night]
+            lampreys = counts[(day, night), LAMPREY]
+            rate = f"{lampreys / recorded:.2g}" if recorded > 0 else ""
+            unsure = counts[(day, night), SUCKS]
+            cells += [f"{recorded:.2g}", str(lampreys), str(unsure), rate]
         rows.append(tuple(cells))
     first, last = DAY_HOURS
     heads = ["day"]
@@ -276,36 +269,30 @@ def count_table(answers: Sequence[Detected], visits: Sequence[Visit]) -> Table:
     return Table(tuple(heads), tuple(rows), title="visits by day and by night")
 
 
-def _recorded(answer: Detected) -> Iterable[tuple[str, int, float]]:
+def _recorded(answer: Detected) -> Iterable[tuple[tuple[str, bool], float]]:
     """Generate the day, whether it is night, and the seconds of each recorded hour.
 
     A recorded hour is one that a recording covers.
     """
-    end = answer.end_s or 0.0
+    remaining = answer.end_s or 0.0
     begin = _clock(answer.start_time, 0.0)
     if begin is None:
-        yield WITHOUT_CLOCK, 0, end
+        yield _day_or_night(None), remaining
         return
     clock = datetime.fromisoformat(begin)
-    remaining = end
     while remaining > 0:
         next_hour = (clock + timedelta(hours=1)).replace(minute=0, second=0, microsecond=0)
         part = min((next_hour - clock).total_seconds(), remaining)
-        yield clock.date().isoformat(), int(_is_night(clock)), part
+        yield _day_or_night(clock), part
         clock = next_hour
         remaining = remaining - part
 
 
-WITHOUT_CLOCK = "without a clock"
-
-
-def _date(visit: Visit) -> str:
-    return WITHOUT_CLOCK if visit.clock is None else visit.clock.date().isoformat()
-
-
-def _is_night(clock: datetime | None) -> bool:
-    """Return whether a time of day is outside of DAY_HOURS; without a clock it counts as day."""
-    return clock is not None and not DAY_HOURS[0] <= clock.hour < DAY_HOURS[1]
+def _day_or_night(clock: datetime | None) -> tuple[str, bool]:
+    """Return the day, and whether the time is outside of DAY_HOURS; without a clock it is not."""
+    if clock is None:
+        return WITHOUT_CLOCK, False
+    return clock.date().isoformat(), not DAY_HOURS[0] <= clock.hour < DAY_HOURS[1]
 
 
 def visits_in(path: Path) -> list[Visit]:
@@ -320,13 +307,11 @@ def visits_in(path: Path) -> list[Visit]:
             names, key=lambda name: hdf5.read_number(file, f"entry/{name}", "order")
         ):
             group = f"entry/{name}"
-            begin = hdf5.read_attribute(file, group, "start_time")
-            end = hdf5.read_attribute(file, group, "end_s")
+            begin = str(hdf5.read_attribute(file, group, "start_time"))
+            end = float(hdf5.read_attribute(file, group, "end_s"))
             table = f"{group}/attachments"
             loads = _stored_loads(file, table) if hdf5.has(file, table) else []
-            visits += rows_of(
-                name, loads, str(begin) or None, None if isnan(float(end)) else float(end)
-            )
+            visits += rows_of(name, loads, begin, None if isnan(end) else end)
     return numbered(visits)
 
 
@@ -346,3 +331,28 @@ def _stored_loads(file: Any, group: str) -> list[dict[str, Any]]:
         pairs = zip(columns[name], columns.pop(f"{name}{ERRORS}"), strict=True)
         columns[name] = [None if value is None else (value, sd) for value, sd in pairs]
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
+def export_visits(path: Path, to: str | Export, out: str | Path | None) -> Path:
+    """Write the visits of a file of detections in a format, atomically; return the file.
+
+    Raises InputError for a damaged file, a format that has no table, or a place that cannot be
+    written.
+    """
+    kind = to if isinstance(to, str) else to.kind
+    if kind not in KINDS:
+        raise InputError(f"{path}: visits are exported as {', '.join(KINDS)}, not as {kind}")
+    target = path.with_name(f"visits.{kind}") if out is None else Path(out)
+    with sparing((path,)):
+        refuse_inputs((target,))
+        visits = visits_in(path)
+        columns = {name: [getattr(visit, name) for visit in visits] for name in COLUMNS}
+        with whole_file(target) as unfinished:
+            if kind == "csv":
+                rows = zip(*columns.values(), strict=True)
+                unfinished.write_text(comma_separated([COLUMNS, *rows]), encoding="utf-8")
+            elif kind == "parquet":
+                write_parquet(unfinished, columns, COLUMNS)
+            else:
+                write_matlab(unfinished, "visits", columns)
+    return target
