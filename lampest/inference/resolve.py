@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -137,8 +137,7 @@ MODEL_ERROR = "systematic.model_error"
 OF_NOISE = "readout.noise_lsb"
 
 
-@dataclass(frozen=True, eq=False)
-class Freed:
+class Freed(NamedTuple):
     """A recording without the effects that act before readings are taken.
 
     Attributes
@@ -280,11 +279,8 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
     for entry, keys in requested:
         if keys:
             scene = entry.load().stated(scene, keys, noise)
-    if OF_NOISE in others:
-        readout: Any = scene.readout
-        scene = replace(scene, readout=replace(readout, noise_lsb=noise.number(OF_NOISE)))
-    if MODEL_ERROR in others:
-        systematic: Any = scene.systematic
-        size = noise.number(MODEL_ERROR)
-        scene = replace(scene, systematic=replace(systematic, model_error=size))
+    for key in others:
+        part, _, name = key.partition(".")
+        stated: dict[str, Any] = {part: replace(getattr(scene, part), **{name: noise.number(key)})}
+        scene = replace(scene, **stated)
     return replace(scene, estimated=estimated)
