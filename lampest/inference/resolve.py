@@ -26,7 +26,6 @@ from lampest.panel.sizes import ESTIMATED, LINE_EFFECTS, SIZED, nearest_allowed
 from lampest.recording.recording import Recording
 
 if TYPE_CHECKING:
-    from lampest.inference.effects.effect import Determined, SceneEffect
     from lampest.inference.nuisances import Besides
 
 
@@ -75,10 +74,9 @@ class Entry:
         """Return the keys under which a scene says `estimated`."""
         return tuple(key for key in self.keys_of(scene) if specified(scene, key) == ESTIMATED)
 
-    def load(self) -> "SceneEffect":
-        """Return the effect."""
-        effect: SceneEffect = loaded(self.path)()
-        return effect
+    def load(self) -> Any:
+        """Return the effect, a `SceneEffect`."""
+        return loaded(self.path)()
 
 
 def _with_files(*keys: str) -> tuple[str, ...]:
@@ -149,7 +147,7 @@ class Freed(NamedTuple):
     """
 
     recording: Recording
-    estimates: "tuple[tuple[SceneEffect, Mapping[str, Determined]], ...]" = ()
+    estimates: tuple[tuple[Any, Mapping[str, Any]], ...] = ()
 
     def noted(self, noise: NoiseEstimate, recording: Recording) -> NoiseEstimate:
         """Return the noise of the cleaned recording with the numbers of these effects."""
@@ -169,7 +167,7 @@ def freed(recording: Recording) -> Freed:
     return result
 
 
-def effects_of_frames(scene: Scene) -> "tuple[SceneEffect, ...]":
+def effects_of_frames(scene: Scene) -> tuple[Any, ...]:
     """Return the effects that a scene names and the readings of a frame share."""
     return tuple(
         entry.load()
