@@ -55,8 +55,12 @@ class Audit:
         """The findings that a user can act on: health, circuit, effects."""
         acted = (finding for finding in self.health.findings if finding.addition or finding.remedy)
         effects = self._effects()
-        findings = (*acted, *self._circuit(), *self._noise(effects), *effects)
-        if findings or self.prepared.check.explains is not False:
+        check = self.prepared.check
+        circuit = list[Finding]()
+        if check.better and not check.by_effect:
+            circuit.append(Finding("circuit", "another circuit", check.sentence, check.addition))
+        findings = (*acted, *circuit, *self._noise(effects), *effects)
+        if findings or check.explains is not False:
             return findings
         return (UNKNOWN,)
 
@@ -85,12 +89,6 @@ class Audit:
                 if restored.check.explains:
                     return (finding, *unnamed_effects(restored))
         return found
-
-    def _circuit(self) -> Iterator[Finding]:
-        """Yield the circuit that explains the readings better."""
-        check = self.prepared.check
-        if check.better and not check.by_effect:
-            yield Finding("circuit", "another circuit", check.sentence, check.addition)
 
     def _noise(self, effects: tuple[Finding, ...]) -> Iterator[Finding]:
         """Yield the finding that noise is another one than the scene specifies beside effects."""

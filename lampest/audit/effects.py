@@ -14,7 +14,7 @@ import numpy as np
 from lampest.audit.finding import Finding, with_addition
 from lampest.files.errors import BROKEN, InputError
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed, estimated_entry
+from lampest.inference.effects.effect import SceneEffect, Unnamed, estimated_entry
 from lampest.inference.prepared import Prepared
 from lampest.inference.resolve import ENTRIES
 from lampest.panel.scene import Scene, specified
@@ -72,7 +72,7 @@ def _beside_each_other(prepared: Prepared) -> tuple[Unnamed, ...]:
     """
     if prepared.cleaned.readings.sigma is None:
         return ()
-    shown = searched(Gathered(prepared.cleaned.recording, prepared))
+    shown = searched(prepared)
     if len(shown) < 2 or not all(effect.addition for effect in shown):
         return shown
     together = list[tuple[Unnamed, ...]]()
@@ -94,13 +94,13 @@ def named(prepared: Prepared, *effects: Finding | Unnamed) -> Prepared:
 
 
 @ONE_BLAS_THREAD
-def searched(evidence: Gathered) -> tuple[Unnamed, ...]:
+def searched(prepared: Prepared) -> tuple[Unnamed, ...]:
     """Return the effects that the searches find in a single network's recording."""
     found = list[Unnamed]()
     for effect in searched_effects():
         try:
             with np.errstate(all="ignore"):
-                found += effect.unnamed(evidence)
+                found += effect.unnamed(prepared)
         except BROKEN:  # nothing is advised where arithmetic breaks down
             continue
     return tuple(found)

@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -166,7 +167,7 @@ class _View:
         circuit = scene.circuit
         exact = circuit.exact_reading(cells, scene.wiring)
         volts = circuit.volt_from_recorded(circuit.to_recorded(exact, scene))
-        return np.asarray(np.clip(volts, *circuit.range_volt))
+        return np.clip(volts, *circuit.range_volt)
 
     @cached_property
     def usual_ohm(self) -> float:
@@ -227,11 +228,14 @@ def _equal_lines(view: _View) -> Iterator[Finding]:
     with suppress(*BROKEN, InputError), np.errstate(all="ignore"):
         faults = view.scene.faults or Faults()
         for name, joined in (("row", faults.joined_rows), ("column", faults.joined_columns)):
-            groups = equal_rows(_along(view.usable, name))
+            along = view.usable
+            if name == "column":
+                along = along.each(lambda part: part.swapaxes(-1, -2))
+            groups = equal_rows(along)
             unknown = [
                 group for group in groups if not any(set(group) <= set(lines) for lines in joined)
             ]
-            structured = repeat_each_other(_along(view.usable, name), unloaded, groups)
+            structured = repeat_each_other(along, unloaded, groups)
             repeated = []
             for group in unknown:
                 lower = _is_lower(view, name, group, groups)
@@ -253,13 +257,6 @@ def _equal_lines(view: _View) -> Iterator[Finding]:
                 )
 
 
-def _along(readings: Readings, name: str) -> Readings:
-    """Return readings with the lines of a side, 'row' or 'column', as rows."""
-    if name == "row":
-        return readings
-    return readings.each(lambda part: part.swapaxes(-1, -2))
-
-
 def _is_lower(
     view: _View, name: str, group: Sequence[int], groups: Sequence[Sequence[int]]
 ) -> bool | None:
@@ -268,11 +265,8 @@ def _is_lower(
     The result is None where touching lines would not be.
     """
     cells = np.full(view.scene.panel.shape, view.usual_ohm)
-    specified = view.scene.faults or Faults()
-    if name == "row":
-        faults = replace(specified, joined_rows=(tuple(group),))
-    else:
-        faults = replace(specified, joined_columns=(tuple(group),))
+    joined: dict[str, Any] = {f"joined_{name}s": (tuple(group),)}
+    faults = replace(view.scene.faults or Faults(), **joined)
     axis = 1 if name == "row" else 0
     alike = [line for lines in groups for line in lines]
 
@@ -362,13 +356,21 @@ def _noise(view: _View) -> Iterator[Finding]:
         return
     ratio = np.nan_to_num(square / usual)
     read = np.isfinite(square)
-    rows = _noisy_lines(ratio, read)
-    columns = _noisy_lines(ratio.T, read.T)
-    yield from _noise_of_lines("row", rows, ratio)
-    yield from _noise_of_lines("column", columns, ratio.T)
     in_noisy_line = np.zeros(square.shape, dtype=bool)
-    in_noisy_line[rows] = True
-    in_noisy_line[:, columns] = True
+    sides = (ratio, read, in_noisy_line), (ratio.T, read.T, in_noisy_line.T)
+    for name, (of_side, of_read, of_noisy) in zip(("row", "column"), sides, strict=True):
+        lines = _noisy_lines(of_side, of_read)
+        of_noisy[lines] = True
+        if len(lines):
+            size = float(np.sqrt(np.mean(of_side[lines])))
+            numbers = first_and_more(lines.tolist(), MAX_NAMED)
+            subject = f"{name}s {numbers} are" if len(lines) > 1 else f"{name} {numbers} is"
+            yield Finding(
+                "noise",
+                f"{subject} noisy",
+                f"unloaded readings scatter {size:.2g} times as much as the others: "
+                "is a contact loose?",
+            )
     tails = chi_square_tail(degrees * ratio, np.full(ratio.shape, degrees))
     noisy = (ratio > MAX_NOISE_RATIO["cell"] ** 2) & (tails < SIGNIFICANCE / square.size)
     single = noisy & ~in_noisy_line
@@ -399,20 +401,6 @@ def _noisy_lines(ratio: Array, read: Mask) -> Numbers:
     scatter = np.sqrt((ratio.sum(axis=1) - ratio.max(axis=1)) / others)
     noisy = np.flatnonzero(scatter > MAX_NOISE_RATIO["line"])
     return noisy if len(noisy) <= MAX_NOISY_SHARE * len(ratio) else noisy[:0]
-
-
-def _noise_of_lines(name: str, lines: Numbers, ratio: Array) -> Iterator[Finding]:
-    """Yield the finding on noisy lines of a side, where there are any."""
-    if not len(lines):
-        return
-    size = float(np.sqrt(np.mean(ratio[lines])))
-    numbers = first_and_more(lines.tolist(), MAX_NAMED)
-    subject = f"{name}s {numbers} are" if len(lines) > 1 else f"{name} {numbers} is"
-    yield Finding(
-        "noise",
-        f"{subject} noisy",
-        f"unloaded readings scatter {size:.2g} times as much as the others: is a contact loose?",
-    )
 
 
 def _readings(view: _View) -> Iterator[Finding]:
@@ -487,12 +475,12 @@ def _times(view: _View) -> Iterator[Finding]:
 def _order(view: _View) -> Iterator[Finding]:
     """Find rows and columns in another order than the scene says."""
     unloaded = view.recording.role == UNLOADED
-    delivered = order_of_lines(view.scene, view.usable, unloaded)
-    if not delivered.steps:
+    steps = order_of_lines(view.scene, view.usable, unloaded)
+    if not steps:
         return
-    orders = [step.order for step in delivered.steps]
+    orders = [step.order for step in steps]
     words = " and ".join(order.words for order in orders)
-    line = delivered.every_second
+    line = steps[0].every_second
     if line:
         yield Finding(
             "order",
@@ -501,9 +489,10 @@ def _order(view: _View) -> Iterator[Finding]:
             remedy=f"press a spot that covers neighbouring {line}s at a known place",
         )
         return
+    decades = sum(step.gain for step in steps) / (2 * np.log(10))
     yield Finding(
         "order",
         f"readings seem to come in another order: {words}",
-        f"loads are smooth then, with odds of 10^{delivered.decades:.0f} to one",
+        f"loads are smooth then, with odds of 10^{decades:.0f} to one",
         remedy="; then ".join(order.remedy for order in orders),
     )

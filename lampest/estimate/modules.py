@@ -18,8 +18,7 @@ from lampest.estimate.state import Step, held_by_all
 from lampest.estimate.stream import CarriedOver, Stream
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.inference.module_noise import MAX_NAMED, named_modules
-from lampest.inference.noise import NoiseEstimate
+from lampest.inference.noise import MAX_NAMED, NoiseEstimate, named_modules
 from lampest.panel.faults import Faults
 from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.readouts.two_point import ModulesReadout

@@ -12,7 +12,7 @@ from lampest.estimate.sequence import MeasuredPart, first_stream, frame_period
 from lampest.estimate.stream import CarriedOver, Stream
 from lampest.files.errors import InputError
 from lampest.inference.prepared import Prepared
-from lampest.inference.readings.neighbours import WINDOW
+from lampest.inference.readings.outliers import WINDOW
 from lampest.panel.panel import Array
 from lampest.recording.readings import mean_change
 from lampest.recording.recording import MEASURED, Recording, baseline_readings

@@ -174,15 +174,11 @@ class CellsFit(SumOfSquares):
         # χ² of at least one degree of freedom exceeds 1 in a third of all cases.
         return self.chi_square <= 1 or self._may_be_noise(self.chi_square)
 
-    @property
-    def hopeless(self) -> bool:
-        """Whether no minimum that further iterations reach from these cells is within noise."""
-        return self.hopeless_with(1.0)
+    def hopeless(self, variance_factor: float = 1.0) -> bool:
+        """Return whether no minimum that further iterations reach from these cells is within noise.
 
-    def hopeless_with(self, variance_factor: float) -> bool:
-        """Return the same for readings with variances that are larger by this factor at most.
-
-        χ² of any cells is lower by this factor at most.
+        Variances of the readings may be larger by a factor at most: χ² of any cells is lower by
+        this factor at most.
         """
         chi_square = self.chi_square / variance_factor
         if not self.jacobian.size:
@@ -193,11 +189,8 @@ class CellsFit(SumOfSquares):
         """Return whether P(χ²_degrees ≥ chi_square) ≥ SIGNIFICANCE.
 
         The tail grows with the degrees of freedom. These cost all eigenvalues, and are computed
-        where neither the fewest nor the most decide.
+        where the fewest do not decide.
         """
-        most = max(float(np.sum(self.readings.seen)), 1.0)
-        if chi_square_tail(chi_square, most) < SIGNIFICANCE:
-            return False
         if chi_square_tail(chi_square, 1.0) >= SIGNIFICANCE:
             return True
         return bool(chi_square_tail(chi_square, self.degrees) >= SIGNIFICANCE)
@@ -224,14 +217,14 @@ class CellsFit(SumOfSquares):
     def gain(self) -> Array:
         """K (cells, readings): derivative of the fitted log cells with respect to the readings."""
         # K = (J̃ᵀ J̃ + ridge)⁻¹ J̃ᵀ/σ, with J̃ = ∂y/∂log r / σ
-        return np.asarray(self.covariance @ (self.jacobian.T / self.readings.known_sigma.ravel()))
+        return self.covariance @ (self.jacobian.T / self.readings.known_sigma.ravel())
 
     def response(self, errors: Array) -> Array:
         """Return K U, the change of the log cells (cells, n) by errors U of the readings.
 
         The errors U are (n, rows, columns).
         """
-        return np.asarray(self.gain @ errors.reshape(len(errors), self.cells.size).T)
+        return self.gain @ errors.reshape(len(errors), self.cells.size).T
 
     def response_to(self, errors: "Iterable[SharedEffect]", sizes: Systematic) -> Array:
         """Return K U of errors that frames share, of one standard deviation each, (cells, n)."""
@@ -319,7 +312,7 @@ def fitted(
             return fit
         if not patient and fit.chi_square <= SMALL_CHI_SQUARE:
             return fit
-        if not patient and fit.hopeless:
+        if not patient and fit.hopeless():
             return None
         # Elsewhere cells stand at the boundary r = 0 or r = ∞, which takes more iterations.
         if fit.jacobian.size:

@@ -20,7 +20,7 @@ Sources: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83, 1988; Goodnight, The Amer
 33, 1979; Madras & Slade, The Self-Avoiding Walk, 1993 (number of outlines of a length).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -47,10 +47,7 @@ FIELD_CELLS = (1.0, 2.0, 4.0, np.inf)
 OWN_SHARES = (1e-6, 1e-4, 1e-2, 1e-1)
 MAX_EXCHANGES = 4  # for each cell, of one search
 MIN_PIVOT = 1e-300  # rounding may take a pivot to zero, whose logarithm does not exist
-FIRST_ROOM = 16  # added cells for which memory is taken first; it doubles as needed
 MIN_STILL_SHARE = 0.3  # of the cells: with fewer still cells, a load covers the panel
-
-Chosen = Mask
 
 
 def mostly_still(moved: Mask) -> bool:
@@ -94,20 +91,16 @@ class Changes:
         Σ, the covariance of d over still cells without these errors.
     columns : array, shape (n, errors)
         A.
-    of_noise : tuple of array and float, or None
-        Inverse of Σ and the logarithm of its determinant where they are known: with few errors C
-        is inverted in less time by them.
     """
 
     change: Array
     noise: Array
     columns: Array
-    of_noise: tuple[Array, float] | None = None
 
     @cached_property
     def covariance(self) -> Array:
         """C = Σ + A Aᵀ, the covariance of d over still cells, (n, n)."""
-        return np.asarray(self.noise + self.columns @ self.columns.T)
+        return self.noise + self.columns @ self.columns.T
 
     @cached_property
     def inverse_and_volume(self) -> tuple[Array, float]:
@@ -120,21 +113,9 @@ class Changes:
         volume : float
             ln |C⁻¹|.
         """
-        if self.of_noise is None:
-            return inverse_and_volume(self.covariance)
-        # With V = Σ⁻¹ A: C⁻¹ = Σ⁻¹ − V (1 + Aᵀ V)⁻¹ Vᵀ
-        inverse, volume = self.of_noise
-        if not self.columns.size:
-            return inverse, volume
-        weighted = inverse @ self.columns
-        within, volume_within = inverse_and_volume(
-            np.eye(self.columns.shape[1]) + self.columns.T @ weighted
-        )
-        return inverse - weighted @ within @ weighted.T, volume + volume_within
+        return inverse_and_volume(self.covariance)
 
-    def selected(
-        self, starts: Sequence[Chosen], loaded: Chosen | None = None
-    ) -> tuple[float, Chosen]:
+    def selected(self, starts: Sequence[Mask], loaded: Mask | None = None) -> tuple[float, Mask]:
         """Select the moved cells, see `select_changed`.
 
         Returns
@@ -149,7 +130,7 @@ class Changes:
         lost, moved = select_changed(slope, precision, starts, loaded)
         return lost + float(self.change @ slope) - volume, moved
 
-    def gain_of_loads(self, moved: Chosen, place: Numbers) -> float:
+    def gain_of_loads(self, moved: Mask, place: Numbers) -> float:
         """Return the decrease of −2 ln evidence where the moved cells may be loads.
 
         Single cells and loads are equally probable. Where most cells moved, they are no load: the
@@ -181,14 +162,9 @@ class Changes:
         place : integer array, shape (n, 2)
             Row and column of each cell.
         """
-        fields = covariances_of_field(place)
-        costs = [
-            sum(misfit_and_volume(self.covariance + fields.covariance(number), self.change))
-            for number in range(len(fields.shares))
-        ]
-        return mean_cost(np.array(costs))
+        return mean_cost(np.array(covariances_of_field(place).costs(self.covariance, self.change)))
 
-    def part(self, cells: Chosen) -> "Changes":
+    def part(self, cells: Mask) -> "Changes":
         """Return the changes of these cells alone."""
         return Changes(self.change[cells], self.noise[np.ix_(cells, cells)], self.columns[cells])
 
@@ -202,7 +178,7 @@ class Changes:
         """The errors z, conditioned on the changes."""
         return Conditioned.on(self.columns, self.noise, np.eye(self.columns.shape[1]))
 
-    def posterior(self, still: Chosen) -> tuple[Array, Array]:
+    def posterior(self, still: Mask) -> tuple[Array, Array]:
         """Return the posterior of z given the changes d_s of the still cells.
 
         Returns
@@ -252,32 +228,28 @@ class Mixtures:
 
     Attributes
     ----------
-    parts : tuple of array, each of shape (n, n)
+    parts : array, shape (parts, n, n)
     shares : array, shape (covariances, parts)
     """
 
-    parts: tuple[Array, ...]
+    parts: Array
     shares: Array
 
     @classmethod
     def one(cls, covariance: Array) -> Self:
         """Return a single covariance, (n, n)."""
-        return cls((covariance,), np.ones((1, 1)))
+        return cls(covariance[None], np.ones((1, 1)))
 
     def covariance(self, number: int) -> Array:
         """Return the covariance of a number, (n, n)."""
-        return _mixed(self.parts, self.shares[number])
+        return np.tensordot(self.shares[number], self.parts, 1)
 
-    def through(self, jacobian: Array) -> Iterator[Array]:
-        """Generate the covariances J S Jᵀ of readings with the Jacobian (readings, n)."""
-        parts = [jacobian @ part @ jacobian.T for part in self.parts]
-        return (_mixed(parts, share) for share in self.shares)
-
-
-def _mixed(parts: Sequence[Array], shares: Array) -> Array:
-    """Return the sum of the parts with their shares."""
-    pairs = zip(parts, shares, strict=True)
-    return np.asarray(sum(share * part for part, share in pairs if share))
+    def costs(self, known: Array, change: Array) -> list[float]:
+        """Return −2 ln density of changes d, (n,), with each covariance beside a known one."""
+        return [
+            sum(misfit_and_volume(known + self.covariance(number), change))
+            for number in range(len(self.shares))
+        ]
 
 
 def covariances_of_field(place: Numbers) -> Mixtures:
@@ -292,15 +264,15 @@ def covariances_of_field(place: Numbers) -> Mixtures:
         Row and column of each cell.
     """
     smooth = [smooth_covariance(place, cells) for cells in FIELD_CELLS]
-    tried = product(range(len(smooth)), OWN_SHARES, FIELD_DEVIATIONS)
-    shares = np.zeros((len(smooth) * len(OWN_SHARES) * len(FIELD_DEVIATIONS), len(smooth) + 1))
-    for row, (number, own, deviation) in zip(shares, tried, strict=True):
-        row[number] = (1 - own) * deviation**2
-        row[-1] = own * deviation**2
-    return Mixtures((*smooth, np.eye(len(place))), shares)
+    *of_smooth, of_own = np.eye(len(smooth) + 1)
+    shares = [
+        ((1 - own) * of_one + own * of_own) * deviation**2
+        for of_one, own, deviation in product(of_smooth, OWN_SHARES, FIELD_DEVIATIONS)
+    ]
+    return Mixtures(np.stack([*smooth, np.eye(len(place))]), np.array(shares))
 
 
-def outline(place: Numbers, moved: Chosen) -> int:
+def outline(place: Numbers, moved: Mask) -> int:
     """Return the number of edges between moved and still cells.
 
     Parameters
@@ -330,7 +302,7 @@ def _slab_cost(precision: Array, slope: Array, slab: Array) -> float:
     return Information(root.T @ precision @ root, root.T @ slope).evidence_cost
 
 
-def usual_starts(change: Array) -> list[Chosen]:
+def usual_starts(change: Array) -> list[Mask]:
     """Return the sets of moved cells that a search begins with.
 
     The sets are none, all, and the half that changed most.
@@ -344,8 +316,8 @@ def usual_starts(change: Array) -> list[Chosen]:
 
 
 def select_changed(
-    slope: Array, precision: Array, starts: Sequence[Chosen], loaded: Chosen | None = None
-) -> tuple[float, Chosen]:
+    slope: Array, precision: Array, starts: Sequence[Mask], loaded: Mask | None = None
+) -> tuple[float, Mask]:
     """Return the moved cells with the largest evidence that a search from several starts finds.
 
     Parameters
@@ -372,9 +344,7 @@ def select_changed(
     return min(ends, key=lambda selection: selection[0])
 
 
-def _exchange_cells(
-    slope: Array, slab: Array, moved: Chosen, fixed: Chosen
-) -> tuple[float, Chosen]:
+def _exchange_cells(slope: Array, slab: Array, moved: Mask, fixed: Mask) -> tuple[float, Mask]:
     """Exchange single cells until no exchange lowers −2 ln evidence; fixed cells stay moved.
 
     Parameters
@@ -469,10 +439,9 @@ def _gained(vector: Array, size: Array, column: Callable[[Numbers], Array]) -> A
     index = np.arange(len(vector))
     total = np.zeros(len(vector))
     added = np.zeros(vector.shape, dtype=bool)
-    # Rows of the pivoted Cholesky factors, one for each added cell; there is room for some more.
-    room = np.empty((len(vector), FIRST_ROOM, vector.shape[1]))
-    for count in range(vector.shape[1]):
-        rows = room[:, :count]
+    # Rows of the pivoted Cholesky factors, one for each added cell
+    rows = np.empty((len(vector), 0, vector.shape[1]))
+    for _ in range(vector.shape[1]):
         pivots = np.maximum(size, MIN_PIVOT)
         gains = np.where(added, -np.inf, vector**2 / pivots - np.log(pivots) - MOVED_COST)
         cells = np.argmax(gains, axis=1)
@@ -488,8 +457,7 @@ def _gained(vector: Array, size: Array, column: Callable[[Numbers], Array]) -> A
         pivot = np.where(active, of_cell[index, cells], 1.0)[:, None]
         of_cell = np.where(active[:, None], of_cell, 0.0)
         vector = vector - of_cell * (vector[index, cells][:, None] / pivot)
-        if count == room.shape[1]:
-            room = np.concatenate([room, np.empty_like(room)], axis=1)
-        room[:, count] = of_cell / np.sqrt(pivot)
-        size = size - room[:, count] ** 2
+        row = of_cell / np.sqrt(pivot)
+        rows = np.concatenate([rows, row[:, None]], axis=1)
+        size = size - row**2
     return total

@@ -20,10 +20,9 @@ from lampest.inference.cells_fit import CellsFit, fitted
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.variance_components import MIN_EXCESS
 from lampest.panel.readouts.converter import sigma_code
-from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.posterior.interval import LEVEL, student_two_sided
-from lampest.posterior.reference import MAX_CELLS, ErrorScale, references
+from lampest.posterior.reference import MAX_CELLS, references
 from lampest.posterior.reference_fit import DEGREES_OF_FREEDOM
 from lampest.recording.readings import Readings
 from lampest.recording.recording import (
@@ -40,24 +39,6 @@ KEY = "systematic.model_error"
 MIN_READINGS = 100
 
 
-def error_factor(scale: ErrorScale) -> float:
-    """Return the factor on σ with which 95 % of the residuals lie within 1.96 σ.
-
-    Without strong evidence the factor is 1. An error of all readings shows in the scale of
-    Student's t, an error of few readings in the tail.
-    """
-    # In −2 ln evidence, mouths at their limits gain 23 at most where nothing is wrong; static
-    # errors of 7 % gain 76.
-    if scale.readings < MIN_READINGS or scale.gain(1.0) < MIN_EVIDENCE_GAIN:
-        return 1.0
-    # tail: empirical 95 % point; whole: that of Student's t, whose squared scale exceeds 1 by that
-    # of the error
-    tail = scale.tail / TWO_SIDED
-    widened = student_two_sided(DEGREES_OF_FREEDOM) / TWO_SIDED * np.sqrt(scale.best**2 - 1)
-    factor = max(tail, float(np.hypot(1.0, widened)))
-    return factor if factor >= MIN_EXCESS else 1.0
-
-
 def with_model_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimate:
     """Return the noise of a single network with the model's error in σ.
 
@@ -69,18 +50,21 @@ def with_model_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimat
         return noise
     if specified not in (None, ESTIMATED):
         return scaled(noise, recording, float(np.hypot(1.0, float(specified))))
+    reason = "" if np.any(recording.role == MEASURED) else "record a loaded frame"
     if scene.panel.crossings > MAX_CELLS:
         reason = f"the panel has more than {MAX_CELLS} cells"
-        return noise.undetermined(KEY, reason) if specified == ESTIMATED else noise
-    if not np.any(recording.role == MEASURED):
-        reason = "record a loaded frame"
+    if reason:
         return noise.undetermined(KEY, reason) if specified == ESTIMATED else noise
     factor = broken_laws(noise.readings, recording)
     if specified == ESTIMATED or not np.any(recording.role == UNLOADED):
         factor = max(factor, heavy_tails(noise.readings, recording))
     size = float(np.sqrt(max(factor**2 - 1, 0.0)))
-    message = _in_words(factor, noise.sigma_factor, scene) if factor > 1 else ""
-    noise = scaled(noise, recording, factor).with_warnings(message)
+    steps = ""
+    if scene.readout is not None:
+        lsb = factor * noise.sigma_factor * float(np.mean(sigma_code(scene.readout)))
+        steps = f"by {lsb:.2g} LSB, "
+    message = f"readings are missed {steps}{factor:.2g} times their noise: an error of the model"
+    noise = scaled(noise, recording, factor).with_warnings(message if factor > 1 else "")
     if specified != ESTIMATED:
         return noise
     # by one standard deviation of the factor, so that an error of 0 has one, too
@@ -124,14 +108,25 @@ def _excess(fit: CellsFit | None) -> float:
 def heavy_tails(readings: Readings, recording: Recording) -> float:
     """Return the factor on σ that the residuals of loaded frames show in two models of the cells.
 
+    With it 95 % of the residuals lie within 1.96 σ. Without strong evidence the factor is 1. An
+    error of all readings shows in the scale of Student's t, an error of few readings in the tail.
+
     Each model mistakes unexpected cells for errors of the readings, so an error is accepted only if
     both need one. The larger size is taken: errors that stay constant from frame to frame hardly
     show in changes.
     """
     factors = list[float]()
     for solves, cost in _judges(recording, readings):
-        factors.append(error_factor(references(solves, cost)[0]))
-        if factors[-1] == 1.0:
+        scale = references(solves, cost)[0]
+        # In −2 ln evidence, mouths at their limits gain 23 at most where nothing is wrong; static
+        # errors of 7 % gain 76.
+        if scale.readings < MIN_READINGS or scale.gain(1.0) < MIN_EVIDENCE_GAIN:
+            return 1.0
+        # The squared scale of Student's t exceeds 1 by that of the error.
+        excess = np.sqrt(scale.best**2 - 1)
+        widened = student_two_sided(DEGREES_OF_FREEDOM) / TWO_SIDED * excess
+        factors.append(max(scale.tail / TWO_SIDED, float(np.hypot(1.0, widened))))
+        if factors[-1] < MIN_EXCESS:
             return 1.0
     return max(factors, default=1.0)
 
@@ -178,11 +173,3 @@ def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Dat
         yield posed(
             RelativeChange(weight=1.0), Background(scene, previous=fit.cells, baseline=fit.cells)
         )
-
-
-def _in_words(factor: float, sigma_factor: float, scene: Scene) -> str:
-    """Return the sentence on an error of the model, given the factor on σ before it."""
-    size = ""
-    if scene.readout is not None:
-        size = f"by {factor * sigma_factor * float(np.mean(sigma_code(scene.readout))):.2g} LSB, "
-    return f"readings are missed {size}{factor:.2g} times their noise: an error of the model"

@@ -3,7 +3,7 @@
 The scatter of unloaded frames (`lampest.inference.variance_components`) is compared with the
 specified noise. Specified noise is replaced only where the frames contradict it; noise, gain and
 ripple that a scene leaves open are taken from them. `NoiseEstimate` holds the result, with a
-sentence for each number and contradiction.
+sentence for each number and contradiction. That of a panel of modules is from that of each module.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,13 +16,14 @@ from lampest.files.levels import SIGNIFICANCE
 from lampest.files.typed import ReadOnlyArrays
 from lampest.inference.variance_components import (
     MIN_EXCESS,
+    NO_RIPPLE,
     Scatter,
     noted_excess,
     repeated_scatter,
     unloaded_scatter,
 )
 from lampest.panel.effects import READINGS, Possible, recorded_times, sized_effects
-from lampest.panel.panel import Array, Mask
+from lampest.panel.panel import Array, Mask, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import (
     averaged_variance,
@@ -51,6 +52,7 @@ MIN_MEDIAN_NOISE = 0.5
 # Errors that the readings of a frame share, in the summary.
 SHARED = ("{:.2g} % gain", "{:.2g} LSB along a scan", "{:.2g} LSB of a line")
 MOVED = "readings at rest move together by {:.2g} %, as moving water or the supply moves them"
+MAX_NAMED = 3  # modules in one sentence
 BROKE_DOWN = "arithmetic broke down over its readings"  # why a number is undetermined
 
 
@@ -150,6 +152,13 @@ class NoiseEstimate(ReadOnlyArrays):
         if self.possible_errors is None:
             return 0.0
         return self.possible_errors.sizes.size(READINGS)
+
+    def of_frames(self, recording: Recording) -> "FrameNoise":
+        """Return the errors that the readings of a frame share, without a size where none has."""
+        from lampest.posterior.frame_noise import FrameNoise  # for scenes that name any
+
+        unloaded = int((recording.role == UNLOADED).sum())
+        return self.frame or FrameNoise(recording.scene, unloaded, 0.0, NO_RIPPLE, NO_RIPPLE)
 
     @property
     def shared_sizes(self) -> tuple[float, float, float]:
@@ -433,3 +442,60 @@ def _sizes_in_words(possible: Possible) -> str:
     sized = [(error, possible.sizes.size(error.setting)) for error in sized_effects(possible.sizes)]
     parts = [f"{error.name} {size:.2g} {error.unit}".rstrip() for error, size in sized if size]
     return f"frames share, as standard deviations: {', '.join(parts)}" if parts else ""
+
+
+def noise_of_modules(
+    recording: Recording, layout: Modules, every: Sequence[NoiseEstimate | None]
+) -> NoiseEstimate:
+    """Return the noise of a panel of modules from the noise of each module.
+
+    None stands for a dead one.
+    """
+    recorded = recording.readings()
+    readings = [
+        recorded.of_module(layout, n) if noise is None else noise.readings
+        for n, noise in enumerate(every)
+    ]
+    no_outliers = np.zeros(recording.modules[0].recorded.shape, dtype=bool)
+    outliers = np.stack(
+        [no_outliers if noise is None else noise.outliers for noise in every], axis=-3
+    )
+    messages = [
+        f"module {list(layout.place(n))}: {noise.sentence}"
+        for n, noise in enumerate(every)
+        if noise is not None and noise.warnings
+    ]
+    more = f"and {len(messages) - MAX_NAMED} modules more" if len(messages) > MAX_NAMED else ""
+    joined = Readings.of_parts(layout, readings)
+    estimated = dict[str, tuple[float, float]]()
+    for n, noise in enumerate(every):
+        if noise is not None:
+            place = list(layout.place(n))
+            estimated |= {f"{key} of module {place}": size for key, size in noise.estimated.items()}
+    image = NoiseEstimate(
+        layout.joined(outliers), (), joined, of_modules=tuple(every), estimated=estimated
+    )
+    return image.with_warnings(*messages[:MAX_NAMED], more)
+
+
+def named_modules(
+    layout: Modules, texts: Mapping[int, str], most: int | None = None
+) -> tuple[str, ...]:
+    """Return sentences on modules, one for each text: 'modules [0, 1], [0, 2] and 3 more: dead'.
+
+    Parameters
+    ----------
+    layout : Modules
+    texts : mapping
+        Number of a module to its text.
+    most : int, optional
+        Largest number of named modules in a sentence.
+    """
+    sentences = []
+    for text in dict.fromkeys(texts.values()):
+        names = [str(list(layout.place(number))) for number in texts if texts[number] == text]
+        more = f" and {len(names) - most} more" if most and len(names) > most else ""
+        sentences.append(
+            f"module{'s' if len(names) > 1 else ''} {', '.join(names[:most])}{more}: {text}"
+        )
+    return tuple(sentences)

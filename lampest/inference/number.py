@@ -39,25 +39,20 @@ class Number:
     evidence: float = 0.0
 
     @classmethod
-    def by_costs(
-        cls, values: Array, costs: Array, prior: Array | float = 1.0, *, axis: int = 0
-    ) -> "Number":
+    def by_costs(cls, values: Array, costs: Array, prior: Array | float = 1.0) -> "Number":
         """Return the posterior of a number.
 
         Parameters
         ----------
         values : array, shape (n,)
             Tried values, ascending.
-        costs : array
+        costs : array, shape (n, …)
             −2 ln evidence of each value beside those of other numbers; a value without an
             explanation costs infinity.
         prior : array, shape (n,), or float
             Prior probabilities up to a factor.
-        axis : int
-            The axis of `costs` along which the value differs.
         """
-        beside = np.moveaxis(np.asarray(costs, dtype=float), axis, 0).reshape(len(values), -1)
-        marginal = summed_out(beside, axis=1)
+        marginal = summed_out(costs.reshape(len(values), -1), axis=1)
         logarithms = -(marginal - marginal.min()) / 2
         weight = np.broadcast_to(prior, len(values))
         odds = np.exp(logarithms) * weight
@@ -74,11 +69,6 @@ class Number:
     def mean_square(self) -> float:
         """E[value²]."""
         return float(self.odds @ np.square(self.values))
-
-    @property
-    def median(self) -> float:
-        """The value below which half of the probability is, between two tried ones."""
-        return float(np.interp(0.5, np.cumsum(self.odds), self.values))
 
     @property
     def deviation(self) -> float:

@@ -13,6 +13,7 @@ itself are estimated together with the cells and d, by Gauss-Newton steps.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,8 +48,7 @@ SECANT_STEP = 1e-3  # of the prior's standard deviation
 MAX_LENGTHS = 5  # tried lengths of a step of θ
 
 
-@dataclass(frozen=True, eq=False)
-class Evidence:
+class Evidence(NamedTuple):
     """Evidence of a pair of frames under given effects.
 
     Attributes
@@ -109,7 +109,7 @@ class FittedPair:
             circuit, value = fit.scene.circuit, fit.readings.value
             errors = tolerance_errors(circuit, fit.cells, value, fit.scene, 0.0, 1.0)
             responses.append(fit.response(errors[1:]))
-        return np.asarray(responses[1] - responses[0])
+        return responses[1] - responses[0]
 
     @property
     def channel_spread(self) -> float:
@@ -161,7 +161,7 @@ class FittedPair:
         Shape (cells,).
         """
         resting, frame = self.frames
-        return np.asarray(np.log(frame.cells / resting.cells).ravel())
+        return np.log(frame.cells / resting.cells).ravel()
 
     @cached_property
     def covariance(self) -> Array:
@@ -173,7 +173,7 @@ class FittedPair:
         noise = sum(frame.covariance for frame in self.frames) + ASSUMED.creep**2 * np.eye(
             len(self.change)
         )
-        return np.asarray(noise + self.channel_spread**2 * self.channels @ self.channels.T)
+        return noise + self.channel_spread**2 * self.channels @ self.channels.T
 
     @cached_property
     def _volume(self) -> float:
@@ -188,7 +188,7 @@ class FittedPair:
         if not effects:
             return np.zeros((len(self.change), 0))
         resting, loaded = (responses(frame, effects) for frame in self.frames)
-        return np.asarray(loaded - np.array([not effect.since for effect in effects]) * resting)
+        return loaded - np.array([not effect.since for effect in effects]) * resting
 
     def with_columns(self, columns: Array) -> Changes:
         """Return the changes d with a common change of all cells, then effects, as errors.
@@ -258,6 +258,11 @@ class FittedPair:
         return Evidence(score + self._prior, moved, mean, sd)
 
     @cached_property
+    def changes(self) -> Changes:
+        """The changes d with a common change of all cells alone."""
+        return self.with_columns(self.columns(()))
+
+    @cached_property
     def evidence(self) -> Evidence:
         """The evidence without further effects."""
         return self.explained(self.columns(()))
@@ -270,8 +275,7 @@ class FittedPair:
     @cached_property
     def gain_of_loads(self) -> float:
         """Decrease of −2 ln evidence where the moved cells may be loads."""
-        changes = self.with_columns(self.columns(()))
-        return changes.gain_of_loads(self.evidence.moved, self.place)
+        return self.changes.gain_of_loads(self.evidence.moved, self.place)
 
     @property
     def place(self) -> Numbers:
@@ -329,7 +333,7 @@ class FittedPair:
     @cached_property
     def _score_of_field(self) -> float:
         """−2 ln evidence where all changes are a smooth field."""
-        return self.with_columns(self.columns(())).cost_of_field(self.place) + self._prior
+        return self.changes.cost_of_field(self.place) + self._prior
 
     @property
     def misfits(self) -> float:
@@ -348,7 +352,7 @@ class FittedPair:
     def _misfit(self) -> tuple[float, int]:
         """χ² of the changes of the still cells, and the number of these cells."""
         still = ~self.evidence.moved
-        return self.with_columns(self.columns(())).part(still).misfit, int(still.sum())
+        return self.changes.part(still).misfit, int(still.sum())
 
     @property
     def beyond_noise(self) -> float:
@@ -357,7 +361,7 @@ class FittedPair:
 
     def beyond_noise_of(self, cells: Mask) -> float:
         """Return −2 ln evidence of these cells alone, beyond that of noise."""
-        changes = self.with_columns(self.columns(())).part(cells)
+        changes = self.changes.part(cells)
         score, moved = changes.selected(usual_starts(changes.change))
         score -= changes.gain_of_loads(moved, self.place[cells])
         score += self._prior + self._volume - float(np.linalg.slogdet(changes.noise)[1])

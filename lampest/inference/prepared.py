@@ -13,7 +13,7 @@ import numpy as np
 
 from lampest.files.errors import BROKEN, InputError, in_words
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.inference.noise import NoiseEstimate, estimate_noise
+from lampest.inference.noise import NoiseEstimate, estimate_noise, noise_of_modules
 from lampest.inference.readings.garbled import garbled_sentence
 from lampest.inference.readings.judge import Cleaned
 from lampest.inference.resolve import (
@@ -95,13 +95,6 @@ class Prepared:
             None if number in dead else Prepared(part, wholes[number]) for number, part in parts
         )
 
-    def _joined(self, estimates: "Sequence[NoiseEstimate | None]") -> NoiseEstimate:
-        """Return the noise of a panel of modules from that of each; None stands for a dead one."""
-        from lampest.inference.module_noise import noise_of_modules
-
-        assert self.layout is not None
-        return noise_of_modules(self.recording, self.layout, estimates)
-
     @cached_property
     def _freed(self) -> Freed:
         """The recording of a single network without effects that act before readings are taken."""
@@ -116,9 +109,8 @@ class Prepared:
     def frame_noise(self) -> NoiseEstimate:
         """Noise of the frames, estimated from unloaded frames and from neighbours in time."""
         if self.layout is not None:
-            return self._joined(
-                [None if module is None else module.frame_noise for module in self.modules]
-            )
+            every = [None if module is None else module.frame_noise for module in self.modules]
+            return noise_of_modules(self.recording, self.layout, every)
         recording = self.cleaned.recording
         effects = effects_of_frames(recording.scene)
         noise = estimate_noise(recording, self.cleaned.outliers, self.cleaned.readings, effects)
@@ -183,20 +175,16 @@ class Prepared:
             return check
         from lampest.inference.unobservable import unobservable_numbers  # for its sentence alone
 
-        unobservable = unobservable_numbers(self.recording.scene, self._scale_error)
-        if not unobservable:
-            return check
-        return replace(check, sentence=f"{check.sentence}; {unobservable}")
-
-    @property
-    def _scale_error(self) -> float | None:
-        """Error of the changes by the numbers that no frame shows; None where it is unknown."""
+        scale_error = None
         with suppress(*BROKEN), np.errstate(all="ignore"):
             if self.layout is None and self.cleaned.readings.sigma is not None:
                 explanation = self.question.explanation
                 if explanation is not None and explanation.pair is not None:
-                    return explanation.pair.scale_error
-        return None
+                    scale_error = explanation.pair.scale_error
+        unobservable = unobservable_numbers(self.recording.scene, scale_error)
+        if not unobservable:
+            return check
+        return replace(check, sentence=f"{check.sentence}; {unobservable}")
 
     @cached_property
     @ONE_BLAS_THREAD
@@ -292,9 +280,8 @@ class Prepared:
     def noise(self) -> NoiseEstimate:
         """Noise of the frames and errors that all frames share; σ of its readings includes both."""
         if self.layout is not None:
-            return self._joined(
-                [None if module is None else module.noise for module in self.modules]
-            )
+            every = [None if module is None else module.noise for module in self.modules]
+            return noise_of_modules(self.recording, self.layout, every)
         noise = replace(self.frame_noise, panels=self.panels)
         return resolved(noise, self.cleaned.recording, self.whole_recording, self.effects_of)
 

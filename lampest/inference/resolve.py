@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from lampest.panel.sizes import ESTIMATED, LINE_EFFECTS, SIZED, nearest_allowed
 from lampest.recording.recording import Recording
 
 if TYPE_CHECKING:
-    from lampest.inference.effects.effect import Determined, SceneEffect
     from lampest.inference.nuisances import Besides
 
 
@@ -75,10 +74,9 @@ class Entry:
         """Return the keys under which a scene says `estimated`."""
         return tuple(key for key in self.keys_of(scene) if specified(scene, key) == ESTIMATED)
 
-    def load(self) -> "SceneEffect":
-        """Return the effect."""
-        effect: SceneEffect = loaded(self.path)()
-        return effect
+    def load(self) -> Any:
+        """Return the effect, a `SceneEffect`."""
+        return loaded(self.path)()
 
 
 def _with_files(*keys: str) -> tuple[str, ...]:
@@ -137,8 +135,7 @@ MODEL_ERROR = "systematic.model_error"
 OF_NOISE = "readout.noise_lsb"
 
 
-@dataclass(frozen=True, eq=False)
-class Freed:
+class Freed(NamedTuple):
     """A recording without the effects that act before readings are taken.
 
     Attributes
@@ -150,7 +147,7 @@ class Freed:
     """
 
     recording: Recording
-    estimates: "tuple[tuple[SceneEffect, Mapping[str, Determined]], ...]" = ()
+    estimates: tuple[tuple[Any, Mapping[str, Any]], ...] = ()
 
     def noted(self, noise: NoiseEstimate, recording: Recording) -> NoiseEstimate:
         """Return the noise of the cleaned recording with the numbers of these effects."""
@@ -170,7 +167,7 @@ def freed(recording: Recording) -> Freed:
     return result
 
 
-def effects_of_frames(scene: Scene) -> "tuple[SceneEffect, ...]":
+def effects_of_frames(scene: Scene) -> tuple[Any, ...]:
     """Return the effects that a scene names and the readings of a frame share."""
     return tuple(
         entry.load()
@@ -280,11 +277,8 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
     for entry, keys in requested:
         if keys:
             scene = entry.load().stated(scene, keys, noise)
-    if OF_NOISE in others:
-        readout: Any = scene.readout
-        scene = replace(scene, readout=replace(readout, noise_lsb=noise.number(OF_NOISE)))
-    if MODEL_ERROR in others:
-        systematic: Any = scene.systematic
-        size = noise.number(MODEL_ERROR)
-        scene = replace(scene, systematic=replace(systematic, model_error=size))
+    for key in others:
+        part, _, name = key.partition(".")
+        stated: dict[str, Any] = {part: replace(getattr(scene, part), **{name: noise.number(key)})}
+        scene = replace(scene, **stated)
     return replace(scene, estimated=estimated)

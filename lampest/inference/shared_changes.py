@@ -22,7 +22,6 @@ from lampest.inference.cells_fit import CellsFit, data_of_cells, fitted
 from lampest.inference.evidence import (
     MIN_STILL_SHARE,
     Changes,
-    Chosen,
     away_from_changed,
     mostly_still,
     places_of,
@@ -38,11 +37,10 @@ from lampest.panel.effects import (
     recorded_share,
     sized_effects,
 )
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.posterior.linear import inverse_and_volume
 from lampest.recording.readings import Readings
 
 # Tried spreads of the channels over the usual one. Their logarithms are N(0, ln² 3), because parts
@@ -174,10 +172,23 @@ class SharedFrames:
 
     @cached_property
     def steadied(self) -> CellsFit | None:
-        """The fit of the loaded frame with still cells at their unloaded values."""
+        """The fit of the loaded frame with still cells at their unloaded values.
+
+        A common factor on all cells remains, and the readings are those of the model. A cell is
+        still unless it clearly moved. The linearisation of frames and unloaded panel then agrees
+        for still cells, whatever the noise.
+        """
         if self.fit is None or self.fit_of_load is None:
             return None
-        return _steadied(self.scene, self.fit_of_load, self.fit.cells)
+        fit = self.fit_of_load
+        change = np.log(fit.cells / self.fit.cells)
+        middle = np.median(change)
+        deviation = np.sqrt(2 * np.diag(fit.covariance)).reshape(change.shape)
+        moved = np.abs(change - middle) > UNUSUAL * deviation
+        data = data_of_cells(self.scene, fit.readings)
+        cells = np.where(moved, fit.cells, self.fit.cells * np.exp(middle))
+        readings = replace(fit.readings, value=data.network(0, cells).reading())
+        return CellsFit.at(self.scene, data, readings, cells)
 
 
 def shared_changes(scene: Scene, frames: SharedFrames, sizes: Systematic) -> SharedChanges | None:
@@ -243,32 +254,7 @@ def _with_frame_noise(
     if noise is None:
         return covariance
     responses = fit.gain @ noise.columns(fit.readings.value[None], baseline=baseline)
-    return np.asarray(covariance + responses @ responses.T)
-
-
-def _steadied(scene: Scene, fit: CellsFit, near: Array) -> CellsFit:
-    """Return the fit with still cells at their unloaded values, and with their model readings.
-
-    A cell is still unless it clearly moved. The linearisation of frames and unloaded panel then
-    agrees for still cells, whatever the noise.
-
-    Parameters
-    ----------
-    scene : Scene
-    fit : CellsFit
-    near : array, shape (rows, columns)
-        Unloaded cells, ohm; a common factor on all cells remains.
-    """
-    change = np.log(fit.cells / near)
-    middle = np.median(change)
-    moved = np.abs(change - middle) > UNUSUAL * np.sqrt(2 * np.diag(fit.covariance)).reshape(
-        change.shape
-    )
-    data = data_of_cells(scene, fit.readings)
-    cells = np.where(moved, fit.cells, near * np.exp(middle))
-    return CellsFit.at(
-        scene, data, replace(fit.readings, value=data.network(0, cells).reading()), cells
-    )
+    return covariance + responses @ responses.T
 
 
 def _slope_of_load(change: Array, shape: tuple[int, ...]) -> Array:
@@ -293,7 +279,7 @@ def _slope_of_load(change: Array, shape: tuple[int, ...]) -> Array:
     return np.asarray(deviation[:, None] * smooth * deviation)
 
 
-def _still(changes: Changes, begun: Chosen | None = None) -> tuple[float, Chosen]:
+def _still(changes: Changes, begun: Mask | None = None) -> tuple[float, Mask]:
     """Return −2 ln evidence, and the still cells.
 
     Parameters
@@ -334,13 +320,12 @@ def error_costs(
     by_readings = moves.own @ moves.own.T
     costs = np.zeros((len(SKIRTS), len(factors), len(errors)))
     for skirt, of_skirt in zip(SKIRTS, costs, strict=True):
-        starts: list[Chosen | None] = [None] * len(factors)
+        starts: list[Mask | None] = [None] * len(factors)
         for column, size in enumerate(errors):
             noise = moves.noise + skirt**2 * loads + size**2 * by_readings
-            of_noise = inverse_and_volume(noise)
             for number, factor in enumerate(factors):
                 hidden = moves.with_channels(factor).hidden
-                changes = Changes(moves.change, noise, hidden, of_noise)
+                changes = Changes(moves.change, noise, hidden)
                 of_skirt[number, column], starts[number] = _still(changes, starts[number])
     # −2 ln Σ_skirt p(d | e, skirt)
     return summed_out(costs, axis=0)
@@ -377,27 +362,13 @@ def gain_of(scene: Scene, frames: SharedFrames, sizes: Systematic, setting: str)
     return gain if gain > MIN_EVIDENCE_GAIN else 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class JointPosterior:
-    """Posterior of the errors z of all readings, in units of their priors.
-
-    Attributes
-    ----------
-    second, covariance : array, shape (columns, columns)
-        E[z zᵀ], and the covariance of z.
-    """
-
-    second: Array
-    covariance: Array
-
-
 def joint_posterior(
     scene: Scene, moves: SharedChanges, size: float, spread: Number
-) -> JointPosterior | None:
+) -> tuple[Array, Array] | None:
     """Return the posterior of errors z, summed over spreads of the channels.
 
-    The slope around a load is none of the errors. The result is None where a load leaves no still
-    cells.
+    The errors are in units of their priors. The slope around a load is none of the errors. The
+    result is None where a load leaves no still cells.
 
     Parameters
     ----------
@@ -407,6 +378,11 @@ def joint_posterior(
         Standard deviation e of each reading's own error.
     spread : Number
         Spread of the channels over the usual one.
+
+    Returns
+    -------
+    second, covariance : array, shape (columns, columns)
+        E[z zᵀ], and the covariance of z.
     """
     sloped = replace(moves, noise=moves.noise + _slope_of_load(moves.change, scene.panel.shape))
     start = None
@@ -431,4 +407,4 @@ def joint_posterior(
         return None
     mean = np.average(means, axis=0, weights=weights)
     second = np.average(seconds, axis=0, weights=weights)
-    return JointPosterior(second, second - np.outer(mean, mean))
+    return second, second - np.outer(mean, mean)

@@ -334,7 +334,7 @@ def _trend(data: Data) -> Array:
     polynomials = np.stack([np.where(free, power, 0.0).ravel() for power in powers], axis=1)
     basis, triangle = np.linalg.qr(polynomials)
     sizes = np.abs(np.diag(triangle))
-    return np.asarray(basis[:, sizes > MIN_OTHER_SHARE * sizes[0]])
+    return basis[:, sizes > MIN_OTHER_SHARE * sizes[0]]
 
 
 def _unlike(data: Data, scatter: float) -> tuple[Array, Array]:
@@ -388,7 +388,7 @@ class AtRest:
 
     def response(self, errors: Array) -> Array:
         """Return the change of m (cells, n) by errors of the readings, (readings, n)."""
-        return np.asarray(self.covariance @ (self.jacobian.T @ errors))
+        return self.covariance @ (self.jacobian.T @ errors)
 
 
 def most_probable_cells(

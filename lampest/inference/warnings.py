@@ -1,15 +1,13 @@
 """Warnings about a recording, one plain line each: frames and units, noise, the circuit."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.applications import applications
 from lampest.files.errors import first_and_more
 from lampest.inference.circuits.alternatives import changes_beyond_noise
 from lampest.inference.circuits.kinds import choices
 from lampest.inference.circuits.model_check import ModelCheck, module_factors
-from lampest.inference.module_noise import named_modules
-from lampest.inference.noise import NoiseEstimate
+from lampest.inference.noise import NoiseEstimate, named_modules
 from lampest.panel.readouts.converter import states_noise
 from lampest.recording.readings import Readings
 from lampest.recording.recording import TOUCHED, UNEVENLY, UNLOADED, UNREFERENCED, Recording
@@ -42,9 +40,13 @@ def warnings_of(
     """
     check = check or ModelCheck(explains=True, sentence="")
     readings = recording.readings()
+    unloaded = int((recording.role == UNLOADED).sum())
+    roles = UNREFERENCED if unloaded == 0 else ""
+    if unloaded == 1:
+        roles = "only one frame is unloaded, so that nothing shows the noise: record five or more"
     lesser_load = "" if check.better else _less_load(recording, readings)
     frames = (
-        _roles(recording.role),
+        roles,
         _times(recording),
         _unit(recording, readings),
         _scatter(recording, noise),
@@ -61,16 +63,6 @@ def warnings_of(
     if touched is not None and touched(recording):
         loaded = f"{TOUCHED}, and changes are against their mean: name others with `lampest tare`"
     return tuple(filter(None, (*of_readings, loaded, circuit, corrections, *of_noise)))
-
-
-def _roles(role: NDArray[np.uint8]) -> str:
-    """Return a warning of too few unloaded frames; ''."""
-    unloaded = int((role == UNLOADED).sum())
-    if unloaded == 0:
-        return UNREFERENCED
-    if unloaded == 1:
-        return "only one frame is unloaded, so that nothing shows the noise: record five or more"
-    return ""
 
 
 def _times(recording: Recording) -> str:

@@ -32,8 +32,7 @@ from lampest.apps.recognition.verdict import Verdict
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import Look, WatchSetup
 from lampest.inference import evidence, noise
-from lampest.inference.circuits.compared_frames import noise_factor
-from lampest.inference.circuits.explanation import Explanation
+from lampest.inference.circuits.explanation import Explanation, noise_factor
 from lampest.inference.circuits.model_check import module_factors
 from lampest.inference.effects.converter_ends import saturated
 from lampest.inference.effects.motion import displacement
@@ -390,9 +389,7 @@ def contacts_row() -> dict[str, Any]:
         SimpleNamespace(chi_square=2.0 + k, readings=SimpleNamespace(bounds=np.eye(2 + k)))
         for k in (0, 1)
     ]
-    explanation = Explanation(
-        None, tuple(fits), SimpleNamespace(beyond_noise=30.0, density=70.0, misfits=65.0)
-    )  # type: ignore[arg-type]
+    explanation = Explanation(None, tuple(fits), SimpleNamespace(density=70.0, misfits=65.0))  # type: ignore[arg-type]
     calm = 1000 + np.where(np.arange(60) < 30, 2.0, 30.0)[:, None, None] * rng.standard_normal(
         (60, 3, 4)
     )
@@ -402,7 +399,7 @@ def contacts_row() -> dict[str, Any]:
         "modules": [factors_of_modules(factor) for factor in (1.01, 1.1, 1.3, 1.6, 2.5)],
         "warnings": shared,
         "odd modules": [odd_modules(count) for count in (2, 3)],
-        "scores": [explanation.score, explanation.beyond_noise],
+        "scores": [explanation.score],
         "corrections": CircuitEffects(pair=effects).corrections,
         "usual": outliers.detect_outliers(calm, np.full(calm.shape, 2.0))[0].nonzero(),
         "wild": outliers.detect_outliers(wild, np.full(wild.shape, 0.3))[0].sum(axis=(1, 2)),

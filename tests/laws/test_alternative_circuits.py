@@ -11,7 +11,7 @@ from lampest.inference import cells_fit
 from lampest.inference.cells_fit import LEAST_SQUARES, CellsFit, data_of_cells, fitted
 from lampest.inference.circuits import better_alternative, explanation, parameters
 from lampest.inference.circuits.alternatives import Alternative, alternatives_of
-from lampest.inference.circuits.compared_frames import broken_law
+from lampest.inference.circuits.explanation import broken_law
 from lampest.inference.prepared import Prepared
 from lampest.inference.readings.free_tests import free_tests
 from lampest.panel.effects.loose_contact import LooseContact

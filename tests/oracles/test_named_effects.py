@@ -356,7 +356,6 @@ def test_an_effect_that_gains_only_alone_is_not_advised(monkeypatch: pytest.Monk
         def __init__(self, *names: str) -> None:
             self.names = tuple(sorted(names))
 
-    monkeypatch.setattr(effects, "Gathered", lambda _, prepared: prepared)
     monkeypatch.setattr(effects, "searched", lambda fake: shown.get(fake.names, ()))
     monkeypatch.setattr(
         effects,
@@ -379,7 +378,6 @@ def test_effects_that_a_scene_cannot_name_leave_advice_as_found(
         noise = None
         cleaned = SimpleNamespace(readings=SimpleNamespace(sigma=1.0), recording=None)
 
-    monkeypatch.setattr(effects, "Gathered", lambda _, prepared: prepared)
     monkeypatch.setattr(effects, "searched", lambda prepared: found)
     monkeypatch.setattr(effects, "named", lambda prepared, *unnamed: prepared)
     assert [finding.what for finding in effects.unnamed_effects(Plain())] == ["own", "gain"]

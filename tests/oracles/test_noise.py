@@ -22,7 +22,7 @@ from lampest.audit.effects import unnamed_effects
 from lampest.estimate.sequence import reconstruct
 from lampest.files.levels import DOUBTFUL_GAIN, NOISE_REACH, SIGNIFICANCE, TWO_SIDED, UNUSUAL
 from lampest.inference.cells_fit import CellsFit, fitted
-from lampest.inference.circuits.compared_frames import noise_factor
+from lampest.inference.circuits.explanation import noise_factor
 from lampest.inference.effects import static_errors
 from lampest.inference.prepared import Prepared
 from lampest.inference.readings.outliers import detect_outliers

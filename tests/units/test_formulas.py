@@ -25,7 +25,6 @@ from lampest.inference.evidence import (
 )
 from lampest.panel import compiled
 from lampest.panel.panel import Array
-from lampest.posterior.linear import inverse_and_volume
 
 ROUNDING = 1e-9  # float64 times the condition of covariances, below 1e6
 
@@ -48,17 +47,6 @@ def test_an_additional_error_is_scored_by_the_density_of_the_change(seed: int) -
         assert score == pytest.approx(
             change @ np.linalg.solve(with_it, change) + volume, rel=ROUNDING
         )
-
-
-@pytest.mark.parametrize("errors", [0, 3])
-def test_changes_with_the_inverse_of_their_noise_have_the_same_evidence(errors: int) -> None:
-    change, noise = random_change(9, 5)
-    columns = np.random.default_rng(6).standard_normal((9, errors))
-    starts = usual_starts(change)
-    score, moved = Changes(change, noise, columns).selected(starts)
-    by_noise = Changes(change, noise, columns, inverse_and_volume(noise)).selected(starts)
-    assert by_noise[0] == pytest.approx(score, abs=1e-8)
-    assert np.array_equal(by_noise[1], moved)
 
 
 def test_cells_are_added_until_none_gains_however_many_these_are() -> None:

@@ -15,8 +15,6 @@ def test_the_posterior_of_a_parabola_of_costs_is_normal() -> None:
     assert number.mean == pytest.approx(MEAN, abs=1e-3)
     assert number.deviation == pytest.approx(SD, rel=0.01)
     assert number.mean_square == pytest.approx(MEAN**2 + SD**2, rel=0.01)
-    # half of the probability of the median's own value is below it
-    assert number.median == pytest.approx(MEAN, abs=0.06)
     assert number.gain == pytest.approx(((VALUES[0] - MEAN) / SD) ** 2, abs=0.01)
 
 
@@ -33,8 +31,6 @@ def test_a_number_that_another_imitates_is_less_sure() -> None:
     costs = ((VALUES[:, None] + other - MEAN) / SD) ** 2 + other**2
     number = Number.by_costs(VALUES, costs)
     assert number.deviation == pytest.approx(np.hypot(SD, 1.0), rel=0.02)
-    swapped = Number.by_costs(VALUES, costs.T, axis=1)
-    np.testing.assert_allclose(swapped.odds, number.odds)
 
 
 def test_a_prior_of_zero_excludes_a_value_and_a_failed_one_has_no_odds() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.inference.circuits.compared_frames import noise_factor
+from lampest.inference.circuits.explanation import noise_factor
 from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.panel import Array, Panel
 from lampest.posterior.frame_noise import FrameNoise

@@ -6,8 +6,7 @@ cost milliseconds, then by the evidence of the same frames.
 
 | module | content |
 |---|---|
-| `compared_frames` | the frames that decide, and the laws that a circuit cannot break |
-| `explanation` | cells that explain these frames under a circuit, with their evidence |
+| `explanation` | the frames that decide, and the cells that explain them, with their evidence |
 | `loaded_density` | density of the loaded frame about its most probable cells |
 | `kinds` | circuits of other kinds and settings with the same converter and resistor |
 | `alternatives` | these circuits, other orders of the readings, other converters |

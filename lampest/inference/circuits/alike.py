@@ -77,18 +77,15 @@ class PanelChoice:
         if not pairs:
             return None
         pairs.sort(key=itemgetter(0))
-        cost, best = pairs[0]
+        (cost, best), *others = pairs
         clear = mostly_still(best.moved)
+        other = None
+        if others:
+            second_cost, second = others[0]
+            both = zip(second.frames, best.frames, strict=True)
+            other = next(frame.cells for frame, taken in both if frame is not taken)
+            clear = clear and second_cost - cost > CLEAR
         resting_cells, loaded_cells = (frame.cells for frame in best.frames)
-        if len(pairs) == 1:
-            return cls(resting_cells, loaded_cells, None, clear)
-        second_cost, second = pairs[1]
-        other = next(
-            frame.cells
-            for frame, taken in zip(second.frames, best.frames, strict=True)
-            if frame is not taken
-        )
-        clear = clear and second_cost - cost > CLEAR
         return cls(resting_cells, loaded_cells, other, clear)
 
     @property
@@ -109,14 +106,13 @@ class PanelChoice:
         )
 
 
-def change_cost(cells: Array, baseline: Array) -> float:
-    """Return Σ ln(1 + (Δ ln r/CHANGE)²) of two panels."""
-    return float(np.log1p((np.log(cells / baseline) / CHANGE) ** 2).sum())
-
-
 def nearest_panel(panels: Sequence[Array], baseline: Array) -> Array:
-    """Return the panel in which the fewest cells differ from the unloaded ones."""
-    return min(panels, key=lambda cells: change_cost(cells, baseline))
+    """Return the panel in which the fewest cells differ from the unloaded ones.
+
+    It has the least Σ ln(1 + (Δ ln r/CHANGE)²).
+    """
+    changes = (np.log(cells / baseline) / CHANGE for cells in panels)
+    return panels[int(np.argmin([np.log1p(change**2).sum() for change in changes]))]
 
 
 def _every_panel(scene: Scene, readings: Readings, tolerance: float) -> list[Array]:

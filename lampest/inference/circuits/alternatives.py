@@ -288,15 +288,16 @@ def _listed_by_columns(specified: Alternative, readout: Any) -> Iterator[Alterna
     rows, columns = scene.panel.shape
     if not scene.whole or scene.panel.modules is not None or min(rows, columns) == 1:
         return
-    if rows == columns and _sides_alike(scene):
-        return
+    side = getattr(readout, "driven", None)
+    told = getattr(readout, "groups", None) or scene.wiring is not None or side is not None
+    if rows == columns and not told and not isinstance(scene.series_resistance_ohm, SeriesPerLine):
+        return  # a relabelling
     order = np.arange(rows * columns).reshape(columns, rows).T.ravel()
     reordered = replace(specified, order=order)
     sigma = None if specified.sigma is None else reordered.ordered(specified.sigma)
     recorded = reordered.ordered(specified.recorded)
     reordered = replace(reordered, recorded=recorded, sigma=sigma, kind=BY_COLUMNS)
     yield reordered
-    side = getattr(readout, "driven", None)
     if side is None:
         return
     kind = f"{BY_COLUMNS}, readout.driven: {opposite(side)}"
@@ -305,15 +306,6 @@ def _listed_by_columns(specified: Alternative, readout: Any) -> Iterator[Alterna
         yield replace(
             reordered, scene=replace(scene, readout=exchanged, systematic=None), kind=kind
         )
-
-
-def _sides_alike(scene: Scene) -> bool:
-    """Return whether rows and columns may be exchanged: the other order is a relabelling then."""
-    lists = isinstance(scene.series_resistance_ohm, SeriesPerLine)
-    grouped = getattr(scene.readout, "groups", None) is not None
-    return getattr(scene.readout, "driven", None) is None and not (
-        lists or grouped or scene.wiring is not None
-    )
 
 
 def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:
@@ -336,10 +328,8 @@ def _sense(first: Array, second: Array) -> float:
     ignored; without any other the result is 0.
     """
     finite = np.isfinite(first) & np.isfinite(second)
-    count = max(finite.sum(), 1)
-    first_deviation = first[finite] - first[finite].sum() / count
-    second_deviation = second[finite] - second[finite].sum() / count
-    return float(np.sum(first_deviation * second_deviation))
+    deviation = second[finite] - second[finite].sum() / max(finite.sum(), 1)
+    return float(first[finite] @ deviation)
 
 
 @np.errstate(all="ignore")

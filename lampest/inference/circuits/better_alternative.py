@@ -20,8 +20,12 @@ from lampest.inference.circuits.alternatives import (
     other_converters,
     rounded_down,
 )
-from lampest.inference.circuits.compared_frames import ComparedFrames, broken_law
-from lampest.inference.circuits.explanation import Explanation, alternative_fits
+from lampest.inference.circuits.explanation import (
+    ComparedFrames,
+    Explanation,
+    alternative_fits,
+    broken_law,
+)
 from lampest.inference.circuits.parameters import (
     some_in_series,
     with_converter_memory,
@@ -60,8 +64,13 @@ def better_alternative(frames: ComparedFrames, specified: Explanation | None) ->
     specified : Explanation or None
         The explanation by the scene's circuit; None where it does not explain the readings.
     """
-    if specified is not None and not _needs_alternatives(specified):
-        return BetterExplanation()
+    if specified is not None:
+        pair = specified.pair
+        # Linear theory does not hold where cells are determined badly: no alternative is tried.
+        if pair is None or not well_determined(specified.fits):
+            return BetterExplanation()
+        if pair.beyond_noise < MIN_EVIDENCE_GAIN:
+            return BetterExplanation()
     candidates = _without_twins(_likely_alternatives(frames, specified))
     assumed = [] if specified is None else [specified]
     candidates += [with_series(explanation, frames) for explanation in (*candidates, *assumed)]
@@ -80,17 +89,6 @@ def better_alternative(frames: ComparedFrames, specified: Explanation | None) ->
         likely = [candidate for candidate in candidates if candidate.linear_evidence < limit]
         best = _best_candidate(likely, frames, attrgetter("evidence"), at_fault=False) or best
     return BetterExplanation() if best is None else _compared(specified, best, frames)
-
-
-def _needs_alternatives(specified: Explanation) -> bool:
-    """Return whether an alternative can gain enough evidence over the scene's circuit.
-
-    Where cells are determined badly, linear theory does not hold, and none is tried.
-    """
-    pair = specified.pair
-    if pair is None or pair.beyond_noise < MIN_EVIDENCE_GAIN:
-        return False
-    return well_determined(specified.fits)
 
 
 def _likely_alternatives(
@@ -115,37 +113,32 @@ def _likely_alternatives(
         )
         if not broken_law(without_series(alternative), frames)
     ]
-    explanations: list[Explanation | None] = []
-    failed: list[tuple[Alternative, tuple[CellsFit, ...]]] = []
+    explanations = list[Explanation]()
+    failed = list[tuple[Alternative, tuple[CellsFit, ...]]]()
     for alternative in alternatives:
         lawful = alternative.ohm == 0 or not broken_law(alternative, frames)
         fits = alternative_fits(alternative, frames, specified=specified) if lawful else ()
         explanation = Explanation.by(fits, alternative, frames, specified=specified)
         if explanation is None:
             failed.append((alternative, fits))
-        explanations.append(explanation)
+        else:
+            explanations.append(explanation)
     # A search for a resistance in series costs several fits: last, so that it ends where it cannot
     # reach the best ones.
     for alternative, fits in failed:
         # The last of MAX_CANDIDATES explanations is to be beaten.
-        scores = sorted(
-            explanation.score for explanation in explanations if explanation is not None
-        )
-        to_beat = min(
-            limit, scores[MAX_CANDIDATES - 1] if len(scores) >= MAX_CANDIDATES else np.inf
-        )
-        explanations.append(
-            some_in_series(alternative, frames, to_beat, fits=fits, specified=specified)
-        )
+        scores = sorted(explanation.score for explanation in explanations)
+        to_beat = min(limit, *scores[MAX_CANDIDATES - 1 : MAX_CANDIDATES], np.inf)
+        found = some_in_series(alternative, frames, to_beat, fits=fits, specified=specified)
+        explanations += [found] if found else []
     if specified is None:
-        explanations.append(some_in_series(frames.specified, frames))
         down = rounded_down(frames.specified)
-        explanations.append(None if down is None else Explanation.of(down, frames))
-    better = [
-        explanation
-        for explanation in explanations
-        if explanation is not None and explanation.score < limit
-    ]
+        further = (
+            some_in_series(frames.specified, frames),
+            None if down is None else Explanation.of(down, frames),
+        )
+        explanations += [found for found in further if found]
+    better = [explanation for explanation in explanations if explanation.score < limit]
     # Circuits that differ in words alone keep the order in which they are tried.
     best = sorted(better, key=lambda each: round(each.linear_evidence, COST_DIGITS))
     best = best[:MAX_CANDIDATES]

@@ -5,10 +5,9 @@ with idle lines held by switches, and with potentials that people build. A circu
 entries of a scene that state it.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import fields, replace
-from functools import cache
 from itertools import product
 from math import inf
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -45,7 +44,10 @@ PARALLEL = (2, 4)  # multiplexers in parallel: 16 lines on two of eight or four 
 
 def circuits_beside(readout: Readout, scene: Scene) -> Iterator[Any]:
     """Generate the readout with lines read in parallel, then all variants of every kind."""
-    yield from _in_parallel(readout, scene)
+    if getattr(readout, "measured_across", "reference") != "sensor" and hasattr(readout, "groups"):
+        # Lines in parallel have no one line that the idle ones could follow.
+        sensed = opposite(getattr(readout, "driven", "rows"))
+        yield from _with_settings(readout, "groups", _multiplexers(scene, sensed))
     for kind in members_of(AnyReadout):
         yield from _variants(kind, readout)
 
@@ -57,18 +59,17 @@ def with_potentials(specified: Any, scene: Scene) -> Iterator[Any]:
     and a converter has an input resistance beside resistors to the supply.
     """
     to_supply = getattr(specified, "polarity", "up") == "down"
-    if getattr(specified, "load_volt", 0.0) is None and not to_supply:
-        with suppress(ValueError):
-            yield replace(specified, load_volt=nominal_terminations(specified).source_volt / 2)
-    if getattr(specified, "idle_load_ohm", 0.0) is None:
-        with suppress(ValueError):
-            yield replace(specified, idle_load_ohm=0.0)
-    if getattr(specified, "driven_groups", 0) is None:
-        yield from _with_groups(specified, scene, "driven_groups", _driven_side(specified))
     across_sensor = getattr(specified, "measured_across", "reference") == "sensor"
+    if getattr(specified, "load_volt", 0.0) is None and not to_supply:
+        half = nominal_terminations(specified).source_volt / 2
+        yield from _with_settings(specified, "load_volt", [half])
+    if getattr(specified, "idle_load_ohm", 0.0) is None:
+        yield from _with_settings(specified, "idle_load_ohm", [0.0])
+    if getattr(specified, "driven_groups", 0) is None:
+        driven: Side = getattr(specified, "driven", "rows")
+        yield from _with_settings(specified, "driven_groups", _multiplexers(scene, driven))
     if (to_supply or across_sensor) and getattr(specified, "input_ohm", 0.0) is None:
-        with suppress(ValueError):
-            yield replace(specified, input_ohm=INPUT_OHM)
+        yield from _with_settings(specified, "input_ohm", [INPUT_OHM])
     resistor = _resistor_of(specified)
     if resistor is None:
         return
@@ -86,37 +87,25 @@ def with_potentials(specified: Any, scene: Scene) -> Iterator[Any]:
             )
 
 
-def _in_parallel(specified: Readout, scene: Scene) -> Iterator[Any]:
-    """Generate the specified circuit with two and four multiplexers of sensed lines."""
-    if getattr(specified, "measured_across", "reference") == "sensor":
-        return
-    yield from _with_groups(specified, scene, "groups", opposite(_driven_side(specified)))
+def _with_settings(specified: Any, key: str, settings: Iterable[Any]) -> Iterator[Any]:
+    """Generate the specified circuit with other settings of a key, as far as it can have them."""
+    for setting in settings:
+        with suppress(ValueError):
+            yield replace(specified, **{key: setting})
 
 
-def _with_groups(specified: Any, scene: Scene, key: str, side: Side) -> Iterator[Any]:
-    """Generate the specified circuit with two and four multiplexers of a side's lines.
+def _multiplexers(scene: Scene, side: Side) -> Iterator[tuple[tuple[int, ...], ...]]:
+    """Generate the lines of two and of four multiplexers of a side.
 
     Each multiplexer has a block of lines, or every second or fourth line.
     """
-    if not hasattr(specified, key):
-        return
     lines = range(scene.panel.shape[0 if side == "rows" else 1])
     for count in PARALLEL:
         size = -(-len(lines) // count)
         blocks = tuple(tuple(lines[first : first + size]) for first in lines[::size])
         taken_in_turn = tuple(tuple(lines[first::count]) for first in range(count))
-        if len(blocks) != count or size == 1:
-            continue
-        for groups in (blocks, taken_in_turn):
-            # Lines in parallel have no one line that the idle ones could follow.
-            with suppress(ValueError):
-                yield replace(specified, **{key: groups})
-
-
-def _driven_side(circuit: Any) -> Side:
-    """Return the side whose lines a circuit drives: rows, where it does not say."""
-    side: Side = getattr(circuit, "driven", "rows")
-    return side
+        if len(blocks) == count and size > 1:
+            yield from (blocks, taken_in_turn)
 
 
 def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
@@ -129,7 +118,7 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
         yield from _held_at_ground(specified)
         return
     words = choices(kind)
-    types = _types_of(kind)
+    types = get_type_hints(kind)
     names = {setting.name for setting in fields(kind)} - {*words, "groups"}
     shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
     if "converter_volt" not in names:
@@ -186,18 +175,12 @@ def _shared(specified: Any) -> dict[str, Any]:
     return {name: getattr(specified, name) for name in names if hasattr(specified, name)}
 
 
-@cache
-def _types_of(kind: type[Readout]) -> dict[str, Any]:
-    """Return the types of a kind's settings by their names."""
-    return get_type_hints(kind)
-
-
 def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
     """Return the words that each literal setting of a kind may have.
 
     The first setting is its name.
     """
-    types = _types_of(kind)
+    types = get_type_hints(kind)
     names = [setting.name for setting in fields(kind)]
     return {name: get_args(types[name]) for name in names if get_origin(types[name]) is Literal}
 
@@ -230,19 +213,16 @@ def entries_of(circuit: Readout, specified: Readout) -> dict[str, Any]:
         return ungrouped
     if len(differ) == 1 and differ[0] in CALLED:
         return {differ[0]: words[differ[0]], **ungrouped}
-    if type(circuit) is not type(specified):
-        words |= _own_resistor(circuit)
-    return {**words, **ungrouped}
-
-
-def _own_resistor(circuit: Readout) -> dict[str, float]:
-    """Return the key and the number of a circuit's resistor where it is not the kind's default."""
-    defaults = {setting.name: setting.default for setting in fields(circuit)}
-    for name in RESISTORS:
-        ohm = getattr(circuit, name, None)
-        if isinstance(ohm, float) and ohm != defaults[name]:
-            return {name: ohm}
-    return {}
+    if same_kind:
+        return {**words, **ungrouped}
+    # of the resistor only where it is not the kind's default
+    resistors = {
+        setting.name: getattr(circuit, setting.name)
+        for setting in fields(circuit)
+        if setting.name in RESISTORS and getattr(circuit, setting.name) != setting.default
+    }
+    numbers = {name: ohm for name, ohm in resistors.items() if isinstance(ohm, float)}
+    return {**words, **numbers, **ungrouped}
 
 
 def entries_in_words(entries: Mapping[str, Any]) -> str:

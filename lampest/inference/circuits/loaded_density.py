@@ -16,8 +16,9 @@ where A is the change of the readings by channels of one standard deviation, les
 channels change by way of m. Channels that are alike, A = 0, are equally probable.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,7 +27,6 @@ from lampest.inference.cells_fit import data_of_cells
 from lampest.inference.evidence import (
     MOVED_COST,
     OUTLINE_COST,
-    Chosen,
     Mixtures,
     covariance_of_load,
     covariances_of_field,
@@ -37,10 +37,10 @@ from lampest.inference.evidence import (
 from lampest.inference.number import mean_cost
 from lampest.inference.pair import FittedPair
 from lampest.inference.unloaded_cells import AtRest, most_probable_cells
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.scene import Scene
-from lampest.posterior.linear import inverse_and_volume, misfit_and_volume
+from lampest.posterior.linear import inverse_and_volume
 
 MAX_ROUNDS = 3  # of linearisations, each with the changes that are likeliest then
 
@@ -69,7 +69,7 @@ class LoadedDensity:
         field = self._cost_of(covariances_of_field(self.pair.place))
         return mean_cost(np.array([cells, field]))
 
-    def _cost_of_cells(self, changed: Chosen) -> float:
+    def _cost_of_cells(self, changed: Mask) -> float:
         """Return the least −2 ln density of changed cells, beginning at these.
 
         Cells are added and removed by the readings, linearised at the most probable cells of the
@@ -85,7 +85,7 @@ class LoadedDensity:
             changed = near.selected(changed)
         return cost
 
-    def _cost_of_set(self, changed: Chosen, near: "_LinearReadings") -> float:
+    def _cost_of_set(self, changed: Mask, near: "_LinearReadings") -> float:
         """Return −2 ln density where these cells changed, as single ones or as a load."""
         count = int(changed.sum())
         single = Mixtures.one(np.diag(changed.astype(float)))
@@ -118,13 +118,13 @@ class LoadedDensity:
         readings = scene.circuit.exact_reading(ohm, scene.wiring)
         spread = self.pair.channel_spread
         errors = tolerance_errors(scene.circuit, ohm, readings, scene, 0.0, spread)
-        return np.asarray(errors[1:].reshape(len(errors) - 1, -1).T)
+        return errors[1:].reshape(len(errors) - 1, -1).T
 
     @cached_property
     def _unchanged(self) -> Array:
         """C of cells that no load touches, (cells, cells)."""
         creep = ASSUMED.creep**2 * np.eye(self.pair.change.size)
-        return np.asarray(self._at_rest.covariance + creep + ASSUMED.common_change**2)
+        return self._at_rest.covariance + creep + ASSUMED.common_change**2
 
     def _cost_of(self, changes: Mixtures) -> float:
         """Return −2 ln of the mean density over covariances S of the changes."""
@@ -173,8 +173,7 @@ class LoadedDensity:
         return _LinearReadings(cells, jacobian, weight[:, 0] * missed[plain], unchanged)
 
 
-@dataclass(frozen=True, eq=False)
-class _LinearReadings:
+class _LinearReadings(NamedTuple):
     """Readings of a loaded frame in units of their noise, linearised at its log cells.
 
     Attributes
@@ -196,15 +195,10 @@ class _LinearReadings:
 
     def costs(self, changes: Mixtures) -> Array:
         """Return −2 ln density with each V and each covariance S, (2, covariances)."""
-        through = list(changes.through(self.jacobian))
-        return np.array(
-            [
-                [sum(misfit_and_volume(known + change, self.errors)) for change in through]
-                for known in self.unchanged
-            ]
-        )
+        through = replace(changes, parts=self.jacobian @ changes.parts @ self.jacobian.T)
+        return np.array([through.costs(known, self.errors) for known in self.unchanged])
 
-    def selected(self, changed: Chosen) -> Chosen:
+    def selected(self, changed: Mask) -> Mask:
         """Return the changed cells with the largest evidence, beginning at these."""
         costs = self.costs(Mixtures.one(np.diag(changed.astype(float))))[:, 0]
         precision = inverse_and_volume(self.unchanged[int(costs.argmin())])[0]

@@ -17,9 +17,13 @@ from lampest.files.applications import applications
 from lampest.files.levels import DOUBTFUL_GAIN, MAD_TO_SIGMA, MIN_EVIDENCE_GAIN, SIGNIFICANT
 from lampest.inference.cells_fit import well_determined
 from lampest.inference.circuits.better_alternative import better_alternative
-from lampest.inference.circuits.compared_frames import ComparedFrames, below_series, broken_law
-from lampest.inference.circuits.explanation import Explanation
-from lampest.inference.circuits.open_ends import UndeterminedEnds, undetermined_ends
+from lampest.inference.circuits.explanation import (
+    ComparedFrames,
+    Explanation,
+    below_series,
+    broken_law,
+)
+from lampest.inference.circuits.open_ends import undetermined_ends
 from lampest.inference.nuisances import BetterExplanation, CircuitEffects, find_effects
 from lampest.inference.pair import FittedPair
 from lampest.panel.effects.line_effect import LineEffect
@@ -147,18 +151,27 @@ class Question(ComparedFrames):
         """The reason why the circuit cannot have made the readings, in words.
 
         The text is '' where no reason is known. A law that readings break comes first: it needs no
-        search, of which rounding may decide whether it ends at a minimum. Readings with effects
-        beside the circuit keep no such law.
+        search, of which rounding may decide whether it ends at a minimum. A significant misfit
+        follows. Readings with effects beside the circuit keep no such law.
         """
         fault = "" if self.with_effects else broken_law(self.specified, self)
         if fault or self.explanation is None:
             return fault
-        return _unexplained(self.explanation, self)
-
-    @cached_property
-    def below(self) -> str:
-        """A sentence on the reading that lies significantly below its series resistance, or ''."""
-        return below_series(self.specified, self)
+        fits = self.explanation.fits
+        if all(fit.within_noise for fit in fits):
+            return ""
+        worst = int(np.argmin([fit.tail for fit in fits]))
+        fit = fits[worst]
+        place = self.loaded if worst else "the unloaded panel"
+        squares = fit.residual.reshape(fit.cells.shape) ** 2
+        rows = squares.sum(axis=1)
+        columns = squares.sum(axis=0)
+        name, lines = ("row", rows) if rows.max() >= columns.max() else ("column", columns)
+        return (
+            f"no cells give the readings of {place}: "
+            f"chi square is {fit.chi_square:.3g} where some {fit.degrees:.3g} would be noise, "
+            f"{name} {np.argmax(lines)} holds {100 * lines.max() / squares.sum():.0f} % of it"
+        )
 
     def hopeless_with(self, errors: Array) -> bool:
         """Return whether no cells explain the frames with errors beside noise.
@@ -172,7 +185,7 @@ class Question(ComparedFrames):
             return False
         wider = replace(self, named_errors=errors).readings(self.specified)
         return any(
-            fit.hopeless_with(float(np.max((readings.known_sigma / fit.measured.known_sigma) ** 2)))
+            fit.hopeless(float(np.max((readings.known_sigma / fit.measured.known_sigma) ** 2)))
             for fit, readings in zip(self.explanation.fits, wider, strict=False)
         )
 
@@ -185,7 +198,9 @@ class Question(ComparedFrames):
     def _complete(self) -> bool:
         """Whether enough readings are values, so that circuits and effects can be compared."""
         missing = self._shares[1]
-        return missing <= MAX_MISSING and (self._few_bounds or bool(self.below))
+        return missing <= MAX_MISSING and (
+            self._few_bounds or bool(below_series(self.specified, self))
+        )
 
     def check(self, besides: CircuitEffects, scatter: float) -> ModelCheck:
         """Return the check of the circuit against its alternatives and against these effects.
@@ -197,17 +212,28 @@ class Question(ComparedFrames):
             Factor of the unloaded frames' scatter over what the scene specifies; above 1 a doubt.
         """
         if self.explanation is None and not self.fault:
-            return self._check_without_cells()
+            # too many bounds, or the solver failed
+            if self._few_bounds:
+                return ModelCheck(
+                    None,
+                    "the circuit was not checked: no fit of its cells was found",
+                    noise=self.widening,
+                )
+            lawful = (
+                "no readings break a law of the circuit; "
+                f"{100 * self._shares[0]:.0f} % of them are bounds"
+            )
+            return ModelCheck(explains=True, sentence=lawful).with_doubts("no cells were fitted")
         best = self._better(besides) if self._complete else BetterExplanation()
         explains = not self.fault and not best.name
-        ends = UndeterminedEnds()
+        open_doubts, remarks = list[str](), list[str]()
         if explains and self.explanation is not None:
-            ends = undetermined_ends(self.explanation, self)
-        alone = best.alone and not (best.nearly or ends.doubts)
+            open_doubts, remarks = undetermined_ends(self.explanation, self)
+        alone = best.alone and not (best.nearly or open_doubts)
         compared = explains and alone and not self._uncompared
         check = ModelCheck(
             explains,
-            "; ".join((self._verdict(best, alone=alone), *ends.remarks)),
+            "; ".join((self._verdict(best, alone=alone), *remarks)),
             best.name,
             self.widening,
             besides.common_change,
@@ -221,24 +247,7 @@ class Question(ComparedFrames):
             doubts.append(f"the unloaded frames scatter by {scatter:.2g} times the specified noise")
         if explains and best.nearly:
             doubts.append(f"{best.nearly} gives them about as well, or better")
-        return check.with_doubts(*doubts, *ends.doubts)
-
-    def _check_without_cells(self) -> ModelCheck:
-        """Return the check where there is no fit and no contradiction.
-
-        Too many readings are bounds, or the solver failed.
-        """
-        if self._few_bounds:
-            return ModelCheck(
-                None,
-                "the circuit was not checked: no fit of its cells was found",
-                noise=self.widening,
-            )
-        lawful = (
-            "no readings break a law of the circuit; "
-            f"{100 * self._shares[0]:.0f} % of them are bounds"
-        )
-        return ModelCheck(explains=True, sentence=lawful).with_doubts("no cells were fitted")
+        return check.with_doubts(*doubts, *open_doubts)
 
     def _better(self, besides: CircuitEffects) -> BetterExplanation:
         """Return the better explanation by evidence: another circuit, or these effects.
@@ -345,7 +354,9 @@ def check_of_modules(
         return ModelCheck(
             None, "the circuit was not checked: no module is like the others and reads values"
         )
-    verdict = _joint_verdict([check.explains for check in checks.values()])
+    verdicts = [check.explains for check in checks.values()]
+    # False if any circuit is contradicted, else True if any is confirmed
+    verdict = next((either for either in (False, True) if either in verdicts), None)
     agreeing = {number: check for number, check in checks.items() if check.explains is verdict}
     sentence = "; ".join(
         f"module {list(layout.place(number))}: {check.sentence}"
@@ -368,13 +379,6 @@ def check_of_modules(
         addition={} if better is None else better.addition,
         compared=all(check.compared for check in agreeing.values()),
     )
-
-
-def _joint_verdict(verdicts: Sequence[bool | None]) -> bool | None:
-    """Return False if any circuit is contradicted, else True if any is confirmed, else None."""
-    if False in verdicts:
-        return False
-    return True if True in verdicts else None
 
 
 def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
@@ -409,21 +413,3 @@ def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
         if abs(deviation) > max(MIN_AWAY, SIGNIFICANT * MAD_TO_SIGMA * scatter):
             factors[number] = float(np.exp(deviation))
     return factors
-
-
-def _unexplained(explanation: "Explanation", question: Question) -> str:
-    """Return the significant misfit of the explanation in words; '' where there is none."""
-    if all(fit.within_noise for fit in explanation.fits):
-        return ""
-    worst = int(np.argmin([fit.tail for fit in explanation.fits]))
-    fit = explanation.fits[worst]
-    place = question.loaded if worst else "the unloaded panel"
-    squares = fit.residual.reshape(fit.cells.shape) ** 2
-    rows = squares.sum(axis=1)
-    columns = squares.sum(axis=0)
-    name, lines = ("row", rows) if rows.max() >= columns.max() else ("column", columns)
-    return (
-        f"no cells give the readings of {place}: "
-        f"chi square is {fit.chi_square:.3g} where some {fit.degrees:.3g} would be noise, "
-        f"{name} {np.argmax(lines)} holds {100 * lines.max() / squares.sum():.0f} % of it"
-    )

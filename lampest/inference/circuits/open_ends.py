@@ -9,9 +9,9 @@ the circuit is doubtful. An end that the readings only do not exclude is named.
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,7 @@ from lampest.panel.readouts.wiring import NeighbourLeaks
 from lampest.panel.scene import Scene
 
 if TYPE_CHECKING:
-    from lampest.inference.circuits.compared_frames import ComparedFrames
-    from lampest.inference.circuits.explanation import Explanation
+    from lampest.inference.circuits.explanation import ComparedFrames, Explanation
 
 # −2 ln odds beyond which an end is excluded
 EXCLUDED = 12.0
@@ -37,8 +36,7 @@ MIN_SHIFT = 0.03
 DOUBTFUL_SHIFT = 0.05
 
 
-@dataclass(frozen=True, eq=False)
-class LeftOutEnd:
+class LeftOutEnd(NamedTuple):
     """An end of lines that a scene leaves out.
 
     Attributes
@@ -72,7 +70,24 @@ def open_ends(scene: Scene, cell_ohm: float = 1000.0) -> Iterator[LeftOutEnd]:
         Median resistance of the cells.
     """
     if scene.purpose == "mat" and scene.leak_ohm is None and max(scene.panel.shape) > 1:
-        yield _sheet(scene, cell_ohm)
+        sides = [
+            side
+            for side, lines in zip(("rows", "columns"), scene.panel.shape, strict=True)
+            if lines > 1
+        ]
+        scenes = []
+        for factor in LEAKS_OVER_CELLS:
+            leaks = dict.fromkeys(sides, float(f"{factor * cell_ohm:.2g}"))
+            with suppress(ValueError):  # the scene may have faults that leave no place for leaks
+                leaking = replace(scene, leak_ohm=NeighbourLeaks(**leaks))
+                scenes.append(({"leak_ohm": leaks}, leaking))
+        yield LeftOutEnd(
+            "leaks between neighbouring strips, which one uncut sheet has",
+            "leak_ohm",
+            SHEET_COST,
+            "measure them with an ohmmeter, or press a few cells and leave the others free",
+            tuple(scenes),
+        )
     circuit: Any = scene.readout
     if getattr(circuit, "idle_load_ohm", 0.0) is None:
         from lampest.panel.circuit import nominal_terminations  # for circuits with the key alone
@@ -97,28 +112,6 @@ def open_ends(scene: Scene, cell_ohm: float = 1000.0) -> Iterator[LeftOutEnd]:
         )
 
 
-def _sheet(scene: Scene, cell_ohm: float) -> LeftOutEnd:
-    """Return the leaks between neighbouring strips of one uncut sheet."""
-    sides = [
-        side
-        for side, lines in zip(("rows", "columns"), scene.panel.shape, strict=True)
-        if lines > 1
-    ]
-    scenes = []
-    for factor in LEAKS_OVER_CELLS:
-        ohm = float(f"{factor * cell_ohm:.2g}")
-        leaks = dict.fromkeys(sides, ohm)
-        with suppress(ValueError):  # the scene may have faults that leave no place for leaks
-            scenes.append(({"leak_ohm": leaks}, replace(scene, leak_ohm=NeighbourLeaks(**leaks))))
-    return LeftOutEnd(
-        "leaks between neighbouring strips, which one uncut sheet has",
-        "leak_ohm",
-        SHEET_COST,
-        "measure them with an ohmmeter, or press a few cells and leave the others free",
-        tuple(scenes),
-    )
-
-
 def _with_entries(
     scene: Scene, entries: Mapping[str, Any]
 ) -> tuple[tuple[Mapping[str, Any], Scene], ...]:
@@ -130,8 +123,7 @@ def _with_entries(
     return ()
 
 
-@dataclass(frozen=True, eq=False)
-class TriedEnd:
+class TriedEnd(NamedTuple):
     """An explanation of the frames with an end that the scene leaves out.
 
     Attributes
@@ -158,46 +150,29 @@ class TriedEnd:
         size = f"{100 * abs(factor - 1):.2g} % {'larger' if factor > 1 else 'smaller'}"
         return f"{in_one_line(self.entries)} ({self.end.words}), with which cells are {size}"
 
-    @property
-    def doubt(self) -> str:
-        """The doubt that the readings are those of a circuit with this end."""
-        return f"about as likely is {self.text}: {self.end.cure}"
 
-    @property
-    def remark(self) -> str:
-        """The statement that the readings do not exclude this end."""
-        return f"they do not exclude {self.text}"
-
-
-@dataclass(frozen=True)
-class UndeterminedEnds:
-    """Ends that a scene leaves out and that readings do not exclude.
-
-    Attributes
-    ----------
-    doubts : tuple of str
-        Ends that are about as likely as none, and change the cells.
-    remarks : tuple of str
-        Other ends.
-    """
-
-    doubts: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
-
-
-def undetermined_ends(specified: "Explanation", frames: "ComparedFrames") -> UndeterminedEnds:
-    """Return the ends that the scene leaves out and that the frames do not exclude.
+def undetermined_ends(
+    specified: "Explanation", frames: "ComparedFrames"
+) -> tuple[list[str], list[str]]:
+    """Return the ends that the scene leaves out and that the frames do not exclude, in words.
 
     Parameters
     ----------
     specified : Explanation
         Explanation by the scene's circuit.
     frames : ComparedFrames
+
+    Returns
+    -------
+    doubts : list of str
+        Ends that are about as likely as none, and change the cells.
+    remarks : list of str
+        Other ends.
     """
-    doubts: list[str] = []
-    remarks: list[str] = []
+    doubts = list[str]()
+    remarks = list[str]()
     if specified.pair is None:
-        return UndeterminedEnds()
+        return doubts, remarks
     for end in open_ends(specified.alternative.scene, float(np.median(specified.fits[0].cells))):
         possible = _possible(end, specified, frames)
         likeliest = max(possible, key=lambda tried: tried.gain, default=None)
@@ -206,10 +181,10 @@ def undetermined_ends(specified: "Explanation", frames: "ComparedFrames") -> Und
             continue
         probable = likeliest.gain > end.cost - EXCLUDED
         if probable and abs(likeliest.shift) > DOUBTFUL_SHIFT:
-            doubts.append(likeliest.doubt)
+            doubts.append(f"about as likely is {likeliest.text}: {end.cure}")
         else:
-            remarks.append(furthest.remark)
-    return UndeterminedEnds(tuple(doubts), tuple(remarks))
+            remarks.append(f"they do not exclude {furthest.text}")
+    return doubts, remarks
 
 
 def _possible(
@@ -237,18 +212,12 @@ def _possible(
         most = max(most, gain)
         if gain < most - 2 * EXCLUDED:
             break
-        tried.append(TriedEnd(end, entries, gain, _shift(specified, further)))
+        resting, loaded = (
+            np.log(changed.cells / fit.cells)
+            for changed, fit in zip(further.fits, specified.fits, strict=True)
+        )
+        moved = specified.pair.moved
+        medians = [float(np.median(resting))]
+        medians += [float(np.median(loaded[moved]))] if moved.any() else []
+        tried.append(TriedEnd(end, entries, gain, max(medians, key=abs)))
     return [one for one in tried if one.gain > most - EXCLUDED]
-
-
-def _shift(specified: "Explanation", further: "Explanation") -> float:
-    """Return the larger of the medians of ln of the cells' factor; see `TriedEnd`."""
-    resting, loaded = (
-        np.log(changed.cells / fit.cells)
-        for changed, fit in zip(further.fits, specified.fits, strict=True)
-    )
-    assert specified.pair is not None
-    moved = specified.pair.moved
-    medians = [float(np.median(resting))]
-    medians += [float(np.median(loaded[moved]))] if moved.any() else []
-    return max(medians, key=abs)

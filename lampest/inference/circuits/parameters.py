@@ -14,9 +14,15 @@ from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import DOUBTFUL_GAIN, MIN_EVIDENCE_GAIN
 from lampest.inference.cells_fit import CellsFit
 from lampest.inference.circuits.alternatives import Alternative
-from lampest.inference.circuits.compared_frames import ComparedFrames, broken_law
-from lampest.inference.circuits.explanation import FAR, Explanation, alternative_fits
+from lampest.inference.circuits.explanation import (
+    FAR,
+    ComparedFrames,
+    Explanation,
+    alternative_fits,
+    broken_law,
+)
 from lampest.inference.evidence import PARAMETER_COST
+from lampest.inference.pair import FittedPair
 from lampest.inference.readings.free_tests import largest_series_ohm
 from lampest.panel.effects import usual_size
 from lampest.panel.panel import Array
@@ -81,10 +87,9 @@ def some_in_series(
         near = explanation
         if best is None or explanation.score < best.score:
             best = explanation
-        if explanation.score > to_beat + FAR:
-            gain = _linear_gain(explanation, _response_to_series(explanation, most))
-            if explanation.score - gain > to_beat + FAR:
-                break
+        beyond = explanation.score - to_beat - FAR
+        if beyond > 0 and beyond > _gain_by_series(explanation, most):
+            break
     return best
 
 
@@ -102,17 +107,14 @@ def with_series(explanation: Explanation, frames: ComparedFrames) -> Explanation
     best = explanation
     if alternative.in_series is None:
         best = _best_beside(explanation, frames, most)
-        if best is explanation:
-            gain = _linear_gain(best, _response_to_series(best, spacing))
-            if gain <= PARAMETER_COST:
-                return explanation
+        if best is explanation and _gain_by_series(best, spacing) <= PARAMETER_COST:
+            return explanation
     search = _ParameterSearch(
         lambda ohm: replace(alternative.with_series(ohm), at_limit=False), frames, best
     )
     accuracy = SERIES_ACCURACY * spacing
-    search.between(
-        max(best.alternative.ohm - spacing, 0.0), best.alternative.ohm + spacing, accuracy
-    )
+    middle = best.alternative.ohm
+    golden_section(search.score, max(middle - spacing, 0.0), middle + spacing, 2 * accuracy)
     best = search.best.final
     if best.alternative.in_series is None:
         return best
@@ -163,7 +165,7 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
     coarse = min(MEMORIES, key=search.score)
     if search.best is explanation:
         return explanation
-    search.between(coarse / 2, 2 * coarse, MEMORY_ACCURACY * coarse)
+    golden_section(search.score, coarse / 2, 2 * coarse, 2 * MEMORY_ACCURACY * coarse)
     fraction = search.best.alternative.scene.known_memory or 0.0
     return search.best.final if MIN_MEMORY < fraction < MAX_MEMORY else explanation
 
@@ -193,61 +195,47 @@ class _ParameterSearch:
         self.best = min(self.best, explanation, key=attrgetter("linear_evidence"))
         return explanation.linear_evidence
 
-    def between(self, lower: float, upper: float, accuracy: float) -> None:
-        """Search between two values, up to `accuracy`."""
-        golden_section(self.score, lower, upper, 2 * accuracy)
-
 
 def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool:
     """Return whether linear theory allows a memory of the converter a gain that is significant.
 
     A smaller gain is no doubt.
     """
-    response = _response_to_memory(explanation, frames)
+    if explanation.pair is None:
+        return True
+    remembering = frames.readings(explanation.alternative.with_memory(LINEAR_MEMORY))
+    resting, loaded = (
+        fit.response((readings.value - fit.measured.value)[None])
+        for fit, readings in zip(explanation.fits, remembering, strict=True)
+    )
     # by a usual memory, and by the largest tried one
     units = (1.0, MEMORIES[-1] / LINEAR_MEMORY)
-    gains = (
-        _linear_gain(explanation, None if response is None else unit * response) for unit in units
-    )
+    gains = (_linear_gain(explanation.pair, unit * (loaded - resting)) for unit in units)
     return max(gains) > MIN_LINEAR_SHARE * MIN_EVIDENCE_GAIN
 
 
-def _linear_gain(explanation: Explanation, response: Array | None) -> float:
-    """Return the gain of a parameter in score by linear theory; infinite where it is unknown.
+def _linear_gain(pair: FittedPair, response: Array) -> float:
+    """Return the gain of a parameter in score by linear theory.
 
     Parameters
     ----------
-    explanation : Explanation
-    response : array, shape (cells,), or None
+    pair : FittedPair
+    response : array, shape (cells, 1)
         Change of d by one standard deviation of the parameter.
     """
-    if explanation.pair is None or response is None:
-        return np.inf
-    pair = explanation.pair
-    return pair.evidence.score - pair.explained(response[:, None]).score
+    return pair.evidence.score - pair.explained(response).score
 
 
-def _response_to_series(explanation: Explanation, ohm: float) -> Array | None:
-    """Return the change of d by a resistance in series, (cells,); None without a pair."""
+def _gain_by_series(explanation: Explanation, ohm: float) -> float:
+    """Return the gain by a resistance in series by linear theory; infinite without a pair."""
     if explanation.pair is None:
-        return None
+        return np.inf
     # in series with every driven line, or with either side of lines that are alike
     rows = explanation.pair.shape[0]
     driven = getattr(explanation.alternative.scene.circuit, "driven", "rows")
     lines = slice(0, rows) if driven == "rows" else slice(rows, None)
-    return np.asarray(ohm * explanation.pair.channels[:, lines].sum(axis=1))
-
-
-def _response_to_memory(explanation: Explanation, frames: ComparedFrames) -> Array | None:
-    """Return the change of d by a usual memory of the converter, (cells,); None without a pair."""
-    if explanation.pair is None:
-        return None
-    remembering = frames.readings(explanation.alternative.with_memory(LINEAR_MEMORY))
-    resting, loaded = (
-        fit.response((readings.value - fit.measured.value)[None])[:, 0]
-        for fit, readings in zip(explanation.fits, remembering, strict=True)
-    )
-    return np.asarray(loaded - resting)
+    response = explanation.pair.channels[:, lines].sum(axis=1, keepdims=True)
+    return _linear_gain(explanation.pair, ohm * response)
 
 
 def most_in_series(alternative: Alternative, frames: ComparedFrames) -> float:

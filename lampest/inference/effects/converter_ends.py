@@ -15,16 +15,16 @@ import numpy as np
 
 from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
 from lampest.inference.circuits.alternatives import Alternative, with_converter
-from lampest.inference.circuits.compared_frames import ComparedFrames
-from lampest.inference.circuits.explanation import Explanation
+from lampest.inference.circuits.explanation import ComparedFrames, Explanation
 from lampest.inference.effects.effect import (
     Determined,
-    Gathered,
     SceneEffect,
     Unnamed,
     estimated_entry,
+    names_none,
 )
 from lampest.inference.noise import NoiseEstimate
+from lampest.inference.prepared import Prepared
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array, Mask
 from lampest.panel.readouts.converter import MAX_VOLT, Characteristic, mean_sigma
@@ -275,15 +275,15 @@ def with_converter_ends(
     if converter.zero_volt != ESTIMATED:
         return recording, None
     zero = _zero_of_open_cells(recording) or _zero_of_still_cells(recording)
-    ends = replace(converter, zero_volt=readout.zero_volt if zero is None else zero[0])
-    if zero is not None:
-        ends = _with_zero(recording, zero[0])
-    known = replace(readout, converter=ends)
-    codes = readout.steps_from_volt(readout.volt_from_recorded(recording.recorded))
-    recorded = known.recorded_from_volt(known.volt_from_code(codes))
-    return replace(
-        recording, recorded=recorded, scene=replace(recording.scene, readout=known)
-    ), zero
+    ends = replace(converter, zero_volt=readout.zero_volt)
+    return _recoded(recording, ends if zero is None else _with_zero(readout, zero[0])), zero
+
+
+def _recoded(recording: Recording, ends: Characteristic) -> Recording:
+    """Return the recording of the same codes with another converter."""
+    given = Alternative(recording.scene, recording.recorded, recording.sigma)
+    other = with_converter(given, "", {}, converter=ends)
+    return replace(recording, recorded=other.recorded, scene=other.scene)
 
 
 def _zero_of_open_cells(recording: Recording) -> tuple[float, float] | None:
@@ -311,14 +311,12 @@ def _zero_of_open_cells(recording: Recording) -> tuple[float, float] | None:
     )
 
 
-def _with_zero(recording: Recording, zero: float) -> Characteristic:
-    """Return the converter of a scene whose code 0 stands for a voltage."""
-    readout = recording.scene.readout
-    assert readout is not None and isinstance(readout.converter, Characteristic)
-    full = readout.converter.full_volt
+def _with_zero(readout: Any, zero: float) -> Characteristic:
+    """Return the converter of a readout whose code 0 stands for a voltage."""
+    ends: Characteristic = readout.converter
     # An offset moves both ends
-    moved = readout.full_scale_volt + zero if full is None else full
-    return replace(readout.converter, zero_volt=zero, full_volt=moved)
+    full = readout.full_scale_volt + zero if ends.full_volt is None else ends.full_volt
+    return replace(ends, zero_volt=zero, full_volt=full)
 
 
 def _zero_of_still_cells(recording: Recording) -> tuple[float, float] | None:
@@ -332,15 +330,11 @@ def _zero_of_still_cells(recording: Recording) -> tuple[float, float] | None:
     readout: Any = scene.readout
     if scene.panel.modules is not None or not (recording.role == UNLOADED).any():
         return None
-    begun = replace(readout, converter=replace(readout.converter, zero_volt=readout.zero_volt))
-    codes = readout.steps_from_volt(readout.volt_from_recorded(recording.recorded))
-    recorded = begun.recorded_from_volt(begun.volt_from_code(codes))
-    known = replace(recording, recorded=recorded, scene=replace(scene, readout=begun))
-    frames = ComparedFrames.of(known, np.zeros(recorded.shape, dtype=bool))
+    known = _recoded(recording, replace(readout.converter, zero_volt=readout.zero_volt))
+    frames = ComparedFrames.of(known, np.zeros(known.recorded.shape, dtype=bool))
 
     def alternative_of(zero: float) -> Alternative:
-        ends = _with_zero(recording, zero)
-        return with_converter(frames.specified, "zero", {}, converter=ends)
+        return with_converter(frames.specified, "zero", {}, converter=_with_zero(readout, zero))
 
     prior = ZERO_PRIOR * readout.full_scale_volt
     results = []
@@ -411,15 +405,12 @@ class ConverterEnds(SceneEffect):
             bounds = None if passes is None else passed_range(passes, readout.range_volt)
             readout = replace(readout, passes_volt=bounds)
         if ZERO in keys:
-            ends = readout.converter
-            zero = noise.number(ZERO) or 0.0
-            full = readout.full_scale_volt + zero if ends.full_volt is None else ends.full_volt
-            readout = replace(readout, converter=replace(ends, zero_volt=zero, full_volt=full))
+            readout = replace(readout, converter=_with_zero(readout, noise.number(ZERO) or 0.0))
         return replace(scene, readout=readout)
 
-    def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
+    def unnamed(self, prepared: Prepared) -> Iterator[Unnamed]:
         """Yield advice on a stage before the converter that saturates."""
-        stage = saturated(evidence.recording) if evidence.names_none(PASSES) else None
+        stage = saturated(prepared.cleaned.recording) if names_none(prepared, PASSES) else None
         if stage is not None:
             sentence = stage.sentence
             yield Unnamed(lambda _: sentence, estimated_entry(PASSES))

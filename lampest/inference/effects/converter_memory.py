@@ -12,18 +12,16 @@ from dataclasses import replace
 import numpy as np
 
 from lampest.files.levels import MIN_EVIDENCE_GAIN
-from lampest.inference.circuits.compared_frames import ComparedFrames
-from lampest.inference.circuits.explanation import Explanation
+from lampest.inference.circuits.explanation import ComparedFrames, Explanation
 from lampest.inference.circuits.parameters import MEMORIES as TRIED
-from lampest.inference.effects.effect import Determined, Gathered, SceneEffect, Unnamed
+from lampest.inference.effects.effect import Determined, SceneEffect, Unnamed, names_none
 from lampest.inference.evidence import PARAMETER_COST
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.number import MIN_ODDS, parabola
-from lampest.inference.variance_components import NO_RIPPLE
+from lampest.inference.prepared import Prepared
 from lampest.panel.effects.converter_memory import KeptShare
 from lampest.panel.panel import Array
 from lampest.panel.scene import specified
-from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
@@ -47,10 +45,9 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
         determine it.
     """
     unloaded = recording.role == UNLOADED
-    measured = np.flatnonzero(recording.role == MEASURED)
     if recording.scene.readout is None:
         return "the scene has no readout"
-    if not unloaded.any() or not len(measured):
+    if not unloaded.any() or not np.any(recording.role == MEASURED):
         return "record unloaded frames, and a load on a few cells"
     if specified(recording.scene, "motion"):
         return "a load that moves within a scan looks like a memory: record one that stands"
@@ -163,14 +160,12 @@ class ConverterMemory(SceneEffect):
         deviation = KeptShare.prior if isinstance(memory, str) else memory[1]
         if recording.scene.readout is None or not deviation:
             return noise
-        unloaded = int((recording.role == UNLOADED).sum())
-        frame = noise.frame or FrameNoise(recording.scene, unloaded, 0.0, NO_RIPPLE, NO_RIPPLE)
-        return replace(noise, frame=replace(frame, memory=deviation))
+        return replace(noise, frame=replace(noise.of_frames(recording), memory=deviation))
 
-    def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
+    def unnamed(self, prepared: Prepared) -> Iterator[Unnamed]:
         """Yield advice on a converter that remembers the channel before."""
-        if not evidence.names_none("converter_memory"):
+        if not names_none(prepared, "converter_memory"):
             return
-        question = evidence.prepared.question
+        question = prepared.question
         if memory_gain(question, question.explanation) > MIN_EVIDENCE_GAIN:
             yield Unnamed.of(KeptShare().sentence, KEY)

@@ -7,11 +7,12 @@ import numpy as np
 from lampest.files.levels import SIGNIFICANT
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import fitted
-from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
+from lampest.inference.effects.effect import SceneEffect, Unnamed, names_none
 from lampest.inference.evidence import MIN_STILL_SHARE, mostly_still, touching
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides
 from lampest.inference.pair import FittedPair
+from lampest.inference.prepared import Prepared
 from lampest.panel.effects.creep import FilmCreep
 from lampest.panel.sizes import ESTIMATED
 from lampest.posterior.frame_noise import FrameNoise
@@ -58,18 +59,18 @@ class CommonCreep(SceneEffect):
             )
         return noise.determined("creep", (change, deviation))
 
-    def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
+    def unnamed(self, prepared: Prepared) -> Iterator[Unnamed]:
         """Yield a common change of all cells that errors of the frames do not explain."""
-        named = not evidence.names_none("creep", "temperature", "film")
-        if named or not evidence.prepared.effects.common_change:
+        named = not names_none(prepared, "creep", "temperature", "film")
+        if named or not prepared.effects.common_change:
             return
-        explanation = evidence.prepared.question.explanation
+        explanation = prepared.question.explanation
         if explanation is not None and explanation.pair is not None:
             pair = explanation.pair
             # The skirt of a load changes the cells beside it alike.
             if touching(pair.moved[None]).mean() > 1 - MIN_STILL_SHARE:
                 return
-            change, deviation = common_change(pair, evidence.noise.frame)
+            change, deviation = common_change(pair, prepared.noise.frame)
             if abs(change) < SIGNIFICANT * deviation:
                 return
         yield Unnamed.of(FilmCreep().sentence, "creep")

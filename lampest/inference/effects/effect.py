@@ -3,79 +3,23 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
-import numpy as np
-
-from lampest.inference.circuits.model_check import ModelCheck, Question
 from lampest.inference.noise import NoiseEstimate
-from lampest.inference.nuisances import Besides, CircuitEffects
+from lampest.inference.nuisances import Besides
+from lampest.inference.prepared import Prepared
 from lampest.inference.variance_components import Scatter
-from lampest.panel.panel import Mask, Numbers
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED, nearest_allowed
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.recording import Recording
 
 Determined = tuple[float, float] | str  # a number with its standard deviation, or why there is none
 
 
-class PreparedRecording(Protocol):
-    """Interface of a prepared recording for a search; properties are computed when first read."""
-
-    @property
-    def noise(self) -> NoiseEstimate:
-        """The noise, with readings of all frames."""
-
-    @property
-    def question(self) -> Question:
-        """Frames that the circuit has to explain."""
-
-    @property
-    def effects(self) -> CircuitEffects:
-        """Effects beside the circuit, of all kinds."""
-
-    @property
-    def check(self) -> ModelCheck:
-        """The check of the circuit."""
-
-
-@dataclass(frozen=True, eq=False)
-class Gathered:
-    """Finished estimates of a single network's recording, on which advice is based.
-
-    Attributes
-    ----------
-    recording : Recording
-        Without outliers.
-    prepared : PreparedRecording
-    """
-
-    recording: Recording
-    prepared: PreparedRecording
-
-    @property
-    def noise(self) -> NoiseEstimate:
-        """The noise, with readings of all frames."""
-        return self.prepared.noise
-
-    @property
-    def scene(self) -> Scene:
-        """The scene of the recording."""
-        return self.recording.scene
-
-    @property
-    def unloaded(self) -> Mask:
-        """Whether a frame is unloaded, boolean (frames,)."""
-        return np.asarray(self.recording.role == UNLOADED)
-
-    @property
-    def measured(self) -> Numbers:
-        """Numbers of the measured frames."""
-        return np.flatnonzero(self.recording.role == MEASURED)
-
-    def names_none(self, *keys: str) -> bool:
-        """Return whether the scene names none of these keys."""
-        return all(specified(self.scene, key) is None for key in keys)
+def names_none(prepared: Prepared, *keys: str) -> bool:
+    """Return whether the scene of a recording names none of these keys."""
+    scene = prepared.cleaned.recording.scene
+    return all(specified(scene, key) is None for key in keys)
 
 
 def estimated_entry(key: str) -> dict[str, Any]:
@@ -218,5 +162,8 @@ class SceneEffect(ABC):
         return replace(scene, **numbers)
 
     @abstractmethod
-    def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
-        """Generate the evidence of the effect in a recording whose scene does not name it."""
+    def unnamed(self, prepared: Prepared) -> Iterator[Unnamed]:
+        """Generate the evidence of the effect in a recording whose scene does not name it.
+
+        Its preparation is that of a single network, with `cleaned.recording` without outliers.
+        """

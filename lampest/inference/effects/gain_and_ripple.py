@@ -12,14 +12,14 @@ import numpy as np
 
 from lampest.files.applications import loaded
 from lampest.files.levels import SIGNIFICANCE
-from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
+from lampest.inference.effects.effect import SceneEffect, Unnamed, names_none
 from lampest.inference.noise import MIN_REQUESTED_FRAMES, NoiseEstimate
-from lampest.inference.variance_components import Scatter, unloaded_scatter
+from lampest.inference.prepared import Prepared
+from lampest.inference.variance_components import NO_RIPPLE, Scatter, unloaded_scatter
 from lampest.panel.readouts.converter import mean_sigma
 from lampest.panel.readouts.scan_order import by_columns
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, SIZED, plain_size
-from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.recording import UNLOADED, Recording
 
 # Of the assumed σ: unloaded frames that scatter less are equal but for rounding.
@@ -34,28 +34,35 @@ class GainAndRipple(SceneEffect):
         self, noise: NoiseEstimate, recording: Recording, scatter: Scatter | None
     ) -> NoiseEstimate:
         """Return the noise of the frames with the sizes of the scene, or of the unloaded frames."""
-        unloaded = int((recording.role == UNLOADED).sum())
-        noise = _with_specified(noise, recording.scene, unloaded)
+        scene = recording.scene
+        gain, ripple = (plain_size(size) or 0.0 for size in (scene.gain, scene.ripple))
+        if scene.readout is not None and (gain or ripple):
+            # a ripple that all lines share, independent from channel to channel
+            channels = scene.panel.shape[0 if by_columns(scene.circuit) else 1]
+            common = ripple * scene.circuit.lsb_volt * np.eye(channels) if ripple else NO_RIPPLE
+            frame = replace(noise.of_frames(recording), gain=gain, common_ripple=common)
+            noise = replace(noise, frame=frame)
         if scatter is None or scatter.own < MIN_SCATTER:
             for key in requested_keys(recording.scene):
                 noise = noise.undetermined(key, NO_SCATTER)
             return noise
         return _with_estimated(noise, recording, scatter)
 
-    def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
+    def unnamed(self, prepared: Prepared) -> Iterator[Unnamed]:
         """Yield advice on gain and ripple, from the scatter of the unloaded frames."""
-        scene = evidence.scene
-        readings = evidence.noise.readings
-        unloaded = evidence.unloaded
+        recording = prepared.cleaned.recording
+        scene = recording.scene
+        readings = prepared.noise.readings
+        unloaded = recording.role == UNLOADED
         unknown = scene.readout is None or readings.sigma is None or unloaded.sum() < 2
-        if unknown or scene.readout is None or not evidence.names_none("gain", "ripple"):
+        if unknown or scene.readout is None or not names_none(prepared, "gain", "ripple"):
             return
         if readings.mostly_rounding:
             return  # single codes that change from frame to frame have no Gaussian scatter
         keys: dict[str, Any] = {key: ESTIMATED for key in ("gain", "ripple") if key in SIZED}
         estimated = replace(scene, **keys)
-        estimating = replace(evidence.recording, scene=estimated)
-        unscaled = replace(readings, sigma=readings.known_sigma / evidence.noise.sigma_factor)
+        estimating = replace(recording, scene=estimated)
+        unscaled = replace(readings, sigma=readings.known_sigma / prepared.noise.sigma_factor)
         parts = unloaded_scatter(estimating, unscaled[unloaded])
         if parts is None:
             return
@@ -66,19 +73,6 @@ class GainAndRipple(SceneEffect):
         for key in keys:
             if significant[key]:
                 yield Unnamed.of(loaded(SIZED[key])().sentence, key)
-
-
-def _with_specified(noise: NoiseEstimate, scene: Scene, unloaded: int) -> NoiseEstimate:
-    """Return the noise with the gain and the ripple that a scene specifies as numbers."""
-    gain, ripple = (plain_size(size) or 0.0 for size in (scene.gain, scene.ripple))
-    if scene.readout is None or not (gain or ripple):
-        return noise
-    # a ripple that all lines share, independent from channel to channel
-    channels = scene.panel.shape[0 if by_columns(scene.circuit) else 1]
-    common = (
-        ripple * scene.circuit.lsb_volt * np.eye(channels) if ripple else np.zeros((channels, 0))
-    )
-    return replace(noise, frame=FrameNoise(scene, unloaded, gain, common, np.zeros((channels, 0))))
 
 
 def requested_keys(scene: Scene) -> list[str]:
@@ -105,9 +99,7 @@ def _with_estimated(noise: NoiseEstimate, recording: Recording, parts: Scatter) 
         noise = noise.undetermined(key, "the panel has too few lines to tell it from noise")
         requested.remove(key)
     volt = float(np.mean(mean_sigma(scene.readout)))
-    frame = noise.frame or FrameNoise(
-        scene, unloaded, 0.0, parts.common_ripple[:, :0], parts.line_ripple[:, :0]
-    )
+    frame = noise.of_frames(recording)
     if "gain" in requested:
         frame = replace(frame, gain=float(np.hypot(parts.gain, parts.gain_sd)))  # √E[s²]
         noise = noise.determined("gain", (parts.gain, parts.gain_sd))

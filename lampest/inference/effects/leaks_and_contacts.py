@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from lampest.files.applications import loaded
-from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
+from lampest.inference.effects.effect import SceneEffect, Unnamed, names_none
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import (
     Besides,
@@ -12,11 +12,10 @@ from lampest.inference.nuisances import (
     remaining_errors,
     without_effects_of,
 )
-from lampest.inference.variance_components import NO_RIPPLE
+from lampest.inference.prepared import Prepared
 from lampest.panel.effects.line_effect import LineEffect
 from lampest.panel.scene import specified
 from lampest.panel.sizes import ESTIMATED, LINE_EFFECTS
-from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 BESIDES: dict[str, type[LineEffect]] = {
@@ -30,12 +29,8 @@ def without_effects(
     """Return the noise with the effects of leaks and contacts taken off the readings."""
     if besides is None or besides.pair is None:
         return noise
-    unloaded = recording.role == UNLOADED
-    frame = noise.frame or FrameNoise(
-        recording.scene, int(unloaded.sum()), 0.0, NO_RIPPLE, NO_RIPPLE
-    )
-    readings = without_effects_of(besides.pair, noise.readings, unloaded)
-    frame = replace(frame, effect_errors=remaining_errors(besides.pair))
+    readings = without_effects_of(besides.pair, noise.readings, recording.role == UNLOADED)
+    frame = replace(noise.of_frames(recording), effect_errors=remaining_errors(besides.pair))
     return replace(noise, readings=readings, frame=frame, corrected_effects=besides)
 
 
@@ -75,10 +70,10 @@ class LeaksAndContacts(SceneEffect):
         """Take the leaks and contacts of the whole recording off the readings."""
         return without_effects(noise, recording, whole.corrected_effects)
 
-    def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
+    def unnamed(self, prepared: Prepared) -> Iterator[Unnamed]:
         """Yield the leaks and contacts with which the circuit explains the readings better."""
-        effects = evidence.prepared.effects
-        if effects.name and evidence.prepared.check.by_effect and evidence.names_none(*BESIDES):
+        effects = prepared.effects
+        if effects.name and prepared.check.by_effect and names_none(prepared, *BESIDES):
 
             def words(noise: NoiseEstimate) -> str:
                 shown = noise.corrected_effects or effects

@@ -39,17 +39,17 @@ import numpy as np
 from lampest.files.levels import MIN_EVIDENCE_GAIN, NOISE_REACH
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted, well_determined
-from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed, estimated_entry
-from lampest.inference.evidence import MOVED_COST, Changes, Chosen, mostly_still, usual_starts
+from lampest.inference.effects.effect import SceneEffect, Unnamed, estimated_entry, names_none
+from lampest.inference.evidence import MOVED_COST, Changes, mostly_still, usual_starts
 from lampest.inference.noise import NoiseEstimate, Share
 from lampest.inference.nuisances import Besides
 from lampest.inference.number import is_significant
 from lampest.inference.pair import FittedPair
-from lampest.inference.variance_components import NO_RIPPLE
+from lampest.inference.prepared import Prepared
 from lampest.panel.effects import READINGS, estimated_errors, own_errors
 from lampest.panel.effects.motion import JITTERS, LoadMotion
 from lampest.panel.least_squares import LevenbergMarquardt
-from lampest.panel.panel import Array, Numbers
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.readouts.scan_order import in_panel_order
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED
@@ -81,19 +81,6 @@ INTERPOLATION_ERROR = 0.5
 UNKNOWN_SHARE = Share(mean=0.0, deviation=1.0, reach=0.0)
 
 
-def _steps(readings: Readings, measured: Numbers) -> Array:
-    """Return the steps of each reading from the previous and to the next measured frame.
-
-    Their shape is (2, frames, …). The first and the last frame have one neighbour, and its step
-    twice; frames that are not measured have 0.
-    """
-    steps = np.zeros((2, *readings.value.shape))
-    if len(measured) > 1:
-        step = np.diff(readings.value[measured], axis=0)
-        steps[:, measured] = np.concatenate([step[:1], step]), np.concatenate([step, step[-1:]])
-    return steps
-
-
 class Displacement(NamedTuple):
     """Displacement of each reading by motion, if a scan takes the whole period.
 
@@ -114,7 +101,7 @@ class Displacement(NamedTuple):
     @property
     def smooth(self) -> Array:
         """Doubt of a motion without jumps: √(|τ|/(1 − |τ|)) times the doubt."""
-        return np.asarray(self.doubt * np.sqrt(self.weight / (1 - self.weight)))
+        return self.doubt * np.sqrt(self.weight / (1 - self.weight))
 
 
 def displacement(scene: Scene, readings: Readings, measured: Numbers) -> Displacement:
@@ -127,7 +114,12 @@ def displacement(scene: Scene, readings: Readings, measured: Numbers) -> Displac
     neighbour. Readings that are no values, or whose neighbours in time are none, are not displaced;
     their doubt is the larger step.
     """
-    steps = _steps(readings, measured)
+    # Steps of each reading from the previous and to the next measured frame, (2, frames, …). The
+    # first and the last frame have one neighbour, and its step twice.
+    steps = np.zeros((2, *readings.value.shape))
+    if len(measured) > 1:
+        step = np.diff(readings.value[measured], axis=0)
+        steps[:, measured] = np.concatenate([step[:1], step]), np.concatenate([step, step[-1:]])
     # Delay of each reading from the middle of its frame, in periods
     channels = readings.value[0].size
     # τ of channel k of n: (k + ½)/n − ½
@@ -244,8 +236,7 @@ def _share(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class MotionEvidence:
+class MotionEvidence(NamedTuple):
     """Evidence of frames about a motion, as a linearised sum of squares.
 
     Attributes
@@ -314,13 +305,7 @@ class MotionSearch:
         low = np.array([shares[0], jitters[0] ** 2, 0.0])
         high = np.array([shares[1], jitters[1] ** 2, self.own])
         ends = product(dict.fromkeys((shares[0], sum(shares) / 2)), dict.fromkeys((0.0, self.own)))
-        begins = [np.array([share, low[1], own]) for share, own in ends]
-        found = (self._descended(begin, (low, high)) for begin in begins)
-        return min(found, key=lambda motion: motion.cost)
-
-    def _descended(self, begin: Array, limits: tuple[Array, Array]) -> MotionEvidence:
-        """Return the motion of largest evidence that a search from one position reaches."""
-        starts = [usual_starts(frame.changes.change) for frame in self.moving]
+        starts = list[list[Mask]]()
 
         def model(position: Array) -> MotionEvidence:
             changes = [frame.changes_by(position) for frame in self.moving]
@@ -330,20 +315,24 @@ class MotionSearch:
             starts[:] = [[of_frame] for of_frame in moved]
             return self.evidence(position, changes, moved)
 
-        return SCORING.minimum(model, begin, limits)[1]
+        found = list[MotionEvidence]()
+        for share, own in ends:
+            starts[:] = [usual_starts(frame.changes.change) for frame in self.moving]
+            begin = np.array([share, low[1], own])
+            found.append(SCORING.minimum(model, begin, (low, high))[1])
+        return min(found, key=lambda motion: motion.cost)
 
     def evidence(
-        self, position: Array, changes: Sequence[Changes], moved: Sequence[Chosen]
+        self, position: Array, changes: Sequence[Changes], moved: Sequence[Mask]
     ) -> MotionEvidence:
         """Return the evidence of changes, whose moved cells are free."""
         share, _, own = position
         weights = np.stack([frame.displaced.weight.ravel() for frame in self.moving])
         still = np.array([[1 - np.mean(cells)] for cells in moved])
-        gains = [frame.fits[1].gain for frame in self.moving]
+        # K has a block a frame.
+        gain = block_diagonal([frame.fits[1].gain for frame in self.moving])
         by_share = np.concatenate([frame.by_motion for frame in self.moving])
         by_error = np.concatenate([frame.by_error for frame in self.moving])
-        if not self.own:
-            by_error = by_error[:, :0]
         # Errors of the unloaded panel and of the readings are those of all frames.
         unloaded = self.moving[0].unloaded
         apart = [
@@ -359,29 +348,22 @@ class MotionSearch:
         jacobian = -2 * np.sum(still * np.log(1 - share * weights))
         count = sum(int(cells.sum()) for cells in moved)
         cost = float(residual @ pull - volume + MOVED_COST * count + jacobian) / 2
-        # V_share and V_jitter are K diag(variances) Kᵀ, V_own is A Aᵀ; K has a block a frame.
+        # V_share and V_jitter are K diag(variances) Kᵀ, V_own is A Aᵀ.
         variances = np.concatenate([frame.slopes(share) for frame in self.moving], axis=1)
-        of_readings = _by_blocks(gains, _by_blocks(gains, precision).T)
+        of_readings = gain.T @ precision @ gain
         of_errors = by_error.T @ (precision @ by_error)
-        across = _by_blocks(gains, precision @ by_error)
+        across = gain.T @ (precision @ by_error)
         gradient = np.append(
-            variances @ (np.diag(of_readings) - _by_blocks(gains, pull) ** 2),
+            variances @ (np.diag(of_readings) - (gain.T @ pull) ** 2),
             np.trace(of_errors) - np.sum((by_error.T @ pull) ** 2),
         )
         gradient[0] += 2 * np.sum(still * weights / (1 - share * weights)) - 2 * by_share @ pull
         normal = np.zeros((3, 3))
         normal[:2, :2] = variances @ of_readings**2 @ variances.T
         normal[2, :2] = normal[:2, 2] = variances @ np.sum(across**2, axis=1)
-        normal[2, 2] = np.sum(of_errors**2) if self.own else 1.0
+        normal[2, 2] = np.sum(of_errors**2)
         normal[0, 0] += 2 * by_share @ precision @ by_share
         return MotionEvidence(position, cost, gradient / 2, normal / 2)
-
-
-def _by_blocks(blocks: Sequence[Array], matrix: Array) -> Array:
-    """Return Kᵀ A for a block-diagonal K, without its zeros."""
-    ends = np.cumsum([len(block) for block in blocks])[:-1]
-    parts = zip(blocks, np.split(matrix, ends), strict=True)
-    return np.concatenate([block.T @ part for block, part in parts])
 
 
 def moving_frames(
@@ -439,8 +421,7 @@ class MovingFrame:
     @cached_property
     def changes(self) -> Changes:
         """The changes since rest without motion."""
-        pair = FittedPair(self.fits)
-        changes = pair.with_columns(pair.columns(()))
+        changes = FittedPair(self.fits).changes
         if self.frame_noise is None:
             return changes
         by_error = (
@@ -454,7 +435,7 @@ class MovingFrame:
     def unloaded(self) -> Array:
         """Covariance of the changes by errors of the unloaded panel, (cells, cells)."""
         resting = self.fits[0].covariance
-        return np.asarray(resting + ASSUMED.creep**2 * np.eye(len(resting)))
+        return resting + ASSUMED.creep**2 * np.eye(len(resting))
 
     @cached_property
     def by_error(self) -> Array:
@@ -462,12 +443,12 @@ class MovingFrame:
         resting, frame = (
             fit.gain * own_errors(fit.readings.value, fit.scene, 1.0).ravel() for fit in self.fits
         )
-        return np.asarray(frame - resting)
+        return frame - resting
 
     @cached_property
     def square_of_errors(self) -> Array:
         """A Aᵀ of these errors, (cells, cells)."""
-        return np.asarray(self.by_error @ self.by_error.T)
+        return self.by_error @ self.by_error.T
 
     @cached_property
     def by_motion(self) -> Array:
@@ -564,8 +545,7 @@ def interpolated(noise: NoiseEstimate, recording: Recording, share: Share) -> No
         by_load = np.zeros(readings.value.shape)
         by_load[measured] = readings.value[measured] - resting
         variance += share.jitter**2 * np.maximum(by_load**2 - noise_variance, 0.0)
-        frame = frame or FrameNoise(recording.scene, int(unloaded.sum()), 0.0, NO_RIPPLE, NO_RIPPLE)
-        frame = replace(frame, jitter=share.jitter, resting=resting)
+        frame = replace(noise.of_frames(recording), jitter=share.jitter, resting=resting)
     readings = replace(
         readings, value=readings.value - share.mean * displaced, sigma=np.sqrt(variance)
     )
@@ -628,21 +608,23 @@ class ScanMotion(SceneEffect):
             return noise
         return interpolated(noise, recording, whole.motion)
 
-    def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
+    def unnamed(self, prepared: Prepared) -> Iterator[Unnamed]:
         """Yield advice on loads that move while a frame is scanned."""
-        readings = evidence.noise.readings
-        unloaded = evidence.unloaded
-        if readings.sigma is None or not unloaded.any() or not evidence.names_none("motion"):
+        recording = prepared.cleaned.recording
+        noise = prepared.noise
+        readings = noise.readings
+        unloaded = recording.role == UNLOADED
+        if readings.sigma is None or not unloaded.any() or not names_none(prepared, "motion"):
             return
-        named = isinstance(specified(evidence.scene, "systematic.reading_error"), float)
+        named = isinstance(specified(recording.scene, "systematic.reading_error"), float)
         search = partial(
             share_of_motion,
-            evidence.recording,
+            recording,
             readings,
             # A load on most cells, such as a hand, is like one that jitters.
             jitter_alone=False,
-            frame_noise=evidence.noise.frame,
-            resting_cells=evidence.noise.resting_cells,
+            frame_noise=noise.frame,
+            resting_cells=noise.resting_cells,
         )
         share = search()
         # Errors of readings explain some of what seems to be motion: they are tried where some is.
@@ -658,11 +640,7 @@ def _in_words(noise: NoiseEstimate) -> str:
     share = noise.motion
     if share is None or "motion" not in noise.estimated:
         return ""
-    if _jitters_alone(share):
+    # a jitter, and no share of the scan
+    if share.steady < STEADY_ODDS and share.mean < NOISE_REACH * share.deviation:
         return LoadMotion().jitter_sentence(share.mean, share.deviation, share.jitter)
     return LoadMotion().sentence(share.mean, share.deviation)
-
-
-def _jitters_alone(share: Share) -> bool:
-    """Return whether a recording shows a jitter, and no share of the scan."""
-    return share.steady < STEADY_ODDS and share.mean < NOISE_REACH * share.deviation

@@ -28,18 +28,18 @@ import numpy as np
 from lampest.files.errors import BROKEN
 from lampest.files.levels import DOUBTFUL_GAIN, MIN_EVIDENCE_GAIN
 from lampest.inference.assumptions import ASSUMED
-from lampest.inference.cells_fit import CellsFit, fitted
-from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
+from lampest.inference.cells_fit import fitted
+from lampest.inference.effects.effect import SceneEffect, Unnamed
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides
 from lampest.inference.number import Number, summed_out
+from lampest.inference.prepared import Prepared
 from lampest.inference.shared_changes import (
     CHANNEL_FACTORS,
     FEW_FACTORS,
     LINEAR_LIMIT,
     LOG_PRIOR_OF_FACTORS,
     LOG_SD_OF_FACTORS,
-    JointPosterior,
     SharedChanges,
     SharedFrames,
     error_costs,
@@ -114,9 +114,7 @@ class SharedErrors:
     gains: dict[str, float] = field(default_factory=dict)
 
 
-def shared_frames(
-    noise: NoiseEstimate, scene: Scene, unloaded: Numbers, measured: Numbers
-) -> SharedFrames:
+def shared_frames(noise: NoiseEstimate, recording: Recording) -> SharedFrames:
     """Return the mean of the unloaded frames, and the strongest of the loaded ones.
 
     One frame is enough: frames that are nearly equal count once, or the edges of a load that stands
@@ -125,19 +123,21 @@ def shared_frames(
     Parameters
     ----------
     noise : NoiseEstimate
-        Readings of all frames, and what it says of their cells.
-    scene : Scene
-    unloaded, measured : integer array
-        Numbers of these frames. Frames without a reading do not count.
+        Readings of all frames, and what it says of their cells. Loaded frames without a reading do
+        not count.
+    recording : Recording
     """
     readings = noise.readings
-    resting = readings[unloaded].mean()
+    resting = readings[recording.role == UNLOADED].mean()
+    measured = np.flatnonzero(recording.role == MEASURED)
     measured = measured[(readings.seen[measured] > 0).any(axis=(1, 2))]
     loaded = None
     if len(measured):
         loaded = readings[strongest_frame(readings.plain_values, resting.value, measured)]
     loaded_cells = None if noise.panels is None else noise.panels.loaded
-    return SharedFrames(scene, resting, loaded, noise.frame, noise.resting_cells, loaded_cells)
+    return SharedFrames(
+        recording.scene, resting, loaded, noise.frame, noise.resting_cells, loaded_cells
+    )
 
 
 def shared_errors(scene: Scene, frames: SharedFrames) -> SharedErrors:
@@ -149,11 +149,12 @@ def shared_errors(scene: Scene, frames: SharedFrames) -> SharedErrors:
     prior = systematic_of(scene) or Systematic()
     resting = frames.resting
     possible = Possible(prior)
+    reason = ""
     if resting.sigma is None:
         reason = "the noise of the readings is unknown: name the readout's noise_lsb"
-        return SharedErrors(possible, {}, reason)
-    if resting.value.size > MAX_CELLS:
+    elif resting.value.size > MAX_CELLS:
         reason = f"the panel has more than {MAX_CELLS} cells: estimate them on a part of it"
+    if reason:
         return SharedErrors(possible, {}, reason)
     moves = shared_changes(scene, frames, prior)
     own = SharedErrors(possible, {})
@@ -162,7 +163,8 @@ def shared_errors(scene: Scene, frames: SharedFrames) -> SharedErrors:
             error = _error_beside_channels(scene, frames, moves)
         else:
             costs = unloaded_costs(scene, resting, frames.fit, READING_ERRORS)[0]
-            error = _reading_error(costs + _costs_of_errors(scene, moves, EVERY_SECOND)[0])
+            costs = costs + _costs_of_errors(scene, moves, EVERY_SECOND)[0]
+            error = Number.by_costs(READING_ERRORS, costs, PRIOR_ODDS)
         # √E[e²] exceeds the most probable e where e is uncertain
         possible = Possible(replace(prior, reading_error=float(np.sqrt(error.mean_square))))
         own = SharedErrors(
@@ -228,7 +230,7 @@ def _error_beside_channels(scene: Scene, frames: SharedFrames, moves: SharedChan
     unloaded = np.array([np.interp(every, COARSE, of_spread) for of_spread in coarse])
     costs = unloaded - 2 * LOG_PRIOR_OF_FACTORS[FEW_FACTORS, None]
     beside = _costs_of_errors(scene, moves, COARSE, CHANNEL_FACTORS[FEW_FACTORS])
-    return _reading_error(summed_out(costs + beside, axis=0))
+    return Number.by_costs(READING_ERRORS, summed_out(costs + beside, axis=0), PRIOR_ODDS)
 
 
 def _channel_spread(
@@ -268,16 +270,6 @@ def _channel_spread(
     return spread, 0.0 if largest or contradicted else spread.evidence
 
 
-def _is_linear(fit: CellsFit | None) -> bool:
-    """Return whether linear theory holds for most cells, or there is no fit that denies it.
-
-    Near a fold of the readings noise moves cells by more than LINEAR_LIMIT.
-    """
-    if fit is None:
-        return True
-    return bool(np.median(np.sqrt(np.diag(fit.covariance))) < LINEAR_LIMIT)
-
-
 def _undetermined(errors: SharedErrors, reason: str, scene: Scene) -> SharedErrors:
     """Return the errors with the reason why the common ones keep their prior.
 
@@ -309,7 +301,15 @@ def _with_common_errors(
     """
     size = errors.possible.sizes.size(READINGS)
     if moves.has_channels:
-        errors = _with_spread(errors, prior, spread)
+        usual = prior.size(CHANNELS)
+        channels = replace(
+            errors.possible.sizes, channel_spread_ohm=usual * float(np.sqrt(spread.mean_square))
+        )
+        errors = replace(errors, possible=replace(errors.possible, sizes=channels))
+        # determined where it is known better than its prior
+        if spread.log_deviation < MAX_UNTOLD * LOG_SD_OF_FACTORS:
+            determined = {CHANNELS: (usual * spread.mean, usual * spread.deviation)}
+            errors = replace(errors, sizes=errors.sizes | determined)
     posterior = joint_posterior(scene, moves, size, spread)
     if posterior is None:
         return _undetermined(
@@ -320,7 +320,7 @@ def _with_common_errors(
     # The columns of the root behind those of common errors are the readings' own errors.
     if size:
         settings.append(READINGS)
-    second = posterior.second
+    second, _ = posterior
     if moves.has_channels:
         # The root has the errors in the unit of the spread that readers of the scene take.
         factor = float(np.sqrt(spread.mean_square))
@@ -330,22 +330,8 @@ def _with_common_errors(
     return replace(errors, possible=possible, sizes=sizes)
 
 
-def _with_spread(errors: SharedErrors, prior: Systematic, spread: Number) -> SharedErrors:
-    """Return the errors with the spread of the channels, as a factor on the usual one.
-
-    The spread is determined where it is known better than its prior.
-    """
-    usual = prior.size(CHANNELS)
-    size = usual * float(np.sqrt(spread.mean_square))
-    sizes = replace(errors.possible.sizes, channel_spread_ohm=size)
-    determined = dict(errors.sizes)
-    if spread.log_deviation < MAX_UNTOLD * LOG_SD_OF_FACTORS:
-        determined[CHANNELS] = usual * spread.mean, usual * spread.deviation
-    return replace(errors, possible=replace(errors.possible, sizes=sizes), sizes=determined)
-
-
 def _determined_sizes(
-    moves: SharedChanges, posterior: JointPosterior, prior: Systematic
+    moves: SharedChanges, posterior: tuple[Array, Array], prior: Systematic
 ) -> dict[str, tuple[float, float]]:
     """Return the size and standard deviation of each error that the recording tells more of.
 
@@ -355,7 +341,8 @@ def _determined_sizes(
     Parameters
     ----------
     moves : SharedChanges
-    posterior : JointPosterior
+    posterior : tuple of array
+        That of `joint_posterior`.
     prior : Systematic
         Standard deviations of the errors, in which z is measured.
     """
@@ -367,8 +354,7 @@ def _determined_sizes(
             continue
         unit = prior.size(error.setting)
         second, covariance = (
-            float(np.trace(matrix[first:last, first:last])) / (last - first)
-            for matrix in (posterior.second, posterior.covariance)
+            float(np.trace(matrix[first:last, first:last])) / (last - first) for matrix in posterior
         )
         if error.setting != CHANNELS and covariance < MAX_UNTOLD**2:
             size = unit * float(np.sqrt(second)), unit * float(np.sqrt(covariance))
@@ -405,11 +391,6 @@ def _costs_of_errors(
     return np.array([np.interp(every, tried, of_factor) for of_factor in costs])
 
 
-def _reading_error(costs: Array) -> Number:
-    """Return the posterior of e from −2 ln likelihoods of READING_ERRORS."""
-    return Number.by_costs(READING_ERRORS, costs, PRIOR_ODDS)
-
-
 class StaticErrors(SceneEffect):
     """Errors that all frames share: the sizes of `systematic`."""
 
@@ -423,28 +404,24 @@ class StaticErrors(SceneEffect):
         scene = recording.scene
         readings = noise.readings
         requested = tuple(name for name in estimated_errors(scene) if name != "model_error")
-        if not requested:
-            sizes = systematic_of(scene)
-            size = 0.0 if sizes is None else sizes.size(READINGS)
-            if sizes is None or not size:
-                return noise
-            unloaded = np.flatnonzero(recording.role == UNLOADED)
-            errors = SharedErrors(Possible(sizes), {}, significant=True)
-            # without unloaded frames, loads count as scatter of the cells
-            resting = readings[unloaded if len(unloaded) else slice(None)].mean()
-            possible = _known_at_rest(errors, scene, resting, noise.resting_cells)
-            return noise.with_errors(possible, scene)
-        unloaded = np.flatnonzero(recording.role == UNLOADED)
-        measured = np.flatnonzero(recording.role == MEASURED)
-        if not len(unloaded):
+        unloaded = recording.role == UNLOADED
+        sizes = systematic_of(scene)
+        if requested and not unloaded.any():
             for name in requested:
                 noise = noise.undetermined(
                     f"systematic.{name}", "record five or more unloaded frames"
                 )
             return noise
-        frames = shared_frames(noise, scene, unloaded, measured)
-        errors = shared_errors(scene, frames)
-        possible = _known_at_rest(errors, scene, frames.resting, noise.resting_cells)
+        if requested:
+            frames = shared_frames(noise, recording)
+            errors, resting = shared_errors(scene, frames), frames.resting
+        elif sizes is None or not sizes.size(READINGS):
+            return noise
+        else:
+            errors = SharedErrors(Possible(sizes), {}, significant=True)
+            # without unloaded frames, loads count as scatter of the cells
+            resting = readings[unloaded if unloaded.any() else slice(None)].mean()
+        possible = _known_at_rest(errors, scene, resting, noise.resting_cells)
         noise = noise.with_errors(possible, scene)
         for name in requested:
             if name in errors.sizes:
@@ -466,15 +443,25 @@ class StaticErrors(SceneEffect):
             stated[name] = None if size is None else self.allowed(scene, key, size)
         return replace(scene, systematic=systematic.with_entries(stated))
 
-    def unnamed(self, evidence: Gathered) -> Iterator[Unnamed]:
+    def unnamed(self, prepared: Prepared) -> Iterator[Unnamed]:
         """Yield advice on errors one after the other, by their evidence beside those before.
 
         Channels make cells rougher, too, as errors of each reading do: the one that gains more
         comes first, and the other counts if it gains beside it.
         """
-        frames = self._frames(evidence)
-        scene = evidence.scene
-        while frames is not None:
+        recording = prepared.cleaned.recording
+        noise = prepared.noise
+        scene = recording.scene
+        if noise.readings.sigma is None or not np.any(recording.role == UNLOADED):
+            return
+        if noise.panels is not None and not noise.panels.clear:
+            return  # another one of the panels that read alike may be meant
+        # without the error of the model: the same misses would count for it and for errors of the
+        # readings
+        noise = noise.with_sigma(noise.readings.sigma / noise.model_factor)
+        frames = shared_frames(noise, recording)
+        few = frames.resting.plain[scene.requested].mean() < MIN_SHARE_READ
+        while frames.resting.value.size <= MAX_CELLS and not few:
             gains = {
                 error.setting: _gain_beside(estimating(scene, error.setting), frames, error)
                 for error in shared_effects()
@@ -486,25 +473,6 @@ class StaticErrors(SceneEffect):
             scene = estimating(scene, setting)
             key = f"systematic.{setting}"
             yield Unnamed.of(shared_effect_of(setting).sentence, key)
-
-    def _frames(self, evidence: Gathered) -> SharedFrames | None:
-        """Return the frames that tell errors; None where readings tell none that frames share."""
-        noise = evidence.noise
-        unloaded = np.flatnonzero(evidence.unloaded)
-        if noise.readings.sigma is None or not len(unloaded):
-            return None
-        if noise.panels is not None and not noise.panels.clear:
-            return None  # another one of the panels that read alike may be meant
-        # without the error of the model: the same misses would count for it and for errors of the
-        # readings
-        sigma = noise.readings.sigma / noise.model_factor
-        noise = replace(noise, readings=replace(noise.readings, sigma=sigma))
-        frames = shared_frames(noise, evidence.scene, unloaded, evidence.measured)
-        if frames.resting.value.size > MAX_CELLS:
-            return None
-        if frames.resting.plain[evidence.scene.requested].mean() < MIN_SHARE_READ:
-            return None
-        return frames
 
 
 def estimating(scene: Scene, setting: str) -> Scene:
@@ -518,7 +486,9 @@ def _gain_beside(scene: Scene, frames: SharedFrames, error: SharedEffect) -> flo
 
     Errors of each reading are tried coarsely first: most recordings show none.
     """
-    if not _is_linear(frames.fit):
+    fit = frames.fit
+    # Near a fold of the readings noise moves cells by more, and linear theory does not hold.
+    if fit and not np.median(np.sqrt(np.diag(fit.covariance))) < LINEAR_LIMIT:
         return 0.0
     if error.setting == READINGS and estimated_errors(scene) == (error.setting,):
         prior = systematic_of(scene) or Systematic()

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import first_and_more
 from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
-from lampest.inference.readings.neighbours import (
+from lampest.inference.readings.outliers import (
     MIN_RATIO_TO_SCATTER,
     by_median,
     first_of_windows,
@@ -84,12 +84,6 @@ class GarbledLines:
         plural = "s" if len(self.numbers) > 1 else ""
         return f"{self.name}{plural} {', '.join(map(str, self.numbers))} of frame {self.frame}"
 
-    def mask(self, shape: tuple[int, ...]) -> Mask:
-        """Return the readings of the lines, boolean (rows, columns)."""
-        flagged = np.zeros(shape, dtype=bool)
-        flagged[(slice(None),) * (self.name == "column") + (list(self.numbers),)] = True
-        return flagged
-
 
 def garbled_lines(recording: Recording) -> tuple[GarbledLines, ...]:
     """Return the garbled lines of all frames, in temporal order.
@@ -138,10 +132,11 @@ def _garbled_among(
     ends = (0.0,)
     if readout is not None:
         ends = tuple(readout.volt_from_recorded(np.array(readout.rails())).tolist())
-    film = median(values[role == UNLOADED] if np.any(role == UNLOADED) else values)[0]
-    rows = Along(values, expected, film, deviates, scale, ends)
+    film = median(values[role == UNLOADED] if np.any(role == UNLOADED) else values)
     garbled = dict[int, GarbledLines]()
-    for name, along in (("row", rows), ("column", rows.transposed)):
+    for name, axes in (("row", (0, 1, 2)), ("column", (0, 2, 1))):
+        turned, predicted, of_film = (part.transpose(axes) for part in (values, expected, film))
+        along = Along(turned, predicted, of_film, deviates.transpose(axes), scale, ends)
         for frame in suspicious:
             lines = along.garbled(frame)
             if len(lines) and frame not in garbled:
@@ -154,7 +149,10 @@ def readings_of(garbled: Sequence[GarbledLines], recording: Recording) -> Mask:
     """Return whether a reading is part of a garbled line, boolean (frames, rows, columns)."""
     flagged = np.zeros(recording.recorded.shape, dtype=bool)
     for lines in garbled:
-        flagged[lines.frame] |= lines.mask(flagged.shape[1:])
+        of_frame = flagged[lines.frame]
+        if lines.name == "column":
+            of_frame = of_frame.T
+        of_frame[list(lines.numbers)] = True
     return flagged
 
 
@@ -206,7 +204,7 @@ class Along:
     ----------
     values, expected : array, shape (frames, lines, cells)
         Voltages at the converter, and those that the neighbouring frames predict.
-    film : array, shape (lines, cells)
+    film : array, shape (1, lines, cells)
         Median of the unloaded frames, or of all without any.
     deviates : boolean array, same shape
         Whether a reading deviates from the neighbouring frames.
@@ -222,13 +220,6 @@ class Along:
     deviates: Mask
     scale: float
     ends: tuple[float, ...]
-
-    @property
-    def transposed(self) -> "Along":
-        """The lines of the other side."""
-        values, expected = (part.swapaxes(1, 2) for part in (self.values, self.expected))
-        deviates = self.deviates.swapaxes(1, 2)
-        return Along(values, expected, self.film.T, deviates, self.scale, self.ends)
 
     @property
     def _short(self) -> bool:
@@ -262,13 +253,6 @@ class Along:
         return np.asarray(judged & (self.deviates.mean(axis=2) <= MIN_LINE_SHARE))
 
     @cached_property
-    def _least_rough(self) -> float:
-        """Least roughness of a garbled line, from the lines that follow their neighbours."""
-        roughness = np.where(self._following, self.roughness, np.nan)
-        usual = float(np.nanmax(median(roughness), initial=0.0))
-        return max(MIN_ROUGHNESS, MIN_ROUGHNESS_RATIO * usual)
-
-    @cached_property
     def _lost(self) -> Mask:
         """Whether a line lies at one end of the converter as no following line, (frames, lines)."""
         ends = [np.abs(self.values - end) < self.scale for end in self.ends]
@@ -279,7 +263,10 @@ class Along:
     def garbled(self, frame: int) -> Numbers:
         """Return the garbled lines of a frame."""
         shares = self.deviates[frame].mean(axis=1)
-        least = self._least_rough
+        # Least roughness of a garbled line, from the lines that follow their neighbours
+        following = np.where(self._following, self.roughness, np.nan)
+        usual = float(np.nanmax(median(following), initial=0.0))
+        least = max(MIN_ROUGHNESS, MIN_ROUGHNESS_RATIO * usual)
         roughness = self.roughness[frame]
         # Lines that deviate as a whole while the others do not.
         inside = shares > MIN_LINE_SHARE
@@ -326,11 +313,12 @@ class Along:
         before, after = (self.values[at] for at in range(first, first + 3) if at != frame)
         images = [self.expected[frame], (before + after) / 2]
         noise = np.sqrt(2) * self.scale
-        film = _elsewhere(self.film)
+        own_film = self.film[0]
+        film = _elsewhere(own_film)
         current = self.values[frame, :, None]
         # The variance of a second difference, which smooth loads do not have, is 6 times that of a
         # reading, and here of two.
-        rough = np.abs(np.diff(film - self.film[:, None], 2, axis=2))
+        rough = np.abs(np.diff(film - own_film[:, None], 2, axis=2))
         contrast = MAD_TO_SIGMA * median(rough, 2) / np.sqrt(12)
         # −2 ln of the density of a load's readings, over that of a reading without deviation
         of_load = 2 * np.log(np.maximum(contrast / noise, 1.0))
@@ -345,7 +333,7 @@ class Along:
                 return np.asarray(np.where(counted, squares, 0.0).sum(axis=2))
 
             stays = np.full(film.shape[:2], np.inf)
-            for own in (*images, self.film):
+            for own in (*images, own_film):
                 errors = current - own[:, None]
                 middles = median(np.where(unloaded, errors, np.nan), 2)
                 stays = np.minimum(stays, np.minimum(misfit(errors), misfit(errors - middles)))
@@ -361,7 +349,10 @@ def _elsewhere(image: Array) -> Array:
     lines = np.arange(len(image))
     others = np.array([np.delete(lines, line) for line in lines])
     displacements = (*range(-MAX_DISPLACEMENT, 0), *range(1, MAX_DISPLACEMENT + 1))
-    along = [displaced(image, *how) for how in product(displacements, ORDERS)]
+    along = [
+        np.roll(image.ravel(order), steps).reshape(image.shape, order=order)
+        for steps, order in product(displacements, ORDERS)
+    ]
     return np.concatenate([image[others], np.stack(along, axis=1)], axis=1)
 
 
@@ -379,7 +370,7 @@ def _roughness(values: Array, sigma: Array) -> Array:
     square = np.diff(values, 2, axis=2) ** 2
     variance = sigma**2
     noise = variance[:, :, 2:] + 4 * variance[:, :, 1:-1] + variance[:, :, :-2]
-    return np.asarray(np.sqrt(np.maximum(median(square - noise, 2)[:, :, 0], 0.0)))
+    return np.sqrt(np.maximum(median(square - noise, 2)[:, :, 0], 0.0))
 
 
 def follows_beside(change: Array) -> Mask:
@@ -412,11 +403,6 @@ def follows_beside(change: Array) -> Mask:
     follows[:, 1:] |= alike
     follows[:, :-1] |= alike
     return follows
-
-
-def displaced(frame: Array, steps: int, order: Literal["C", "F"]) -> Array:
-    """Return a frame (rows, columns) whose readings are displaced by steps along the scan."""
-    return np.roll(frame.ravel(order=order), steps).reshape(frame.shape, order=order)
 
 
 def middle(values: Array) -> float:

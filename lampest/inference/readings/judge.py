@@ -58,7 +58,9 @@ class Cleaned:
         unloaded = recording.role == UNLOADED
         frozen = frozen_readings(recording)
         garbled = garbled_lines(recording)
-        recording = _without(recording, frozen | readings_of(garbled, recording))
+        unread = frozen | readings_of(garbled, recording)
+        if unread.any():
+            recording = replace(recording, recorded=np.where(unread, np.nan, recording.recorded))
         every = recording.readings()
         impossible = impossible_readings(scene.circuit, every)
         readings = every.without(impossible)
@@ -125,10 +127,3 @@ class Cleaned:
             size_text = f" by {percent:+.2g} %" if np.isfinite(percent) else ""
             places.append(f"row {row}, column {column} of frame {named}{size_text}")
         return f"{count} {subjects[count > 1]}: {first_and_more(places)}; {fate}"
-
-
-def _without(recording: Recording, unread: Mask) -> Recording:
-    """Return a recording in which some readings, (rows, columns), are missing."""
-    if not unread.any():
-        return recording
-    return replace(recording, recorded=np.where(unread, np.nan, recording.recorded))

@@ -32,7 +32,7 @@ such a load has not these odds against it, the recording cannot tell the order.
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from itertools import chain, combinations
 from typing import NamedTuple
@@ -73,8 +73,7 @@ MIN_CONTRAST = 0.5
 MAX_ALIKE = 0.7  # cosine between the changes of two places
 
 
-@dataclass(frozen=True, eq=False)
-class Order:
+class Order(NamedTuple):
     """An order of the readings on the panel.
 
     Attributes
@@ -83,8 +82,6 @@ class Order:
     image : integer array, shape (rows, columns)
         Number of the reading, in the scene's order along the rows, at each place.
     remedy : str
-    coincidence : float
-        Probability that a load in one place is smooth in this order by chance.
     side : int or None
         Axis of the lines whose order this is: 0 for rows, 1 for columns, None for neither.
     """
@@ -92,8 +89,12 @@ class Order:
     words: str
     image: Numbers
     remedy: str
-    coincidence: float = NO_LOAD
     side: int | None = None
+
+    @property
+    def coincidence(self) -> float:
+        """Probability that a load in one place is smooth in this order by chance."""
+        return NO_LOAD if self.side is None else COINCIDENCE
 
 
 class SmootherOrder(NamedTuple):
@@ -139,7 +140,7 @@ def orders(rows: int, columns: int) -> Iterator[Order]:
         for words, order in chain(line_orders(count), exchanged_lines(count)):
             remedy = f"the {name} belong in the order {order.tolist()}"
             image = np.take(numbers, order, axis=place)
-            yield Order(f"{name} {words}", image, remedy, COINCIDENCE, place)
+            yield Order(f"{name} {words}", image, remedy, place)
 
 
 def line_orders(count: int) -> Iterator[tuple[str, Numbers]]:
@@ -183,44 +184,10 @@ def exchanged_lines(count: int) -> Iterator[tuple[str, Numbers]]:
         yield f"{first} and {first + 1} swapped", swapped
 
 
-@dataclass(frozen=True, eq=False)
-class DeliveredOrder:
-    """Orders, one after the other, in which loads are smooth.
+def order_of_lines(scene: Scene, readings: Readings, unloaded: Mask) -> list[SmootherOrder]:
+    """Return the orders, one after the other, in which the loads of a recording are smooth.
 
-    Attributes
-    ----------
-    steps : tuple of SmootherOrder
-        Empty where the scene's order is not doubted.
-    """
-
-    steps: tuple[SmootherOrder, ...] = ()
-
-    @classmethod
-    def of(cls, images: Array) -> "DeliveredOrder":
-        """Return the order that images of loads, (places, rows, columns), show."""
-        steps = list[SmootherOrder]()
-        while len(steps) < MAX_STEPS and (found := smoother_order(images)) is not None:
-            steps.append(found)
-            if found.every_second:
-                break
-            images = images.reshape(len(images), -1)[:, found.order.image]
-        if len(steps) > 1 and steps[-1].every_second:
-            del steps[-1]
-        return cls(tuple(steps))
-
-    @property
-    def every_second(self) -> str:
-        """Lines of which loads on every second one explain the readings; '' without such."""
-        return self.steps[0].every_second if self.steps else ""
-
-    @property
-    def decades(self) -> float:
-        """Logarithm to base 10 of the odds against the scene's order."""
-        return float(sum(step.gain for step in self.steps) / (2 * np.log(10)))
-
-
-def order_of_lines(scene: Scene, readings: Readings, unloaded: Mask) -> DeliveredOrder:
-    """Return the order in which the loads of a recording are smooth.
+    The list is empty where the scene's order is not doubted.
 
     Parameters
     ----------
@@ -230,9 +197,16 @@ def order_of_lines(scene: Scene, readings: Readings, unloaded: Mask) -> Delivere
     unloaded : boolean array, shape (frames,)
     """
     told = min(scene.panel.shape) >= MIN_LINES and unloaded.any() and not unloaded.all()
+    steps = list[SmootherOrder]()
     if not told or not scene.whole:
-        return DeliveredOrder()
-    return DeliveredOrder.of(load_images(cell_changes(scene, readings, unloaded)))
+        return steps
+    images = load_images(cell_changes(scene, readings, unloaded))
+    while len(steps) < MAX_STEPS and (found := smoother_order(images)) is not None:
+        if found.every_second:
+            return steps or [found]
+        steps.append(found)
+        images = images.reshape(len(images), -1)[:, found.order.image]
+    return steps
 
 
 class CellChanges(NamedTuple):
@@ -274,7 +248,14 @@ def cell_changes(scene: Scene, readings: Readings, unloaded: Mask) -> CellChange
     unloaded : boolean array, shape (frames,)
     """
     resting = readings[unloaded].mean()
-    sigma = _sigma_of_frame(readings, unloaded)
+    # Standard deviations of a frame: those of the readout, raised by the scatter of unloaded frames
+    # where that is larger.
+    specified = np.ones(readings.value.shape) if readings.sigma is None else readings.sigma
+    specified = specified[unloaded]
+    steps = np.diff(readings.value[unloaded], axis=0) / np.hypot(specified[1:], specified[:-1])
+    measured = float(np.sqrt(np.mean(steps**2))) if steps.size else 0.0
+    least = TINY if readings.sigma is None else 1.0
+    sigma = median(specified)[0] * max(measured, least)
     loaded = readings[~unloaded]
     scaled = np.where(loaded.seen > 0, loaded.value - resting.value, 0.0) / sigma
     significance = np.sqrt(np.mean(scaled**2, axis=(1, 2)))
@@ -293,19 +274,6 @@ def cell_changes(scene: Scene, readings: Readings, unloaded: Mask) -> CellChange
         change = (scaled.reshape(len(scaled), -1) @ gain.T).reshape(scaled.shape)
         noise = np.sqrt(np.sum(gain**2, axis=1)).reshape(sigma.shape)
     return CellChanges(change, noise, significance, int(unloaded.sum()))
-
-
-def _sigma_of_frame(readings: Readings, unloaded: Mask) -> Array:
-    """Return the standard deviations of a frame's readings, (rows, columns).
-
-    Those of the readout are raised by the scatter of unloaded frames where that is larger.
-    """
-    value = readings.value[unloaded]
-    specified = np.ones(value.shape) if readings.sigma is None else readings.sigma[unloaded]
-    steps = np.diff(value, axis=0) / np.hypot(specified[1:], specified[:-1])
-    measured = float(np.sqrt(np.mean(steps**2))) if steps.size else 0.0
-    least = TINY if readings.sigma is None else 1.0
-    return np.asarray(median(specified)[0] * max(measured, least))
 
 
 def load_images(changes: CellChanges) -> Array:
@@ -397,11 +365,11 @@ def smoother_order(images: Array) -> SmootherOrder | None:
     flat = images.reshape(len(images), -1)
     as_specified = smooth_costs(images)
     tried = list(orders(*images.shape[1:]))
-    gains = as_specified - costs_of_orders(flat, tried)
-    several = several_exchanges(tried, gains.sum(axis=1))
+    gains = [as_specified - smooth_costs(flat[:, order.image]) for order in tried]
+    several = several_exchanges(tried, np.sum(gains, axis=1))
     tried += several
-    gains = np.concatenate([gains, as_specified - costs_of_orders(flat, several)])
-    best = int(np.argmax(gains.sum(axis=1).round(6)))
+    gains += [as_specified - smooth_costs(flat[:, order.image]) for order in several]
+    best = int(np.argmax(np.sum(gains, axis=1).round(6)))
     # A coincidence bounds each place's share of the evidence.
     in_order = flat[:, tried[best].image]
     groups = along_side(in_order, tried[best].side)
@@ -446,27 +414,8 @@ def several_exchanges(tried: Sequence[Order], gains: Array) -> list[Order]:
         if len(chosen) > 1:
             words = " and ".join(order.words for order in chosen)
             remedy = "; then ".join(order.remedy for order in chosen)
-            several.append(Order(words, numbers, remedy, COINCIDENCE, side))
+            several.append(Order(words, numbers, remedy, side))
     return several
-
-
-def costs_of_orders(values: Array, tried: Sequence[Order]) -> Array:
-    """Return −2 ln evidence of images in each order, shape (orders, places).
-
-    Orders whose images have one shape are evaluated together.
-
-    Parameters
-    ----------
-    values : array, shape (places, readings)
-    tried : sequence of Order
-    """
-    costs = np.empty((len(tried), len(values)))
-    shapes = [order.image.shape for order in tried]
-    for shape in set(shapes):
-        numbers = [number for number, of_order in enumerate(shapes) if of_order == shape]
-        images = np.concatenate([values[:, tried[number].image] for number in numbers])
-        costs[numbers] = smooth_costs(images).reshape(len(numbers), -1)
-    return costs
 
 
 def smooth_costs(images: Array, steps: tuple[int, int] = (1, 1)) -> Array:

@@ -8,6 +8,7 @@ well: a reading that stands alone is impossible there, and missing. In unloaded 
 changes, and all outliers are missing. No reading is replaced.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,15 +21,6 @@ from lampest.files.levels import (
     UNUSUAL,
 )
 from lampest.inference.readings.free_tests import free_tests, largest_possible
-from lampest.inference.readings.neighbours import (
-    MIN_RATIO_TO_SCATTER,
-    WINDOW,
-    Expected,
-    Predictor,
-    by_median,
-    first_of_windows,
-    from_window,
-)
 from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
@@ -45,6 +37,53 @@ ABSENT_OHM = 1e12  # a place without a cell
 LOAD_REACH = 2.0  # cells, standard deviation of a wide load
 TINY = 1e-30
 MIN_FRAMES = 3  # with fewer, the deviating frame cannot be identified
+WINDOW = 4  # neighbouring frames that are compared
+# Deviation over the scatter of the neighbours, so that an arriving load is not flagged.
+MIN_RATIO_TO_SCATTER = 3.0
+
+# (prediction from the neighbours in time, its standard deviation by their scatter, standard
+# deviation of the deviation by noise alone as a multiple of σ).
+Expected = tuple[Array, Array, Array]
+# arguments: the neighbours, and their offsets in frames
+Predictor = Callable[[Array, Numbers], Expected]
+
+
+def first_of_windows(frames: int) -> Numbers:
+    """Return the first frame of the window of WINDOW + 1 frames about each frame, (frames,)."""
+    width = min(frames, WINDOW + 1)
+    return np.clip(np.arange(frames) - WINDOW // 2, 0, frames - width)
+
+
+def from_window(value: Array, first: Numbers, place: Numbers, predict: Predictor) -> Expected:
+    """Return the prediction of frames first + place from the other frames of their window.
+
+    The window of a prediction begins at `first`. The neighbours are gathered as (width − 1, frames,
+    ...), with their offsets (width − 1, frames).
+    """
+    width = min(len(value), WINDOW + 1)
+    within = first[:, None] + np.arange(width)
+    target = first + place
+    nearest = within[within != target[:, None]].reshape(len(first), width - 1).T
+    return predict(value[nearest], nearest - target)
+
+
+def by_median(neighbours: Array, offset: Numbers | None = None) -> Expected:
+    """Return the median of the neighbours, (frames, …), with their scatter.
+
+    Parameters
+    ----------
+    neighbours : array, shape (neighbours, frames, …)
+    offset : integer array
+        Not used.
+    """
+    middle = median(neighbours)[0]
+    # var(y − median of n) = σ² (1 + π/(2n))
+    noise = np.sqrt(1 + np.pi / (2 * len(neighbours)))
+    return (
+        middle,
+        MAD_TO_SIGMA * median(np.abs(neighbours - middle))[0],
+        np.full(middle.shape, noise),
+    )
 
 
 def detect_outliers(
@@ -319,23 +358,19 @@ class FramesBefore:
         """
         impossible = impossible_readings(scene.circuit, readings.alone())[0]
         readings = readings.without(impossible)
-        if len(self.frames) >= MIN_FRAMES and readings.sigma is not None:
-            impossible |= self._no_cell_moves(readings, scene)
+        sigma = readings.sigma
+        if len(self.frames) >= MIN_FRAMES and sigma is not None:
+            # those that differ from the frames before as no cell makes them differ
+            value = np.stack([frame.plain_values for frame in self.frames])
+            scale = sigma * np.fmax(_pair_scale(value, np.broadcast_to(sigma, value.shape)), 1.0)
+            expected = by_median(value)
+            middle, spread, _ = expected
+            now = readings.plain_values
+            with np.errstate(divide="ignore", invalid="ignore"):
+                outlying = _exceeds_threshold(now, scale, expected)
+            if 0 < outlying.mean() <= MAX_SHARE:
+                impossible |= no_cell_moves(scene, outlying, now, middle, np.hypot(scale, spread))
         return readings.without(impossible), int(impossible.sum())
-
-    def _no_cell_moves(self, readings: Readings, scene: Scene) -> Mask:
-        """Return the readings that differ from the frames before as no cell makes them differ."""
-        value = np.stack([frame.plain_values for frame in self.frames])
-        sigma = readings.known_sigma
-        scale = sigma * np.fmax(_pair_scale(value, np.broadcast_to(sigma, value.shape)), 1.0)
-        expected = by_median(value)
-        middle, spread, _ = expected
-        with np.errstate(divide="ignore", invalid="ignore"):
-            outlying = _exceeds_threshold(readings.plain_values, scale, expected)
-        if not outlying.any() or outlying.mean() > MAX_SHARE:
-            return np.zeros(outlying.shape, dtype=bool)
-        scale = np.hypot(scale, spread)
-        return no_cell_moves(scene, outlying, readings.plain_values, middle, scale)
 
 
 def _is_usual(
@@ -377,7 +412,7 @@ def _is_usual(
         predicted, _, _ = from_window(value, near, np.full(len(near), place[frame]), predict)
         usual[frame] = median(np.abs(value[near + place[frame]] - predicted))
     usual = MAD_TO_SIGMA * np.nan_to_num(usual)
-    return np.asarray((usual > 0) & (deviation <= largest * usual))
+    return (usual > 0) & (deviation <= largest * usual)
 
 
 def _by_line(neighbours: Array, offset: Numbers) -> Expected:
@@ -423,15 +458,9 @@ def _exceeds_threshold(value: Array, scale: Array, expected: Expected) -> Mask:
     far: Mask = deviation > np.fmax(
         OUTLIER_THRESHOLD * noise * scale, MIN_RATIO_TO_SCATTER * spread
     )
-    return far & ~(deviation <= MIN_RATIO_TO_LINES * _beside(deviation / scale) * scale)
-
-
-def _beside(values: Array) -> Array:
-    """Return the larger of the medians over each reading's row and over its column.
-
-    Shape (…, rows, columns).
-    """
-    return np.fmax(median(values, -1), median(values, -2))
+    # the larger of the medians over each reading's row and over its column
+    beside = np.fmax(*(median(deviation / scale, axis) for axis in (-1, -2)))
+    return far & ~(deviation <= MIN_RATIO_TO_LINES * beside * scale)
 
 
 def _pair_scale(value: Array, sigma: Array) -> float:
