@@ -11,7 +11,6 @@ import typer
 from lampest.cli import screen
 from lampest.files.applications import applications
 from lampest.files.errors import InputError
-from lampest.files.process import draw_without_help
 
 
 def compare(
@@ -47,7 +46,6 @@ def compare(
         if csv:
             write_csv(csv, rows)
         if report:
-            draw_without_help()
             write_report = applications().required("page", "report", "--report")
             write_report(results, report, on_recording, read)
     blocks = screen_blocks(rows, published=published)
@@ -85,7 +83,6 @@ def plot(
     estimator
         Estimator to plot, such as LSM. Default: all. Repeatable.
     """
-    draw_without_help()
     if show == "readings":
         from lampest.report.plots.readings import plot_readings
 
@@ -211,7 +208,6 @@ def info(file: Path, picture: screen.Output = None, apply: bool = False) -> None
     for line in apply_advice(file) if apply else describe(file):
         screen.say(line)
     if picture is not None:
-        draw_without_help()
         from lampest.report.plots import plot_file
 
         screen.say(plot_file(file, picture))

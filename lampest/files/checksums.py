@@ -16,7 +16,6 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 from math import prod
 from pathlib import Path
@@ -104,86 +103,52 @@ def set_attribute(
     kinds: tuple[Any, Any] | None = None,
     path: bytes = b".",
 ) -> None:
-    """Write an attribute as `create_attribute`, in place of an earlier one and of its digest."""
+    """Write an attribute of the object at a path from an h5py identifier.
+
+    It replaces an earlier one and its digest. The SHA-256 of a large one is written as a further
+    one. `kinds` are its HDF5 types in the file and in memory, by default those of its elements.
+    """
+    # The functions beneath `h5py.AttributeManager`, which takes three times as long.
     for label in (name.encode(), f"{name}_{DIGEST}".encode()):
         if not h5py.h5a.exists(node, label, obj_name=path):
             break
         h5py.h5a.delete(node, label, obj_name=path)
-    create_attribute(node, name, data, kinds, path)
-
-
-def create_attribute(
-    node: Any,
-    name: str,
-    data: NDArray[Any],
-    kinds: tuple[Any, Any] | None = None,
-    path: bytes = b".",
-) -> None:
-    """Write a new attribute of the object at a path from an h5py identifier.
-
-    The SHA-256 of a large one is written as a further one. `kinds` are its HDF5 types in the file
-    and in memory, by default those of its elements.
-    """
-    # The functions beneath `h5py.AttributeManager`, which takes three times as long.
     if data.nbytes > MAX_ATTRIBUTE_BYTES and not data.dtype.hasobject:
         digest = np.asarray(np.bytes_(digest_of(data)))
-        create_attribute(node, f"{name}_{DIGEST}", digest, path=path)
+        set_attribute(node, f"{name}_{DIGEST}", digest, path=path)
     in_file, in_memory = kinds or types_of(data.dtype)
-    space = dataspace(data.shape)
+    space = h5py.h5s.create_simple(data.shape)
     written = h5py.h5a.create(node, name.encode(), in_file, space, obj_name=path)
     written.write(np.ascontiguousarray(data).reshape(data.shape), in_memory)
 
 
 def types_of(dtype: np.dtype[Any]) -> tuple[Any, Any]:
     """Return the HDF5 types of an array's elements in a file and in memory."""
-    # NumPy's types of references are equal, whatever they refer to, and not kept.
-    return (_made_types if dtype.hasobject else _kept_types)(dtype)
-
-
-def _made_types(dtype: np.dtype[Any]) -> tuple[Any, Any]:
     return h5py.h5t.py_create(dtype, logical=True), h5py.h5t.py_create(dtype)
-
-
-_kept_types = lru_cache(maxsize=256)(_made_types)
-
-
-@lru_cache(maxsize=256)
-def dataspace(shape: tuple[int, ...]) -> Any:
-    """Return the HDF5 dataspace of a shape, made once."""
-    return h5py.h5s.create_simple(shape)
 
 
 def attribute(node: Any, name: str, path: bytes = b".") -> NDArray[Any] | None:
     """Return an attribute of the object at a path from an h5py identifier; None if absent."""
     if not h5py.h5a.exists(node, name.encode(), obj_name=path):
         return None
-    return _value(h5py.h5a.open(node, name.encode(), obj_name=path))
-
-
-def _value(held: Any) -> NDArray[Any]:
-    """Return the value of an open attribute."""
+    held = h5py.h5a.open(node, name.encode(), obj_name=path)
     data = np.empty(held.shape, held.dtype)
     held.read(data, None if data.dtype.hasobject else types_of(data.dtype)[1])
     return data
 
 
-def set_digests(node: Any, values: Any, step: int) -> None:
-    """Write the digests of a dataset's values next to it, block by block.
+def set_digests(dataset: h5py.Dataset, values: Any) -> None:
+    """Write the digests of a dataset's values next to it, block by block: by chunks, or as a whole.
 
-    Parameters
-    ----------
-    node : h5py identifier of the dataset
-    values : array, or h5py.Dataset
-        All its values, or the dataset itself, whose values are then read.
-    step : int
-        Rows of a block: those of a chunk, or all.
+    `values` are all its values, or the dataset itself, whose values are then read.
     """
-    shape = values.shape
+    shape = dataset.shape
+    step = dataset.chunks[0] if dataset.chunks else (*shape, 1)[0]
     entries = [
         _entry(first, values[first : first + step] if shape else values[()])
         for first in range(0, shape[0] if shape else 1, step)
     ]
-    create_attribute(node, BLOCKS, np.array(entries, dtype="S"))
+    set_attribute(dataset.id, BLOCKS, np.array(entries, dtype="S"))
 
 
 def seal(file: h5py.File) -> None:
@@ -195,7 +160,7 @@ def seal(file: h5py.File) -> None:
         entries = attribute(file.id, BLOCKS, name)
         node = None if entries is not None else file[name]
         if isinstance(node, h5py.Dataset) and node.size and not node.dtype.hasobject:
-            set_digests(node.id, node, node.chunks[0] if node.chunks else (*node.shape, 1)[0])
+            set_digests(node, node)
             entries = attribute(file.id, BLOCKS, name)
         if entries is not None:
             _add_dataset(total, "/" + name.decode("utf-8", "surrogateescape"), entries)
@@ -269,11 +234,7 @@ def _entries(dataset: h5py.Dataset) -> dict[int, bytes]:
     """
     held = dataset.attrs[BLOCKS]
     check_digest(dataset.attrs, held, BLOCKS)
-    return _by_first_row(held)
-
-
-def _by_first_row(entries: Any) -> dict[int, bytes]:
-    return {int(entry.partition(b":")[0]): entry for entry in np.atleast_1d(entries).tolist()}
+    return {int(entry.partition(b":")[0]): entry for entry in np.atleast_1d(held).tolist()}
 
 
 def _check_block(entries: dict[int, bytes], first: int, values: NDArray[Any]) -> None:
@@ -334,42 +295,25 @@ def read_through(file: h5py.File) -> Integrity:
     removed.
     """
     datasets = 0
-    without_digest = list[str]()
-    without_checksum = list[str]()
+    without_digest = []
+    without_checksum = []
     total = hashlib.sha256()
     for path, node in nodes_below(file, "/"):
         with located(file, path):
-            names = list[bytes]()
-            h5py.h5a.iterate(node.id, names.append)
-            opened = {name.decode("utf-8"): h5py.h5a.open(node.id, name) for name in names}
-            held = {
-                name: _value(attribute)
-                for name, attribute in opened.items()
-                if attribute.shape is not None
-            }
-            for name, value in held.items():
-                check_digest(held, value, name)
-            entries = held.get(BLOCKS) if isinstance(node, h5py.Dataset) else None
+            for name, value in node.attrs.items():
+                check_digest(node.attrs, value, name)
             protected = h5py.h5o.get_info(node.id).hdr.version > 1
             if isinstance(node, h5py.Dataset) and node.size:
                 datasets += 1
-                if entries is None:
-                    for _ in verified_blocks(node):
-                        pass
+                for _ in verified_blocks(node):
+                    pass
+                if BLOCKS in node.attrs:
+                    _add_dataset(total, path, np.asarray(node.attrs[BLOCKS]))
+                else:
                     without_digest.append(path)
                     # A digest or one of HDF5's checksums covers the values.
                     compact = node.id.get_create_plist().get_layout() == h5py.h5d.COMPACT
-                    protected &= (
-                        compact or node.fletcher32 or DIGEST in node.attrs or BLOCKS in node.attrs
-                    )
-                else:
-                    blocks = _by_first_row(entries)
-                    check_chunks(node)
-                    edges = [*blocks, len(node)] if node.shape else [0, 1]
-                    for first, last in pairwise(edges):
-                        _read_blocks(node, blocks, slice(first, last))
-            if entries is not None:
-                _add_dataset(total, path, entries)
+                    protected &= compact or node.fletcher32 or DIGEST in node.attrs
             if not protected:
                 without_checksum.append(path)
     _check_total(file, total)

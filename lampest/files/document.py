@@ -127,37 +127,28 @@ def read_document(path: Path, settings: Sequence[str] = ()) -> Document:
             tuple(key.split(".")), parse_document(value, f"'{value}'").content
         )
     for place in (("panel", "cells"), ("scene", "panel", "cells")):
-        document = _with_table(document, place)
+        table = document.content
+        for part in place:
+            table = table.get(part) if isinstance(table, dict) else None
+        if isinstance(table, str):
+            document = _with_table(document, place, path.parent / table)
     return document
 
 
-def _with_table(document: Document, place: tuple[str, ...]) -> Document:
-    """Return the document with a table in place of its name at `place`.
-
-    `place` is a path relative to the document.
-    """
-    value = document.content
-    for key in place:
-        value = value.get(key) if isinstance(value, dict) else None
-    if not isinstance(value, str):
-        return document
-    path = Path(document.source).parent / value
+def _with_table(document: Document, place: tuple[str, ...], path: Path) -> Document:
+    """Return the document with the table of a file at `place`."""
     rows = list[list[float]]()
     for number, line in enumerate(csv.reader(io.StringIO(_text_of(path))), start=1):
         try:
-            if line:
-                rows.append(list(map(_number_of, line)))
+            row = [int(text) if text.strip().isdecimal() else float(text) for text in line]
         except ValueError as error:
-            if number > 1:  # the first may be a header
-                raise document.error(
-                    place, f"{path}:{number}: {', '.join(line)} are not all numbers"
-                ) from error
+            if number == 1:
+                continue  # a header
+            raise document.error(
+                place, f"{path}:{number}: {', '.join(line)} are not all numbers"
+            ) from error
+        rows += [row] if row else []
     return document.with_value(place, rows)
-
-
-def _number_of(text: str) -> float:
-    """Return a number of a table. Raises ValueError if it is none."""
-    return int(text) if text.strip().isdecimal() else float(text)
 
 
 def _text_of(path: Path) -> str:
@@ -178,11 +169,8 @@ def _text_of(path: Path) -> str:
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:
-        kind = (
-            ", but HDF5, a recording or results; lampest info describes it"
-            if content.startswith(b"\x89HDF")
-            else ""
-        )
+        kind = ", but HDF5, a recording or results; lampest info describes it"
+        kind = kind if content.startswith(b"\x89HDF") else ""
         raise InputError(f"{path}: not a text in UTF-8{kind}") from error
 
 
@@ -209,12 +197,9 @@ def parse_document(text: str, source: str) -> Document:
         problem = " ".join(str(error.problem or error.context).split()).replace(
             r"character '\t' that", "a tab, which"
         )
-        quoted = (
-            "; in YAML a * begins an alias: write such a text in quotation marks"
-            if "alias" in problem
-            else ""
-        )
-        raise InputError(f"{where}: {problem}{quoted}") from error
+        if "alias" in problem:
+            problem += "; in YAML a * begins an alias: write such a text in quotation marks"
+        raise InputError(f"{where}: {problem}") from error
     except RecursionError as error:
         raise InputError(f"{source}: nested too deeply, or within itself") from error
     except (YAMLError, ValueError, TypeError, AttributeError) as error:
@@ -242,9 +227,9 @@ def _plain(node: Any, count: Iterator[int]) -> Any:
     for kind in (bool, int, float, str):
         if isinstance(node, kind):
             return kind(node)
-    if node is not None:
-        raise ValueError(f"a value of type {type(node).__name__} has no place here")
-    return None
+    if node is None:
+        return None
+    raise ValueError(f"a value of type {type(node).__name__} has no place here")
 
 
 @cache
@@ -314,11 +299,11 @@ def _plain_words(message: str, content: Any, location: Sequence[Any]) -> str:
     if label is None:
         return f"{message}, not {in_words(content)}"
     digits = f"{label[1]}.{label[3]}" if label[3] else label[1]
-    number = float(digits) * FACTOR_OF_LETTER[label[2]] if digits.count(".") < 2 else None
+    message += f", not {content!r}"
+    if digits.count(".") > 1:
+        return message
     quoted = ", without quotation marks" if written == label[1] else ""
-    return f"{message}, not {content!r}" + (
-        "" if number is None else f": write {number:.12g}{quoted}"
-    )
+    return f"{message}: write {float(digits) * FACTOR_OF_LETTER[label[2]]:.12g}{quoted}"
 
 
 def _out_of_range(content: Any, place: tuple[int | str, ...]) -> Iterator[tuple[int | str, ...]]:
@@ -388,33 +373,28 @@ def _possible_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> str:
             or node.get("items")
             for node in nodes
         )
-        nodes = list(
-            chain.from_iterable(
-                _alternatives(node, schema) for node in inner if isinstance(node, dict)
-            )
-        )
+        nodes = [
+            each for node in inner if isinstance(node, dict) for each in _alternatives(node, schema)
+        ]
     objects = [node["properties"] for node in nodes if "properties" in node]
-    # Objects of another kind have another constant for a shared key.
-    fitting = [
-        properties
-        for properties in objects
-        if all(_fits(properties.get(key, {}), value) for key, value in content.items())
-    ]
     key = str(location[-1])
-    others = [kind for properties in objects for kind in _kinds_with(key, properties)]
-    if others:
-        return f" of this kind; it is a key of kind: {', '.join(others)}"
-    keys = set(chain.from_iterable(fitting))
+    # Objects of another kind have another constant for a shared key.
+    constants: list[Any] = [
+        {name: _constants(node) for name, node in properties.items()} for properties in objects
+    ]
+    others = chain.from_iterable(each.get("kind", ()) for each in constants if key in each)
+    if named := ", ".join(others):
+        return f" of this kind; it is a key of kind: {named}"
+    keys = {
+        name
+        for each in constants
+        if all(value in (each.get(entry) or [value]) for entry, value in content.items())
+        for name in each
+    }
     unused = sorted(keys - {*content})
     listed = f"; there are {', '.join(unused)}" if 0 < len(unused) <= 12 else ""
     # A setting on the command line may misspell a key that the file has.
     return meant(key, keys) or listed
-
-
-def _kinds_with(key: str, properties: Any) -> list[Any]:
-    """Return the kinds of an object's schema if it has a key."""
-    kind = properties.get("kind", {})
-    return [*kind.get("enum", []), *filter(None, [kind.get("const")])] if key in properties else []
 
 
 def _alternatives(node: Any, schema: Any) -> list[Any]:
@@ -422,13 +402,12 @@ def _alternatives(node: Any, schema: Any) -> list[Any]:
     while "$ref" in node:
         node = schema["$defs"][node["$ref"].rpartition("/")[2]]
     inner = node.get("anyOf", node.get("oneOf", ()))
-    alternatives = list(chain.from_iterable(_alternatives(part, schema) for part in inner))
-    return alternatives or [node]
+    return [each for part in inner for each in _alternatives(part, schema)] or [node]
 
 
-def _fits(node: Any, value: Any) -> bool:
-    """Return whether a constant, or one of several, is the value."""
-    return value in node.get("enum", [node.get("const", value)])
+def _constants(node: Any) -> Any:
+    """Return a list of the only values of a schema's node; it is empty for other nodes."""
+    return node.get("enum", [node["const"]] if "const" in node else [])
 
 
 def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str, list[Any]]:
@@ -447,26 +426,18 @@ def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str, list[
     place, worst = max(inside, key=lambda pair: (len(pair[0]), pair[1]["type"] == "value_error"))
     if worst["type"] == "value_error":
         message = worst["msg"].removeprefix("Value error, ")
-        named = _named_first(message, content, place)
+        # Keys below the place that the message names in its first word, such as readout.groups
+        for part in place:
+            content = content[part]
+        named = []
+        for key in message.split(" ", 1)[0].rstrip(":,;").split("."):
+            if not isinstance(content, dict) or key not in content:
+                break
+            named.append(key)
+            content = content[key]
         return (*place, *named), message.removeprefix(".".join(named) + ": "), []
     alternatives = [fault for where, fault in inside if where == place]
     return place, _sentence_of(alternatives), alternatives
-
-
-def _named_first(message: str, content: Any, place: tuple[Any, ...]) -> tuple[str, ...]:
-    """Return the keys below `place` that a message names in its first word.
-
-    An example is readout.groups; () without any.
-    """
-    for part in place:
-        content = content[part]
-    named: list[str] = []
-    for key in message.split(" ", 1)[0].rstrip(":,;").split("."):
-        if not isinstance(content, dict) or key not in content:
-            break
-        named.append(key)
-        content = content[key]
-    return tuple(named)
 
 
 def _sentence_of(faults: Sequence[Any]) -> str:
@@ -484,9 +455,8 @@ def _sentence_of(faults: Sequence[Any]) -> str:
             sentence = "Input should be a mapping with a 'kind'"
         sentences.append(sentence)
     first, *alternatives = dict.fromkeys(sentences)
-    return " or ".join(
-        [first, *(sentence.removeprefix("Input should be ") for sentence in alternatives)]
-    )
+    others = (sentence.removeprefix("Input should be ") for sentence in alternatives)
+    return " or ".join([first, *others])
 
 
 def _meant_choice(faults: Sequence[Any]) -> str:
@@ -508,7 +478,7 @@ def _meant_choice(faults: Sequence[Any]) -> str:
 
 def _location(fault: Any, content: Any) -> tuple[Any, ...]:
     """Return the location of a fault without the keys by which a validator names alternatives."""
-    place: list[Any] = []
+    place = []
     parts = fault["loc"]
     chosen: Any = None  # the mapping whose kind was passed: a kind may be called as one of its keys
     for number, part in enumerate(parts):
@@ -542,11 +512,7 @@ def in_one_line(content: Any) -> str:
     """Return a mapping as one line of YAML, such as 'readout: {kind: grounded, sense: one}'."""
     if not isinstance(content, Mapping):
         return _scalar_or_list(content)
-    parts = []
-    for key, value in content.items():
-        text = in_one_line(value)
-        parts.append(f"{key}: {{{text}}}" if isinstance(value, Mapping) else f"{key}: {text}")
-    return ", ".join(parts)
+    return ", ".join(f"{key}: {_scalar_or_list(value)}" for key, value in content.items())
 
 
 def _scalar_or_list(value: Any) -> str:

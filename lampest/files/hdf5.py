@@ -11,7 +11,7 @@ import re
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
-from functools import lru_cache, wraps
+from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -29,7 +29,6 @@ MAX_VALUES = 100_000_000  # values that are read at once; 0.8 GB (tests/attack)
 MAX_TEXT_BYTES = 5_000_000  # of a text or an attribute (tests/attack)
 UNPACKED: Mapping[str, Any] = {"fletcher32": True}
 PACKED: Mapping[str, Any] = {**UNPACKED, "compression": "gzip", "shuffle": True}
-DEFLATE_LEVEL = 4  # that of h5py
 CHUNK = 100_000  # values of a chunk, which contains whole frames
 SAMPLE = 128  # values that show whether an array shrinks; they take a tenth of its compression
 ALL = slice(None)
@@ -41,6 +40,8 @@ AXES_TYPE = h5py.vlen_dtype(h5py.ref_dtype)
 USERS = "REFERENCE_LIST"
 USERS_TYPE = np.dtype([("dataset", h5py.ref_dtype), ("dimension", np.uint32)], align=True)
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
+# Suffixes of `import_file`.
+READABLE = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")
 # Keys that only one kind of YAML file has, and suffixes of other files: the kind, with the command
 # that reads it.
 DOCUMENTS = {
@@ -50,20 +51,7 @@ DOCUMENTS = {
     "panel": ", but a scene; lampest import takes it with --scene",
 }
 FOREIGN = dict.fromkeys(
-    (
-        ".csv",
-        ".txt",
-        ".log",
-        ".tsv",
-        ".xlsx",
-        ".npy",
-        ".npz",
-        ".mat",
-        ".json",
-        ".jsonl",
-        ".parquet",
-        ".feather",
-    ),
+    (*READABLE, ".json", ".jsonl", ".parquet", ".feather"),
     "a file of another program; lampest import makes a recording of its readings",
 ) | dict.fromkeys((".png", ".pdf", ".svg", ".jpg"), "a picture")
 
@@ -142,15 +130,12 @@ def _instead(path: Path, error: str) -> str:
         return cut or f" ({' '.join(error.split())})"
     if not begin:
         return ": it is empty"
-    keys = (
-        set(re.findall(r"^([a-z_]+):", text, re.MULTILINE))
-        if path.suffix.lower() in (".yaml", ".yml")
-        else set()
-    )
-    if path.suffix.lower() in (".h5", ".hdf5"):
+    suffix = path.suffix.lower()
+    if suffix in (".h5", ".hdf5"):
         return ": it does not begin as one does; it is damaged, or another kind of file"
+    keys = re.findall(r"^([a-z_]+):", text, re.MULTILINE) if suffix in (".yaml", ".yml") else ()
     kinds = (kind for key, kind in DOCUMENTS.items() if key in keys)
-    return next(kinds, "") or f", but {FOREIGN.get(path.suffix.lower(), 'another kind of file')}"
+    return next(kinds, f", but {FOREIGN.get(suffix, 'another kind of file')}")
 
 
 def format_of(path: Path) -> str:
@@ -217,12 +202,8 @@ def set_attributes(node: Any, **attributes: Any) -> None:
     The SHA-256 of a large attribute is written as a further attribute `<name>_sha256`.
     """
     for name, value in attributes.items():
-        checksums.set_attribute(node.id, name, _attribute_of(value))
-
-
-def _attribute_of(value: Any) -> NDArray[Any]:
-    """Return the array that an attribute stores of a value."""
-    return np.asarray(ascii_array(value) if isinstance(value, str | list) else value)
+        held = ascii_array(value) if isinstance(value, str | list) else value
+        checksums.set_attribute(node.id, name, np.asarray(held))
 
 
 def write_dataset(
@@ -241,12 +222,12 @@ def write_dataset(
     """
     data = np.asarray(data)
     if data.shape and data.size > 64:  # fewer are not worth compression
-        properties = _properties(chunks=chunk_of(data.shape), packed=_shrinks(data))
-        dataset = _written(group, name, data, properties)
+        packing = PACKED if _shrinks(data) else UNPACKED
+        dataset = group.create_dataset(name, data=data, chunks=chunk_of(data.shape), **packing)
+        checksums.set_digests(dataset, data)
     else:
         dataset = write_plain(group, name, data)
-    for label, value in {"units": units, "long_name": long_name, **further}.items():
-        checksums.create_attribute(dataset.id, label, _attribute_of(value))
+    set_attributes(dataset, units=units, long_name=long_name, **further)
     if any(scales):
         attach_scales(group, {name: scales})
 
@@ -299,54 +280,13 @@ def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> Non
 
 def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Dataset:
     """Write an uncompressed dataset, within the metadata if it is small; also scalars."""
-    # HDF5's limit is 64 KiB; h5py itself cannot request it for scalars.
-    return _written(group, name, data, _properties(compact=data.nbytes <= 60_000))
-
-
-# Made once each: to make them takes a tenth of the time of a small dataset.
-@lru_cache(maxsize=256)
-def _properties(
-    *, chunks: tuple[int, ...] = (), packed: bool = False, compact: bool = False
-) -> h5py.h5p.PropDCID:
-    """Return the properties of a dataset.
-
-    It has chunks of a shape with Fletcher-32 checksums, is within the metadata if it is compact, or
-    has one block.
-    """
     properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    properties.set_obj_track_times(False)  # times would make equal contents different files
-    if chunks:
-        properties.set_chunk(chunks)
-        if packed:
-            properties.set_shuffle()
-            properties.set_deflate(DEFLATE_LEVEL)
-        properties.set_fletcher32()
-    elif compact:
+    if data.nbytes <= 60_000:  # HDF5's limit is 64 KiB
         properties.set_layout(h5py.h5d.COMPACT)
-    return properties
-
-
-@lru_cache(maxsize=1)
-def _links() -> h5py.h5p.PropLCID:
-    """Return the properties of a link whose groups are made as needed."""
-    links = h5py.h5p.create(h5py.h5p.LINK_CREATE)
-    links.set_create_intermediate_group(True)
-    return links
-
-
-def _written(
-    group: h5py.Group, name: str, data: NDArray[Any], properties: h5py.h5p.PropDCID
-) -> h5py.Dataset:
-    """Write a dataset with these properties, and its digests."""
-    kind, _ = checksums.types_of(data.dtype)
-    space = checksums.dataspace(data.shape)
-    node = h5py.h5d.create(group.id, name.encode("utf-8"), kind, space, properties, _links())
+    dataset = group.create_dataset(name, data=data, dcpl=properties)
     if data.size:
-        node.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(data).reshape(data.shape))
-        chunked = properties.get_layout() == h5py.h5d.CHUNKED
-        step = properties.get_chunk()[0] if chunked else (*data.shape, 1)[0]
-        checksums.set_digests(node, data, step)
-    return h5py.Dataset(node)
+        checksums.set_digests(dataset, data)
+    return dataset
 
 
 def write_scale(group: h5py.Group, name: str, data: Any, units: str, long_name: str) -> None:

@@ -64,7 +64,7 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
     # First pass: attributes, plans of all datasets, and the first frame of every part.
     plans: dict[str, DatasetPlan] = {}
     attributes: dict[str, dict[str, Any]] = {}
-    begins: list[dict[str, int]] = []
+    begins = []
     for part in parts:
         with hdf5.existing_file(part) as file:
             begins.append(_lengths(plans))

@@ -88,13 +88,6 @@ class OneBlasThread(ContextDecorator):
 ONE_BLAS_THREAD = OneBlasThread()
 
 
-def draw_without_help() -> None:
-    """Keep Matplotlib from writing the help of its classes, a sixth of the time of its import."""
-    from matplotlib import artist
-
-    artist.kwdoc = lambda artist: ""
-
-
 def check_address_space() -> None:
     """Raise InputError if the limit of addresses (ulimit -v) is too small for the libraries.
 
@@ -105,11 +98,10 @@ def check_address_space() -> None:
     if limit == resource.RLIM_INFINITY:
         return
     if limit < ADDRESS_SPACE:
-        both = (
-            f"{in_bytes(ADDRESS_SPACE)} of addresses are needed, "
+        raise InputError(
+            f"not enough memory: {in_bytes(ADDRESS_SPACE)} of addresses are needed, "
             f"and the limit is {in_bytes(limit)} (ulimit -v)"
         )
-        raise InputError(f"not enough memory: {both}")
     # Each copy of OpenBLAS reserves its buffer now, and keeps it: without a buffer it asks for one
     # without end.
     import casadi
@@ -263,14 +255,10 @@ def handled(handler: Callable[[int], object]) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    numbers = [
-        number
-        for number in ENDING
-        if number in WANTED or signal.getsignal(number) is not signal.SIG_IGN
-    ]
     before = {
         number: signal.signal(number, lambda received, frame: handler(received))
-        for number in numbers
+        for number in ENDING
+        if number in WANTED or signal.getsignal(number) is not signal.SIG_IGN
     }
     try:
         yield
@@ -316,8 +304,7 @@ def logged_reason(error: BaseException, of: str) -> str:
     if ours or isinstance(error, InputError) or not isinstance(error, FOREIGN):
         return " ".join(str(error).split())
     logging.getLogger("lampest").error("%s", of, exc_info=error)
-    kind = type(error).__name__
     return (
         "cannot compute this panel: its values exceed the numerical range "
-        f"({kind}; details: LAMPEST_LOG)"
+        f"({type(error).__name__}; details: LAMPEST_LOG)"
     )

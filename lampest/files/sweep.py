@@ -69,13 +69,12 @@ def combinations(
     sweep = _checked_sweep(document, content.get("sweep", {}), apart, fixed or {})
     entries = content.get(apart)
     names = list(entries) if isinstance(entries, dict) and entries else [""]
-    swept: dict[str, dict[str, list[Any]]] = {}
-    for name in names:
-        swept[name] = {
-            path: values
-            for path, values in sweep.items()
-            if _entry_of(path, apart, names) in (None, name)
-        }
+    swept: dict[str, dict[str, list[Any]]] = {name: {} for name in names}
+    for path, listed in sweep.items():
+        first, *inner = path.split(".")
+        separate = first == apart and inner[0] in names
+        for name in inner[:1] if separate else names:
+            swept[name][path] = listed
     if sum(math.prod(map(len, paths.values())) for paths in swept.values()) > MAX_COMBINATIONS:
         raise document.error(("sweep",), f"more than {MAX_COMBINATIONS} combinations")
     combined = []
@@ -111,12 +110,6 @@ def _checked_sweep(
         if first in fixed:
             raise document.error(("sweep", path), fixed[first])
     return sweep
-
-
-def _entry_of(path: str, apart: str, names: list[str]) -> str | None:
-    """Return the separately swept entry that contains a path; None for any other path."""
-    first, *inner = path.split(".")
-    return inner[0] if first == apart and inner[0] in names else None
 
 
 def _assigned(document: Document, assignments: dict[str, Any]) -> Document:

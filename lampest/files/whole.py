@@ -193,17 +193,9 @@ def check_output(path: Path) -> None:
     """
     if path.name in ("", ".."):
         raise InputError(f"'{path}' names no file that could be written")
-    kinds = {
-        "d": "a folder",
-        "l": "a link",
-        "c": "a device",
-        "b": "a device",
-        "p": "a pipe",
-        "s": "a socket",
-    }
-    kind = kinds.get(_letter(path))
-    if kind:
-        raise InputError(f"{path}: is {kind}; an output replaces regular files alone")
+    kinds = {"d": "folder", "l": "link", "c": "device", "b": "device", "p": "pipe", "s": "socket"}
+    if kind := kinds.get(_letter(path)):
+        raise InputError(f"{path}: is a {kind}; an output replaces regular files alone")
     _refuse_touched(path)
 
 

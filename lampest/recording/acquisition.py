@@ -7,10 +7,10 @@ recording, or of another place, do not fit.
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from math import prod
-from operator import itemgetter
 from typing import Any, NamedTuple
 from zlib import crc32
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.typed import Validated
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 
@@ -143,14 +143,10 @@ class Acquisition(Validated):
         `first` is the time of frame 0 in s.
         """
         seconds = float(self.host_time[0]) - first
-        try:
-            return (
-                datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
-                if seconds > 0
-                else None
-            )
-        except (ValueError, OverflowError):  # beyond the year 9999
-            return None
+        with suppress(ValueError, OverflowError):  # beyond the year 9999
+            if seconds > 0:
+                return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
+        return None
 
     @classmethod
     def read(cls, file: h5py.File, part: slice) -> "Acquisition | None":
@@ -160,11 +156,10 @@ class Acquisition(Validated):
         """
         if not hdf5.has(file, PATH):
             return None
+        kinds = {name: None if kind == "f8" else kind for name, kind, *_ in FRAME_FIELDS}
         fields: dict[str, Any] = {
-            name: hdf5.read_array(
-                file, f"{PATH}/{name}", 1, part=part, kind=None if kind == "f8" else kind
-            )
-            for name, kind, *_ in FRAME_FIELDS
+            name: hdf5.read_array(file, f"{PATH}/{name}", 1, part=part, kind=kind)
+            for name, kind in kinds.items()
         }
         times = np.zeros(0)
         labels = tuple[str, ...]()
@@ -196,19 +191,14 @@ class Rows(NamedTuple):
 
         `sums` of codes and `estimates` are those of the board.
         """
-        names = (
-            "recorded",
-            "time",
-            "role",
-            *(("raw_sums",) if sums else ()),
-            *(("board_log_change",) if estimates else ()),
-        )
-        recorded = itemgetter(*names)(stored_fields(circuit))
+        names = ["recorded", "time", "role"]
+        names += ["raw_sums"] * sums + ["board_log_change"] * estimates
+        fields = stored_fields(circuit)
         acquired = [
             (f"acquisition/{name}", kind, units, words) for name, kind, units, words in FRAME_FIELDS
         ]
         return cls(
-            (*recorded, *acquired),
+            (*(fields[name] for name in names), *acquired),
             ("acquisition/crc32", "u4", "1", "CRC-32 of all that belongs to the frame"),
         )
 
@@ -262,7 +252,7 @@ class Rows(NamedTuple):
             for path, kind, *_ in self.datasets
         ]
 
-    def undamaged(self, file: h5py.File) -> NDArray[np.bool_]:
+    def undamaged(self, file: h5py.File) -> Mask:
         """Return which rows of an unfinished file are complete and agree with their checksum."""
         paths = [f"/entry/{path}" for path, *_ in (self.checksum, *self.datasets)]
         count, *lengths = (hdf5.length_of(file, path) for path in paths)
@@ -317,14 +307,11 @@ def undamaged_frames(file: h5py.File, scene: Scene) -> slice:
     intact = Rows.of_file(file, scene.circuit).undamaged(file)
     damaged = np.flatnonzero(~intact)
     if len(damaged) or not np.all(EVENTS.undamaged(file)):
-        fault = (
-            f"{len(damaged)} of {len(intact)} frames are damaged, first frame {damaged[0]}"
-            if len(damaged)
-            else ""
-        )
+        fault = "an event is damaged"
+        if len(damaged):
+            fault = f"{len(damaged)} of {len(intact)} frames are damaged, first frame {damaged[0]}"
         raise InputError(
-            f"{file.filename}: {fault or 'an event is damaged'}; "
-            "lampest check --repair keeps the undamaged rest"
+            f"{file.filename}: {fault}; lampest check --repair keeps the undamaged rest"
         )
     return slice(len(intact))
 

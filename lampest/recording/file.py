@@ -36,8 +36,7 @@ from lampest.recording.acquisition import (
 
 # Key of `systematic: {series_tolerance_ohm}` in recordings of version 0.1.
 FORMER_SERIES = "series_ohm"
-# Suffixes of `import_file`.
-FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")
+SIMULATION = "/entry/truth/simulation"
 
 
 @contextmanager
@@ -46,7 +45,7 @@ def recording_file(path: Path) -> Iterator[tuple[h5py.File, Scene, str, str]]:
 
     Raises InputError if the file is no recording, or has no valid scene.
     """
-    if path.suffix.lower() in FOREIGN:
+    if path.suffix.lower() in hdf5.READABLE:
         raise InputError(
             f"{path}: is no recording; lampest.import_file (lampest import) makes one of it"
         )
@@ -55,7 +54,13 @@ def recording_file(path: Path) -> Iterator[tuple[h5py.File, Scene, str, str]]:
             raise InputError(f"{path}: holds results; lampest.read_results reads them")
         check_datasets(file)
         scene = _scene_of(hdf5.read_text(file, "/entry/scene"), f"{path}:/entry/scene")
-        scene = _with_codes_offset(scene, hdf5.read_number(file, "/", CODE_OFFSET, FORMER_OFFSET))
+        steps = hdf5.read_number(file, "/", CODE_OFFSET, FORMER_OFFSET)
+        readout = scene.readout
+        # Unless the scene states the converter, it begins as many steps above zero.
+        if steps and readout is not None and readout.converter is None:
+            zero = steps * readout.lsb_volt
+            converter = Characteristic(zero_volt=zero, full_volt=readout.full_scale_volt + zero)
+            scene = replace(scene, readout=replace(readout, converter=converter))
         group = f"/entry/{group_of(scene.circuit)}"
         signal = scene.circuit.signal
         if len(hdf5.shape_of(file, f"{group}/{signal}")) != 3:
@@ -75,19 +80,6 @@ def _scene_of(text: str, where: str) -> Scene:
         renamed = {SERIES if key == FORMER_SERIES else key: value for key, value in errors.items()}
         document = document.with_value(("systematic",), renamed)
     return validated_scene(document)
-
-
-def _with_codes_offset(scene: Scene, steps: float) -> Scene:
-    """Return the scene of a recording whose code c was read as c and these steps.
-
-    Unless the scene states the converter, it begins as many steps above zero.
-    """
-    readout = scene.readout
-    if steps == 0 or readout is None or readout.converter is not None:
-        return scene
-    zero = steps * readout.lsb_volt
-    converter = Characteristic(zero_volt=zero, full_volt=readout.full_scale_volt + zero)
-    return replace(scene, readout=replace(readout, converter=converter))
 
 
 def read_frames(file: h5py.File, scene: Scene, part: slice) -> dict[str, Any]:
@@ -119,17 +111,15 @@ def read_frames(file: h5py.File, scene: Scene, part: slice) -> dict[str, Any]:
         label = f"{file.filename}: {shape[0]} frames of {prod(shape[1:])} cells at once"
         # 49 bytes a reading were counted at 100,000,000 readings
         check_memory(8.0 * (6 * prod(shape) + others), label)
-    held = dict[str, Any]()
+    held = {}
     dimensions: dict[str, int | tuple[int, int]] = {"time": 1, "role": 1, "sigma": (2, 3)}
     for field, place in places.items():
         flat = field == "sigma" and len(hdf5.shape_of(file, place)) == 2
         kind = np.uint16 if field == "raw_sums" else None
         rows = hdf5.ALL if flat else chosen
         held[field] = hdf5.read_array(file, place, dimensions.get(field, 3), part=rows, kind=kind)
-    for field, name in (("start_time", "start_time"), ("simulation", "truth/simulation")):
-        held[field] = (
-            hdf5.read_text(file, f"/entry/{name}") if hdf5.has(file, f"/entry/{name}") else None
-        )
+    for field, place in (("start_time", "/entry/start_time"), ("simulation", SIMULATION)):
+        held[field] = hdf5.read_text(file, place) if hdf5.has(file, place) else None
     if "raw_sums" in held:
         held["raw_readings"] = read_raw_readings(file)
     frames = len(held["recorded"])

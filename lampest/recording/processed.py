@@ -6,9 +6,8 @@ satisfies it, and nothing computed from them is right.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 
 ZERO_SHARE = 0.5  # of the resting readings exactly at 0: noise about 0 is clipped at half of them
 NEGATIVE_SHARE = 0.05  # of all readings; single ones are marks of a failed conversion
@@ -23,9 +22,7 @@ OPEN_CELLS = (
 )
 
 
-def processing_of(
-    codes: Array, resting: NDArray[np.bool_], present: NDArray[np.bool_], lowest: float = 0.0
-) -> str:
+def processing_of(codes: Array, resting: Mask, present: Mask, lowest: float = 0.0) -> str:
     """Return a sentence on the processing of readings by firmware, and on the remedy.
 
     The sentence is '' if no processing is evident.

@@ -7,13 +7,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, brief, in_words
 from lampest.files.levels import NOISE_REACH, UNUSUAL
 from lampest.files.typed import ReadOnlyArrays, real_array
 from lampest.panel.circuit import nominal_terminations
-from lampest.panel.panel import Array, Modules, beyond_any_panel, check_line_memory
+from lampest.panel.panel import Array, Mask, Modules, Numbers, beyond_any_panel, check_line_memory
 from lampest.panel.readouts.converter import constant_share
 from lampest.panel.scene import Scene
 
@@ -26,7 +25,7 @@ class Sidedness(float, Enum):
     AT_MOST = -1.0
 
 
-def stand_in(value: Array, known: NDArray[np.bool_]) -> Array:
+def stand_in(value: Array, known: Mask) -> Array:
     """Return substitutes for missing readings, exp(m + a_j + b_k), (…, rows, columns).
 
     1 if nothing is known. m, a_j and b_k are the overall, row and column effects of the median
@@ -35,7 +34,7 @@ def stand_in(value: Array, known: NDArray[np.bool_]) -> Array:
     return np.exp(_polished(value, known)[0])
 
 
-def stand_in_spread(value: Array, known: NDArray[np.bool_]) -> Array:
+def stand_in_spread(value: Array, known: Mask) -> Array:
     """Return the standard deviation of log(stand_in) for one frame, (rows, columns).
 
     Cross-validation, which leaves out one diagonal after the other, gives the rms error, or more if
@@ -56,7 +55,7 @@ def stand_in_spread(value: Array, known: NDArray[np.bool_]) -> Array:
     return np.asarray(np.maximum(np.sqrt(size**2 + _polished(value, known)[1]), 1e-3))
 
 
-def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _polished(value: Array, known: Mask) -> tuple[Array, Array]:
     """Return the median polish m + a_j + b_k of log y, and a variance.
 
     The latter is the variance of effects of unknown lines. Both are (…, rows, columns).
@@ -75,15 +74,13 @@ def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
             residual = residual - step
     # Lines without a known reading have the mean effect of the others, with the variance of these.
     for axis, effect in effects.items():
-        known_lines = known.any(axis=axis, keepdims=True)
-        across = -3 - axis
-        count = np.maximum(known_lines.sum(axis=across, keepdims=True), 1)
-        mean = np.where(known_lines, effect, 0.0).sum(axis=across, keepdims=True) / count
-        square = (
-            np.where(known_lines, (effect - mean) ** 2, 0.0).sum(axis=across, keepdims=True) / count
-        )
-        expected = expected + np.where(known_lines, effect, mean)
-        between = between + np.where(known_lines, 0.0, square)
+        lines = known.any(axis=axis, keepdims=True)
+        across: dict[str, Any] = {"axis": -3 - axis, "keepdims": True}
+        count = np.maximum(lines.sum(**across), 1)
+        mean = effect.sum(**across, where=lines) / count
+        square = ((effect - mean) ** 2).sum(**across, where=lines) / count
+        expected = expected + np.where(lines, effect, mean)
+        between = between + np.where(lines, 0.0, square)
     return expected, between
 
 
@@ -98,7 +95,7 @@ def median(values: Array, axis: int = 0) -> Array:
     low, high = (
         np.take_along_axis(ordered, np.maximum(count - more, 0) // 2, axis) for more in (1, 0)
     )
-    return np.asarray((low + high) / 2)
+    return (low + high) / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +196,7 @@ class Readings(ReadOnlyArrays):
             constant = filled * constant_share(scene.readout)
         return cls(value, filled, side, seen, constant)
 
-    def without(self, omitted: NDArray[np.bool_]) -> "Readings":
+    def without(self, omitted: Mask) -> "Readings":
         """Return the readings without some of them, which are missing."""
         if not omitted.any():
             return self
@@ -221,11 +218,8 @@ class Readings(ReadOnlyArrays):
         noise = None if sigma is None else np.broadcast_to(layout.split(sigma), values.shape)
         parts: dict[int, Readings] = {}
         for module, numbers in scene.alike:
-            similar = cls.of(
-                module,
-                values[..., numbers, :, :],
-                None if noise is None else noise[..., numbers, :, :],
-            )
+            inside = (..., numbers, slice(None), slice(None))
+            similar = cls.of(module, values[inside], None if noise is None else noise[inside])
             parts |= {number: similar[..., at, :, :] for at, number in enumerate(numbers)}
         return cls.of_parts(layout, [parts[number] for number in range(layout.count)])
 
@@ -264,7 +258,7 @@ class Readings(ReadOnlyArrays):
         return self.each(lambda part: part[frames])
 
     @property
-    def plain(self) -> NDArray[np.bool_]:
+    def plain(self) -> Mask:
         """Whether a reading is a value, neither a bound nor missing."""
         return np.asarray((self.seen > 0) & (self.side == Sidedness.VALUE))
 
@@ -274,11 +268,11 @@ class Readings(ReadOnlyArrays):
         return np.where(self.plain, self.value, np.nan)
 
     @property
-    def bounds(self) -> NDArray[np.bool_]:
+    def bounds(self) -> Mask:
         """Whether a reading is a bound."""
         return np.asarray((self.seen > 0) & (self.side != Sidedness.VALUE))
 
-    def missing(self, scene: Scene) -> NDArray[np.bool_]:
+    def missing(self, scene: Scene) -> Mask:
         """Return whether a cell's reading is missing for another reason than the scene's faults."""
         return np.asarray((self.seen == 0) & scene.requested)
 
@@ -287,7 +281,7 @@ class Readings(ReadOnlyArrays):
         """Values and bounds of the readings; NaN for missing readings."""
         return np.where(self.seen > 0, self.value, np.nan)
 
-    def enough(self, scene: Scene) -> NDArray[np.bool_]:
+    def enough(self, scene: Scene) -> Mask:
         """Return whether frames can be estimated, (…).
 
         At most half of the scene's requested readings may be missing. At least half of them, or M +
@@ -351,20 +345,20 @@ class Readings(ReadOnlyArrays):
         constant = None if self.constant is None else self.constant.mean(axis=0)
         return Readings(mean, _filled(sigma, seen), side, seen, constant)
 
-    def _averaged(self, counted: NDArray[np.bool_]) -> tuple[Array, Array | None]:
+    def _averaged(self, counted: Mask) -> tuple[Array, Array | None]:
         """Return the mean over the counted frames and its σ, (rows, columns) each; else 1.
 
         With the constant part k of σ the mean of n frames has σ² = Σ (σ² − k²)/n² + Σ k²/n.
         """
         count = np.maximum(counted.sum(axis=0), 1)
         blank = ~counted.any(axis=0)
-        mean = np.where(counted, self.value, 0.0).sum(axis=0) / count + blank
+        mean = self.value.sum(axis=0, where=counted) / count + blank
         if self.sigma is None:
             return mean, None
-        variance = np.where(counted, self.sigma**2, 0.0).sum(axis=0) / count**2
+        variance = (self.sigma**2).sum(axis=0, where=counted) / count**2
         if self.constant is not None:
-            constant = np.where(counted, np.minimum(self.constant, self.sigma) ** 2, 0.0)
-            variance += constant.sum(axis=0) / count * (1 - 1 / count)
+            constant = np.minimum(self.constant, self.sigma) ** 2
+            variance += constant.sum(axis=0, where=counted) / count * (1 - 1 / count)
         return mean, np.sqrt(variance) + blank
 
     def beside(self, count: int) -> "Readings":
@@ -395,11 +389,11 @@ def mean_change(value: Array, resting: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         change = np.abs(np.log(value / resting))
     finite = np.isfinite(change)
-    total = np.where(finite, change, 0.0).sum(axis=(-2, -1))
+    total = change.sum(axis=(-2, -1), where=finite)
     return np.asarray(total / np.maximum(finite.sum(axis=(-2, -1)), 1))
 
 
-def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp]) -> int:
+def strongest_frame(value: Array, resting: Array, frames: Numbers) -> int:
     """Return the number of the frame, among `frames`, with the largest mean |log y/y₀|.
 
     The last such frame is returned if there are several.
@@ -465,9 +459,8 @@ def _without_channel_before(
         raise InputError(
             "converter_memory needs a readout in the scene, of whose voltages it is a fraction"
         )
-    noise = (
-        scene.readout.sigma(recorded) if sigma is None else np.broadcast_to(sigma, recorded.shape)
-    )
+    noise = scene.readout.sigma(recorded) if sigma is None else sigma
+    noise = np.broadcast_to(noise, recorded.shape)
     corrected, sigma = without_memory(scene.readout, memory, recorded, noise)
     within, beyond = _within_rails(scene, corrected)
     return within, np.where(side == Sidedness.VALUE, beyond, side), sigma
@@ -492,8 +485,7 @@ def _within_rails(scene: Scene, recorded: Array) -> tuple[Array, Array]:
     side = np.zeros(recorded.shape)
     least, largest = (0.0, np.inf) if scene.readout is None else scene.readout.rails()
     side[recorded < least] = Sidedness.AT_MOST
-    side[recorded > largest] = Sidedness.AT_LEAST
-    side[np.isposinf(recorded)] = Sidedness.AT_LEAST
+    side[(recorded > largest) | np.isposinf(recorded)] = Sidedness.AT_LEAST
     return np.clip(recorded, least, largest), side
 
 
@@ -563,7 +555,7 @@ def equal_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     return tuple(tuple(lines.tolist()) for lines in members if len(lines) > 1)
 
 
-def line_differences(readings: Readings) -> tuple[Array, NDArray[np.intp]]:
+def line_differences(readings: Readings) -> tuple[Array, Numbers]:
     """Return the mean square difference of each two rows, and the number of its values.
 
     The difference is in units of their noise, which must be known.
@@ -576,9 +568,7 @@ def line_differences(readings: Readings) -> tuple[Array, NDArray[np.intp]]:
     for row in range(rows):
         spread = np.hypot(noise[:, [row]], noise)
         finite = np.isfinite(spread)
-        square = (
-            np.where(finite, (value[:, [row]] - value) / np.where(finite, spread, 1.0), 0.0) ** 2
-        )
+        square = ((value[:, [row]] - value) / spread) ** 2
         count[row] = finite.sum(axis=0)
-        unlike[row] = square.sum(axis=0) / np.maximum(count[row], 1)
+        unlike[row] = square.sum(axis=0, where=finite) / np.maximum(count[row], 1)
     return unlike, count

@@ -13,7 +13,7 @@ from lampest.files import hdf5
 from lampest.files.applications import applications
 from lampest.files.errors import InputError, extra
 from lampest.files.typed import Validated, typed
-from lampest.panel.panel import Array, Panel, as_panels_have
+from lampest.panel.panel import Array, Numbers, Panel, as_panels_have
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FILE_ATTRIBUTES, Acquisition, group_of, stored_fields
 from lampest.recording.file import create_frames_group, read_frames, recording_file
@@ -95,7 +95,7 @@ class Recording(Validated):
     simulation: str | None = None
     acquisition: Acquisition | None = None
     start_time: str | None = None
-    number: NDArray[np.intp] | None = None
+    number: Numbers | None = None
     of_module: bool = False
     board_log_change: Array | None = None
 
@@ -225,17 +225,13 @@ class Recording(Validated):
         """
         array = values.astype(float)
         known = _scene_of(scene)
-        requested = ("rows", "columns") if known is None else known.panel.shape
-        if (
-            array.ndim != 3
-            or array.size == 0
-            or (known is not None and array.shape[1:] != requested)
-        ):
-            shapes = (
-                f"(frames, {requested[0]}, {requested[1]}) with at least one frame, "
-                f"not {array.shape}"
+        rows, columns = ("rows", "columns") if known is None else known.panel.shape
+        fits = known is None or array.shape[1:] == known.panel.shape
+        if array.ndim != 3 or array.size == 0 or not fits:
+            raise InputError(
+                f"values must have the shape (frames, {rows}, {columns}) "
+                f"with at least one frame, not {array.shape}"
             )
-            raise InputError(f"values must have the shape {shapes}")
         if not 0 <= baseline <= len(array):
             raise InputError(
                 f"baseline must be a number of frames from 0 to {len(array)}, not {baseline}"
@@ -292,9 +288,8 @@ class Recording(Validated):
         known = _scene_of(scene)
         understood = applications().required("foreign", "a table", "from_dataframe")
         values, named, panel, clock = understood(table, unit, known, rows, columns)
-        made = cls.from_array(
-            values, named, baseline, known or Scene(panel), None if clock is None else clock.seconds
-        )
+        seconds = None if clock is None else clock.seconds
+        made = cls.from_array(values, named, baseline, known or Scene(panel), seconds)
         return made if clock is None else replace(made, start_time=clock.start)
 
     @classmethod
@@ -390,10 +385,9 @@ class Recording(Validated):
         }
         for field, (path, kind, units, long_name) in stored_fields(self.scene.circuit).items():
             name, signal = path.split("/")
-            values = (
-                None if field == "raw_sums" and self.raw_readings is None else getattr(self, field)
-            )
-            if values is None or field == "time":  # each group has a time of its own
+            values = getattr(self, field)
+            uncounted = field == "raw_sums" and self.raw_readings is None
+            if values is None or uncounted or field == "time":  # each group has a time of its own
                 continue
             group = entry.get(name)
             if group is None:
@@ -432,7 +426,7 @@ class Recording(Validated):
         """Return the readings of the frames, for an estimator."""
         return Readings.of(self.scene, self.recorded, self.sigma)
 
-    def measured_frames(self) -> NDArray[np.intp]:
+    def measured_frames(self) -> Numbers:
         """Return the indices of the frames with role 1. Raises InputError if there is none."""
         frames = np.flatnonzero(self.role == MEASURED)
         if len(frames) == 0:
@@ -451,9 +445,7 @@ def baseline_readings(recording: Recording, readings: Readings) -> Readings:
     return mean if mean.enough(recording.scene) or not len(usable) else readings[usable[:1]].mean()
 
 
-def deciding_frames(
-    recording: Recording, readings: Readings, resting: Readings
-) -> NDArray[np.intp]:
+def deciding_frames(recording: Recording, readings: Readings, resting: Readings) -> Numbers:
     """Return the measured frame that differs most from rest, and frames that decide with it.
 
     The further frames are spread evenly over those that differ half as far from rest. Frames

@@ -112,11 +112,7 @@ class StoredRecording:
     @property
     def measured_blocks(self) -> tuple[int, ...]:
         """Numbers of the blocks with measured frames."""
-        return tuple(
-            n
-            for n, part in enumerate(self.blocks)
-            if np.any(self.role[part.start : part.stop] == MEASURED)
-        )
+        return tuple(n for n, part in enumerate(self.blocks) if MEASURED in self.role[part])
 
     def part(self, frames: range, beside: int = 0) -> Recording:
         """Return a range of frames with up to `beside` further ones on either side.
@@ -133,19 +129,13 @@ def joined(parts: Sequence[Recording], chosen: NDArray[Any] | None = None) -> Re
     `chosen` are their indices or a mask; None: each numbered frame of overlapping parts once.
     """
     first = parts[0]
-    names = [
-        "recorded",
-        "time",
-        "role",
-        "number",
-        "board_log_change",
-        "truth_cell_resistance",
-        "truth_pressure",
-    ]
+    truths = ["truth_cell_resistance", "truth_pressure"]
+    names = ["recorded", "time", "role", "number", "board_log_change", *truths]
     names += ["sigma"] if first.sigma is not None and first.sigma.ndim == 3 else []
-    present = [name for name in names if getattr(first, name) is not None]
     columns: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in present
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in names
+        if getattr(first, name) is not None
     }
     frames = np.unique(columns["number"], return_index=True)[1] if chosen is None else chosen
     chosen_of_each = {name: values[frames] for name, values in columns.items()}
@@ -180,7 +170,7 @@ def save_parts(path: Path, parts: Iterable[Recording]) -> None:
     Parts are files in a temporary folder next to the recording until all of them exist. Raises
     InputError if the recording cannot be written.
     """
-    files: list[Path] = []
+    files = []
     with folder_beside(path) as folder:
         for number, part in enumerate(parts):
             files.append(folder / f"{number}.h5")

@@ -3,10 +3,9 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, meant
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings, Sidedness
@@ -59,7 +58,7 @@ def recorded_values(
     scaled = values * FACTORS[unit]
     readout = scene.readout
 
-    def refuse(bad: NDArray[np.bool_], why: str) -> None:
+    def refuse(bad: Mask, why: str) -> None:
         if place is None:
             finite[bad] = np.nan
             scaled[bad] = np.nan
@@ -74,10 +73,11 @@ def recorded_values(
     elif unit == "code":
         no_code = f"is no code of a {readout.adc_bits}-bit converter"
         refuse(finite > readout.codes[1], no_code)
-        signed = "" if readout.characteristic.signed else "; of a signed one, say converter: "
-        refuse(finite < readout.codes[0], f"{no_code}{signed and signed + '{signed: true}'}")
-        least_code = readout.codes[0] - 1
-        floored = finite <= (least_code if readout.floor_code is None else readout.floor_code)
+        if not readout.characteristic.signed:
+            no_code += "; of a signed one, say converter: {signed: true}"
+        refuse(finite < readout.codes[0], no_code)
+        floor = readout.codes[0] - 1 if readout.floor_code is None else readout.floor_code
+        floored = finite <= floor
         recorded = readout.recorded_from_volt(
             np.where(floored, readout.zero_volt, readout.volt_from_code(finite))
         )

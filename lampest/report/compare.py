@@ -5,21 +5,22 @@ Tables compare solve times, data errors, cell errors, and published figures.
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import compress
 from operator import itemgetter
 from pathlib import Path
 from string import Formatter
 from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.errors import counted
 from lampest.files.levels import Witness
 from lampest.files.whole import write_whole
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.report.words import digits, no_formula, text_of
 from lampest.runs.case import data_frame
 from lampest.runs.results import (
@@ -113,9 +114,8 @@ def screen_table(items: Iterable[Any], columns: Columns, title: str = "") -> Tab
     def text(of: str | Callable[[Any], str], item: Any) -> str:
         if callable(of):
             return of(item)
-        return template.vformat(of, (), item if isinstance(item, Mapping) else vars(item)).strip(
-            " ±/"
-        )
+        values = item if isinstance(item, Mapping) else vars(item)
+        return template.vformat(of, (), values).strip(" ±/")
 
     texts = {header: [text(of, item) for item in items] for header, of in columns.items()}
     filled = {header: column for header, column in texts.items() if any(column)}
@@ -183,9 +183,9 @@ def compare(results: Results, source: str = "") -> list[Row]:
     """
     rows: list[Row] = []
     for case in results.cases:
-        published = results.published.get(case.estimator)
+        published = results.published.get(case.estimator, PublishedFigures())
         first = np.arange(len(case.time)) == 0
-        parts: dict[Steps, NDArray[np.bool_]] = {"initial": first, "following": ~first}
+        parts: dict[Steps, Mask] = {"initial": first, "following": ~first}
         if not case.joint_start:
             parts = {"all": first | ~first}
         texts = {
@@ -204,13 +204,12 @@ def compare(results: Results, source: str = "") -> list[Row]:
                     "steps": steps,
                 }
                 # Figures of all steps and those of the following steps substitute each other.
-                known = published or PublishedFigures()
-                later = (
-                    (known.all, known.following) if steps == "all" else (known.following, known.all)
-                )
-                quoted = next(
-                    filter(None, (known.initial,) if steps == "initial" else later), StepFigures()
-                )
+                known = {
+                    "all": published.all or published.following,
+                    "initial": published.initial,
+                    "following": published.following or published.all,
+                }
+                quoted = known[steps] or StepFigures()
                 figures = figures_of(case, chosen) | {
                     "published time [s]": quoted.time_s,
                     "published time sd [s]": quoted.time_sd_s,
@@ -221,7 +220,7 @@ def compare(results: Results, source: str = "") -> list[Row]:
     return rows
 
 
-def figures_of(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
+def figures_of(case: CaseResult, chosen: Mask) -> dict[str, Any]:
     """Map headers to figures of the solved frames among the chosen ones.
 
     Headers are also mapped to counts of their missing readings.
@@ -256,43 +255,33 @@ def figures_of(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
     }
 
 
-def _solver_of(case: CaseResult, good: NDArray[np.bool_]) -> str:
+def _solver_of(case: CaseResult, good: Mask) -> str:
     """Return the solver of the solved frames, or each of several with its share of them."""
-    names = (
-        ()
-        if case.solver is None
-        else tuple(name for name, chosen in zip(case.solver, good, strict=True) if chosen)
-    )
-    counts = {name: names.count(name) for name in dict.fromkeys(names) if name}
+    counts = Counter(filter(None, compress(case.solver or (), good)))
     return ", ".join(
-        name if len(counts) == 1 else f"{name} ({100 * count / sum(counts.values()):.0f} %)"
+        name if len(counts) == 1 else f"{name} ({100 * count / counts.total():.0f} %)"
         for name, count in counts.items()
     )
 
 
-def _verified_text(case: CaseResult, chosen: NDArray[np.bool_]) -> str:
+def _verified_text(case: CaseResult, chosen: Mask) -> str:
     """Return the outcome of the second solves by IPOPT in words.
 
     '' where no frame was solved again. An agreeing frame has the largest difference of ln r.
     """
     if case.verified is None or case.verified_difference is None or case.verified_decrease is None:
         return ""
-    texts = []
-    same = chosen & (case.verified == Witness.SAME)
-    if same.any():
-        texts.append(f"{case.verified_difference[same].max():.1g}")
-    lower = chosen & (case.verified == Witness.LOWER)
+    same, lower, higher, failed = (
+        chosen & (case.verified == end)
+        for end in (Witness.SAME, Witness.LOWER, Witness.HIGHER, Witness.FAILED)
+    )
+    texts = [f"{case.verified_difference[same].max():.1g}"] if same.any() else []
     if lower.any():
         decrease = 100 * case.verified_decrease[lower].max()
-        texts.append(
-            f"IPOPT found a cost {decrease:.2g} % lower: kept"
-            if decrease
-            else "IPOPT alone solved it: kept"
-        )
-    if np.any(chosen & (case.verified == Witness.HIGHER)):
-        texts.append("IPOPT ended higher")
-    if np.any(chosen & (case.verified == Witness.FAILED)):
-        texts.append("IPOPT reached no optimum")
+        cost = f"IPOPT found a cost {decrease:.2g} % lower: kept"
+        texts.append(cost if decrease else "IPOPT alone solved it: kept")
+    texts += ["IPOPT ended higher"] if higher.any() else []
+    texts += ["IPOPT reached no optimum"] if failed.any() else []
     return ", ".join(texts)
 
 
@@ -301,16 +290,15 @@ def model_notes(rows: Sequence[Row]) -> list[str]:
 
     Equal lines are returned once.
     """
-    chosen = (
+    notes = [
         f"{row['recording']}, {row['estimator']}: {row['chosen weights']}"
         for row in rows
         if row["chosen weights"]
-    )
-    notes = list[str]()
+    ]
     for row in rows:
         lines = filter(None, row["warnings"].split("\n"))
         notes += [f"warning: {row['recording']}: {line}" for line in lines]
-    return list(dict.fromkeys((*chosen, *notes)))
+    return list(dict.fromkeys(notes))
 
 
 def comma_separated(rows: Iterable[Iterable[object]]) -> str:
@@ -339,7 +327,7 @@ def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
 def table_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Return the rows as one table, header → figure, with a column for each swept key."""
     keys = swept_keys(rows)
-    lines = list[dict[str, Any]]()
+    lines = []
     for row in rows:
         line: dict[str, Any] = {}
         for header in row:
@@ -399,13 +387,8 @@ def _with_swept(columns: Columns, rows: Sequence[Row]) -> Columns:
     The columns of swept keys follow the estimator's.
     """
     first, *remaining = columns.items()
-    return dict(
-        [
-            first,
-            *((key.replace(".", " "), partial(_swept_text, key)) for key in swept_keys(rows)),
-            *remaining,
-        ]
-    )
+    swept = ((key.replace(".", " "), partial(_swept_text, key)) for key in swept_keys(rows))
+    return dict([first, *swept, *remaining])
 
 
 def _swept_text(key: str, rows: Row | Sequence[Row]) -> str:

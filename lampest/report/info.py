@@ -17,7 +17,7 @@ from lampest.files.document import plain_content
 from lampest.files.errors import InputError, first_and_more
 from lampest.files.whole import own
 from lampest.inference.estimated import estimated_lines
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.scene import Scene
 from lampest.recording.processed import processing_of
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -92,7 +92,7 @@ def describe(path: str | Path) -> Iterator[str]:
         blocks = recording.blocks
         parts = ((part.role, part.time) for part in map(recording.part, blocks))
         role, time = (np.concatenate(values) for values in zip(*parts, strict=True))
-        yield from _lines(_frames(role, time))
+        yield from _lines([_frames(role, time)])
         yield too_long_words.format(blocks[0][0], blocks[0][-1])
         yield from _recording_lines(recording.part(blocks[0]))
         return
@@ -107,15 +107,12 @@ def _lines(sentences: Iterable[Sentence]) -> Iterator[str]:
     return (f"{head:10} {text}".replace("+-", "±") for head, text in sentences if text)
 
 
-def _frames(role: NDArray[np.uint8], time: Array) -> Iterator[Sentence]:
-    """Yield the numbers of frames and their times."""
+def _frames(role: NDArray[np.uint8], time: Array) -> Sentence:
+    """Return the numbers of frames and their times."""
     unloaded = int(np.sum(role == UNLOADED))
     measured = int(np.sum(role == MEASURED))
-    yield (
-        "frames",
-        f"{len(role)}: {unloaded} unloaded, {measured} measured; "
-        f"{time.min():g} to {time.max():g} s",
-    )
+    kinds = f"{len(role)}: {unloaded} unloaded, {measured} measured"
+    return "frames", f"{kinds}; {time.min():g} to {time.max():g} s"
 
 
 def _recording_lines(
@@ -187,24 +184,26 @@ def _content(recording: Recording) -> Iterator[Sentence]:
         "sums of ADC codes": recording.raw_sums,
         "the board's estimate": recording.board_log_change,
     }
-    yield from _frames(recording.role, recording.time)
+    yield _frames(recording.role, recording.time)
     yield "start", recording.start_time and f"{recording.start_time} at 0 s"
     yield from _scene(recording.scene)
     yield "readings", f"{spanned(recording.recorded, circuit.unit)} ({circuit.signal_name})"
     yield from (("", sentence) for sentence in _holes(recording))
     yield from applications().advice(recording)
-    yield (
-        "besides",
-        ", ".join(name for name, values in extras.items() if values is not None) or "nothing",
-    )
+    held = (name for name, values in extras.items() if values is not None)
+    yield "besides", ", ".join(held) or "nothing"
 
 
 def _estimated(recording: Recording, found: "Audit | RecordingCheck") -> Iterator[Sentence]:
     """Yield sentences on processing by firmware, and on the numbers that the scene estimates."""
     from lampest.runs.checks import RecordingCheck
 
-    if (reason := _processing(recording)) and recording.scene.baseline is None:
-        yield "warning", f"these are no readings as the converter gives them: {reason}"
+    readout = recording.scene.readout
+    if readout is not None and readout.floor_code is None and recording.scene.baseline is None:
+        codes = np.rint(readout.steps_from_volt(readout.volt_from_recorded(recording.recorded)))
+        resting = recording.role == UNLOADED
+        if reason := processing_of(codes, resting, recording.scene.panel.present):
+            yield "warning", f"these are no readings as the converter gives them: {reason}"
     if isinstance(found, RecordingCheck):
         lines: Iterable[str] = found.estimated.split("\n")
     else:
@@ -256,29 +255,15 @@ def apply_advice(path: str | Path) -> list[str]:
     scene, written, refused = with_lines(recording.scene, Audit(Prepared(recording)).advice)
     lines = list[str]()
     if written:
-        before = _unused(path.with_suffix(f".before{path.suffix}"))
+        before = path.with_suffix(f".before{path.suffix}")
+        numbered = (before.with_stem(f"{before.stem}{number}") for number in count(2))
+        before = next(free for free in chain([before], numbered) if not free.exists())
         shutil.copyfile(path, before)
         replace(recording, scene=scene).save(path)
         lines = [f"written to the scene of {path}: {line}" for line in written]
         lines.append(f"the file before: {before}")
     lines += [f"not written: {sentence}" for sentence in refused]
     return lines or [f"{path}: no advice has a line to write"]
-
-
-def _unused(path: Path) -> Path:
-    """Return a path at which no file is: this one, or one with a number from 2 up."""
-    numbered = (path.with_stem(f"{path.stem}{number}") for number in count(2))
-    return next(free for free in chain([path], numbered) if not free.exists())
-
-
-def _processing(recording: Recording) -> str:
-    """Return a sentence on the firmware's processing of recorded readings; see `processing_of`."""
-    readout = recording.scene.readout
-    panel = recording.scene.panel
-    if readout is None or readout.floor_code is not None:
-        return ""
-    codes = np.rint(readout.steps_from_volt(readout.volt_from_recorded(recording.recorded)))
-    return processing_of(codes, recording.role == UNLOADED, panel.present)
 
 
 def _scene(scene: Scene) -> Iterator[Sentence]:
@@ -296,14 +281,10 @@ def _scene(scene: Scene) -> Iterator[Sentence]:
         each = f"{modules.each.rows} × {modules.each.columns}"
         seam = f"seams of {modules.seam_mm:g} mm"
         cells = f", {modules.rows} × {modules.columns} modules of {each} cells with {seam}"
-    yield (
-        "panel",
-        f"{panel.rows} rows × {panel.columns} columns{cells}, pitch {panel.pitch_mm:g} mm",
-    )
-    yield (
-        "readout",
-        "unknown, resistances alone" if scene.readout is None else scene.readout.description(),
-    )
+    size = f"{panel.rows} rows × {panel.columns} columns"
+    yield "panel", f"{size}{cells}, pitch {panel.pitch_mm:g} mm"
+    readout = scene.readout
+    yield "readout", "unknown, resistances alone" if readout is None else readout.description()
     yield "assumed", scene.assumed and f"{scene.assumed_text}: the scene does not say"
     excluded = "; ".join(f"{end.words} ({end.key})" for end in open_ends(scene))
     yield "excluded", excluded and f"{excluded}; readings seldom show them"
@@ -375,15 +356,13 @@ def _measurement_lines(case: CaseResult) -> list[str]:
     )
     missing = np.isnan(case.measured) & scene.requested
     # results of older versions do not say what are bounds
-    bounds = np.zeros(missing.shape, dtype=bool)
-    if case.reading_side is not None:
-        bounds = case.reading_side != 0
+    bounds = np.zeros(missing.shape) if case.reading_side is None else case.reading_side
     model = ""
     if case.model_mark and case.model_sentence not in case.warnings:
         model = f"{case.model_mark}: {case.model_sentence}"
     sentences = [
         ("readings", f"{values} ({scene.circuit.signal_name}{taken_off})"),
-        ("", holes_sentence(missing, bounds)),
+        ("", holes_sentence(missing, bounds != 0)),
         ("model", model),
         *(("warning", line) for line in case.warnings.split("\n")),
         *(("estimated", line) for line in estimated_lines(scene.estimated)),
@@ -395,24 +374,17 @@ def _measurement_lines(case: CaseResult) -> list[str]:
 
 def _case_lines(case: CaseResult, width: int) -> list[str]:
     """Return a case in words; its name has the given width."""
-    solved = f"solved {int(np.sum(case.solved))}/{len(case.measured)}{_starts(case)}"
+    solved = f"solved {int(np.sum(case.solved))}/{len(case.measured)}"
+    if case.local_optima is not None:
+        _, least, most = case.local_optima
+        starts = f"{least}" if least == most else f"{least} to {most}"
+        starts += f" start{'' if most == 1 else 's'} a frame"
+        solved += f", verified local optima, best of {starts}"
     cells = f"r {spanned(case.cell_resistance, 'ohm')}  case {case.case_id}"
     lines = [f"  {case.estimator:{width}}  {solved}  {cells}"]
     if case.error_words:
         lines.append(f"  {'':{width}}  {case.error_words} (medians)")
     return lines
-
-
-def _starts(case: CaseResult) -> str:
-    """Return the number of starts per frame in words, or ''.
-
-    The estimate is the lowest verified optimum of them.
-    """
-    if case.local_optima is None:
-        return ""
-    _, least, most = case.local_optima
-    starts = f"{least}" if least == most else f"{least} to {most}"
-    return f", verified local optima, best of {starts} start{'' if most == 1 else 's'} a frame"
 
 
 def _holes(recording: Recording) -> Iterator[str]:
@@ -423,15 +395,13 @@ def _holes(recording: Recording) -> Iterator[str]:
     estimable = readings.enough(scene)
     unloaded = recording.role == UNLOADED
     if not np.all(estimable):
-        yield (
-            f"{int(np.sum(~estimable))} of {len(estimable)} frames "
-            "have too few values to be estimated"
-        )
+        few = f"{int(np.sum(~estimable))} of {len(estimable)} frames"
+        yield f"{few} have too few values to be estimated"
     if np.any(unloaded) and np.any(estimable) and not readings[unloaded].mean().enough(scene):
         yield "the unloaded frames have too few values: the first frame with enough stands for them"
 
 
-def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str:
+def holes_sentence(missing: Mask, bounds: Mask) -> str:
     """Return a sentence on missing readings and readings at a rail; '' if every one is a value.
 
     An example is `12 readings missing (0.4 %), 30 at a rail, ... (1 %), in 7 of 40 frames`. Lines
@@ -451,18 +421,13 @@ def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str
     ]
     parts[0] = parts[0].replace(" ", " reading " if counts[0][0] == 1 else " readings ", 1)
     frames = int(np.sum((missing | bounds).any(axis=(1, 2))))
-    return f"{', '.join(parts)}, in {frames} of {len(missing)} frames{_empty_lines(missing)}"
-
-
-def _empty_lines(missing: NDArray[np.bool_]) -> str:
-    """Return words on the lines without any reading, '' if there are none."""
-    rows = np.flatnonzero(missing.all(axis=(0, 2)))
-    columns = np.flatnonzero(missing.all(axis=(0, 1)))
-    lines = [*(f"row {number}" for number in rows), *(f"column {number}" for number in columns)]
+    sentence = f"{', '.join(parts)}, in {frames} of {len(missing)} frames"
+    lines = [f"row {number}" for number in np.flatnonzero(missing.all(axis=(0, 2)))]
+    lines += [f"column {number}" for number in np.flatnonzero(missing.all(axis=(0, 1)))]
     if not lines:
-        return ""
+        return sentence
     named = " and ".join(lines) if len(lines) < 3 else first_and_more(lines)
-    return f"; {named} {'has' if len(lines) == 1 else 'have'} none"
+    return f"{sentence}; {named} {'has' if len(lines) == 1 else 'have'} none"
 
 
 def understood_lines(recording: Recording, notes: Sequence[str]) -> list[str]:

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from lampest.estimate.state import Step
-from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import logged_reason
 from lampest.files.whole import (
@@ -217,11 +216,10 @@ def _with_checks(
     """Return the results with the checks of their recordings, as far as these are finished."""
     if which == "none":
         return [without_check(case) for case in cases]
-    results: list[StoredCase] = []
-    for case in cases:
-        check = checked.get(case.recording)
-        results.append(check.apply_to(case) if isinstance(check, RecordingCheck) else case)
-    return results
+    known = {name: each for name, each in checked.items() if isinstance(each, RecordingCheck)}
+    return [
+        known[case.recording].apply_to(case) if case.recording in known else case for case in cases
+    ]
 
 
 def _findings(
@@ -236,14 +234,15 @@ def _findings(
         for recording, outcome in checked.items()
         if isinstance(outcome, BaseException) and not isinstance(outcome, InputError)
     ]
-    scenes = {case.recording: case for case in reversed(cases)}
-    recordings = dict.fromkeys(case.recording for case in cases)
+    first: dict[str, StoredCase] = {}
+    for case in cases:
+        first.setdefault(case.recording, case)
     advice = ((case.recording, case.advice) for case in cases if case.advice)
     return {
         "warnings": tuple(dict.fromkeys(warnings)),
         "advice": tuple(dict.fromkeys(advice)),
         "estimated": about_recordings(
-            (name, read_case_scene(scenes[name]).estimated) for name in recordings
+            (name, read_case_scene(case).estimated) for name, case in first.items()
         ),
     }
 
@@ -293,9 +292,7 @@ def _outcomes(
     of each case, until the case is complete.
     """
     with ExitStack() as stack:
-        parts = list[tuple[Task, int]]()
-        for task in waiting:
-            parts += [(task, number) for number in parts_to_solve(task)]
+        parts = [(task, number) for task in waiting for number in parts_to_solve(task)]
         if parts:  # failures of parts show when their cases are joined
             deque(stack.enter_context(closing(executor.results(solve_part, parts))), maxlen=0)
         tasks: list[Task | CaseSegment | CheckTask] = []
@@ -391,14 +388,8 @@ def _results(tasks: Sequence[Task], *, unfinished: bool = False) -> dict[Path, S
     unfinished : bool
         Whether to read the files of the finished frames of unfinished cases.
     """
-    results: dict[Path, StoredCase] = {}
+    results = {}
     for task in tasks:
-        file = task.unfinished if unfinished else task.file
-        with suppress(InputError, ValueError):
-            if not file.is_file():
-                continue
-            hdf5.checked(file)
-            [case] = stored_cases(file)
-            if case.case_id == task.case.case_id:
-                results[task.file] = case
+        if case := task.intact(task.unfinished if unfinished else task.file):
+            results[task.file] = case
     return results

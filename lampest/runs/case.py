@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, brief, extra
 from lampest.files.typed import installed
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.panel.scene_file import scene_text
 from lampest.recording.file import coordinates
 from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, ReservedColumn, Variable
@@ -149,12 +148,10 @@ class CaseResult(Content):
         """Weights chosen by the data with the standard deviation of ln λ, as text."""
         messages = []
         for term, sigma in self.weight_sigma.items():
-            chosen_sigma = sigma[np.isfinite(sigma)]
-            weights = self.weights[term][np.isfinite(self.weights[term])]
-            if chosen_sigma.size and weights.size:
-                messages.append(
-                    f"{term} λ = {np.median(weights):.3g} (ln λ ± {np.median(chosen_sigma):.2g})"
-                )
+            weights = self.weights[term]
+            if np.isfinite(sigma).any() and np.isfinite(weights).any():
+                weight, deviation = np.nanmedian(weights), np.nanmedian(sigma)
+                messages.append(f"{term} λ = {weight:.3g} (ln λ ± {deviation:.2g})")
         return ", ".join(messages)
 
     @cached_property
@@ -186,23 +183,19 @@ class CaseResult(Content):
     @property
     def error_words(self) -> str:
         """Medians of own and common standard deviations as text; '' if unknown."""
-        if (
-            self.sigma_own is None
-            or self.sigma_common is None
-            or not np.isfinite(self.sigma_own).any()
-        ):
+        own = self.sigma_own
+        if own is None or self.sigma_common is None or not np.isfinite(own).any():
             return ""
-        determined = np.isfinite(self.sigma_own) & (self.sigma_own > 0)
+        determined = np.isfinite(own) & (own > 0)
         words = "own {:.2g} {unit}, common {:.2g} {unit}"
-        individual = 100 * float(np.median(self.sigma_own[determined]))
-        common = 100 * float(np.median(self.sigma_common[determined]))
-        message = f"standard deviation of cells: {words.format(individual, common, unit='%')}"
+        medians = (100 * np.median(part[determined]) for part in (own, self.sigma_common))
+        message = f"standard deviation of cells: {words.format(*medians, unit='%')}"
         parts = self.pressed_errors(self.solved)
         if parts is None or not parts[0].size:
             return message
         return f"{message}; of pressures: {words.format(*map(np.median, parts), unit='kPa')}"
 
-    def pressed_errors(self, chosen: NDArray[np.bool_]) -> tuple[Array, Array] | None:
+    def pressed_errors(self, chosen: Mask) -> tuple[Array, Array] | None:
         """Return standard deviations of the pressures of cells that are pressed in chosen frames.
 
         Returns None if the case has no pressures.
@@ -220,12 +213,12 @@ class CaseResult(Content):
         return own[pressed], common[pressed]
 
     @property
-    def valued(self) -> NDArray[np.bool_]:
+    def valued(self) -> Mask:
         """Mask (frames, rows, columns) of readings that are values, neither bounds nor missing."""
         valued = np.isfinite(self.measured)
         valued &= True if self.sigma is None else np.isfinite(self.sigma)
         valued &= True if self.reading_side is None else self.reading_side == 0
-        return np.asarray(valued)
+        return valued
 
     @classmethod
     def of(cls, values: Mapping[str, Any], **further: Any) -> CaseResult:
@@ -252,16 +245,13 @@ class CaseResult(Content):
     @property
     def attributes(self) -> dict[str, Any]:
         """Texts of the case: names, resolved case and scene as YAML, sentences, versions."""
-        names = {
-            "recording": self.recording,
-            "estimator": self.estimator,
-            "scene": scene_text(self.scene),
-        }
+        names = {"recording": self.recording, "estimator": self.estimator}
+        names["scene"] = scene_text(self.scene)
         values = {name: getattr(self, field) for name, (field, _) in ATTRIBUTES.items()}
+        values["start_time"] = self.start_time
         texts = {name: text for name, text in values.items() if text and isinstance(text, str)}
-        started = {"start_time": self.start_time} if self.start_time else {}
         versions = {f"{library}_version": text for library, text in sorted(self.versions.items())}
-        return names | texts | started | versions
+        return names | texts | versions
 
     @property
     def coordinates(self) -> dict[str, Variable]:
@@ -284,16 +274,16 @@ class CaseResult(Content):
             Whether flags have the values of files; otherwise they are NaN for cells without an
             estimate.
         """
-        variables: list[Variable] = []
+        variables = []
         missing = np.isnan(self.cell_resistance)
-        for column in (column.of(self.scene.circuit) for column in all_columns(columns)):
-            if (values := self.column(column.name)) is None:
-                continue
+        for column in all_columns(columns):
+            values = self.column(column.name)
             flagged = column.flags and column.axes == MAPS and not column.shared
-            if flagged and not raw and missing.any():
+            if flagged and not raw and missing.any() and values is not None:
                 values = np.where(missing, np.nan, values)
                 column = replace(column, dtype=np.float64)
-            variables.append(Variable(column, values))
+            if values is not None:
+                variables.append(Variable(column.of(self.scene.circuit), values))
         for figures in FIGURES:
             held = getattr(self, figures.name)
             variables += [Variable(figures.column(name), held[name]) for name in held]
@@ -356,12 +346,10 @@ class CaseResult(Content):
         """
         table = all_columns(columns)
         self.check(table)
-        for name in self.extra:
-            if name not in {column.name for column in table}:
-                raise InputError(
-                    f"{self.recording} × {self.estimator}: "
-                    f"no column says what the extra '{name}' is"
-                )
+        for name in self.extra.keys() - {column.name for column in table}:
+            raise InputError(
+                f"{self.recording} × {self.estimator}: no column says what the extra '{name}' is"
+            )
         return table
 
     def check(self, columns: Sequence[Column]) -> None:
@@ -386,7 +374,7 @@ class CaseResult(Content):
                 if fault is not None:
                     raise InputError(f"{self._path(column)} {fault}")
 
-    def _estimated(self) -> NDArray[np.bool_]:
+    def _estimated(self) -> Mask:
         """Return a mask (frames, rows, columns) of expected estimates.
 
         Expected are those of solved frames, in modules that have any.
@@ -443,12 +431,8 @@ class StoredCase:
     advice: str = ""
     verdict: tuple[str, str] | None = None
 
-    @classmethod
-    def of(cls, case: CaseResult, path: Path) -> StoredCase:
-        """Return the reference to a case that was written into a file."""
-        frames, rows, columns = case.measured.shape
-        texts = (case.case_id, case.warnings, case.advice)
-        return cls(path, case.recording, case.estimator, frames, rows * columns, *texts)
+
+Cases = Sequence[CaseResult]
 
 
 def check_name(name: str, noun: str) -> None:

@@ -121,8 +121,7 @@ class CheckTask:
 
     def kept(self) -> RecordingCheck | None:
         """Return the outcome of an earlier command; None without one by this code of lampest."""
-        kept = (_read(file, self.sha256) for file in (self.file, self.beside))
-        return next(filter(None, kept), None)
+        return _read(self.file, self.sha256) or _read(self.beside, self.sha256)
 
     def keep(self, check: RecordingCheck) -> None:
         """Write the outcome atomically. Raises InputError where the place cannot be written."""
@@ -181,8 +180,7 @@ def kept_check(path: Path, sha256: str) -> RecordingCheck | None:
     """
     for parent in dict.fromkeys((path.parent.resolve(), Path.cwd())):
         for folder in (parent, *sorted(parent.glob(f"results/*/{CASES}"))):
-            check = CheckTask(path, sha256, path.stem, folder).kept()
-            if check is not None:
+            if check := CheckTask(path, sha256, path.stem, folder).kept():
                 return check
     return None
 

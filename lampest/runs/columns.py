@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.typed import Validated
-from lampest.panel.panel import Array, beyond_any_panel
+from lampest.panel.panel import Array, Mask, beyond_any_panel
 from lampest.panel.readouts.readout import Readout
 
 if TYPE_CHECKING:  # readers of results need not load the solvers
@@ -42,21 +42,19 @@ RESERVED = (
 
 # (values, mask of expected estimates) → fault, the end of a sentence that begins with the path;
 # None: no fault.
-Check = Callable[[Any, NDArray[np.bool_]], str | None]
+Check = Callable[[Any, Mask], str | None]
 
 
-def possible(values: Array, solved: NDArray[np.bool_]) -> str | None:
+def possible(values: Array, solved: Mask) -> str | None:
     """Return a fault if a number exceeds that of any panel."""
     beyond = np.asarray(values)[beyond_any_panel(values)]
     return f"holds {beyond[0]:.6g}, which no panel has" if beyond.size else None
 
 
-def _check(
-    sentence: str, right: Callable[[Array, NDArray[np.bool_]], Any], *, physical: bool = True
-) -> Check:
+def _check(sentence: str, right: Callable[[Array, Mask], Any], *, physical: bool = True) -> Check:
     """Return a check of values, which must also be possible if they are physical."""
 
-    def fault(values: Any, solved: NDArray[np.bool_]) -> str | None:
+    def fault(values: Any, solved: Mask) -> str | None:
         beyond = possible(values, solved) if physical else None
         return beyond or (None if np.all(right(np.asarray(values), solved)) else sentence)
 

@@ -61,11 +61,8 @@ def _extended(known: Callable[[], Mapping[str, type[Any]]]) -> type[Any]:
         @classmethod
         def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
             """Return the schema of a class with fields for these kinds; called by pydantic."""
-            further = {
-                kind: member
-                for kind, member in known().items()
-                if kind not in source.__dataclass_fields__
-            }
+            shipped_kinds = source.__dataclass_fields__
+            further = {kind: each for kind, each in known().items() if kind not in shipped_kinds}
             if not further:
                 return handler(source)
             return handler.generate_schema(by_kind_class(source.__name__, further, source))
@@ -250,7 +247,7 @@ def read_run(path: str | Path, settings: tuple[str, ...] = ()) -> Run:
     document = read_document(path, settings)
     _refuse_unknown(path, document, settings)
     recordings: dict[Path, _Source] = {}
-    cases: list[Case] = []
+    cases = []
     published: dict[str, PublishedFigures] = {}
     executor: Executor | None = None
     check: Literal["all", "none"] = "all"
@@ -293,14 +290,11 @@ def _refuse_unknown(path: Path, document: Document, settings: tuple[str, ...]) -
     """Raise InputError where a setting reaches into an estimator that the file does not hold."""
     known = read_document(path).content
     estimators = known.get("estimators") if isinstance(known, dict) else None
+    if not isinstance(estimators, dict):
+        return
     for key in (setting.partition("=")[0] for setting in settings):
         room, *inner = key.split(".")
-        if (
-            room == "estimators"
-            and len(inner) > 1
-            and isinstance(estimators, dict)
-            and inner[0] not in estimators
-        ):
+        if room == "estimators" and len(inner) > 1 and inner[0] not in estimators:
             listed = meant(inner[0], estimators) or f"; there are {', '.join(estimators)}"
             raise document.error((), f"{key}: there is no estimator {inner[0]!r}{listed}")
 
@@ -338,18 +332,13 @@ class _Source:
         try:
             recording = opened(path)
             if isinstance(recording, StoredRecording):
-                first = recording.part(recording.blocks[0])
-                return cls(
-                    *names,
-                    recording.scene,
-                    first.readings(),
-                    frames=recording.frames,
-                    stored=recording,
-                )
+                readings = recording.part(recording.blocks[0]).readings()
+                frames = recording.frames
+                return cls(*names, recording.scene, readings, None, frames, recording)
             frames = len(recording.measured_frames())
         except InputError as error:
             return cls(*names, fault=error)
-        return cls(*names, recording.scene, recording.readings(), frames=frames)
+        return cls(*names, recording.scene, recording.readings(), None, frames)
 
     def check(self, case: str, estimator: Estimator) -> None:
         """Raise InputError if an estimator does not fit the recording."""
@@ -366,13 +355,8 @@ class _Source:
     def case(self, name: str, estimator: Estimator, swept: Mapping[str, Any]) -> Case:
         """Return the case of an estimator of that name."""
         recording = self.path.stem
-        content = {
-            "recording": recording,
-            "recording_sha256": self.sha256,
-            "estimator": name,
-            "case_format": 1,
-        }
-        resolved = to_yaml(content | plain_content(estimator))
+        content = {"recording": recording, "recording_sha256": self.sha256, "estimator": name}
+        resolved = to_yaml(content | {"case_format": 1} | plain_content(estimator))
         names = (self.path, self.sha256, recording, name)
         cells = 0 if self.scene is None else self.scene.panel.crossings
         size = self.stored, swept, self.frames, cells
@@ -411,17 +395,12 @@ def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
 
 def resolve(document: Document, run: RunFile, name: str) -> Estimator:
     """Return an estimator, with options of the run as defaults."""
-    shared = {
-        item.name: document.content[item.name]
-        for item in fields(Choices)
-        if item.name in document.content
-    }
+    options = [item.name for item in fields(Choices)]
+    shared = {option: document.content[option] for option in options if option in document.content}
     written = document.content["estimators"][name]
-    merged = (
-        shared
-        | written
-        | {part: shared.get(part, {}) | written.get(part, {}) for part in ("solver", "bounds")}
-    )
+    merged = shared | written
+    for part in ("solver", "bounds"):
+        merged[part] = shared.get(part, {}) | written.get(part, {})
     try:
         entry: EstimatorEntry = adapter(EstimatorEntry).validate_json(json.dumps(merged))
     except ValueError as error:
@@ -431,7 +410,7 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
         return Estimator(
             named_members(entry.terms, term_types()),
             constraints=named_members(entry.constraints, part_types()) or None,
-            **{item.name: getattr(entry, item.name) for item in fields(Choices)},
+            **{option: getattr(entry, option) for option in options},
         )
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lampest.files.levels import Witness
 from lampest.files.typed import Validated
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.scene import Scene
 from lampest.recording.recording import UNLOADED
 from lampest.runs.columns import (
@@ -110,7 +110,7 @@ def _of_witness(name: str, absent: float) -> Callable[[Estimates], Array | None]
     return values
 
 
-def _frame_numbers(done: Estimates) -> NDArray[np.intp]:
+def _frame_numbers(done: Estimates) -> Numbers:
     """Return indices into the recording, which may have been read in part."""
     return done.frame if done.recording.number is None else done.recording.number[done.frame]
 
@@ -148,11 +148,12 @@ def _of_terms(
     from lampest.cost.terms import term_kind  # with CasADi, which reading results does not need
 
     kinds = [term_kind(term) for term in done.estimator.terms]
-    counts = [kinds[:number].count(kind) for number, kind in enumerate(kinds, 1)]
-    names = [
-        kind if count == 1 else f"{kind}_{count}" for kind, count in zip(kinds, counts, strict=True)
-    ]
-    return {name: np.array([step[number] for step in values]) for number, name in enumerate(names)}
+    named = {}
+    for number, kind in enumerate(kinds):
+        count = kinds[: number + 1].count(kind)
+        name = kind if count == 1 else f"{kind}_{count}"
+        named[name] = np.array([step[number] for step in values])
+    return named
 
 
 def _costs(done: Estimates) -> dict[str, Array]:
@@ -168,9 +169,8 @@ def weights_of(done: Estimates) -> dict[str, Array]:
 def _chosen(done: Estimates) -> dict[str, Array]:
     """Map terms with weights chosen by the data to the deviations of ln λ, one for each frame."""
     size = len(done.estimator.terms)
-    by_term = _of_terms(
-        done, [np.array(step.weight_sigma or [np.nan] * size) for step in done.steps]
-    )
+    sigmas = [np.array(step.weight_sigma or [np.nan] * size) for step in done.steps]
+    by_term = _of_terms(done, sigmas)
     return {name: values for name, values in by_term.items() if np.isfinite(values).any()}
 
 
@@ -182,16 +182,11 @@ def _contacts(done: Estimates) -> dict[str, Array]:
     if done.contacts is None:
         return {}
     shape = done.recording.scene.panel.shape
-    per_frame = np.ones(len(done.steps))
-    lines = [
-        f"{side}_{line}"
-        for side, count in zip(("row", "column"), shape, strict=True)
-        for line in range(count)
-    ]
-    ohm = done.contacts.mean(shape)
-    errors = done.contacts.deviation(shape)
+    rows, columns = shape
+    lines = [*(f"row_{row}" for row in range(rows)), *(f"column_{n}" for n in range(columns))]
+    ohm = [*done.contacts.mean(shape), *done.contacts.deviation(shape)]
     names = [*lines, *(f"{line}_errors" for line in lines)]
-    return dict(zip(names, np.outer([*ohm, *errors], per_frame), strict=True))
+    return dict(zip(names, np.outer(ohm, np.ones(len(done.steps))), strict=True))
 
 
 def _of_contact(name: str) -> str:
@@ -386,7 +381,7 @@ class Content(Validated):
     kkt_residual: Array = _frames(
         "1", "violation of the optimality conditions", value=_of_solutions("kkt_residual")
     )
-    solved: NDArray[np.bool_] = _frames(
+    solved: Mask = _frames(
         "1", "1: solved, 0: failed", dtype=bool, flags=((0, "failed"), (1, "solved"))
     )
     # The uncertainty of an estimate; absent where the noise is unknown or error bars were not

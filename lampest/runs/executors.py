@@ -336,11 +336,9 @@ def dask_setup(worker: Any) -> None:
 @contextmanager
 def _silence() -> Iterator[None]:
     """Silence Dask, which reports a lost scheduler in dozens of lines."""
-    names = {
-        *NOISY,
-        *(name for name in logging.root.manager.loggerDict if name.partition(".")[0] in NOISY),
-    }
-    before = {logging.getLogger(name): logging.getLogger(name).level for name in names}
+    known = logging.root.manager.loggerDict
+    names = {*NOISY, *(name for name in known if name.partition(".")[0] in NOISY)}
+    before = {logger: logger.level for logger in map(logging.getLogger, names)}
     try:
         for logger in before:
             logger.setLevel(logging.CRITICAL + 1)
@@ -414,14 +412,14 @@ def each_of(
     """
     executor = executor or (Processes() if len(items) > MIN_TASKS else Serial())
     executor.ready()
-    results: dict[int, Any] = {}
+    results = {}
     on_done(0, len(items))
     with closing(executor.results(function, items)) as ends:
         for item, outcome in ends:
-            if isinstance(outcome, BaseException) and lost is None:
-                raise outcome
-            results[id(item)] = (
-                lost(item, outcome) if lost and isinstance(outcome, BaseException) else outcome
-            )
+            if isinstance(outcome, BaseException):
+                if lost is None:
+                    raise outcome
+                outcome = lost(item, outcome)
+            results[id(item)] = outcome
             on_done(len(results), len(items))
     return [results[id(item)] for item in items]

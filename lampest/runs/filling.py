@@ -75,18 +75,13 @@ def named_result(
     """
     recording = estimates.recording
     estimator = estimates.estimator
-    names = {
-        "recording": recording.name,
-        "estimator": " + ".join(map(term_kind, estimator.terms)) if name is None else name,
-    }
+    if name is None:
+        name = " + ".join(map(term_kind, estimator.terms))
+    names = {"recording": recording.name, "estimator": name}
     content = names | {"readings_sha256": hashlib.sha256(recording.recorded.tobytes()).hexdigest()}
     resolved = to_yaml(content | plain_content(recording.scene) | plain_content(estimator))
-    return _filled(
-        estimates,
-        columns,
-        names | {"case_id": hash_of(resolved), "case_yaml": resolved},
-        checked=True,
-    )
+    names |= {"case_id": hash_of(resolved), "case_yaml": resolved}
+    return _filled(estimates, columns, names, checked=True)
 
 
 def _filled(

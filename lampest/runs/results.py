@@ -16,7 +16,6 @@ from lampest.files.document import adapter, parse_document
 from lampest.files.errors import InputError, brief, meant
 from lampest.files.parts import copy_group, join_parts
 from lampest.files.typed import Configuration, check_not_negative, typed
-from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, validated_scene
 from lampest.panel.scene_file import scene_text
 from lampest.recording import stored
@@ -111,11 +110,9 @@ class Results:
     def label(self, case: CaseResult) -> str:
         """Return the estimator's name, as `LSR-CR, paper's lambda` for published, fixed weights."""
         chosen = "weight: auto" in case.case_yaml or not case.weights.keys() - {"misfit"}
-        return (
-            case.estimator
-            if chosen or case.estimator not in self.published
-            else f"{case.estimator}, paper's lambda"
-        )
+        if chosen or case.estimator not in self.published:
+            return case.estimator
+        return f"{case.estimator}, paper's lambda"
 
     def named(self, field: Literal["recording", "estimator"], names: Collection[str]) -> "Results":
         """Return the results of these recordings or estimators in the order of the file.
@@ -131,10 +128,8 @@ class Results:
                 raise InputError(
                     f"no {field} is called {name!r}; there are {', '.join(known) or 'none'}{close}"
                 )
-        chosen = names or known
-        return replace(
-            self, cases=tuple(case for case in self.cases if getattr(case, field) in chosen)
-        )
+        cases = [case for case in self.cases if getattr(case, field) in (names or known)]
+        return replace(self, cases=tuple(cases))
 
 
 @typed
@@ -173,17 +168,16 @@ def write_results(
         recordings.setdefault(case.recording, []).append(case)
     for held in recordings.values():
         _check_together([case for case in held if isinstance(case, CaseResult)], columns)
+    path = Path(path)
     held_in_files = [case for case in cases if isinstance(case, StoredCase)]
     size = sum(case.path.stat().st_size for case in held_in_files)
     # The file of more readings than a recording in memory has is built on the disk.
     large = sum(case.frames * case.cells for case in held_in_files) > stored.MAX_READINGS
-    with hdf5.new_large_file(Path(path), size) if large else hdf5.new_file(Path(path)) as file:
+    with hdf5.new_large_file(path, size) if large else hdf5.new_file(path) as file:
         entry = _begun(file, next(iter(recordings), ""))
         if published:
-            text = json.dumps(
-                {name: asdict(figures) for name, figures in published.items()}, allow_nan=False
-            )
-            hdf5.set_attributes(entry, published=text)
+            figures = {name: asdict(of_name) for name, of_name in published.items()}
+            hdf5.set_attributes(entry, published=json.dumps(figures, allow_nan=False))
         for order, (name, held) in enumerate(recordings.items()):
             group = entry.create_group(name)
             hdf5.set_attributes(
@@ -193,9 +187,8 @@ def write_results(
             for number, case in enumerate(held):
                 if isinstance(case, StoredCase):
                     _copy_case(group, case, measured)
-                    _replace_check(group[case.estimator], case)
                 else:
-                    _write_case(group, case, columns, with_measurement=not number)
+                    _write_case(group, case, columns)
                 measured = measured or checksums.digests_below(group[SHARED])
                 hdf5.set_attributes(group[case.estimator], order=number)
 
@@ -241,12 +234,10 @@ def _check_together(cases: Sequence[CaseResult], columns: Sequence[Column]) -> N
                 )
 
 
-def _write_case(
-    group: h5py.Group, case: CaseResult, columns: Sequence[Column], *, with_measurement: bool
-) -> None:
+def _write_case(group: h5py.Group, case: CaseResult, columns: Sequence[Column]) -> None:
     """Write an estimate and, with the first case of a recording, the measurement."""
     variables = case.variables(columns, raw=True).values()
-    if with_measurement:
+    if SHARED not in group:
         measurement = _group_of_data(group, SHARED, MEASURED.of(case.scene.circuit).path)
         texts = {"scene": (scene_text(case.scene), "what was measured, YAML")}
         if case.start_time:
@@ -255,11 +246,8 @@ def _write_case(
             hdf5.write_dataset(measurement, name, hdf5.ascii_array(text), "1", words)
         _write_variables(measurement, case, [each for each in variables if each.column.shared])
     estimate = _group_of_data(group, case.estimator, "cell_resistance")
-    attributes: dict[str, Any] = {}
-    for name, (item, default) in ATTRIBUTES.items():
-        value = getattr(case, item)
-        if value != default:
-            attributes[name] = value
+    held = {name: (getattr(case, item), default) for name, (item, default) in ATTRIBUTES.items()}
+    attributes = {name: value for name, (value, default) in held.items() if value != default}
     attributes |= {f"{library}_version": text for library, text in case.versions.items()}
     attributes |= {f"frame_{name}": noise for name, noise in case.frame_noise.items()}
     attributes["joint_start"] = np.uint8(case.joint_start)
@@ -269,24 +257,10 @@ def _write_case(
     _write_variables(estimate, case, own)
 
 
-def _replace_check(estimate: h5py.Group, case: StoredCase) -> None:
-    """Write the attributes of a check that was made after the case."""
-    if case.verdict is None:
-        return
-    mark, sentence = case.verdict
-    texts = {
-        "model_explains": mark,
-        "model_check": sentence,
-        "advice": case.advice,
-        "warnings": case.warnings,
-    }
-    hdf5.set_attributes(estimate, **{name: text for name, text in texts.items() if text})
-    for name in [name for name, text in texts.items() if not text and name in estimate.attrs]:
-        del estimate.attrs[name]
-
-
 def _copy_case(group: h5py.Group, case: StoredCase, measured: Mapping[str, bytes]) -> None:
     """Copy an estimate of a file and, with the first case of a recording, the measurement.
+
+    Attributes of a check that was made after the case replace those of the file.
 
     Raises InputError for an unreadable file, or if its measurement differs from that of the first
     case, whose digests are `measured`.
@@ -305,6 +279,15 @@ def _copy_case(group: h5py.Group, case: StoredCase, measured: Mapping[str, bytes
                         f"of the name {case.recording} ({name} differs)"
                     )
         copy_group(held[case.estimator], group, case.estimator)
+    if case.verdict is None:
+        return
+    estimate = group[case.estimator]
+    names = ("model_explains", "model_check", "advice", "warnings")
+    for name, text in zip(names, (*case.verdict, case.advice, case.warnings), strict=True):
+        if text:
+            hdf5.set_attributes(estimate, **{name: text})
+        elif name in estimate.attrs:
+            del estimate.attrs[name]
 
 
 def _group_of_data(parent: h5py.Group, name: str, signal: str) -> h5py.Group:
@@ -316,7 +299,7 @@ def _group_of_data(parent: h5py.Group, name: str, signal: str) -> h5py.Group:
 
 def _write_variables(group: h5py.Group, case: CaseResult, variables: Iterable[Variable]) -> None:
     """Write coordinates, columns and figures of a case into a group, then attach the axes."""
-    axes: dict[str, tuple[str, ...]] = {}
+    axes = {}
     places = case.coordinates
     for variable in (*places.values(), *variables):
         column = variable.column
@@ -409,10 +392,8 @@ def stored_cases(path: Path) -> tuple[StoredCase, ...]:
                     str(hdf5.read_attribute(file, f"/entry/{recording}/{name}", text) or "")
                     for text in ("case_id", "warnings", "advice")
                 )
-                frames, cells = _sizes(file, recording)
-                cases.append(
-                    StoredCase(path, recording, name, frames, cells, case_id, warnings, advice)
-                )
+                names = (path, recording, name, *_sizes(file, recording))
+                cases.append(StoredCase(*names, case_id, warnings, advice))
         return tuple(cases)
 
 
@@ -434,9 +415,9 @@ def _results_file(path: Path) -> Iterator[h5py.File]:
     """Yield an open results file. Raises InputError if the file is none."""
     with hdf5.existing_file(path) as file:
         form = hdf5.read_attribute(file, "/", "lampest_format")
-        if not isinstance(form, str) or form != FORMAT:
+        if str(form) != FORMAT:
             kind = f"lampest_format is {form!r}"
-            if isinstance(form, str) and form.startswith("recording/"):
+            if str(form).startswith("recording/"):
                 kind = "a recording, lampest run computes results of it"
             raise InputError(f"{file.filename}: no results file ({kind})")
         yield file
@@ -464,9 +445,8 @@ def _sizes(file: h5py.File, recording: str) -> tuple[int, int]:
 
 def _part(file: h5py.File, recording: str, frames: range) -> slice | None:
     """Return the slice of the stored frames that belong to a range; None if it is empty."""
-    numbers = hdf5.read_array(
-        file, f"/entry/{recording}/{_estimators(file, recording)[0]}/{FRAME.path}", 1
-    )
+    estimator = _estimators(file, recording)[0]
+    numbers = hdf5.read_array(file, f"/entry/{recording}/{estimator}/{FRAME.path}", 1)
     begin, end = np.searchsorted(numbers, (frames.start, frames.stop))
     return slice(int(begin), int(end)) if begin < end else None
 
@@ -483,8 +463,7 @@ def _read_recording(
     hdf5.read_array(file, path, len(MAPS), part=slice(0))
     shape = hdf5.shape_of(file, path)
     estimators = _estimators(file, name)
-    of_cases = [column for column in table if not column.shared]
-    maps = len(estimators) * sum(column.axes == MAPS for column in of_cases)
+    maps = len(estimators) * sum(column.axes == MAPS and not column.shared for column in table)
     if maps * len(range(shape[0])[part]) * prod(shape[1:]) > hdf5.MAX_VALUES:
         raise InputError(
             f"{file.filename}: /entry/{name} claims more than {hdf5.MAX_VALUES} values, "
@@ -492,23 +471,31 @@ def _read_recording(
             f"of its {shape[0]} frames --frames 0:1000 names some"
         )
     sizes = dict(zip(MAPS, shape, strict=True))
+
+    def values_in(group: str, *, shared: bool) -> dict[str, Any]:
+        """Return the values of the columns that are required or in a group of the file."""
+        return {
+            column.name: column.read(file, group, sizes, part)
+            for column in table
+            if column.shared == shared
+            and (column.name in REQUIRED or hdf5.has(file, f"{group}/{column.path}"))
+        }
+
     start_path = f"{base}/start_time"
-    about = {
-        "recording": name,
-        "scene": scene,
-        "start_time": hdf5.read_text(file, start_path) if hdf5.has(file, start_path) else "",
-    }
-    shared = [column for column in table if column.shared]
-    measurements = _read_columns(file, base, shared, sizes, part)
+    start = hdf5.read_text(file, start_path) if hdf5.has(file, start_path) else ""
+    about: dict[str, Any] = {"recording": name, "scene": scene, "start_time": start}
+    measurements = values_in(base, shared=True)
     cases = []
     for estimator in estimators:
         group = f"/entry/{name}/{estimator}"
-        values = measurements | _read_columns(file, group, of_cases, sizes, part)
-        figures = {
-            kind.name: _read_figures(file, f"{group}/{kind.folder}", shape[:1], part)
-            for kind in FIGURES
-        }
-        attributes = about | _read_attributes(file, group) | figures
+        values = measurements | values_in(group, shared=False)
+        attributes = about | _read_attributes(file, group)
+        for kind in FIGURES:
+            folder = f"{group}/{kind.folder}"
+            attributes[kind.name] = {
+                figure: hdf5.read_array(file, f"{folder}/{figure}", 1, shape[:1], part)
+                for figure in (hdf5.children(file, folder) if hdf5.has(file, folder) else ())
+            }
         try:
             case = CaseResult.of(values, estimator=estimator, **attributes)
             case.check(table)
@@ -518,46 +505,17 @@ def _read_recording(
     return cases
 
 
-def _read_columns(
-    file: h5py.File,
-    group: str,
-    columns: Iterable[Column],
-    sizes: Mapping[str, int],
-    part: slice,
-) -> dict[str, Any]:
-    """Return the values of the columns that are required or in a group of the file."""
-    return {
-        column.name: column.read(file, group, sizes, part)
-        for column in columns
-        if column.name in REQUIRED or hdf5.has(file, f"{group}/{column.path}")
-    }
-
-
-def _read_figures(
-    file: h5py.File, path: str, shape: tuple[int, ...], part: slice
-) -> dict[str, Array]:
-    """Return figures by name, each of shape (frames,)."""
-    names = hdf5.children(file, path) if hdf5.has(file, path) else []
-    return {name: hdf5.read_array(file, f"{path}/{name}", 1, shape, part) for name in names}
-
-
 def _read_attributes(file: h5py.File, path: str) -> dict[str, Any]:
     """Return the attributes of a case."""
     texts = {
         name: hdf5.read_attribute(file, path, name) for name in hdf5.attribute_names(file, path)
     }
-    attributes: dict[str, Any] = {
-        "versions": {
-            key.removesuffix("_version"): str(texts[key])
-            for key in texts
-            if key.endswith("_version")
-        },
-        "frame_noise": {
-            key.removeprefix("frame_"): np.asarray(texts[key])
-            for key in texts
-            if key.startswith("frame_")
-        },
-    }
+    attributes: dict[str, Any] = {"versions": {}, "frame_noise": {}}
+    for key, value in texts.items():
+        if key.endswith("_version"):
+            attributes["versions"][key.removesuffix("_version")] = str(value)
+        if key.startswith("frame_"):
+            attributes["frame_noise"][key.removeprefix("frame_")] = np.asarray(value)
     for name, (item, default) in ATTRIBUTES.items():
         if isinstance(default, str):
             attributes[item] = str(texts.get(name, ""))
@@ -569,11 +527,9 @@ def _read_attributes(file: h5py.File, path: str) -> dict[str, Any]:
 def _read_published(file: h5py.File) -> dict[str, PublishedFigures]:
     """Return the published figures by estimator, which are stored as JSON."""
     text = hdf5.read_attribute(file, "/entry", "published")
+    kind = dict[str, PublishedFigures]
     try:
-        figures: dict[str, PublishedFigures] = adapter(dict[str, PublishedFigures]).validate_json(
-            text or "{}"
-        )
-        return figures
+        return kind(adapter(kind).validate_json(text or "{}"))
     except (ValueError, TypeError) as error:
         names = ", ".join(item.name for item in fields(PublishedFigures))
         raise InputError(

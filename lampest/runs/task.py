@@ -110,10 +110,17 @@ class Task:
         An incomplete part is solved again.
         """
         with suppress(InputError):
-            hdf5.checked(self.part(number))
-            [held] = stored_cases(self.part(number))
-            if held.case_id == self.case.case_id:
+            if self.intact(self.part(number)):
                 return read_carried(self.carried(number))
+        return None
+
+    def intact(self, file: Path) -> StoredCase | None:
+        """Return the case in a file; None for a missing or damaged file, and for another case."""
+        with suppress(InputError, ValueError):
+            hdf5.checked(file)
+            [held] = stored_cases(file)
+            if held.case_id == self.case.case_id:
+                return held
         return None
 
     def write_parts(self, solved: Iterable[tuple[int, Estimates, CarriedOver]]) -> Iterator[int]:
@@ -150,15 +157,14 @@ def write_segments(
     assert isinstance(prepared, Prepared)
     steps = list[Step]()
     for number in range(task.case.segments):
-        own = solved.get(number, RuntimeError())
-        if isinstance(own, BaseException):
+        own = solved.get(number)
+        if own is None or isinstance(own, BaseException):
             break
         steps += own
     stream, frames = _begun(prepared, task.case.estimator)
     check_folder(task.folder / CASES)
-    result = case_result(task.case, frames.estimates(stream, steps))
-    write_results(file, [result])
-    return StoredCase.of(result, file)
+    write_results(file, [case_result(task.case, frames.estimates(stream, steps))])
+    return stored_cases(file)[0]
 
 
 def solve_task(
@@ -214,7 +220,7 @@ def solve_case(task: Task) -> StoredCase:
     result = case_result(task.case, reconstruct(recording, task.case.estimator, _kept_frames(task)))
     check_folder(task.folder / CASES)
     write_results(task.file, [result])
-    return StoredCase.of(result, task.file)
+    return stored_cases(task.file)[0]
 
 
 @ONE_BLAS_THREAD
@@ -233,7 +239,7 @@ def solve_segment(segment: CaseSegment) -> list[Step]:
         return []
     own = several[segment.number]
     on_frame = _kept_frames(task, segment.number)
-    steps = list[Step]()
+    steps = []
     for _, step in frames.segment_steps(stream, own):
         steps.append(step)
         on_frame(len(steps), len(own), None)
@@ -256,12 +262,10 @@ def solve_long(task: Task, stored: StoredRecording) -> StoredCase:
         waiting = parts.estimates(
             lambda at: None if solved and not parts.independent else task.carried_over(at)
         )
-        for number in task.write_parts(waiting):
-            solved.append(number)
+        solved.extend(task.write_parts(waiting))
     join_case(task.file, [task.part(number) for number in task.whole_parts], task.case.recording)
     task.clear_parts()
-    [result] = stored_cases(task.file)
-    return result
+    return stored_cases(task.file)[0]
 
 
 @lru_cache(maxsize=1)  # a process solves several parts of a case

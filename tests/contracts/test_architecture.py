@@ -88,7 +88,6 @@ DOORS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("psutil", "threadpoolctl"), ("files.process",)),
     **dict.fromkeys(("pydantic", "ruamel"), ("files.document",)),
     "matplotlib": (
-        "files.process",
         "report.plots",
         "apps.page.all_frames",
         "apps.studies",

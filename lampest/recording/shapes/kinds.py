@@ -3,7 +3,7 @@
 from abc import abstractmethod
 from dataclasses import dataclass
 from math import cos, hypot, inf, radians, sin, sqrt
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -57,7 +57,7 @@ class Rod(RoundShape):
     20.0
     """
 
-    positive: ClassVar[tuple[str, ...]] = ("diameter_mm", "mass_g")
+    positive = ("diameter_mm", "mass_g")
     kind: Literal["rod"] = "rod"
     diameter_mm: float
     mass_g: float
@@ -80,7 +80,7 @@ class Ring(RoundShape):
     850.0
     """
 
-    positive: ClassVar[tuple[str, ...]] = ("inner_diameter_mm", "outer_diameter_mm", "mass_g")
+    positive = ("inner_diameter_mm", "outer_diameter_mm", "mass_g")
     kind: Literal["ring"] = "ring"
     inner_diameter_mm: float
     outer_diameter_mm: float
@@ -108,7 +108,7 @@ class SuctionCup(RoundShape):
     0.0
     """
 
-    positive: ClassVar[tuple[str, ...]] = ("inner_diameter_mm", "outer_diameter_mm")
+    positive = ("inner_diameter_mm", "outer_diameter_mm")
     kind: Literal["suction_cup"] = "suction_cup"
     inner_diameter_mm: float
     outer_diameter_mm: float
@@ -158,7 +158,7 @@ class OralDisc(RoundShape):
     'oral_disc'
     """
 
-    positive: ClassVar[tuple[str, ...]] = ("diameter_mm",)
+    positive = ("diameter_mm",)
     kind: Literal["oral_disc"] = "oral_disc"
     diameter_mm: float
     rim_width_mm: float
@@ -232,7 +232,7 @@ class Block(Shape):
     20.0
     """
 
-    positive: ClassVar[tuple[str, ...]] = ("length_mm", "width_mm", "mass_g")
+    positive = ("length_mm", "width_mm", "mass_g")
     kind: Literal["block"] = "block"
     length_mm: float
     width_mm: float

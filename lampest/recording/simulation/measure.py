@@ -6,7 +6,6 @@ The simulation includes circuit, multiplexers, converter, and effects outside th
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
-from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,12 +195,11 @@ def measured(
         Sums of the codes; None without a readout.
     """
     if scene.panel.modules is not None:
-        joined = _measured_modules(
-            scene, scene.panel.modules, cells, unmodelled, seed, period_s, scanned
-        )
         for _ in cells:
             on_frame()
-        return joined
+        return _measured_modules(
+            scene, scene.panel.modules, cells, unmodelled, seed, period_s, scanned
+        )
     actual, scene = _true_circuit(scene, unmodelled, seed)
     total = _exact_readings(actual, scene, unmodelled, seed, period_s, scanned or [cells])
     if scene.readout is None:
@@ -222,8 +220,12 @@ def _exact_readings(
     scanned: Sequence[Array],
 ) -> Array:
     """Return readings before the converter, of moving loads line by line, each with its error."""
-    passes = [_read(actual, scene, part, unmodelled, seed, period_s) for part in scanned]
-    total = _of_scan(actual, np.stack(passes))
+    passes = np.stack([_read(actual, scene, part, unmodelled, seed, period_s) for part in scanned])
+    # Every reading is of the pass in which its line of the scan was read.
+    crossings = scene.panel.crossings
+    lines = np.repeat(np.arange(len(passes)), -(-crossings // len(passes)))[:crossings]
+    read_in = in_panel_order(actual, lines.astype(float), scene.panel.shape).astype(int)
+    total: Array = np.take_along_axis(passes, read_in[None, None], axis=0)[0]
     if unmodelled.reading_error:
         from lampest.panel.effects.reading_error import READING_ERROR  # for this key alone
 
@@ -240,24 +242,17 @@ def _exact_readings(
 def _at_converter(
     actual: Readout, scene: Scene, total: Array, unmodelled: Unmodelled, seed: int, period_s: float
 ) -> Array:
-    """Return voltages at the converter, with its memory and all other effects."""
+    """Return voltages at the converter, with its memory and effects beyond the scene."""
     volt = actual.volt_from_recorded(total)
     if scene.known_memory is not None:
         volt = with_memory(actual, scene.known_memory, volt)
-    return _disturbed(actual, volt, unmodelled, seed, period_s)
-
-
-def _of_scan(readout: Readout, passes: Array) -> Array:
-    """Return every reading from the pass in which its line of the scan was read.
-
-    The passes have the shape (lines of the scan, frames, rows, columns).
-    """
-    count = len(passes)
-    shape = passes.shape[2:]
-    crossings = prod(shape)
-    lines = np.repeat(np.arange(count), -(-crossings // count))[:crossings]
-    read_in = in_panel_order(readout, lines.astype(float), shape).astype(int)
-    return np.asarray(np.take_along_axis(passes, read_in[None, None], axis=0)[0])
+    for listed in LISTED:
+        sizes = [getattr(unmodelled, name) for name in listed.at_converter]
+        if sizes and sizes[0]:
+            effect = loaded(listed.path)()
+            random = random_stream(seed, effect.stream)
+            volt = effect.disturbed(actual, volt, random, period_s, *sizes)
+    return volt
 
 
 def _measured_modules(
@@ -388,9 +383,8 @@ def sums_of_codes(
     """
     noise = random_stream(seed, "noise")
     outliers = random_stream(seed, "outliers")
-    sigma = noise_volt(readout) * (
-        1.0 if unmodelled.noise_factor is None else unmodelled.noise_factor
-    )
+    factor = unmodelled.noise_factor
+    sigma = noise_volt(readout) * (1.0 if factor is None else factor)
     sums = np.zeros(volt.shape, dtype=np.int64)
     for frame, exact in enumerate(volt):
         for first in range(0, readout.readings, 64):  # 64 conversions at once
@@ -417,20 +411,3 @@ def raw_sums(readout: Readout | None, sums: NDArray[np.int64] | None) -> NDArray
     if lowest < 0 or readout.readings * highest >= 2**16:
         return None
     return sums.astype(np.uint16)
-
-
-def _disturbed(
-    readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int, period_s: float
-) -> Array:
-    """Return voltages with the effects at the converter that the scene does not contain.
-
-    The voltages have the shape (frames, rows, columns), in V.
-    """
-    for listed in LISTED:
-        sizes = [getattr(unmodelled, name) for name in listed.at_converter]
-        if sizes and sizes[0]:
-            effect = loaded(listed.path)()
-            volt = effect.disturbed(
-                readout, volt, random_stream(seed, effect.stream), period_s, *sizes
-            )
-    return volt

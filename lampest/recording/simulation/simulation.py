@@ -280,11 +280,9 @@ def simulate(
     check_memory(size, f"{frames} frames of {scene.panel.crossings} cells")
     loaded_time = time - time[simulation.baseline_frames]
     cells = cells_under(simulation, time)
-    lines = 0
-    if moves:
-        lines = ladder.columns if by_columns(scene.circuit) else ladder.rows
+    lines = moves * (ladder.columns if by_columns(scene.circuit) else ladder.rows)
     later = ((np.arange(lines) + 0.5) / max(lines, 1) - 0.5) * simulation.frame_period_s
-    scanned = [cells_under(simulation, time, float(part)) for part in later]
+    scanned = [cells_under(simulation, time, part) for part in later.tolist()]
     recorded, sums = measured(
         scene, cells, unmodelled, simulation.seed, simulation.frame_period_s, scanned, on_frame
     )
@@ -395,7 +393,7 @@ def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
     film = simulation.film or scene.film
     if film is None:
         pressure = pressure_at(simulation, time - first, later_s)
-        return np.asarray(ratio_from_pressure(pressure, response) ** response.gains)
+        return ratio_from_pressure(pressure, response) ** response.gains
     water = water_pressure(scene.panel, simulation.water or scene.water)
 
     def strength(name: str, value: float | Literal["auto"], most: float) -> Array:
@@ -413,7 +411,7 @@ def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
     gain = np.broadcast_to(film.answer * response.gains, water.shape)
     at_rest = applications().required("film", "a film at rest", "film")
     memory = at_rest(hysteresis, creep, gain, water, response)
-    ratios = list[Array]()
+    ratios = []
     # The film's memory advances in MOMENTS steps per frame; the last step of each frame gives its
     # ratio.
     for begin in range(0, len(time), 64):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError, extra
 from lampest.report.compare import write_rows
 from lampest.report.words import no_formula
-from lampest.runs.case import CaseResult, all_columns
+from lampest.runs.case import CaseResult, Cases, all_columns
 from lampest.runs.columns import CELLS, FRAMES, Column
 
 MAX_SHEET_ROWS = 1_048_576  # of Excel
@@ -50,9 +50,7 @@ class Export(ABC):
     beside: ClassVar[str] = ""
 
     @abstractmethod
-    def write(
-        self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None
-    ) -> None:
+    def write(self, cases: Cases, name: str, path: Path, beside: Path | None) -> None:
         """Write the cases into the empty file `path`, and metadata into `beside`.
 
         `name` is the final name of `path`. Raises InputError for a missing library or cases that do
@@ -68,13 +66,11 @@ class CsvExport(Export):
     of every case.
     """
 
-    kind: ClassVar[str] = "csv"
-    suffix: ClassVar[str] = ".csv"
-    beside: ClassVar[str] = "-metadata.json"
+    kind = "csv"
+    suffix = ".csv"
+    beside = "-metadata.json"
 
-    def write(
-        self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None
-    ) -> None:
+    def write(self, cases: Cases, name: str, path: Path, beside: Path | None) -> None:
         """Write the table and its metadata."""
         assert beside is not None
         tables, meanings = long_tables(cases)
@@ -109,12 +105,10 @@ class ExcelExport(Export):
     Raises InputError for a case of more lines than a sheet of Excel holds.
     """
 
-    kind: ClassVar[str] = "xlsx"
-    suffix: ClassVar[str] = ".xlsx"
+    kind = "xlsx"
+    suffix = ".xlsx"
 
-    def write(
-        self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None
-    ) -> None:
+    def write(self, cases: Cases, name: str, path: Path, beside: Path | None) -> None:
         """Write the book."""
         with extra("tables"):
             import openpyxl
@@ -153,12 +147,10 @@ class ParquetExport(Export):
     The metadata of the schema hold the cases as JSON under `lampest`.
     """
 
-    kind: ClassVar[str] = "parquet"
-    suffix: ClassVar[str] = ".parquet"
+    kind = "parquet"
+    suffix = ".parquet"
 
-    def write(
-        self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None
-    ) -> None:
+    def write(self, cases: Cases, name: str, path: Path, beside: Path | None) -> None:
         """Write the table."""
         with extra("export"):
             import pyarrow
@@ -192,7 +184,7 @@ def _words(meaning: Column) -> dict[str, str]:
     return {str(value): word for value, word in meaning.flags}
 
 
-def long_tables(cases: Sequence[CaseResult]) -> tuple[list[Table], dict[str, Column]]:
+def long_tables(cases: Cases) -> tuple[list[Table], dict[str, Column]]:
     """Return a table of each case, with a line for every cell of every frame.
 
     Names end in their unit: time_s, x_mm, cell_resistance_ohm; those of counts, flags and texts
@@ -243,12 +235,10 @@ class MatlabExport(Export):
     `x` the positions in mm of the lines in `row` and `column`. Texts of frames are cell arrays.
     """
 
-    kind: ClassVar[str] = "mat"
-    suffix: ClassVar[str] = ".mat"
+    kind = "mat"
+    suffix = ".mat"
 
-    def write(
-        self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None
-    ) -> None:
+    def write(self, cases: Cases, name: str, path: Path, beside: Path | None) -> None:
         """Write a cell array of structs, since cases may hold different columns."""
         from scipy.io import savemat
         from scipy.io.matlab import MatWriteError
@@ -300,12 +290,10 @@ class ZarrExport(Export):
     files cannot appear whole.
     """
 
-    kind: ClassVar[str] = "zarr"
-    suffix: ClassVar[str] = ".zarr.zip"
+    kind = "zarr"
+    suffix = ".zarr.zip"
 
-    def write(
-        self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None
-    ) -> None:
+    def write(self, cases: Cases, name: str, path: Path, beside: Path | None) -> None:
         """Write the zip archive."""
         with extra("export"):
             from xarray import DataTree
@@ -340,7 +328,7 @@ def write_matlab(path: Path, name: str, columns: Mapping[str, Sequence[object]])
     """Write columns of plain values as a structure of MATLAB 5; None is NaN, or '' among words."""
     from scipy.io import savemat
 
-    arrays = dict[str, Any]()
+    arrays = {}
     for column, values in columns.items():
         words = any(isinstance(value, str) for value in values)
         blank: object = "" if words else np.nan

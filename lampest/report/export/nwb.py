@@ -2,18 +2,18 @@
 
 import hashlib
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from lampest.files.errors import InputError, extra
 from lampest.panel.conditions import Experiment, MeasuredSubject
 from lampest.report.export.formats import Export
-from lampest.runs.case import TIME, CaseResult
+from lampest.runs.case import TIME, CaseResult, Cases
 from lampest.runs.columns import CELLS
 
 
@@ -25,12 +25,10 @@ class NwbExport(Export):
     time are in a table of cells with positions in mm. A file holds one session with a start time.
     """
 
-    kind: ClassVar[str] = "nwb"
-    suffix: ClassVar[str] = ".nwb"
+    kind = "nwb"
+    suffix = ".nwb"
 
-    def write(
-        self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None
-    ) -> None:
+    def write(self, cases: Cases, name: str, path: Path, beside: Path | None) -> None:
         """Write the session.
 
         Raises InputError also for several recordings and for an unknown start.
@@ -61,7 +59,7 @@ class NwbExport(Export):
                 file.write(session)
 
 
-def _session(cases: Sequence[CaseResult]) -> Any:
+def _session(cases: Cases) -> Any:
     """Return subject, time and purpose of the session.
 
     Raises InputError without a start time in a time zone.

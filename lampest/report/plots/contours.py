@@ -11,16 +11,15 @@ from matplotlib.axes import Axes as Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure as Figure
 from matplotlib.ticker import LogLocator
-from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.files.typed import Validated
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.report.compare import MIN_DIFFERENCE, figures_of, weighted_residual
 from lampest.report.plots import maps, style
 from lampest.report.strongest import apparent_change, as_recorded, percent_change, strongest_index
 from lampest.report.words import digits
-from lampest.runs.case import CaseResult
+from lampest.runs.case import CaseResult, Cases
 
 CHANGED = 10.0  # percent: cells within the line about the load
 Scales = maps.Scale | list[maps.Scale]  # one for all maps, or several
@@ -60,23 +59,23 @@ class Plot(Validated):
     vmax: float | None = None
 
     @abstractmethod
-    def draw(self, cases: Sequence[CaseResult]) -> Figure:
+    def draw(self, cases: Cases) -> Figure:
         """Draw the cases of a recording that have the needed columns."""
 
-    def draw_on(self, axes: Axes, cases: Sequence[CaseResult]) -> None:
+    def draw_on(self, axes: Axes, cases: Cases) -> None:
         """Draw the first case into given axes.
 
         Raises InputError if the plot has no single picture.
         """
         raise InputError(f"the plot {self.kind} has no picture for single axes")
 
-    def drawable(self, cases: Sequence[CaseResult]) -> tuple[CaseResult, ...]:
+    def drawable(self, cases: Cases) -> tuple[CaseResult, ...]:
         """Return the cases that have the needed columns."""
         return tuple(
             case for case in cases if all(case.column(name) is not None for name in self.needs)
         )
 
-    def shown(self, cases: Sequence[CaseResult]) -> tuple[int, str]:
+    def shown(self, cases: Cases) -> tuple[int, str]:
         """Return the frame of the cases that is shown, and its title.
 
         Raises InputError if the frame has no results.
@@ -106,7 +105,7 @@ class MapsPlot(Plot):
     """
 
     @abstractmethod
-    def maps(self, cases: Sequence[CaseResult], index: int) -> Maps:
+    def maps(self, cases: Cases, index: int) -> Maps:
         """Return the maps of the cases' frame at an index, and their scales.
 
         Returns
@@ -130,7 +129,7 @@ class MapsPlot(Plot):
             for n, level in enumerate(scale)
         ]
 
-    def draw_on(self, axes: Axes, cases: Sequence[CaseResult]) -> None:
+    def draw_on(self, axes: Axes, cases: Cases) -> None:
         """Draw the map of the first case, with its colour bar.
 
         Raises InputError if the frame has no results.
@@ -147,7 +146,7 @@ class MapsPlot(Plot):
         axes.set_xlabel(maps.ACROSS_LABEL)
         axes.set_ylabel(maps.DOWN_LABEL)
 
-    def draw(self, cases: Sequence[CaseResult]) -> Figure:
+    def draw(self, cases: Cases) -> Figure:
         """Draw all estimators. Raises InputError if the frame has no results."""
         index, title = self.shown(cases)
         scale, tiles = self.maps(cases, index)
@@ -159,13 +158,13 @@ class MapsPlot(Plot):
         )
 
 
-def misfit_text(cases: Sequence[CaseResult]) -> str:
+def misfit_text(cases: Cases) -> str:
     """Return a sentence on estimators whose circuit does not explain the readings, or ''."""
     names = [case.estimator for case in cases if case.model_mark == "no"]
+    if not names:
+        return ""
     whose = "" if len(names) == len(cases) else f" of {', '.join(names)}"
-    return (
-        f"wrong circuit: it does not explain the readings{whose}; see lampest info" if names else ""
-    )
+    return f"wrong circuit: it does not explain the readings{whose}; see lampest info"
 
 
 @dataclass(frozen=True)
@@ -182,10 +181,10 @@ class ChangePlot(MapsPlot):
     'change'
     """
 
-    kind: ClassVar[str] = "change"
-    main: ClassVar[int] = 1
+    kind = "change"
+    main = 1
 
-    def maps(self, cases: Sequence[CaseResult], index: int) -> Maps:
+    def maps(self, cases: Cases, index: int) -> Maps:
         """Return maps of the relative change.
 
         Returns
@@ -200,9 +199,7 @@ class ChangePlot(MapsPlot):
         if first.truth is not None and first.truth_baseline is not None:
             truth = percent_change(first.truth[index], first.truth_baseline)
 
-        def tile(
-            name: str, change: Array | None, crosses: NDArray[np.bool_] | None = None
-        ) -> maps.Tile:
+        def tile(name: str, change: Array | None, crosses: Mask | None = None) -> maps.Tile:
             note = _range(change) if truth is None or change is truth else _error(change, truth)
             outlined = None if truth is None else np.abs(truth) > CHANGED
             return maps.Tile(name, change, note, crosses, outlined=outlined)
@@ -227,12 +224,12 @@ class ContourPlot(ChangePlot):
     'contours'
     """
 
-    kind: ClassVar[str] = "contours"
-    contoured: ClassVar[bool] = True
-    about: ClassVar[str] = "bands interpolate between the cells"
+    kind = "contours"
+    contoured = True
+    about = "bands interpolate between the cells"
 
 
-def estimated(case: CaseResult, cases: Sequence[CaseResult]) -> str:
+def estimated(case: CaseResult, cases: Cases) -> str:
     """Return the title of an estimator's map; a single estimator is marked as an estimate."""
     return case.estimator if len(cases) > 1 else f"estimated: {case.estimator}"
 
@@ -242,12 +239,10 @@ def _range(change: Array | None) -> str:
     if change is None:
         return ""
     known = change[np.isfinite(change)]
-    ends = (
-        [style.change_text(float(value), 10.0) for value in (known.min(), known.max())]
-        if known.size
-        else []
-    )
-    return f"{' … '.join(ends)} %" if ends else "no number"
+    if not known.size:
+        return "no number"
+    low, high = (style.change_text(float(end), 10.0) for end in (known.min(), known.max()))
+    return f"{low} … {high} %"
 
 
 def _error(change: Array | None, truth: Array) -> str:
@@ -275,11 +270,11 @@ class ResistancePlot(MapsPlot):
     'resistance'
     """
 
-    kind: ClassVar[str] = "resistance"
-    main: ClassVar[int] = 1
-    about: ClassVar[str] = "bright: low resistance, loaded"
+    kind = "resistance"
+    main = 1
+    about = "bright: low resistance, loaded"
 
-    def maps(self, cases: Sequence[CaseResult], index: int) -> Maps:
+    def maps(self, cases: Cases, index: int) -> Maps:
         """Return maps of readings and resistances.
 
         Returns
@@ -298,15 +293,12 @@ class ResistancePlot(MapsPlot):
         tiles = [
             maps.Tile(name, values if np.isfinite(values).any() else None) for name, values in named
         ]
-        label = [
-            f"reading {unit}",
-            *(f"resistance {unit.replace('volt', 'ohm')}" for _ in tiles[1:]),
-        ]
-        shown = zip(label, tiles, strict=True)
-        return [
-            maps.log_scale(maps.values_of([tile]), text, (1e-3, 1e12), "viridis_r")
-            for text, tile in shown
-        ], tiles
+        scales: list[maps.Scale] = []
+        for tile in tiles:
+            label = f"resistance {unit.replace('volt', 'ohm')}" if scales else f"reading {unit}"
+            values = maps.values_of([tile])
+            scales.append(maps.log_scale(values, label, (1e-3, 1e12), "viridis_r"))
+        return scales, tiles
 
 
 @dataclass(frozen=True)
@@ -321,10 +313,10 @@ class ResidualPlot(MapsPlot):
     'residuals'
     """
 
-    kind: ClassVar[str] = "residuals"
-    about: ClassVar[str] = "grey: no value was read"
+    kind = "residuals"
+    about = "grey: no value was read"
 
-    def maps(self, cases: Sequence[CaseResult], index: int) -> Maps:
+    def maps(self, cases: Cases, index: int) -> Maps:
         """Return maps of the residuals.
 
         Returns
@@ -364,13 +356,11 @@ class CertaintyPlot(MapsPlot):
     ('cell_resistance_errors', 'resolution')
     """
 
-    kind: ClassVar[str] = "certainty"
-    needs: ClassVar[tuple[str, ...]] = ("cell_resistance_errors", "resolution")
-    about: ClassVar[str] = (
-        "grey: no number (failed frame or open cell); 95 % intervals reach 1.96 sd"
-    )
+    kind = "certainty"
+    needs = ("cell_resistance_errors", "resolution")
+    about = "grey: no number (failed frame or open cell); 95 % intervals reach 1.96 sd"
 
-    def maps(self, cases: Sequence[CaseResult], index: int) -> Maps:
+    def maps(self, cases: Cases, index: int) -> Maps:
         """Return rows of standard deviations, resolutions, and errors.
 
         Returns
@@ -390,9 +380,9 @@ class CertaintyPlot(MapsPlot):
         truth = cases[0].truth
         if truth is not None:
             with np.errstate(divide="ignore", invalid="ignore"):
-                logs = [100 * np.log(estimate / truth[index]) for estimate in cells]
                 ratios = [
-                    error / deviation for error, deviation in zip(logs, deviations, strict=True)
+                    100 * np.log(estimate / truth[index]) / deviation
+                    for estimate, deviation in zip(cells, deviations, strict=True)
                 ]
             scales.append(
                 maps.signed_scale(ratios, "error / standard deviation", least=3.0, most=5.0)
@@ -413,14 +403,14 @@ class PressurePlot(MapsPlot):
     'pressure'
     """
 
-    kind: ClassVar[str] = "pressure"
-    needs: ClassVar[tuple[str, ...]] = ("pressure", "pressure_lower", "pressure_upper", "saturated")
-    hint: ClassVar[str] = (
+    kind = "pressure"
+    needs = ("pressure", "pressure_lower", "pressure_upper", "saturated")
+    hint = (
         "add the film's response to the scene, such as response: {kind: published}, and run again"
     )
-    about: ClassVar[str] = "grey: no number"
+    about = "grey: no number"
 
-    def maps(self, cases: Sequence[CaseResult], index: int) -> Maps:
+    def maps(self, cases: Cases, index: int) -> Maps:
         """Return rows of pressures and half widths of their intervals.
 
         Returns
@@ -468,13 +458,13 @@ class SweepPlot(Plot):
     'sweep'
     """
 
-    kind: ClassVar[str] = "sweep"
+    kind = "sweep"
 
-    def drawable(self, cases: Sequence[CaseResult]) -> tuple[CaseResult, ...]:
+    def drawable(self, cases: Cases) -> tuple[CaseResult, ...]:
         """Return all cases, if a number was swept in any of them."""
         return tuple(cases) if swept_numbers(cases) else ()
 
-    def draw(self, cases: Sequence[CaseResult]) -> Figure:
+    def draw(self, cases: Cases) -> Figure:
         """Draw a column for each swept key and a row for each quantity."""
         keys = swept_numbers(cases)
         quantities = _swept_errors(cases)
@@ -491,7 +481,7 @@ class SweepPlot(Plot):
         style.shared_legend(figure, grid, "lower center", ncols=3)
         return style.labelled(figure, "", "", cases[0].recording)
 
-    def draw_on(self, axes: Axes, cases: Sequence[CaseResult]) -> None:
+    def draw_on(self, axes: Axes, cases: Cases) -> None:
         """Draw the first quantity over the first swept key."""
         name, errors = next(iter(_swept_errors(cases).items()))
         key = swept_numbers(cases)[0]
@@ -501,16 +491,14 @@ class SweepPlot(Plot):
         axes.legend(fontsize=style.SMALL_POINT)
 
 
-def _swept_errors(cases: Sequence[CaseResult]) -> dict[str, list[float | None]]:
+def _swept_errors(cases: Cases) -> dict[str, list[float | None]]:
     """Return the errors of cases by the names of QUANTITIES, without those that no case has."""
     figures = [figures_of(case, case.solved) for case in cases]
     errors = {name: [figure[name] for figure in figures] for name in QUANTITIES}
-    return {
-        name: known for name, known in errors.items() if any(error is not None for error in known)
-    }
+    return {name: known for name, known in errors.items() if {*known} != {None}}
 
 
-def swept_numbers(cases: Sequence[CaseResult]) -> tuple[str, ...]:
+def swept_numbers(cases: Cases) -> tuple[str, ...]:
     """Return the keys for which several numbers were swept."""
     numbers: dict[str, set[float]] = {}
     for case in cases:
@@ -520,9 +508,7 @@ def swept_numbers(cases: Sequence[CaseResult]) -> tuple[str, ...]:
     return tuple(key for key, values in numbers.items() if len(values) > 1)
 
 
-def _draw_lines(
-    axes: Axes, key: str, cases: Sequence[CaseResult], errors: Sequence[float | None]
-) -> None:
+def _draw_lines(axes: Axes, key: str, cases: Cases, errors: Sequence[float | None]) -> None:
     """Draw the errors of cases over the values of a key.
 
     An estimator without swept numbers has a dashed line.

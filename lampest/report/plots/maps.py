@@ -17,10 +17,9 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator
 from matplotlib.tri import Triangulation
-from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Mask, Panel
 from lampest.report.plots import style
 
 # loads are blue: they lower the resistance and raise the pressure
@@ -91,9 +90,8 @@ def banded_scale(values: Sequence[Array], label: str) -> Scale:
     """
     limit = next((step for step in style.round_numbers(1, 100) if step >= _reach(values)), 100.0)
     ticks = np.linspace(-limit, limit, 11).tolist()
-    return stepped_scale(
-        (np.arange(1, 11) * limit / 10).tolist(), f"{label} (ends at ±{limit:g} %)", ticks
-    )
+    steps = (np.arange(1, 11) * limit / 10).tolist()
+    return stepped_scale(steps, f"{label} (ends at ±{limit:g} %)", ticks)
 
 
 def change_scale(values: Sequence[Array], label: str) -> Scale:
@@ -107,12 +105,7 @@ def change_scale(values: Sequence[Array], label: str) -> Scale:
         return banded_scale(values, label)
     factors = np.array(FACTORS)
     bounds = np.concatenate([100 / factors[::-1] - 100, 100 * factors - 100]).round()
-    return Scale(
-        BoundaryNorm(bounds, colormaps[SIGNED].N, extend="both"),
-        colormaps[SIGNED],
-        label,
-        bounds.tolist(),
-    )
+    return _with_bounds(bounds, colormaps[SIGNED], label, bounds.tolist())
 
 
 def stepped_scale(
@@ -120,9 +113,12 @@ def stepped_scale(
 ) -> Scale:
     """Return a scale of bands between ±steps, white within the first."""
     bounds = np.concatenate([np.negative(steps)[::-1], steps])
-    return Scale(
-        BoundaryNorm(bounds, colormaps[colours].N, extend="both"), colormaps[colours], label, ticks
-    )
+    return _with_bounds(bounds, colormaps[colours], label, ticks)
+
+
+def _with_bounds(bounds: Array, colours: Colormap, label: str, ticks: Sequence[float]) -> Scale:
+    """Return a scale of bands between given bounds."""
+    return Scale(BoundaryNorm(bounds, colours.N, extend="both"), colours, label, ticks)
 
 
 def limited(scale: Scale, low: float | None, high: float | None) -> Scale:
@@ -145,13 +141,8 @@ def limited(scale: Scale, low: float | None, high: float | None) -> Scale:
         ticks = np.linspace(first, last, 11)
         # The band about zero.
         white = np.linspace(first, last, 21)[[9, 11]] if first == -last else ticks[5:6]
-        bounds = np.sort([*ticks[:5], *white, *ticks[6:]]).tolist()
-        return Scale(
-            BoundaryNorm(bounds, scale.colours.N, extend="both"),
-            scale.colours,
-            label,
-            ticks.tolist(),
-        )
+        bounds = np.sort([*ticks[:5], *white, *ticks[6:]])
+        return _with_bounds(bounds, scale.colours, label, ticks.tolist())
     return Scale(Normalize(first, last), scale.colours, label)
 
 
@@ -184,9 +175,9 @@ class Tile:
     title: str
     values: Array | None
     note: str = ""
-    marked: NDArray[np.bool_] | None = None
+    marked: Mask | None = None
     mark: str = "open cell"
-    outlined: NDArray[np.bool_] | None = None
+    outlined: Mask | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,10 +219,8 @@ class MapPainter:
         else:
             self._patches(axes, tile.values)
         if self.contoured:
-            columns, rows = self.panel.places_mm
             axes.plot(
-                columns.ravel(),
-                rows.ravel(),
+                *map(np.ravel, self.panel.places_mm),
                 ".",
                 color="0.35",
                 ms=1,
@@ -243,7 +232,7 @@ class MapPainter:
         if tile.marked is not None and np.any(tile.marked):
             self._mark(axes, tile.marked, tile.mark)
 
-    def _outline(self, axes: Axes, outlined: NDArray[np.bool_]) -> None:
+    def _outline(self, axes: Axes, outlined: Mask) -> None:
         """Draw the outline of the true load along the edges of its cells."""
         # Ones and zeros on a grid so fine that the outline has the cells' corners.
         pitch = self.panel.pitch_mm
@@ -256,13 +245,11 @@ class MapPainter:
         edges.set_path_effects([withStroke(linewidth=2.8, foreground="white")])
         axes.plot([], [], color="black", lw=1.3, label="true outline of the load")
 
-    def _mark(self, axes: Axes, marked: NDArray[np.bool_], label: str) -> None:
+    def _mark(self, axes: Axes, marked: Mask, label: str) -> None:
         """Draw a cross on each marked cell."""
-        columns, rows = self.panel.places_mm
         size = float(np.clip(40 / max(self.panel.shape), 0.5, 4))
         (cross,) = axes.plot(
-            columns[marked],
-            rows[marked],
+            *self.panel.places_mm[:, marked],
             marker="x",
             label=label,
             color="black",
@@ -329,13 +316,11 @@ class MapPainter:
             "cmap": self.scale.colours.with_extremes(bad=NO_NUMBER),
             "norm": self.scale.norm,
         }
+        around = PolyCollection(outlines, facecolors="0.25", edgecolors="none", zorder=0.5)
         patches = PolyCollection(list(corners), edgecolor="face", lw=0.2, **look)
         patches.set_array(np.ma.masked_invalid(values))
-        for collection in (
-            PolyCollection(outlines, facecolors="0.25", edgecolors="none", zorder=0.5),
-            patches,
-        ):
-            axes.add_collection(collection)
+        axes.add_collection(around)
+        axes.add_collection(patches)
         flat = np.linalg.matrix_rank(places - places.mean(axis=0)) < 2
         if not (self.contoured and listed) or flat or not np.isfinite(values).all():
             return

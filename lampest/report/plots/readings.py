@@ -9,13 +9,12 @@ from matplotlib.colors import ListedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, counted
 from lampest.inference.prepared import Prepared
 from lampest.inference.readings.garbled import readings_of
 from lampest.inference.readings.judge import Cleaned
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 from lampest.recording.readings import Sidedness
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, opened
@@ -38,7 +37,7 @@ HEIGHT_INCH = 4.0
 MAX_ROW_TICKS = 16
 
 
-def states_of(cleaned: Cleaned, recorded: Array) -> NDArray[np.intp]:
+def states_of(cleaned: Cleaned, recorded: Array) -> Numbers:
     """Return the state of each reading of a single network, as an index into STATES.
 
     Parameters
@@ -68,7 +67,7 @@ def states_of(cleaned: Cleaned, recorded: Array) -> NDArray[np.intp]:
     return np.where(cleaned.recording.scene.requested, states, len(STATES) - 1)
 
 
-def _states(recording: Recording) -> NDArray[np.intp]:
+def _states(recording: Recording) -> Numbers:
     """Return the states of the readings of one network or of modules, of dead ones missing."""
     prepared = Prepared(recording)
     layout = prepared.layout
@@ -119,7 +118,7 @@ def readings_picture(recording: Recording) -> Figure:
     return figure
 
 
-def _legend(states: NDArray[np.intp], colours: Array) -> Iterator[Patch]:
+def _legend(states: Numbers, colours: Array) -> Iterator[Patch]:
     """Yield the colour and the number of readings of each state that occurs."""
     for state, words in enumerate(STATES):
         of_frames = (states == state).any(axis=(1, 2))
