@@ -47,6 +47,7 @@ FIELD_CELLS = (1.0, 2.0, 4.0, np.inf)
 OWN_SHARES = (1e-6, 1e-4, 1e-2, 1e-1)
 MAX_EXCHANGES = 4  # for each cell, of one search
 MIN_PIVOT = 1e-300  # rounding may take a pivot to zero, whose logarithm does not exist
+FIRST_ROOM = 16  # added cells for which memory is taken first; it doubles as needed
 MIN_STILL_SHARE = 0.3  # of the cells: with fewer still cells, a load covers the panel
 
 
@@ -439,9 +440,10 @@ def _gained(vector: Array, size: Array, column: Callable[[Numbers], Array]) -> A
     index = np.arange(len(vector))
     total = np.zeros(len(vector))
     added = np.zeros(vector.shape, dtype=bool)
-    # Rows of the pivoted Cholesky factors, one for each added cell
-    rows = np.empty((len(vector), 0, vector.shape[1]))
-    for _ in range(vector.shape[1]):
+    # Rows of the pivoted Cholesky factors, one for each added cell; there is room for some more.
+    room = np.empty((len(vector), FIRST_ROOM, vector.shape[1]))
+    for count in range(vector.shape[1]):
+        rows = room[:, :count]
         pivots = np.maximum(size, MIN_PIVOT)
         gains = np.where(added, -np.inf, vector**2 / pivots - np.log(pivots) - MOVED_COST)
         cells = np.argmax(gains, axis=1)
@@ -457,7 +459,8 @@ def _gained(vector: Array, size: Array, column: Callable[[Numbers], Array]) -> A
         pivot = np.where(active, of_cell[index, cells], 1.0)[:, None]
         of_cell = np.where(active[:, None], of_cell, 0.0)
         vector = vector - of_cell * (vector[index, cells][:, None] / pivot)
-        row = of_cell / np.sqrt(pivot)
-        rows = np.concatenate([rows, row[:, None]], axis=1)
-        size = size - row**2
+        if count == room.shape[1]:
+            room = np.concatenate([room, np.empty_like(room)], axis=1)
+        room[:, count] = of_cell / np.sqrt(pivot)
+        size = size - room[:, count] ** 2
     return total

@@ -329,10 +329,11 @@ class MotionSearch:
         share, _, own = position
         weights = np.stack([frame.displaced.weight.ravel() for frame in self.moving])
         still = np.array([[1 - np.mean(cells)] for cells in moved])
-        # K has a block a frame.
-        gain = block_diagonal([frame.fits[1].gain for frame in self.moving])
+        gains = [frame.fits[1].gain for frame in self.moving]
         by_share = np.concatenate([frame.by_motion for frame in self.moving])
         by_error = np.concatenate([frame.by_error for frame in self.moving])
+        if not self.own:
+            by_error = by_error[:, :0]
         # Errors of the unloaded panel and of the readings are those of all frames.
         unloaded = self.moving[0].unloaded
         apart = [
@@ -348,22 +349,29 @@ class MotionSearch:
         jacobian = -2 * np.sum(still * np.log(1 - share * weights))
         count = sum(int(cells.sum()) for cells in moved)
         cost = float(residual @ pull - volume + MOVED_COST * count + jacobian) / 2
-        # V_share and V_jitter are K diag(variances) Kᵀ, V_own is A Aᵀ.
+        # V_share and V_jitter are K diag(variances) Kᵀ, V_own is A Aᵀ; K has a block a frame.
         variances = np.concatenate([frame.slopes(share) for frame in self.moving], axis=1)
-        of_readings = gain.T @ precision @ gain
+        of_readings = _by_blocks(gains, _by_blocks(gains, precision).T)
         of_errors = by_error.T @ (precision @ by_error)
-        across = gain.T @ (precision @ by_error)
+        across = _by_blocks(gains, precision @ by_error)
         gradient = np.append(
-            variances @ (np.diag(of_readings) - (gain.T @ pull) ** 2),
+            variances @ (np.diag(of_readings) - _by_blocks(gains, pull) ** 2),
             np.trace(of_errors) - np.sum((by_error.T @ pull) ** 2),
         )
         gradient[0] += 2 * np.sum(still * weights / (1 - share * weights)) - 2 * by_share @ pull
         normal = np.zeros((3, 3))
         normal[:2, :2] = variances @ of_readings**2 @ variances.T
         normal[2, :2] = normal[:2, 2] = variances @ np.sum(across**2, axis=1)
-        normal[2, 2] = np.sum(of_errors**2)
+        normal[2, 2] = np.sum(of_errors**2) if self.own else 1.0
         normal[0, 0] += 2 * by_share @ precision @ by_share
         return MotionEvidence(position, cost, gradient / 2, normal / 2)
+
+
+def _by_blocks(blocks: Sequence[Array], matrix: Array) -> Array:
+    """Return Kᵀ A for a block-diagonal K, without its zeros."""
+    ends = np.cumsum([len(block) for block in blocks])[:-1]
+    parts = zip(blocks, np.split(matrix, ends), strict=True)
+    return np.concatenate([block.T @ part for block, part in parts])
 
 
 def moving_frames(
