@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lampest.apps.recognition.observation import Observation, Whitening, outliers
+from lampest.apps.recognition.sucking_disc import UNEVENNESS
 from lampest.files.levels import MAX_MEAN_SQUARE
 from lampest.panel.panel import Array, Numbers, Panel
 
@@ -88,7 +89,8 @@ def _about(frame: Observation, change: Array) -> Array:
     """Return the covariance of ln r of cells that follow a change in proportion."""
     unit = change.ravel() / max(float(np.abs(np.median(change))), np.finfo(float).tiny)
     uneven, _ = frame.baseline.film_parts(np.stack([change, *np.zeros((2, *change.shape))]))
-    return UNIFORM_SD**2 * np.outer(unit, unit) + frame.baseline.model_errors.response**2 * uneven
+    scatter = UNEVENNESS * frame.baseline.model_errors.response
+    return UNIFORM_SD**2 * np.outer(unit, unit) + scatter**2 * uneven
 
 
 def field_fit(frame: Observation) -> tuple[CellsUnderPrior, Observation]:

@@ -308,6 +308,7 @@ class Watch:
             known=False,
             next_s=begun_s + FIRST_S,
             unloaded=self.unloaded or self._unloaded_panel(),
+            film_sd=self.film_sd if self.present else self._residue_sd(begun_s),
             former=replace(self, former=None) if self.present else None,
         )
 
@@ -349,14 +350,12 @@ class Watch:
         )
 
     def _least_step(self, time: float) -> Array:
-        """Return the thresholds of the scores, (discs,).
-
-        A threshold is a part of the load that is present, or of a fading residue.
-        """
+        """Return thresholds of the scores, (discs,): parts of the load or of a fading residue."""
+        look = self.look
         if not self.present:
-            size: Array | float = 0.0 if self.look is None else self.look.fading(time)
-        elif self.known and self.look is not None and not self.look.over:
-            size = self.look.size
+            size: Array | float = 0.0 if look is None else look.size * look.fading(time)
+        elif self.known and look is not None and not look.over:
+            size = look.size
         else:
             size = self.test.sizes(self.level.mean - self.rest.mean)
         return np.maximum(self.test.least(), MIN_CHANGE * size)
@@ -432,6 +431,12 @@ class Watch:
         look = self._standing_look
         free = change if look is None else change[look.verdict.changed == 0]
         return float(np.median(free)) if free.size else 0.0
+
+    def _residue_sd(self, time: float) -> Array | float:
+        """Return `film_sd` by the residue of the loads that left before."""
+        look = self.look
+        share = self.setup.errors.residue
+        return 0.0 if look is None else share * look.fading(time) * look.reached.ravel()
 
     def _keeps(self, frame: Observation) -> Array | float:
         """Return `film_sd` after a step of the recognised load.

@@ -224,9 +224,9 @@ class Look:
             reached = np.maximum(former.reached, reached)
         return cls(verdict, size, time, reached)
 
-    def fading(self, time: float) -> Array:
-        """Return the scores of the residue of a load that left, (discs,)."""
-        return self.size / (1 + max(time - self.time_s, 0.0) / FOLLOWS_S)
+    def fading(self, time: float) -> float:
+        """Return the factor by which the residue of a load that left has faded."""
+        return 1 / (1 + max(time - self.time_s, 0.0) / FOLLOWS_S)
 
 
 def latest(window: Frames) -> Frames:

@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 from laws.recognised import PANEL
 
 from docs.studies.season import IN_TIME_S, drawn, matched, rows_of
@@ -29,6 +30,17 @@ def test_a_weak_mouth_that_leaves_beside_a_strong_one_has_its_own_end() -> None:
     for visit, (number,) in zip(pair, rows, strict=True):
         end = answer.attachments[number].until_s
         assert end is not None and abs(end - visit.end) < IN_TIME_S
+
+
+@pytest.mark.slow
+def test_the_residue_of_loads_that_left_is_no_contact() -> None:
+    """Two mouths leave, and 40 s later a rod arrives: their cells still recover."""
+    season, water = drawn(7111, rate=1.0)
+    answer = rows_of(season.recording(water[:450]))
+    begins = [load.since_s for load in answer.attachments]
+    assert len(begins) == 3
+    for visit, begin in zip(season.visits, sorted(begins), strict=False):
+        assert abs(begin - visit.begin) < IN_TIME_S
 
 
 def test_a_load_that_has_left_hides_no_later_step() -> None:
