@@ -231,8 +231,10 @@ def _points(tried: Array, over_noise: Array) -> Array:
 
     Errors below the noise leave the most probable cells where they are without any.
     """
+    if len(tried) == 1:
+        return tried
     sizes = LINEARISED_AT * np.median(over_noise)
-    return tried if len(tried) == 1 else LINEARISED_AT[(sizes == 0) | (sizes > MIN_OVER_NOISE)]
+    return LINEARISED_AT[(sizes == 0) | (sizes > MIN_OVER_NOISE)]
 
 
 def _place(errors: Array) -> Array:
