@@ -71,22 +71,25 @@ class CellsUnderPrior:
 
 
 def without_load(frame: Observation) -> list[CellsUnderPrior]:
-    """Return the explanations by no load, and by an equal pressure on all cells.
+    """Return the explanations by no load, and by a common change of all cells.
 
-    The latter is a level of the water, and resembles a drift of the whole panel. Cells deviate from
-    it as films respond differently.
+    In air that is a drift, which is equal in all of them. Under water it is a level, an equal
+    pressure, to which films respond differently.
     """
+    cells = frame.measured.size
+    start = np.zeros(frame.measured.shape)
+    common = _levelled(frame) if frame.water.any() else np.full((cells, cells), UNIFORM_SD**2)
+    priors = np.zeros((cells, cells)), common
+    return [CellsUnderPrior.of(frame, start, covariance) for covariance in priors]
+
+
+def _levelled(frame: Observation) -> Array:
+    """Return the covariance of ln r of cells under the pressure that most of them show."""
     response = frame.baseline.response
     at_rest = response.logarithm(frame.water)
     pressures = response.pressure(at_rest + frame.free_map / response.gains) - frame.water
     pressure = np.median(pressures[frame.panel.present])
-    start = np.zeros(frame.measured.shape)
-    risen, _ = frame.change(start + pressure)
-    return [CellsUnderPrior.of(frame, start, _about(frame, change)) for change in (start, risen)]
-
-
-def _about(frame: Observation, change: Array) -> Array:
-    """Return the covariance of ln r of cells that follow a change in proportion."""
+    change, _ = frame.change(np.full(frame.measured.shape, pressure))
     unit = change.ravel() / max(float(np.abs(np.median(change))), np.finfo(float).tiny)
     uneven, _ = frame.baseline.film_parts(np.stack([change, *np.zeros((2, *change.shape))]))
     scatter = UNEVENNESS * frame.baseline.model_errors.response

@@ -66,7 +66,7 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
         return "no cells explain the unloaded panel and a loaded frame"
     excess = nearest.pair.excess
     least, deviation = parabola(shares, costs / excess)
-    if deviation > MAX_DEVIATION:
+    if deviation > MAX_DEVIATION or least > MEMORIES[-1]:
         return "the load changes all channels alike: press a few cells"
     known = float(np.hypot(deviation, EDGE_ERROR))
     if _cost(tried[0]) - costs.min() > MIN_GAIN * excess:
