@@ -234,7 +234,7 @@ def _points(tried: Array, over_noise: Array) -> Array:
     if len(tried) == 1:
         return tried
     sizes = LINEARISED_AT * np.median(over_noise)
-    return LINEARISED_AT[(sizes == 0) | (sizes > MIN_OVER_NOISE)]
+    return np.asarray(LINEARISED_AT[(sizes == 0) | (sizes > MIN_OVER_NOISE)])
 
 
 def _place(errors: Array) -> Array:
