@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lampest.files.levels import MIN_EVIDENCE_GAIN
+from lampest.files.levels import DOUBTFUL_GAIN, MIN_EVIDENCE_GAIN
 from lampest.inference.circuits.explanation import ComparedFrames, Explanation
 from lampest.inference.circuits.parameters import MEMORIES as TRIED
 from lampest.inference.effects.effect import Determined, SceneEffect, Unnamed, names_none
@@ -66,19 +66,19 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
         return "no cells explain the unloaded panel and a loaded frame"
     excess = nearest.pair.excess
     least, deviation = parabola(shares, costs / excess)
-    if deviation > MAX_DEVIATION or least > MEMORIES[-1]:
-        return "the load changes all channels alike: press a few cells"
     known = float(np.hypot(deviation, EDGE_ERROR))
-    if _cost(tried[0]) - costs.min() > MIN_GAIN * excess:
-        return max(least, 0.0), known
-    return 0.0, float(np.hypot(least, known))
+    shown = _cost(tried[0]) - costs.min() > MIN_GAIN * excess
+    error = known if shown else float(np.hypot(least, known))
+    if error > MAX_DEVIATION or least > MEMORIES[-1]:
+        return "the load changes all channels alike: press a few cells"
+    return max(least, 0.0) if shown else 0.0, error
 
 
 def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
     """Return the decrease of −2 ln evidence by the best of the memories TRIED against none.
 
     The decrease is relative to the misfit of still cells, which errors that the scene does not name
-    increase. Larger memories are tried while the evidence grows: it has one maximum.
+    increase. Larger memories are tried while one is no worse than the best by DOUBTFUL_GAIN.
 
     Parameters
     ----------
@@ -94,9 +94,9 @@ def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
     best = without
     for share in TRIED:
         (further,) = _explanations(frames, np.array([share]), best, patient=patient)
-        if further is None or not _cost(further) < _cost(best):
+        if further is None or _cost(further) > _cost(best) + DOUBTFUL_GAIN:
             break
-        best = further
+        best = min(best, further, key=_cost)
     assert best.pair is not None
     return (_cost(without) - _cost(best)) / best.pair.excess
 
