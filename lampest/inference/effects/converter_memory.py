@@ -14,6 +14,7 @@ import numpy as np
 from lampest.files.levels import DOUBTFUL_GAIN, MIN_EVIDENCE_GAIN
 from lampest.inference.circuits.explanation import ComparedFrames, Explanation
 from lampest.inference.circuits.parameters import MEMORIES as TRIED
+from lampest.inference.circuits.parameters import may_gain_by_memory
 from lampest.inference.effects.effect import Determined, SceneEffect, Unnamed, names_none
 from lampest.inference.evidence import PARAMETER_COST
 from lampest.inference.noise import NoiseEstimate
@@ -89,8 +90,11 @@ def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
     """
     if frames.specified.scene.readout is None or without is None or without.pair is None:
         return 0.0
-    # Only where noise does not give the misfit without a memory, it counts with one
+    # Only where noise does not give the misfit without a memory, it counts with one. Under a wrong
+    # circuit that takes long, and linear theory promises nothing.
     patient = not all(fit.within_noise for fit in without.fits)
+    if patient and not may_gain_by_memory(without, frames):
+        return 0.0
     best = without
     for share in TRIED:
         (further,) = _explanations(frames, np.array([share]), best, patient=patient)
