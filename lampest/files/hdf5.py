@@ -281,10 +281,18 @@ def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> Non
 def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Dataset:
     """Write an uncompressed dataset, within the metadata if it is small; also scalars."""
     properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    if data.nbytes <= 60_000:  # HDF5's limit is 64 KiB
+    properties.set_obj_track_times(False)  # times would make equal contents different files
+    if data.nbytes <= 60_000:  # HDF5's limit is 64 KiB; h5py itself cannot request it for scalars
         properties.set_layout(h5py.h5d.COMPACT)
-    dataset = group.create_dataset(name, data=data, dcpl=properties)
+    links = h5py.h5p.create(h5py.h5p.LINK_CREATE)
+    links.set_create_intermediate_group(True)
+    scalar = h5py.h5s.create(h5py.h5s.SCALAR)
+    space = h5py.h5s.create_simple(data.shape) if data.shape else scalar
+    kind = h5py.h5t.py_create(data.dtype, logical=True)
+    node = h5py.h5d.create(group.id, name.encode("utf-8"), kind, space, properties, links)
+    dataset = h5py.Dataset(node)
     if data.size:
+        dataset[...] = data
         checksums.set_digests(dataset, data)
     return dataset
 
