@@ -19,6 +19,7 @@ from lampest.inference.effects.motion import (
 )
 from lampest.inference.evidence import usual_starts
 from lampest.inference.prepared import Prepared
+from lampest.panel.effects.converter_memory import KeptShare
 
 SPREAD = "systematic.channel_spread_ohm"
 SERIES = "systematic.series_tolerance_ohm"
@@ -174,6 +175,7 @@ def test_a_load_that_jitters_tells_no_memory() -> None:
     noise = Prepared(recording(102, LOADS["jitter"], Row(), both)).noise
     assert "converter_memory" not in noise.estimated
     assert "record one that stands" in noise.sentence
+    assert noise.frame.memory == KeptShare.prior == 0.03
 
 
 def lines_of(prepared: Prepared) -> set[str]:

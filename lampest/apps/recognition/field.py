@@ -84,7 +84,7 @@ def without_load(frame: Observation) -> list[CellsUnderPrior]:
 
 
 def _levelled(frame: Observation) -> Array:
-    """Return the covariance of ln r of cells under the pressure that most of them show."""
+    """Return the covariance (cells, cells) of ln r under the pressure that most cells show."""
     response = frame.baseline.response
     at_rest = response.logarithm(frame.water)
     pressures = response.pressure(at_rest + frame.free_map / response.gains) - frame.water
