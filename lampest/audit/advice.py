@@ -78,11 +78,11 @@ class Audit:
         one, all that show.
         """
         check = self.prepared.check
+        if check.better and not check.by_effect:
+            return ()
         found = unnamed_effects(self.prepared) if check.explains is not None else ()
         if check.explains or check.by_effect:
             return found
-        if check.better:
-            return ()
         for finding in (*found, *effects_to_try(self.prepared.recording.scene)):
             with suppress(InputError):
                 restored = named(self.prepared, finding)

@@ -9,13 +9,10 @@ The search adds or removes one cell at a time, each time the one that lowers −
 The sweep operator updates all gains after an exchange in O(cells²).
 
 A load is an extended thing: its cells change alike, and its outline counts, not its area. Where
-circuits are compared, the moved cells are single ones, as above, or loads with equal probability
-(`Changes.gain_of_loads`). Of loads d_M is N(0, S) with a smooth S, and ln |P_MM + 1| becomes
-ln |1 + P_MM S|. An outline costs OUTLINE_COST an edge, because a walk along edges goes on in one of
-three directions.
-
-A load that touches most cells has no outline. It is a smooth field, whose size, distance and share
-of each cell's own are open (`Changes.cost_of_field`).
+circuits are compared, the moved cells are single ones, as above, or a smooth field within an
+outline, whose size, distance and share of each cell's own are estimated (`Changes.cost_of_field`).
+An outline costs OUTLINE_COST an edge, because a walk along edges goes on in one of three
+directions. A load that touches all cells has none.
 Sources: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83, 1988; Goodnight, The American Statistician
 33, 1979; Madras & Slade, The Self-Avoiding Walk, 1993 (number of outlines of a length).
 """
@@ -24,27 +21,26 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from lampest.inference.assumptions import ASSUMED
 from lampest.inference.number import mean_cost
 from lampest.panel.panel import Array, Mask, Numbers
-from lampest.posterior.gaussian import Conditioned, Information
+from lampest.posterior.gaussian import Conditioned
 from lampest.posterior.linear import inverse_and_volume, misfit_and_volume, swept
 
 MOVED_COST = 2.8  # 2 ln 4: −2 ln of the prior odds of one to four that a cell moved
 OUTLINE_COST = 2 * float(np.log(3))  # for each edge between a moved and a still cell
-# Share of the variance of a load's changes that each cell has of its own: film and contact.
-OWN_SHARE = 0.01
 # −2 ln prior odds of a bound, an effect or a resistance in series that an explanation needs
 PARAMETER_COST = 12.0
 # Smooth fields that are tried: deviations of ln r, distances in cells, shares of the variance.
 FIELD_DEVIATIONS = (0.3, 1.0, 3.0)
+CORE_SHARE = 0.2  # of the largest change: the core of a load changes by more
 FIELD_CELLS = (1.0, 2.0, 4.0, np.inf)
 OWN_SHARES = (1e-6, 1e-4, 1e-2, 1e-1)
+TRIED_SIZES = (FIELD_DEVIATIONS, FIELD_CELLS, OWN_SHARES)
 MAX_EXCHANGES = 4  # for each cell, of one search
 MIN_PIVOT = 1e-300  # rounding may take a pivot to zero, whose logarithm does not exist
 FIRST_ROOM = 16  # added cells for which memory is taken first; it doubles as needed
@@ -131,39 +127,38 @@ class Changes:
         lost, moved = select_changed(slope, precision, starts, loaded)
         return lost + float(self.change @ slope) - volume, moved
 
-    def gain_of_loads(self, moved: Mask, place: Numbers) -> float:
-        """Return the decrease of −2 ln evidence where the moved cells may be loads.
-
-        Single cells and loads are equally probable. Where most cells moved, they are no load: the
-        crosstalk of a wrong circuit is smooth, too.
+    def cost_of_field(self, place: Numbers, changed: Mask) -> float:
+        """Return −2 ln evidence of the changes as a smooth field within an outline.
 
         Parameters
         ----------
+        place : integer array, shape (n, 2)
+            Row and column of each cell.
+        changed : boolean array, shape (n,)
+            Cells within the outline.
+        """
+
+        def cost(field: Array) -> float:
+            return sum(misfit_and_volume(self.covariance + field, self.change))
+
+        return OUTLINE_COST * outline(place, changed) + Field.within(place, changed).least(cost)[0]
+
+    def outlines(self, place: Numbers, moved: Mask) -> list[Mask]:
+        """Return outlines that a load may have: that of the moved cells, and one about its core.
+
+        Noise and the tail of a load make the first one long. The core are cells with more than
+        CORE_SHARE of the largest change, the outline is about their neighbours.
+
+        Parameters
+        ----------
+        place : integer array, shape (n, 2)
+            Row and column of each cell.
         moved : boolean array, shape (n,)
-            M.
-        place : integer array, shape (n, 2)
-            Row and column of each cell.
         """
-        if not mostly_still(moved):
-            return 0.0
-        precision = self.inverse_and_volume[0]
-        slope = (precision @ self.change)[moved]
-        of_moved = precision[np.ix_(moved, moved)]
-        as_loads = OUTLINE_COST * outline(place, moved) + _slab_cost(
-            of_moved, slope, covariance_of_load(place[moved])
-        )
-        as_cells = MOVED_COST * len(slope) + _slab_cost(of_moved, slope, np.eye(len(slope)))
-        return 2 * float(np.logaddexp(0.0, (as_cells - as_loads) / 2) - np.log(2))
-
-    def cost_of_field(self, place: Numbers) -> float:
-        """Return −2 ln evidence of the changes as a smooth field over all cells.
-
-        Parameters
-        ----------
-        place : integer array, shape (n, 2)
-            Row and column of each cell.
-        """
-        return mean_cost(np.array(covariances_of_field(place).costs(self.covariance, self.change)))
+        size = np.abs(self.change)
+        core = place[size > CORE_SHARE * size.max()]
+        distance = np.abs(place[:, None] - core).max(axis=-1)
+        return [moved, (distance <= 1).any(axis=1)]
 
     def part(self, cells: Mask) -> "Changes":
         """Return the changes of these cells alone."""
@@ -211,66 +206,76 @@ def smooth_covariance(place: Numbers, cells: float) -> Array:
     return np.asarray(np.exp(-square / (2 * cells**2)))
 
 
-def covariance_of_load(place: Numbers) -> Array:
-    """Return the covariance of the changes of a load's cells, (n, n).
-
-    Parameters
-    ----------
-    place : integer array, shape (n, 2)
-        Row and column of each cell.
-    """
-    smooth = smooth_covariance(place, ASSUMED.slope_cells)
-    return (1 - OWN_SHARE) * smooth + OWN_SHARE * np.eye(len(place))
-
-
-@dataclass(frozen=True, eq=False)
-class Mixtures:
-    """Covariances of changes that are sums of a few parts with different shares.
+class FieldSizes(NamedTuple):
+    """Sizes of a smooth field, as numbers of those that are tried.
 
     Attributes
     ----------
-    parts : array, shape (parts, n, n)
-    shares : array, shape (covariances, parts)
+    deviation, cells, own : int
+        Numbers of one of FIELD_DEVIATIONS, FIELD_CELLS and OWN_SHARES.
     """
 
-    parts: Array
-    shares: Array
+    deviation: int
+    cells: int
+    own: int
+
+
+MIDDLE_SIZES = FieldSizes(deviation=1, cells=1, own=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """Changes that are a smooth field within an outline, N(0, s² ((1 − o) S + o)).
+
+    All FIELD_DEVIATIONS s, FIELD_CELLS ℓ of S and shares OWN_SHARES o of a cell's own are equally
+    probable. Cells outside do not change.
+
+    Attributes
+    ----------
+    smooth : array, shape (distances, n, n)
+        S of each distance ℓ.
+    own : array, shape (n, n)
+        Covariance of changes of each cell's own.
+    """
+
+    smooth: Array
+    own: Array
 
     @classmethod
-    def one(cls, covariance: Array) -> Self:
-        """Return a single covariance, (n, n)."""
-        return cls(covariance[None], np.ones((1, 1)))
+    def within(cls, place: Numbers, changed: Mask) -> Self:
+        """Return the field of these cells.
 
-    def covariance(self, number: int) -> Array:
-        """Return the covariance of a number, (n, n)."""
-        return np.tensordot(self.shares[number], self.parts, 1)
+        Parameters
+        ----------
+        place : integer array, shape (n, 2)
+            Row and column of each cell.
+        changed : boolean array, shape (n,)
+        """
+        inside = np.outer(changed, changed)
+        smooth = [inside * smooth_covariance(place, cells) for cells in FIELD_CELLS]
+        return cls(np.stack(smooth), np.diag(changed.astype(float)))
 
-    def costs(self, known: Array, change: Array) -> list[float]:
-        """Return −2 ln density of changes d, (n,), with each covariance beside a known one."""
-        return [
-            sum(misfit_and_volume(known + self.covariance(number), change))
-            for number in range(len(self.shares))
-        ]
+    def through(self, jacobian: Array) -> "Field":
+        """Return the field of readings with this Jacobian, (readings, n)."""
+        return Field(jacobian @ self.smooth @ jacobian.T, jacobian @ self.own @ jacobian.T)
 
+    def covariance(self, sizes: FieldSizes) -> Array:
+        """Return the covariance with these sizes, (n, n)."""
+        own = OWN_SHARES[sizes.own]
+        shape = (1 - own) * self.smooth[sizes.cells] + own * self.own
+        return np.asarray(FIELD_DEVIATIONS[sizes.deviation] ** 2 * shape)
 
-def covariances_of_field(place: Numbers) -> Mixtures:
-    """Return the covariances s² ((1 − o) S + o) of a smooth field, S of a distance ℓ.
+    def least(self, cost: Callable[[Array], float]) -> tuple[float, FieldSizes]:
+        """Return −2 ln evidence of the field, and its most probable sizes.
 
-    All FIELD_DEVIATIONS s, FIELD_CELLS ℓ and shares OWN_SHARES o of a cell's own are equally
-    probable.
-
-    Parameters
-    ----------
-    place : integer array, shape (n, 2)
-        Row and column of each cell.
-    """
-    smooth = [smooth_covariance(place, cells) for cells in FIELD_CELLS]
-    *of_smooth, of_own = np.eye(len(smooth) + 1)
-    shares = [
-        ((1 - own) * of_one + own * of_own) * deviation**2
-        for of_one, own, deviation in product(of_smooth, OWN_SHARES, FIELD_DEVIATIONS)
-    ]
-    return Mixtures(np.stack([*smooth, np.eye(len(place))]), np.array(shares))
+        Parameters
+        ----------
+        cost : callable
+            Returns −2 ln density with a covariance, (n, n), of changes.
+        """
+        every = [FieldSizes(*each) for each in product(*map(range, map(len, TRIED_SIZES)))]
+        costs = np.array([cost(self.covariance(sizes)) for sizes in every])
+        return mean_cost(costs), every[int(costs.argmin())]
 
 
 def outline(place: Numbers, moved: Mask) -> int:
@@ -284,23 +289,6 @@ def outline(place: Numbers, moved: Mask) -> int:
     """
     distance = np.abs(place[moved, None] - place[~moved]).sum(axis=-1)
     return int((distance == 1).sum())
-
-
-def _slab_cost(precision: Array, slope: Array, slab: Array) -> float:
-    """Return ln |1 + P S| − sᵀ (P + S⁻¹)⁻¹ s of moved cells, the cost of the slab N(0, S).
-
-    Parameters
-    ----------
-    precision : array, shape (moved, moved)
-        P.
-    slope : array, shape (moved,)
-        s.
-    slab : array, shape (moved, moved)
-        S.
-    """
-    # With S = L Lᵀ the changes are L z, z ~ N(0, 1).
-    root = np.linalg.cholesky(slab)
-    return Information(root.T @ precision @ root, root.T @ slope).evidence_cost
 
 
 def usual_starts(change: Array) -> list[Mask]:

@@ -269,13 +269,13 @@ class FittedPair:
 
     @cached_property
     def _score(self) -> float:
-        """−2 ln evidence where the moved cells are single ones or loads."""
-        return self.evidence.score - self.gain_of_loads
-
-    @cached_property
-    def gain_of_loads(self) -> float:
-        """Decrease of −2 ln evidence where the moved cells may be loads."""
-        return self.changes.gain_of_loads(self.evidence.moved, self.place)
+        """−2 ln evidence where the moved cells are single ones, or a field within an outline."""
+        changes, place = self.changes, self.place
+        fields = [
+            changes.cost_of_field(place, outlined) + self._prior
+            for outlined in changes.outlines(place, self.evidence.moved)
+        ]
+        return mean_cost(np.array([self.evidence.score, *fields]))
 
     @property
     def place(self) -> Numbers:
@@ -316,13 +316,13 @@ class FittedPair:
 
     @cached_property
     def density_of_loads(self) -> float:
-        """`density` where the moved cells may be single ones, loads, or a smooth field."""
+        """`density` where the moved cells may be single ones, or a smooth field."""
         score = mean_cost(np.array([self._score, self._score_of_field]))
         return score - self.frames[1].log_volume + self._volume
 
     @property
     def is_field(self) -> bool:
-        """Whether the changes are rather a smooth field than single cells or loads."""
+        """Whether all cells rather changed than some."""
         return self._score_of_field < self._score
 
     @property
@@ -332,8 +332,9 @@ class FittedPair:
 
     @cached_property
     def _score_of_field(self) -> float:
-        """−2 ln evidence where all changes are a smooth field."""
-        return self.changes.cost_of_field(self.place) + self._prior
+        """−2 ln evidence where the changes of all cells are a smooth field."""
+        everywhere = np.ones_like(self.evidence.moved)
+        return self.changes.cost_of_field(self.place, everywhere) + self._prior
 
     @property
     def misfits(self) -> float:
@@ -363,7 +364,10 @@ class FittedPair:
         """Return −2 ln evidence of these cells alone, beyond that of noise."""
         changes = self.changes.part(cells)
         score, moved = changes.selected(usual_starts(changes.change))
-        score -= changes.gain_of_loads(moved, self.place[cells])
+        place = self.place[cells]
+        outlines = changes.outlines(place, moved)
+        fields = [changes.cost_of_field(place, outlined) for outlined in outlines]
+        score = mean_cost(np.array([score, *fields]))
         score += self._prior + self._volume - float(np.linalg.slogdet(changes.noise)[1])
         return score - min(changes.part(~moved).misfit, int((~moved).sum()))
 

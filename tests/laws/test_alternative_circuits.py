@@ -202,10 +202,12 @@ def test_a_search_for_a_resistance_in_series_ends_where_none_can_win(
     assert best is not None
     every_resistance = len(alternative_fits)
     alternative_fits.clear()
-    assert parameters.some_in_series(alternative, question, to_beat=best.score) is not None
+    assert (
+        parameters.some_in_series(alternative, question, to_beat=best.linear_evidence) is not None
+    )
     assert len(alternative_fits) == every_resistance
     alternative_fits.clear()
-    parameters.some_in_series(alternative, question, to_beat=best.score - 1000)
+    parameters.some_in_series(alternative, question, to_beat=best.linear_evidence - 1000)
     assert len(alternative_fits) == 1 < every_resistance
 
 

@@ -140,10 +140,6 @@ def test_a_wrong_circuit_is_found_where_most_cells_moved() -> None:
 
 
 @pytest.mark.slow
-@promise(
-    "theory/model_check: Changed cells are single ones, loads with an outline, "
-    "or all of them a smooth field, such as a palm or two feet."
-)
 def test_a_bar_over_whole_lines_is_no_other_circuit() -> None:
     """17 cells that moved alone cost more than two cells under crosstalk of 28 ohm."""
     drawn = sound(91002)

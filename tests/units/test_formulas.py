@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.stats import multivariate_normal, norm
 
 from lampest.apps.calibration.loads import _responses
 from lampest.files import levels
-from lampest.inference.assumptions import ASSUMED
 from lampest.inference.evidence import (
+    FIELD_CELLS,
+    FIELD_DEVIATIONS,
     MOVED_COST,
     OUTLINE_COST,
-    OWN_SHARE,
+    OWN_SHARES,
     Changes,
     scores_with_errors,
     select_changed,
@@ -86,26 +87,25 @@ def test_the_selected_cells_have_the_most_evidence_of_all_subsets(seed: int) -> 
     assert score[0] > evidence(change, covariance, moved) - ROUNDING
 
 
-def test_moved_cells_are_single_ones_or_loads_with_equal_probability() -> None:
-    """A bar costs its outline, and the smooth change of its cells."""
+def test_a_field_costs_its_outline_and_the_density_of_its_covariance() -> None:
+    """A bar costs six edges; all sizes of its field are equally probable."""
     change, covariance = random_change(20, 3)
     place = np.argwhere(np.ones((4, 5), dtype=bool))
     moved = (place[:, 0] >= 2) & (place[:, 1] < 4)
     change[moved] -= 0.8
-    distance = np.hypot(*(place[moved, None] - place[moved]).T)
-    smooth = np.exp(-(distance**2) / (2 * ASSUMED.slope_cells**2))
-    of_load = covariance.copy()
-    of_load[np.ix_(moved, moved)] += (1 - OWN_SHARE) * smooth + OWN_SHARE * np.eye(8)
-    volume = np.linalg.slogdet(of_load)[1] - np.linalg.slogdet(covariance)[1]
-    as_load = change @ np.linalg.solve(of_load, change) + volume + 6 * OUTLINE_COST
-    as_cells = evidence(change, covariance, moved)
-    either = np.exp(-as_load / 2) + np.exp(-as_cells / 2)
+    inside = np.outer(moved, moved)
+    distance = np.hypot(*(place[:, None] - place).T)
+    densities = []
+    for size, cells, own in product(FIELD_DEVIATIONS, FIELD_CELLS, OWN_SHARES):
+        smooth = np.exp(-(distance**2) / (2 * cells**2))
+        field = size**2 * inside * ((1 - own) * smooth + own * np.eye(20))
+        densities.append(multivariate_normal(None, covariance + field).pdf(change))
+    expected = -2 * np.log(np.mean(densities)) - 20 * np.log(2 * np.pi)
     changes = Changes(change, covariance, np.zeros((20, 1)))
-    gain = changes.gain_of_loads(moved, place)
-    assert gain == pytest.approx(as_cells + 2 * np.log(either / 2), rel=1e-6)
-    assert gain > 10
-    assert changes.gain_of_loads(np.zeros(20, dtype=bool), place) == 0
-    assert changes.gain_of_loads(place[:, 0] >= 1, place) == 0
+    assert changes.cost_of_field(place, moved) == pytest.approx(
+        expected + 6 * OUTLINE_COST, rel=1e-6
+    )
+    assert changes.cost_of_field(place, moved) < changes.cost_of_field(place, moved | ~moved)
 
 
 def test_the_strongest_cell_determines_changes_within_the_frames_of_a_load(

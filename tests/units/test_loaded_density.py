@@ -7,7 +7,7 @@ from lampest import LoadedColumnsReadout, Panel, Readings, Scene
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import fitted
 from lampest.inference.circuits.loaded_density import LoadedDensity
-from lampest.inference.evidence import Mixtures, covariances_of_field, smooth_covariance
+from lampest.inference.evidence import Field, FieldSizes
 from lampest.inference.pair import FittedPair
 from lampest.inference.unloaded_cells import film_scatter
 from lampest.panel.panel import Array
@@ -15,6 +15,7 @@ from lampest.panel.readouts.tolerances import tolerance_errors
 
 SIDE = 5
 COUNT = SIDE**2
+PLACE = np.argwhere(np.ones((SIDE, SIDE), dtype=bool))
 
 
 def pair_of_frames(noise: float) -> FittedPair:
@@ -89,12 +90,14 @@ def joint_cost(pair: FittedPair, changed: Array) -> float:
 def test_the_density_is_that_of_the_joint_distribution(changed: str) -> None:
     """Channels change what the unloaded readings say of the cells, too."""
     pair = pair_of_frames(2e-4)
-    place = np.argwhere(np.ones((SIDE, SIDE), dtype=bool))
     covariance = np.zeros((COUNT, COUNT))
     covariance[13, 13] = 1.0
     if changed == "a field":
-        covariance = 0.09 * (0.99 * smooth_covariance(place, 2.0) + 0.01 * np.eye(COUNT))
-    computed = LoadedDensity(pair)._cost_of(Mixtures.one(covariance))
+        field = Field.within(PLACE, np.ones(COUNT, dtype=bool))
+        covariance = field.covariance(FieldSizes(deviation=0, cells=1, own=2))
+    density = LoadedDensity(pair)
+    near = density._linearised(covariance, density._at_rest.cells)
+    computed = near.cost(near.through(covariance))
     assert computed == pytest.approx(joint_cost(pair, covariance), abs=1.0)
 
 
@@ -103,15 +106,19 @@ def test_changed_cells_are_selected_about_the_most_probable_ones() -> None:
     density = LoadedDensity(pair_of_frames(2e-3))
     changed = np.zeros(COUNT, dtype=bool)
     changed[13] = True
-    cost = density._cost_of_cells(changed)
+    cost, _ = density._with_cells(changed)
     for begin in (np.zeros_like(changed), ~changed):
-        assert density._cost_of_cells(begin) == pytest.approx(cost, abs=0.1)
+        found, cells = density._with_cells(begin)
+        assert found == pytest.approx(cost, abs=0.1)
+        assert np.array_equal(cells, changed)
 
 
-def test_fields_are_tried_with_all_deviations_distances_and_shares() -> None:
-    place = np.argwhere(np.ones((2, 3), dtype=bool))
-    fields = covariances_of_field(place)
-    last = 9.0 * (0.9 * np.ones((6, 6)) + 0.1 * np.eye(6))
-    first = 0.09 * ((1 - 1e-6) * smooth_covariance(place, 1.0) + 1e-6 * np.eye(6))
-    assert np.allclose(fields.covariance(0), first)
-    assert np.allclose(fields.covariance(len(fields.shares) - 1), last)
+def test_a_field_has_its_deviation_distance_and_share_within_its_outline() -> None:
+    changed = np.arange(COUNT) < SIDE
+    field = Field.within(PLACE, changed)
+    inside = np.outer(changed, changed)
+    last = 9.0 * (0.9 * inside + 0.1 * np.diag(changed))
+    assert np.allclose(field.covariance(FieldSizes(2, 3, 3)), last)
+    square = ((PLACE[:, None] - PLACE) ** 2).sum(axis=-1)
+    first = 0.09 * inside * ((1 - 1e-6) * np.exp(-square / 2) + 1e-6 * np.eye(COUNT))
+    assert np.allclose(field.covariance(FieldSizes(0, 0, 0)), first)

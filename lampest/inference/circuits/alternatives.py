@@ -22,6 +22,7 @@ from lampest.inference.circuits.kinds import (
     circuits_beside,
     entries_in_words,
     entries_of,
+    open_number_of,
     with_potentials,
 )
 from lampest.panel.lines import SeriesPerLine, opposite
@@ -70,6 +71,8 @@ class Alternative:
     order : array of int, or None
         Numbers of the recorded readings, rows first, in the order in which this alternative takes
         them; None: as recorded.
+    number : str
+        The setting of the readout whose value is to be estimated, ohm; ''.
     """
 
     scene: Scene
@@ -80,6 +83,7 @@ class Alternative:
     in_series: float | None = None
     at_limit: bool = False
     order: Numbers | None = None
+    number: str = ""
 
     @property
     def name(self) -> str:
@@ -124,6 +128,18 @@ class Alternative:
             scene=replace(self.scene, converter_memory=fraction),
             kind=f"{self.kind}, {named}" if self.kind else named,
             entries={**self.entries, "converter_memory": float(f"{fraction:.2g}")},
+        )
+
+    def with_number(self, ohm: float) -> "Alternative":
+        """Return the alternative with another value of its open number, ohm."""
+        specified: Any = self.scene.readout
+        readout = replace(specified, **{self.number: ohm})
+        entries = {**self.entries["readout"], self.number: float(f"{ohm:.2g}")}
+        return replace(
+            self,
+            scene=replace(self.scene, readout=readout),
+            kind=entries_in_words(entries),
+            entries={"readout": entries},
         )
 
     def ordered(self, values: Array) -> Array:
@@ -199,7 +215,12 @@ def alternatives_of(specified: Alternative, *, reversed_too: bool = False) -> It
             )
             entries = entries_of(circuit, readout)
             yield Alternative(
-                alternative, values, sigma, entries_in_words(entries), {"readout": entries}
+                alternative,
+                values,
+                sigma,
+                entries_in_words(entries),
+                {"readout": entries},
+                number=open_number_of(circuit),
             )
     yield from _listed_by_columns(specified, readout)
 

@@ -1,7 +1,7 @@
 """Choice of the alternative circuit that explains a recording better than the scene's.
 
-An alternative counts if its evidence is larger by MIN_EVIDENCE_GAIN. Its resistance in series and
-the memory of its converter are those of largest evidence.
+An alternative counts if its evidence is larger by MIN_EVIDENCE_GAIN. Its resistance in series, that
+of its idle lines and the memory of its converter are those of largest evidence.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,6 +29,7 @@ from lampest.inference.circuits.explanation import (
 from lampest.inference.circuits.parameters import (
     some_in_series,
     with_converter_memory,
+    with_number,
     with_series,
     without_series,
 )
@@ -37,7 +38,6 @@ from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation, cell_
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array
 
-SAME_SCORE = 1e-3  # scores that differ by less are rounding's
 # Fits end within some hundredths of their smallest χ², alternatives within SMALL_CHI_SQUARE.
 SAME_COST = SMALL_CHI_SQUARE
 COST_DIGITS = 6  # of a cost, behind the point: further ones are rounding
@@ -71,7 +71,8 @@ def better_alternative(frames: ComparedFrames, specified: Explanation | None) ->
             return BetterExplanation()
         if pair.beyond_noise < MIN_EVIDENCE_GAIN:
             return BetterExplanation()
-    candidates = _without_twins(_likely_alternatives(frames, specified))
+    likely = _without_twins(_likely_alternatives(frames, specified))
+    candidates = [with_number(explanation, frames) for explanation in likely]
     assumed = [] if specified is None else [specified]
     candidates += [with_series(explanation, frames) for explanation in (*candidates, *assumed)]
     candidates += [with_converter_memory(explanation, frames) for explanation in assumed]
@@ -96,15 +97,14 @@ def _likely_alternatives(
 ) -> list[Explanation]:
     """Return the MAX_CANDIDATES best explanations by alternatives, better ones than the scene's.
 
-    Alternatives whose inequalities the readings break are not fitted. A resistance in series only
-    makes these inequalities narrower, so that they are tested without one.
+    Of each number that alternatives have to estimate there is one more. Alternatives whose
+    inequalities the readings break are not fitted. A resistance in series only makes these
+    inequalities narrower, so that they are tested without one.
     """
     change = changes_beyond_noise(frames.specified.scene, frames.specified.readings, frames.role)
     mostly_increases = bool(change.max(initial=0.0) > -change.min(initial=0.0))
-    # circuits that only exchange the names of lines have the scene's score within rounding
-    limit = np.inf if specified is None else specified.score - SAME_SCORE
-    if specified is not None and specified.pair is not None:
-        limit -= specified.pair.gain_of_loads
+    # Circuits that only exchange the names of lines have the evidence of the scene's.
+    limit = np.inf if specified is None else specified.linear_evidence - SAME_COST
     alternatives = [
         alternative
         for alternative in (
@@ -127,8 +127,8 @@ def _likely_alternatives(
     # reach the best ones.
     for alternative, fits in failed:
         # The last of MAX_CANDIDATES explanations is to be beaten.
-        scores = sorted(explanation.score for explanation in explanations)
-        to_beat = min(limit, *scores[MAX_CANDIDATES - 1 : MAX_CANDIDATES], np.inf)
+        costs = sorted(explanation.linear_evidence for explanation in explanations)
+        to_beat = min(limit, *costs[MAX_CANDIDATES - 1 : MAX_CANDIDATES], np.inf)
         found = some_in_series(alternative, frames, to_beat, fits=fits, specified=specified)
         explanations += [found] if found else []
     if specified is None:
@@ -138,10 +138,13 @@ def _likely_alternatives(
             None if down is None else Explanation.of(down, frames),
         )
         explanations += [found for found in further if found]
-    better = [explanation for explanation in explanations if explanation.score < limit]
+    better = [explanation for explanation in explanations if explanation.linear_evidence < limit]
     # Circuits that differ in words alone keep the order in which they are tried.
-    best = sorted(better, key=lambda each: round(each.linear_evidence, COST_DIGITS))
-    best = best[:MAX_CANDIDATES]
+    better = sorted(better, key=lambda each: round(each.linear_evidence, COST_DIGITS))
+    best = [each for each in better if not each.alternative.number][:MAX_CANDIDATES]
+    # Of each number that is to be estimated the tried value with the largest evidence.
+    numbers = {each.alternative.number: each for each in reversed(better)}
+    best += [explanation for number, explanation in numbers.items() if number]
     return [explanation.final for explanation in best]
 
 
@@ -151,12 +154,14 @@ def _without_twins(candidates: Sequence[Explanation]) -> list[Explanation]:
     Readings in another order are so to circuits in which rows and columns change places. Of the
     two, `_best_candidate` prefers the one that keeps the file's order.
     """
-    kept = [candidate.score for candidate in candidates if candidate.alternative.order is None]
+    kept = [
+        candidate.linear_evidence for candidate in candidates if candidate.alternative.order is None
+    ]
     return [
         candidate
         for candidate in candidates
         if candidate.alternative.order is None
-        or not np.isclose(candidate.score, kept, rtol=0.0, atol=SAME_COST).any()
+        or not np.isclose(candidate.linear_evidence, kept, rtol=0.0, atol=SAME_COST).any()
     ]
 
 
@@ -195,11 +200,13 @@ def _best_candidate(
     )
 
     def cost(candidate: Explanation) -> float:
-        # Among alternatives a resistance in series is one more parameter, and so is a memory.
-        has_series = candidate.alternative.in_series is not None
-        has_memory = candidate.alternative.scene.converter_memory != specified_memory
+        # Among alternatives each number that is estimated is one more parameter.
+        alternative = candidate.alternative
+        has_series = alternative.in_series is not None
+        has_memory = alternative.scene.converter_memory != specified_memory
+        parameters = has_series + has_memory + bool(alternative.number)
         rises = RISING_COST * (reversible and _only_rises(candidate))
-        return evidence(candidate) + PARAMETER_COST * (has_series + has_memory) + rises
+        return evidence(candidate) + PARAMETER_COST * parameters + rises
 
     # of circuits that differ in the names of lines alone, the one that keeps the file's order
     least = min(map(cost, valid), default=0.0)
@@ -291,10 +298,13 @@ def _gain(specified: Explanation, best: Explanation) -> float:
     """Return the decrease of −2 ln evidence by another explanation of the same frames.
 
     The decrease is relative to the misfit of still cells, which errors that the scene does not name
-    increase.
+    increase. No field describes every load: where single cells alone are likelier under the scene's
+    circuit, their evidence counts against the gain.
     """
     assert best.pair is not None
-    return (specified.evidence - best.evidence) / best.pair.excess
+    by_cells = min(specified.score - best.score, 0.0)
+    gain = specified.evidence - best.evidence + by_cells
+    return (gain - PARAMETER_COST * bool(best.alternative.number)) / best.pair.excess
 
 
 def _confirmed(specified: Explanation, best: Explanation, frames: ComparedFrames) -> bool:

@@ -1,8 +1,8 @@
 """Circuits of other kinds and settings with the converter and the resistor of a scene.
 
 Every preset is one, with either side driven; so are circuits with sensed lines read in parallel,
-with idle lines held by switches, and with potentials that people build. A circuit has a name by the
-entries of a scene that state it.
+with idle lines held by switches or resistors, and with potentials that people build. A circuit has
+a name by the entries of a scene that state it.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -37,6 +37,8 @@ OF_ONE_KEY = {
     "input_ohm": "of the converter",
 }
 OF_STATES = ("idle_ohm", "idle_volt", "idle_load_ohm")  # that name a driven circuit
+RESISTORS_OF_IDLE = ("idle_ohm", "idle_load_ohm")
+HELD_OHM = (1e3, 3e3, 1e4, 3e4)  # of pull-down resistors, those of microcontrollers included
 SIDES: tuple[Side, ...] = ("rows", "columns")
 INPUT_OHM = 1e5  # of a converter behind a divider of its module; those of chips are larger
 PARALLEL = (2, 4)  # multiplexers in parallel: 16 lines on two of eight or four of four channels
@@ -113,9 +115,9 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
 
     The converter, the resistor and all other common settings are those of the specified circuit.
     """
-    # Its presets are alternatives of their own; what remains has lines that switches hold.
+    # Its presets are alternatives of their own; what remains has idle lines that are held.
     if kind is DrivenReadout:
-        yield from _held_at_ground(specified)
+        yield from _held_lines(specified)
         return
     words = choices(kind)
     types = get_type_hints(kind)
@@ -134,23 +136,38 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
             yield kind(**shared, **dict(zip(words, chosen, strict=True)))
 
 
-def _held_at_ground(specified: Any) -> Iterator[DrivenReadout]:
-    """Generate circuits whose idle driven lines switches hold at ground.
+def _held_lines(specified: Any) -> Iterator[DrivenReadout]:
+    """Generate circuits whose idle lines switches hold at ground, or resistors near it.
 
-    Idle sensed lines keep their load, are held at ground, or float.
+    Where switches hold the driven lines, idle sensed ones keep their load, are held at ground, or
+    float. Resistors are at one side, of HELD_OHM at first (`open_number_of`). They do not exchange
+    sides, too.
     """
     resistor = _resistor_of(specified)
     if resistor is None:
         return
-    for driven, idle_load in product(SIDES, (None, 0.0, inf)):
+    by_switches = product(SIDES, product((0.0,), (None, 0.0, inf)))
+    sides = (specified.driven,) if hasattr(specified, "driven") else SIDES
+    by_resistors = product(sides, (*product(HELD_OHM, (None, inf)), *product((inf,), HELD_OHM)))
+    for driven, (idle, idle_load) in (*by_switches, *by_resistors):
         with suppress(ValueError):
             yield DrivenReadout(
                 driven=driven,
-                idle_ohm=0.0,
+                idle_ohm=idle,
                 load_ohm=resistor,
                 idle_load_ohm=idle_load,
                 **_shared(specified),
             )
+
+
+def open_number_of(circuit: Readout) -> str:
+    """Return the setting with the resistor of idle lines that holds them near ground, '' if none.
+
+    Its value is to be estimated.
+    """
+    if not isinstance(circuit, DrivenReadout):
+        return ""
+    return next((name for name in RESISTORS_OF_IDLE if getattr(circuit, name) in HELD_OHM), "")
 
 
 def _resistor_of(specified: Any) -> Any:

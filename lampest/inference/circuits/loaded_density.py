@@ -7,7 +7,7 @@ are u ~ N(m, C) with
 
     C = P + creep² 1 + common² 1 1ᵀ + S,
 
-where S is the covariance of single changed cells, of a load, or of a smooth field
+where S is the covariance of single changed cells, or of a smooth field within an outline
 (`lampest.inference.evidence`). With the readings linearised at the most probable u,
 
     −2 ln p(y) = eᵀ V⁻¹ e + ln |V|,   e = (y − f(u) + J (u − m))/σ,   V = 1 + (J C Jᵀ + A Aᵀ)/σ²,
@@ -16,8 +16,9 @@ where A is the change of the readings by channels of one standard deviation, les
 channels change by way of m. Channels that are alike, A = 0, are equally probable.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -25,12 +26,10 @@ import numpy as np
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import data_of_cells
 from lampest.inference.evidence import (
+    MIDDLE_SIZES,
     MOVED_COST,
     OUTLINE_COST,
-    Mixtures,
-    covariance_of_load,
-    covariances_of_field,
-    mostly_still,
+    Field,
     outline,
     select_changed,
 )
@@ -40,7 +39,7 @@ from lampest.inference.unloaded_cells import AtRest, most_probable_cells
 from lampest.panel.panel import Array, Mask
 from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.scene import Scene
-from lampest.posterior.linear import inverse_and_volume
+from lampest.posterior.linear import inverse_and_volume, misfit_and_volume
 
 MAX_ROUNDS = 3  # of linearisations, each with the changes that are likeliest then
 
@@ -58,45 +57,35 @@ class LoadedDensity:
 
     @cached_property
     def cost(self) -> float:
-        """−2 ln density where the changed cells may be single ones, loads, or a smooth field.
+        """−2 ln density where the changes are single cells, or a field of these or of all cells.
 
         Raises one of BROKEN where arithmetic fails.
         """
         # Linear theory may see no change where a reading hardly depends on its cell: cells are
         # taken away from all, too.
         moved = self.pair.evidence.moved
-        cells = min(map(self._cost_of_cells, (moved, np.ones_like(moved))))
-        field = self._cost_of(covariances_of_field(self.pair.place))
-        return mean_cost(np.array([cells, field]))
+        everywhere = np.ones_like(moved)
+        cells, changed = min(map(self._with_cells, (moved, everywhere)), key=itemgetter(0))
+        outlines = self.pair.changes.outlines(self.pair.place, changed)
+        some = mean_cost(np.array([cells, *map(self._cost_of_field, outlines)]))
+        return mean_cost(np.array([some, self._cost_of_field(everywhere)]))
 
-    def _cost_of_cells(self, changed: Mask) -> float:
-        """Return the least −2 ln density of changed cells, beginning at these.
+    def _with_cells(self, changed: Mask) -> tuple[float, Mask]:
+        """Return the least −2 ln density of single changed cells, beginning at these, and them.
 
         Cells are added and removed by the readings, linearised at the most probable cells of the
         set before.
         """
-        cost = np.inf
+        cost, best = np.inf, changed
         for _ in range(MAX_ROUNDS):
-            near = self._linearised(np.diag(changed.astype(float)), self._at_rest.cells)
-            further = self._cost_of_set(changed, near)
+            single = np.diag(changed.astype(float))
+            near = self._linearised(single, self._at_rest.cells)
+            further = MOVED_COST * int(changed.sum()) + near.cost(near.through(single))
             if not further < cost:
                 break
-            cost = further
+            cost, best = further, changed
             changed = near.selected(changed)
-        return cost
-
-    def _cost_of_set(self, changed: Mask, near: "_LinearReadings") -> float:
-        """Return −2 ln density where these cells changed, as single ones or as a load."""
-        count = int(changed.sum())
-        single = Mixtures.one(np.diag(changed.astype(float)))
-        as_cells = MOVED_COST * count + mean_cost(near.costs(single))
-        if not (count and mostly_still(changed)):
-            return as_cells
-        place = self.pair.place
-        covariance = np.zeros((len(place), len(place)))
-        covariance[np.ix_(changed, changed)] = covariance_of_load(place[changed])
-        as_load = OUTLINE_COST * outline(place, changed) + self._cost_of(Mixtures.one(covariance))
-        return mean_cost(np.array([as_cells, as_load]))
+        return cost, best
 
     @cached_property
     def _at_rest(self) -> AtRest:
@@ -126,19 +115,18 @@ class LoadedDensity:
         creep = ASSUMED.creep**2 * np.eye(self.pair.change.size)
         return self._at_rest.covariance + creep + ASSUMED.common_change**2
 
-    def _cost_of(self, changes: Mixtures) -> float:
-        """Return −2 ln of the mean density over covariances S of the changes."""
-        mean = self._at_rest.cells
-        likeliest = len(changes.shares) // 2
+    def _cost_of_field(self, changed: Mask) -> float:
+        """Return −2 ln density where the changes are a smooth field within an outline."""
+        field = Field.within(self.pair.place, changed)
+        cells, sizes = self._at_rest.cells, MIDDLE_SIZES
         for _ in range(MAX_ROUNDS):
-            taken = likeliest
-            near = self._linearised(changes.covariance(taken), mean)
-            costs = near.costs(changes)
-            likeliest = int(costs.min(axis=0).argmin())
-            if likeliest == taken:
+            taken = sizes
+            near = self._linearised(field.covariance(taken), cells)
+            cost, sizes = field.through(near.jacobian).least(near.cost)
+            if sizes == taken:
                 break
-            mean = near.cells
-        return mean_cost(costs)
+            cells = near.cells
+        return cost + OUTLINE_COST * outline(self.pair.place, changed)
 
     def _linearised(self, change: Array, start: Array) -> "_LinearReadings":
         """Return the readings at the most probable cells where changes have this covariance.
@@ -193,14 +181,22 @@ class _LinearReadings(NamedTuple):
     errors: Array
     unchanged: tuple[Array, Array]
 
-    def costs(self, changes: Mixtures) -> Array:
-        """Return −2 ln density with each V and each covariance S, (2, covariances)."""
-        through = replace(changes, parts=self.jacobian @ changes.parts @ self.jacobian.T)
-        return np.array([through.costs(known, self.errors) for known in self.unchanged])
+    def through(self, changes: Array) -> Array:
+        """Return the covariance of the readings by changes with a covariance S."""
+        return np.asarray(self.jacobian @ changes @ self.jacobian.T)
+
+    def cost(self, changes: Array) -> float:
+        """Return −2 ln density where changes give the readings this covariance."""
+        return mean_cost(self.costs(changes))
+
+    def costs(self, changes: Array) -> Array:
+        """Return −2 ln density with each V beside a covariance of the readings by changes, (2,)."""
+        known = (sum(misfit_and_volume(each + changes, self.errors)) for each in self.unchanged)
+        return np.array(list(known))
 
     def selected(self, changed: Mask) -> Mask:
         """Return the changed cells with the largest evidence, beginning at these."""
-        costs = self.costs(Mixtures.one(np.diag(changed.astype(float))))[:, 0]
+        costs = self.costs(self.through(np.diag(changed.astype(float))))
         precision = inverse_and_volume(self.unchanged[int(costs.argmin())])[0]
         weighted = self.jacobian.T @ precision
         return select_changed(weighted @ self.errors, weighted @ self.jacobian, [changed])[1]

@@ -1,4 +1,4 @@
-"""Most probable parameters of an alternative: a resistance in series, the converter's memory.
+"""Most probable parameters of an alternative: a resistance in series, of idle lines, a memory.
 
 A coarse grid is tried first. A search about its best value follows. Where linear theory allows no
 gain, neither is made: each value that is tried costs fits of both frames.
@@ -41,6 +41,8 @@ MIN_MEMORY = MEMORIES[0] / 2 * 1.1
 MAX_MEMORY = MEMORIES[-1] * 1.9
 MIN_LINEAR_SHARE = 0.5  # of the gain by a memory that linear theory gives at least
 MEMORY_ACCURACY = 0.03  # of the search about the best one, as a share of it
+NUMBER_RANGE = float(np.log(3))  # of ln of an open number, from one tried value to the next
+NUMBER_ACCURACY = 0.1
 SERIES_ACCURACY = 0.05  # of that search, as a share of their distance
 
 
@@ -63,8 +65,8 @@ def some_in_series(
         A circuit that does not explain the frames with its given resistance.
     frames : ComparedFrames
     to_beat : float
-        Score above which an explanation does not count. The search ends where linear theory gives
-        no resistance a score that exceeds it by less than FAR.
+        Evidence above which an explanation does not count. The search ends where linear theory
+        gives no resistance one that exceeds it by less than FAR.
     fits : tuple of CellsFit
         Fits with the given resistance where they explain only the unloaded panel.
     specified : Explanation or None
@@ -85,9 +87,9 @@ def some_in_series(
         if explanation is None:
             continue
         near = explanation
-        if best is None or explanation.score < best.score:
+        if best is None or explanation.linear_evidence < best.linear_evidence:
             best = explanation
-        beyond = explanation.score - to_beat - FAR
+        beyond = explanation.linear_evidence - to_beat - FAR
         if beyond > 0 and beyond > _gain_by_series(explanation, most):
             break
     return best
@@ -168,6 +170,17 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
     golden_section(search.score, coarse / 2, 2 * coarse, 2 * MEMORY_ACCURACY * coarse)
     fraction = search.best.alternative.scene.known_memory or 0.0
     return search.best.final if MIN_MEMORY < fraction < MAX_MEMORY else explanation
+
+
+def with_number(explanation: Explanation, frames: ComparedFrames) -> Explanation:
+    """Return a circuit's explanation with the most probable value of its open number, if any."""
+    alternative = explanation.alternative
+    if not alternative.number:
+        return explanation
+    middle = float(np.log(getattr(alternative.scene.readout, alternative.number)))
+    search = _ParameterSearch(lambda log: alternative.with_number(np.exp(log)), frames, explanation)
+    golden_section(search.score, middle - NUMBER_RANGE, middle + NUMBER_RANGE, NUMBER_ACCURACY)
+    return search.best.final
 
 
 @dataclass(eq=False)
