@@ -21,6 +21,7 @@ from lampest import (
 from lampest.files.levels import MIN_EVIDENCE_GAIN, NOISE_REACH
 from lampest.inference.circuits.alternatives import Alternative
 from lampest.inference.effects.converter_memory import estimated_memory, memory_gain
+from lampest.inference.effects.effect import names_none
 from lampest.inference.prepared import Prepared
 from lampest.panel.readouts.channel_memory import with_memory
 from lampest.panel.readouts.readout import Readout
@@ -143,3 +144,13 @@ def test_a_palm_shows_a_large_memory() -> None:
     assert gain_of(recording(16001, LOADS["palm"], Row(), {})) < MIN_EVIDENCE_GAIN
     estimate = estimated_memory(made)
     assert not isinstance(estimate, str) and abs(estimate[0] - 0.16) < NOISE_REACH * estimate[1]
+
+
+def test_a_memory_that_a_scene_names_is_not_advised_where_nothing_determines_it() -> None:
+    """Advice that tries what it advises would never end."""
+    generator = np.random.default_rng(7)
+    recording = recording_of(COLUMNS, np.full((2 * FRAMES, 8, 8), 2000.0), 0.05, generator)
+    scene = replace(recording.scene, converter_memory="estimated")
+    prepared = Prepared(replace(recording, scene=scene))
+    assert prepared.cleaned.recording.scene.converter_memory is None
+    assert not names_none(prepared, "converter_memory")

@@ -18,7 +18,7 @@ Determined = tuple[float, float] | str  # a number with its standard deviation, 
 
 def names_none(prepared: Prepared, *keys: str) -> bool:
     """Return whether the scene of a recording names none of these keys."""
-    scene = prepared.cleaned.recording.scene
+    scene = prepared.recording.scene
     return all(specified(scene, key) is None for key in keys)
 
 
