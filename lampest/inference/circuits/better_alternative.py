@@ -111,7 +111,10 @@ def _likely_alternatives(
             *alternatives_of(frames.specified, reversed_too=mostly_increases),
             *other_converters(frames.specified, reversed_too=mostly_increases),
         )
-        if not broken_law(without_series(alternative), frames)
+        # Readings that the scene's circuit cannot give may be wrong ones, which some circuit gives
+        # with a number that is to be estimated.
+        if not (specified is None and alternative.number)
+        and not broken_law(without_series(alternative), frames)
     ]
     explanations = list[Explanation]()
     failed = list[tuple[Alternative, tuple[CellsFit, ...]]]()
