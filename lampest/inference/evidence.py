@@ -141,7 +141,8 @@ class Changes:
         def cost(field: Array) -> float:
             return sum(misfit_and_volume(self.covariance + field, self.change))
 
-        return OUTLINE_COST * outline(place, changed) + Field.within(place, changed).least(cost)[0]
+        evidence, _ = Field.within(place, changed).evidence(cost)
+        return OUTLINE_COST * outline(place, changed) + evidence
 
     def outlines(self, place: Numbers, moved: Mask) -> list[Mask]:
         """Return outlines that a load may have: that of the moved cells, and one about its core.
@@ -265,7 +266,7 @@ class Field:
         shape = (1 - own) * self.smooth[sizes.cells] + own * self.own
         return np.asarray(FIELD_DEVIATIONS[sizes.deviation] ** 2 * shape)
 
-    def least(self, cost: Callable[[Array], float]) -> tuple[float, FieldSizes]:
+    def evidence(self, cost: Callable[[Array], float]) -> tuple[float, FieldSizes]:
         """Return −2 ln evidence of the field, and its most probable sizes.
 
         Parameters

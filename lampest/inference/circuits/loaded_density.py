@@ -122,7 +122,7 @@ class LoadedDensity:
         for _ in range(MAX_ROUNDS):
             taken = sizes
             near = self._linearised(field.covariance(taken), cells)
-            cost, sizes = field.through(near.jacobian).least(near.cost)
+            cost, sizes = field.through(near.jacobian).evidence(near.cost)
             if sizes == taken:
                 break
             cells = near.cells
