@@ -20,13 +20,6 @@ class Assumptions:
         Change of all cells alike from frame to frame, as by temperature and supply: some percent.
     creep : float
         Change of each untouched cell since the unloaded frames, by drift and scatter together.
-    skirt : float
-        Change in the skirt of a load, or under a load that covers many cells.
-    skirt_cells : float
-        Distance over which changes in a skirt are correlated, in cells.
-    slope_cells : float
-        The same on the slope of a load that is wider than a few cells: with `skirt_cells` alone,
-        80 % of the cells are within their bars where channels differ by 5 ohm under a palm.
     jump : float
         Change between frames under a load, and value of a cell that no reading determines.
     scatter, scatter_factor : float
@@ -37,9 +30,6 @@ class Assumptions:
     common_change: float = 0.05
     common_step: float = 0.1
     creep: float = 3e-3  # of both, within the 40 s of a usual recording
-    skirt: float = 0.3
-    skirt_cells: float = 1.5
-    slope_cells: float = 3.0
     jump: float = 1.0
     scatter: float = 0.1
     scatter_factor: float = 2.0

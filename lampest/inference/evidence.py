@@ -18,7 +18,7 @@ Sources: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83, 1988; Goodnight, The Amer
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import NamedTuple, Self
@@ -39,8 +39,9 @@ PARAMETER_COST = 12.0
 FIELD_DEVIATIONS = (0.3, 1.0, 3.0)
 CORE_SHARE = 0.2  # of the largest change: the core of a load changes by more
 FIELD_CELLS = (1.0, 2.0, 4.0, np.inf)
-OWN_SHARES = (1e-6, 1e-4, 1e-2, 1e-1)
+OWN_SHARES = (1e-4, 1e-2, 1e-1)
 TRIED_SIZES = (FIELD_DEVIATIONS, FIELD_CELLS, OWN_SHARES)
+TAILS = (0.03, 0.1, 0.3)  # of a load: tried deviations of ln r of the cells beside its core
 MAX_EXCHANGES = 4  # for each cell, of one search
 MIN_PIVOT = 1e-300  # rounding may take a pivot to zero, whose logarithm does not exist
 FIRST_ROOM = 16  # added cells for which memory is taken first; it doubles as needed
@@ -55,7 +56,7 @@ def mostly_still(moved: Mask) -> bool:
 def away_from_changed(still: Mask, shape: tuple[int, ...]) -> Mask:
     """Return the still cells of all frames without the neighbours of moved cells.
 
-    The skirt of a load moves these neighbours. Where less than MIN_STILL_SHARE of the cells would
+    The tail of a load moves these neighbours. Where less than MIN_STILL_SHARE of the cells would
     remain, all still cells are returned.
 
     Parameters
@@ -157,9 +158,47 @@ class Changes:
         moved : boolean array, shape (n,)
         """
         size = np.abs(self.change)
-        core = place[size > CORE_SHARE * size.max()]
-        distance = np.abs(place[:, None] - core).max(axis=-1)
-        return [moved, (distance <= 1).any(axis=1)]
+        return [moved, self._around(place, size > CORE_SHARE * size.max())]
+
+    @staticmethod
+    def _around(place: Numbers, core: Mask) -> Mask:
+        """Return the cells of a core and their eight neighbours, (n,)."""
+        distance = np.abs(place[:, None] - place[core]).max(axis=-1)
+        return np.asarray((distance <= 1).any(axis=1))
+
+    def loads(self, place: Numbers) -> "list[Load]":
+        """Return the loads that may have made the changes, beside errors z.
+
+        Their core are cells with more than CORE_SHARE of the largest change. Changes of the core
+        and of further single cells, with tails beside the core, are as probable as a smooth field
+        of the core and the cells beside it, and as one of all cells.
+
+        Parameters
+        ----------
+        place : integer array, shape (n, 2)
+            Row and column of each cell.
+        """
+        size = np.abs(self.change)
+        core = size > CORE_SHARE * size.max()
+        around = self._around(place, core)
+        loads = list[Load]()
+        for tail in TAILS:
+            loaded = np.where(core, FIELD_DEVIATIONS[-1], tail * around)
+            beside = replace(self, noise=self.noise + np.diag(loaded**2))
+            further = beside.selected([np.zeros_like(core)])[1]
+            single = np.where(further, 1.0, loaded)
+            cost = MOVED_COST * int((core | further).sum()) + 2 * float(np.log(len(TAILS)))
+            loads.append(Load(cost, np.diag(single**2), smooth=False))
+        for changed in (around, np.ones_like(core)):
+            field = Field.within(place, changed)
+            cost = OUTLINE_COST * outline(place, changed) + 2 * float(np.log(len(EVERY_SIZE)))
+            loads += [Load(cost, field.covariance(sizes), smooth=True) for sizes in EVERY_SIZE]
+        return loads
+
+    def cost_of(self, load: "Load") -> float:
+        """Return −2 ln density of the changes and a load, up to a constant."""
+        covariance = self.covariance + load.covariance
+        return load.cost + sum(misfit_and_volume(covariance, self.change))
 
     def part(self, cells: Mask) -> "Changes":
         """Return the changes of these cells alone."""
@@ -221,7 +260,26 @@ class FieldSizes(NamedTuple):
     own: int
 
 
-MIDDLE_SIZES = FieldSizes(deviation=1, cells=1, own=1)
+MIDDLE_SIZES = FieldSizes(deviation=1, cells=1, own=0)
+EVERY_SIZE = [FieldSizes(*each) for each in product(*map(range, map(len, TRIED_SIZES)))]
+
+
+class Load(NamedTuple):
+    """A load that may have made the changes of cells.
+
+    Attributes
+    ----------
+    cost : float
+        −2 ln of its prior probability, up to a constant.
+    covariance : array, shape (n, n)
+        Covariance of the changes that it makes.
+    smooth : bool
+        Whether it is a smooth field, and not single cells.
+    """
+
+    cost: float
+    covariance: Array
+    smooth: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,9 +332,8 @@ class Field:
         cost : callable
             Returns −2 ln density with a covariance, (n, n), of changes.
         """
-        every = [FieldSizes(*each) for each in product(*map(range, map(len, TRIED_SIZES)))]
-        costs = np.array([cost(self.covariance(sizes)) for sizes in every])
-        return mean_cost(costs), every[int(costs.argmin())]
+        costs = np.array([cost(self.covariance(sizes)) for sizes in EVERY_SIZE])
+        return mean_cost(costs), EVERY_SIZE[int(costs.argmin())]
 
 
 def outline(place: Numbers, moved: Mask) -> int:

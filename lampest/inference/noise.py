@@ -243,7 +243,10 @@ class NoiseEstimate(ReadOnlyArrays):
         them.
         """
         readings = without_factors(self.readings, scene, possible.log_factor)
-        return replace(self, possible_errors=possible, readings=readings)
+        recorded = scene.circuit.to_recorded(readings.value, scene)
+        corrected = possible.corrected(scene)
+        value = corrected.circuit.from_recorded(recorded, corrected)
+        return replace(self, possible_errors=possible, readings=replace(readings, value=value))
 
     @property
     def log_factor(self) -> Array | None:

@@ -14,6 +14,7 @@ import numpy as np
 from lampest.panel.panel import Array
 
 MIN_ODDS = 20.0  # of an effect against none (tests/oracles/test_insignificant_effects.py)
+SHOWN_GAIN = 2 * float(np.log(MIN_ODDS))  # decrease of −2 ln evidence with these odds
 
 
 @dataclass(frozen=True, eq=False)

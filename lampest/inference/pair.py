@@ -374,7 +374,7 @@ class FittedPair:
     def gain_apart(self, better: "FittedPair") -> float:
         """Return the gain of another explanation in −2 ln evidence, apart from its moved cells.
 
-        Only cells that touch none of its moved cells count, because the skirt of a load looks like
+        Only cells that touch none of its moved cells count, because the tail of a load looks like
         another circuit or an effect. The gain is 0 with fewer than two such cells.
         """
         distant = ~touching(better.moved[None]).ravel()

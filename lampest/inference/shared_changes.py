@@ -1,4 +1,4 @@
-"""Changes of the log cells by errors that all frames share, with skirts of loads and channels.
+"""Changes of the log cells by errors that all frames share, beside loads.
 
 Errors z ~ N(0, 1) that the unloaded panel b and a frame f share change the estimated log cells by a
 z, with
@@ -6,9 +6,9 @@ z, with
     a = K_f U_f − K_b U_b,
 
 where U is the response of the readings to the errors (`lampest.panel.effects`), and K the
-inverse of the readings' Jacobian. Over the still cells d = a z + noise. The slope of a wide load
-moves cells like a shared error: each evidence is summed over the size of such a skirt, and over
-the spread of the channels where it is unknown.
+inverse of the readings' Jacobian. A load adds changes of its own: d = a z + load + noise. Each
+evidence and each posterior is averaged over loads (`Changes.loads`), and over the spread of the
+channels where it is unknown.
 """
 
 from dataclasses import dataclass, replace
@@ -16,18 +16,11 @@ from functools import cached_property
 
 import numpy as np
 
-from lampest.files.levels import MIN_EVIDENCE_GAIN, NOISE_REACH, UNUSUAL
+from lampest.files.levels import UNUSUAL
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, data_of_cells, fitted
-from lampest.inference.evidence import (
-    MIN_STILL_SHARE,
-    Changes,
-    away_from_changed,
-    mostly_still,
-    places_of,
-    smooth_covariance,
-)
-from lampest.inference.number import Number, summed_out
+from lampest.inference.evidence import Changes, places_of
+from lampest.inference.number import Number, mean_cost
 from lampest.panel.effects import (
     CHANNELS,
     READINGS,
@@ -37,7 +30,7 @@ from lampest.panel.effects import (
     recorded_share,
     sized_effects,
 )
-from lampest.panel.panel import Array, Mask
+from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.posterior.frame_noise import FrameNoise
@@ -50,17 +43,10 @@ LOG_SD_OF_FACTORS = float(np.log(3))
 LOG_PRIOR_OF_FACTORS = -np.square(np.log(CHANNEL_FACTORS) / LOG_SD_OF_FACTORS) / 2
 # Those that are tried beside each size of the readings' own errors.
 FEW_FACTORS = slice(1, None, 2)
-# Of the probability: with less, loads cover the panel under most combinations.
-MIN_SHARE_EXPLAINED = 0.5
-# Of the probability: combinations of skirt and spread with less add nothing.
+# Of the probability: combinations of load and spread with less add nothing.
 NEGLIGIBLE = 1e-3
 # Of log r: the second order of a larger error moves cells by more than one per cent.
 LINEAR_LIMIT = 0.15
-# Tried sizes of a load's skirt, of log r. Always the largest would hide errors where no load has a
-# skirt.
-SKIRTS = ASSUMED.skirt * np.array([0.0, 0.03, 0.1, 0.3, 1.0])
-# Of log r: only loads move cells by more, errors within the limit do not.
-LOADED_CHANGE = NOISE_REACH * LINEAR_LIMIT
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +103,18 @@ class SharedChanges:
         """Return the changes with a spread of the channels that is larger by a factor."""
         hidden = self.hidden * self.scales(factor, self.hidden.shape[1])
         return replace(self, hidden=hidden)
+
+    @property
+    def centred(self) -> "SharedChanges":
+        """The changes by differences of lines and of readings alone.
+
+        What all columns of an error have in common is like a smooth load.
+        """
+        ends = np.cumsum([*self.counts.values()])[:-1]
+        parts = np.split(self.hidden, ends, axis=1)
+        hidden = [part - part.mean(axis=1, keepdims=True) for part in parts if part.size]
+        own = self.own - self.own.mean(axis=1, keepdims=True)
+        return replace(self, hidden=np.hstack([self.hidden[:, :0], *hidden]), own=own)
 
     def changes(self, size: float) -> Changes:
         """Return the changes with the estimated errors and each reading's own error.
@@ -257,53 +255,37 @@ def _with_frame_noise(
     return covariance + responses @ responses.T
 
 
-def _slope_of_load(change: Array, shape: tuple[int, ...]) -> Array:
-    """Return the covariance (cells, cells) of changes on the slope around a load.
+def _beside_loads(
+    scene: Scene, moves: SharedChanges, size: float, factor: float
+) -> list[tuple[float, Changes]]:
+    """Return −2 ln density and the changes beside each load that may have made them.
 
-    The load's core are the cells that changed by more than half of the largest change D. Around it
-    changes are smooth and of size D exp(−distance²/(2 ℓ²)).
-
-    Parameters
-    ----------
-    change : array, shape (cells,)
-        d.
-    shape : tuple of int
-        Rows and columns.
-    """
-    size = np.abs(change - np.median(change))
-    core = np.argwhere(size.reshape(shape) > size.max() / 2)
-    places = places_of(shape)
-    square = ((places[:, None] - core) ** 2).sum(axis=-1).min(axis=1)
-    deviation = size.max() * np.exp(-square / (2 * ASSUMED.slope_cells**2))
-    smooth = smooth_covariance(places, ASSUMED.skirt_cells)
-    return np.asarray(deviation[:, None] * smooth * deviation)
-
-
-def _still(changes: Changes, begun: Mask | None = None) -> tuple[float, Mask]:
-    """Return −2 ln evidence, and the still cells.
+    Beside smooth loads errors count as far as they are `SharedChanges.centred`.
 
     Parameters
     ----------
-    changes : Changes
-    begun : boolean array, shape (cells,), optional
-        Still cells that the search begins with; by default the half that changed least. Other
-        starts are not tried, because a shared error may explain a smooth load as well as moved
-        cells do.
+    scene : Scene
+    moves : SharedChanges
+    size : float
+        Standard deviation of each reading's own error.
+    factor : float
+        Spread of the channels over the usual one.
     """
-    deviation = np.abs(changes.change - np.median(changes.change))
-    begun = deviation <= np.median(deviation) if begun is None else begun
-    score, moved = changes.selected([~begun], np.abs(changes.change) >= LOADED_CHANGE)
-    return score, ~moved
+    beside_cells, beside_fields = (
+        each.with_channels(factor).changes(size) for each in (moves, moves.centred)
+    )
+    result = list[tuple[float, Changes]]()
+    for load in beside_cells.loads(places_of(scene.panel.shape)):
+        changes = beside_fields if load.smooth else beside_cells
+        with_load = replace(changes, noise=changes.noise + load.covariance)
+        result.append((changes.cost_of(load), with_load))
+    return result
 
 
-def error_costs(
-    scene: Scene, moves: SharedChanges, errors: Array, factors: Array, cells: float
-) -> Array:
+def error_costs(scene: Scene, moves: SharedChanges, errors: Array, factors: Array) -> Array:
     """Return −2 ln evidence of errors by the changes to a loaded frame, (factors, errors).
 
-    The evidence is averaged over SKIRTS, which are equally probable: skirts of loads are no errors
-    of the readings. Each search begins with the still cells of the error before, because these
-    change little.
+    The evidence is averaged over loads (`Changes.loads`), which are no errors of the readings.
 
     Parameters
     ----------
@@ -313,62 +295,44 @@ def error_costs(
         Sizes of each reading's own error.
     factors : array, shape (factors,)
         Spreads of the channels over the usual one.
-    cells : float
-        Distance over which changes in a skirt are correlated.
     """
-    loads = smooth_covariance(places_of(scene.panel.shape), cells)
-    by_readings = moves.own @ moves.own.T
-    costs = np.zeros((len(SKIRTS), len(factors), len(errors)))
-    for skirt, of_skirt in zip(SKIRTS, costs, strict=True):
-        starts: list[Mask | None] = [None] * len(factors)
-        for column, size in enumerate(errors):
-            noise = moves.noise + skirt**2 * loads + size**2 * by_readings
-            for number, factor in enumerate(factors):
-                hidden = moves.with_channels(factor).hidden
-                changes = Changes(moves.change, noise, hidden)
-                of_skirt[number, column], starts[number] = _still(changes, starts[number])
-    # −2 ln Σ_skirt p(d | e, skirt)
-    return summed_out(costs, axis=0)
+
+    def cost(size: float, factor: float) -> float:
+        return mean_cost(np.array([each for each, _ in _beside_loads(scene, moves, size, factor)]))
+
+    return np.array([[cost(size, factor) for size in errors] for factor in factors])
 
 
-def gain_of(scene: Scene, frames: SharedFrames, sizes: Systematic, setting: str) -> float:
-    """Return the decrease of −2 ln evidence by an error, relative to the misfit of still cells.
-
-    Moved cells are selected with the error and without it. The slope around a load explains any
-    error, so that loads have sharp edges here, and a gain below MIN_EVIDENCE_GAIN counts as 0. So
-    does one where most cells move with the error.
+def gain_of(scene: Scene, moves: SharedChanges, sizes: Systematic, setting: str) -> float:
+    """Return the decrease of −2 ln evidence by an error, averaged over loads.
 
     Parameters
     ----------
     scene : Scene
-        Calls the error `estimated`.
-    frames : SharedFrames
+    moves : SharedChanges
     sizes : Systematic
         Standard deviations of the errors.
     setting : str
         Field of `Systematic` of the error.
     """
-    moves = shared_changes(scene, frames, sizes)
-    if moves is None or setting not in moves.counts:
+    if not moves.counts.get(setting):
         return 0.0
-    size = sizes.size(READINGS)
-    changes = moves.changes(size)
-    score, still = _still(changes)
-    if not mostly_still(~still):
-        return 0.0
-    without, _ = _still(moves.without(setting).changes(size))
-    excess = max(changes.part(still).misfit / still.sum(), 1.0)
-    gain = float((without - score) / excess)
-    return gain if gain > MIN_EVIDENCE_GAIN else 0.0
+    size = np.array([sizes.size(READINGS)])
+    usual = np.ones(1)
+    without, with_error = (
+        float(error_costs(scene, each, size, usual)[0, 0])
+        for each in (moves.without(setting), moves)
+    )
+    return without - with_error
 
 
 def joint_posterior(
     scene: Scene, moves: SharedChanges, size: float, spread: Number
-) -> tuple[Array, Array] | None:
-    """Return the posterior of errors z, summed over spreads of the channels.
+) -> tuple[Array, Array]:
+    """Return the posterior of errors z, averaged over loads and spreads of the channels.
 
-    The errors are in units of their priors. The slope around a load is none of the errors. The
-    result is None where a load leaves no still cells.
+    The errors are in units of their priors. What the second order of the most probable ones changes
+    is noise of a second estimate.
 
     Parameters
     ----------
@@ -381,30 +345,37 @@ def joint_posterior(
 
     Returns
     -------
-    second, covariance : array, shape (columns, columns)
-        E[z zᵀ], and the covariance of z.
+    mean : array, shape (columns,)
+    covariance : array, shape (columns, columns)
     """
-    sloped = replace(moves, noise=moves.noise + _slope_of_load(moves.change, scene.panel.shape))
-    start = None
+    linear, _ = _averaged_posterior(scene, moves, size, spread)
+    second_order = (moves.changes(size).columns @ linear) ** 2 / 2
+    uncertain = replace(moves, noise=moves.noise + np.diag(second_order**2))
+    return _averaged_posterior(scene, uncertain, size, spread)
+
+
+def _averaged_posterior(
+    scene: Scene, moves: SharedChanges, size: float, spread: Number
+) -> tuple[Array, Array]:
+    """Return the posterior of `joint_posterior` by linear theory."""
     means = list[Array]()
     seconds = list[Array]()
     weights = list[float]()
     for factor, odds in zip(spread.values, spread.odds, strict=True):
         if odds < NEGLIGIBLE:
             continue
-        changes = sloped.with_channels(factor).changes(size)
-        start = _still(changes, start)[1]
-        # Neighbours of moved cells are left out, because a load has a skirt.
-        distant = away_from_changed(start, scene.panel.shape)
-        if distant.mean() < MIN_STILL_SHARE:
-            continue
-        mean, covariance = changes.posterior(distant)
-        scale = moves.scales(factor, len(mean))
-        means.append(scale * mean)
-        seconds.append(scale[:, None] * (covariance + np.outer(mean, mean)) * scale)
-        weights.append(odds)
-    if not sum(weights) > MIN_SHARE_EXPLAINED:
-        return None
+        costs, beside = zip(*_beside_loads(scene, moves, size, factor), strict=True)
+        odds_of_loads = np.exp((min(costs) - np.array(costs)) / 2)
+        odds_of_loads *= odds / odds_of_loads.sum()
+        for changes, weight in zip(beside, odds_of_loads, strict=True):
+            if weight < NEGLIGIBLE:
+                continue
+            errors = changes.errors
+            scale = moves.scales(factor, changes.columns.shape[1])
+            mean = scale * errors.mean(changes.change)
+            means.append(mean)
+            seconds.append(scale[:, None] * errors.covariance * scale + np.outer(mean, mean))
+            weights.append(float(weight))
     mean = np.average(means, axis=0, weights=weights)
     second = np.average(seconds, axis=0, weights=weights)
-    return second, second - np.outer(mean, mean)
+    return mean, second - np.outer(mean, mean)

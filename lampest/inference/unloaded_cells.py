@@ -105,27 +105,41 @@ def film_scatter(
     return float(np.sqrt(np.sum(weight * SCATTERS**2) / np.sum(weight)))
 
 
-def at_rest(possible: Possible, scene: Scene, resting: Readings, fit: CellsFit | None) -> Possible:
-    """Return the errors by the unloaded panel: readings' own ones to correct, and the rest.
+def at_rest(
+    possible: Possible,
+    known: tuple[Array, Array] | None,
+    scene: Scene,
+    resting: Readings,
+    fit: CellsFit | None,
+) -> tuple[tuple[str, ...], Array, Array]:
+    """Return the posterior of the errors by the unloaded panel, given what changes tell of them.
 
-    With the prior z ~ N(0, R Rᵀ), A = U R, V = σ² + A Aᵀ + s² J Jᵀ, B = J T and
+    With the prior z ~ N(m, R Rᵀ), A = U R, V = σ² + A Aᵀ + s² J Jᵀ, B = J T and
     P = V⁻¹ − V⁻¹B (BᵀV⁻¹B)⁻¹ BᵀV⁻¹,
 
-        E[z] = R Aᵀ P t,   cov z = R (1 − Aᵀ P A) Rᵀ.
+        E[z] = m + R Aᵀ P (t − U m),   cov z = R (1 − Aᵀ P A) Rᵀ.
 
-    Readings are corrected by the mean of their own errors; the root is that of E[z zᵀ] about the
-    correction. Raises errors of `BROKEN`.
+    The columns U of each error are those about their mean: cells of the unloaded panel do not tell
+    a resistance in series, because larger cells differ less. Raises errors of `BROKEN`.
 
     Parameters
     ----------
     possible : Possible
-        Prior of the errors, with the root R of those that were estimated, and the scatter s of the
-        films.
+        Sizes and settings of the errors, and the scatter s of the films.
+    known : tuple of array, or None
+        Mean and covariance of z of the errors of `possible.settings`; None: those of the prior.
     scene : Scene
     resting : Readings
         Mean of the unloaded frames, (rows, columns).
     fit : CellsFit or None
         Fit of the unloaded panel, at whose cells the search begins.
+
+    Returns
+    -------
+    settings : tuple of str
+        Field of `Systematic` of each column.
+    mean : array, shape (columns,)
+    covariance : array, shape (columns, columns)
     """
     data = data_of_cells(scene, resting)
     sizes = possible.sizes
@@ -139,31 +153,26 @@ def at_rest(possible: Possible, scene: Scene, resting: Readings, fit: CellsFit |
         ]
         for error in sized_effects(sizes)
     }
-    ends = np.cumsum([len(part) for part in parts.values()])
-    places = dict(zip(parts, np.split(np.arange(ends[-1]), ends[:-1]), strict=True))
-    root = np.eye(ends[-1])
-    if possible.root is not None:
+    settings = tuple(setting for setting, part in parts.items() for _ in part)
+    errors = np.concatenate([part - part.mean(axis=0) for part in parts.values()]).T
+    root = np.eye(len(settings))
+    mean = np.zeros(len(settings))
+    if known is not None:
+        places = {setting: np.flatnonzero(np.equal(settings, setting)) for setting in parts}
         estimated = np.concatenate([places[setting] for setting in possible.settings])
-        root[np.ix_(estimated, estimated)] = possible.root
-    columns = np.concatenate([*parts.values()]).T @ root
+        mean[estimated], covariance = known
+        root[np.ix_(estimated, estimated)] = lower_root(covariance)
+    columns = errors @ root
     variance = np.diag(resting.known_sigma[resting.plain] ** 2) + columns @ columns.T
     whitening = np.linalg.cholesky(variance + possible.film_scatter**2 * jacobian @ jacobian.T)
     trend = jacobian @ _trend(data)
-    whitened = np.linalg.solve(whitening, np.column_stack([trend, columns, target]))
-    of_trend, others = np.split(whitened, [trend.shape[1]], axis=1)
+    given = np.column_stack([trend, columns, target - errors @ mean])
+    of_trend, others = np.split(np.linalg.solve(whitening, given), [trend.shape[1]], axis=1)
     basis, _ = np.linalg.qr(of_trend)
     others = others - basis @ (basis.T @ others)
     shown = others[:, :-1].T
-    mean = root @ (shown @ others[:, -1])
-    covariance = root @ (np.eye(len(root)) - shown @ shown.T) @ root.T
-    log_factor = sizes.size(READINGS) * mean[places[READINGS]]
-    mean[places[READINGS]] = 0.0
-    return replace(
-        possible,
-        settings=tuple(parts),
-        root=lower_root(covariance + np.outer(mean, mean)),
-        log_factor=log_factor.reshape(resting.value.shape),
-    )
+    mean = mean + root @ (shown @ others[:, -1])
+    return settings, mean, root @ (np.eye(len(root)) - shown @ shown.T) @ root.T
 
 
 def costs_by_scatter(

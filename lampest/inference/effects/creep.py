@@ -67,7 +67,7 @@ class CommonCreep(SceneEffect):
         explanation = prepared.question.explanation
         if explanation is not None and explanation.pair is not None:
             pair = explanation.pair
-            # The skirt of a load changes the cells beside it alike.
+            # The tail of a load changes the cells beside it alike.
             if touching(pair.moved[None]).mean() > 1 - MIN_STILL_SHARE:
                 return
             change, deviation = common_change(pair, prepared.noise.frame)

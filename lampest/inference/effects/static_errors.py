@@ -6,16 +6,15 @@ z, with
     a = K_f U_f − K_b U_b,
 
 where U is the response of the readings to the errors (`lampest.panel.effects`), and K the
-inverse of the readings' Jacobian. Over the still cells d = a z + noise. Each reading has an error
-of its own, N(0, e²). The posterior of e combines the evidence of the changes, with moved cells
-selected for each e (`lampest.inference.evidence`), and the likelihood of the unloaded panel.
-Given e, the still cells determine the posterior of z. Of errors that are too large for linear
-theory only e is estimated.
+inverse of the readings' Jacobian. Beside loads, d = a z + noise. Each reading has an error of its
+own, N(0, e²). The posterior of e combines the evidence of the changes, averaged over loads
+(`lampest.inference.shared_changes`), and the likelihood of the unloaded panel. Given e, both
+determine the posterior of z. Of errors that are too large for linear theory only e is estimated.
 
 Errors that frames share stay out of σ, so that weights and estimates see the noise alone. Where the
-evidence of the readings' own errors exceeds that of none by MIN_EVIDENCE_GAIN, the readings of all
-frames are corrected by the mean that the unloaded panel determines. Elsewhere they widen error bars
-alone.
+evidence of an error against none exceeds SHOWN_GAIN, its posterior mean corrects the readings of
+all frames, or the channels of the scene. What remains widens error bars, and so do the other
+errors.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,12 +26,11 @@ import numpy as np
 
 from lampest.files.errors import BROKEN
 from lampest.files.levels import DOUBTFUL_GAIN, MIN_EVIDENCE_GAIN
-from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import fitted
 from lampest.inference.effects.effect import SceneEffect, Unnamed
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import Besides
-from lampest.inference.number import Number, summed_out
+from lampest.inference.number import SHOWN_GAIN, Number, summed_out
 from lampest.inference.prepared import Prepared
 from lampest.inference.shared_changes import (
     CHANNEL_FACTORS,
@@ -100,18 +98,21 @@ class SharedErrors:
     undetermined : str
         The reason why the other estimated errors keep their prior, in words; '' where all are
         determined.
-    significant : bool
-        Whether each reading's own error gains more evidence than MIN_EVIDENCE_GAIN.
+    significant : tuple of str
+        Fields of `Systematic` of the errors that readings or the circuit are corrected for.
     gains : dict
         Field of `Systematic` → decrease of −2 ln evidence by each estimated error beside the
         others; common errors have theirs where advice asks (`gain_of`).
+    posterior : tuple of array, or None
+        Mean and covariance of z of the errors of `possible.settings`, by the changes.
     """
 
     possible: Possible
     sizes: dict[str, tuple[float, float]]
     undetermined: str = ""
-    significant: bool = False
+    significant: tuple[str, ...] = ()
     gains: dict[str, float] = field(default_factory=dict)
+    posterior: tuple[Array, Array] | None = None
 
 
 def shared_frames(noise: NoiseEstimate, recording: Recording) -> SharedFrames:
@@ -170,7 +171,7 @@ def shared_errors(scene: Scene, frames: SharedFrames) -> SharedErrors:
         own = SharedErrors(
             possible,
             {READINGS: (error.mean, error.deviation)},
-            significant=error.gain > MIN_EVIDENCE_GAIN,
+            significant=(READINGS,) if error.evidence > SHOWN_GAIN else (),
             # The largest tried error is no finding: it stands for cells that are unlike.
             gains={READINGS: error.evidence if error.mean < LARGEST_FOUND else 0.0},
         )
@@ -192,10 +193,7 @@ def shared_errors(scene: Scene, frames: SharedFrames) -> SharedErrors:
 def _known_at_rest(
     errors: SharedErrors, scene: Scene, resting: Readings, cells: Array | None
 ) -> Possible:
-    """Return the errors as the unloaded panel knows them, with the scatter of its films.
-
-    Where each reading's own error is significant, its posterior mean is the correction of the
-    readings, and the joint posterior of all errors about it the rest that widens error bars.
+    """Return the errors as changes and the unloaded panel know them, with the scatter of its films.
 
     Parameters
     ----------
@@ -207,17 +205,63 @@ def _known_at_rest(
         Those of the unloaded panel where several panels give its readings, ohm.
     """
     possible = errors.possible
-    size = possible.sizes.size(READINGS)
-    if not size or resting.sigma is None or resting.value.size > MAX_DENSE:
+    sizes = possible.sizes
+    size = sizes.size(READINGS)
+    few = resting.value.size <= MAX_DENSE
+    if resting.sigma is None or not few or not (size or errors.significant):
         return possible
     with suppress(*BROKEN):
         small = resting.value.size <= MAX_CELLS
         fit = fitted(scene, resting, cells, patient=True) if small else None
-        scatter = film_scatter(scene, resting, fit, size, possible.sizes.size(CHANNELS))
-        possible = replace(possible, film_scatter=scatter)
+        scatter = film_scatter(scene, resting, fit, size, sizes.size(CHANNELS))
+        if size:
+            possible = replace(possible, film_scatter=scatter)
         if errors.significant:
-            return at_rest(possible, scene, resting, fit)
+            scattered = replace(possible, film_scatter=scatter)
+            known = at_rest(scattered, errors.posterior, scene, resting, fit)
+            return _corrected(possible, known, scene, errors.significant)
     return possible
+
+
+def _corrected(
+    possible: Possible,
+    known: tuple[tuple[str, ...], Array, Array],
+    scene: Scene,
+    significant: tuple[str, ...],
+) -> Possible:
+    """Return the errors with their posterior, about corrections by the mean of significant ones.
+
+    Parameters
+    ----------
+    possible : Possible
+    known : tuple
+        The posterior of `at_rest`.
+    scene : Scene
+    significant : tuple of str
+        Fields of `Systematic`. An error that the scene's circuit cannot have is not corrected.
+    """
+    settings, mean, covariance = known
+    log_factor = None
+    in_circuit = dict[str, Array]()
+    for setting in significant:
+        place = np.equal(settings, setting)
+        correction = possible.sizes.size(setting) * mean[place]
+        if setting == READINGS:
+            log_factor = correction.reshape(scene.panel.network.shape)
+        else:
+            try:
+                shared_effect_of(setting).with_errors(scene, correction)
+            except ValueError:
+                continue
+            in_circuit[setting] = correction
+        mean[place] = 0.0
+    return replace(
+        possible,
+        settings=tuple(dict.fromkeys(settings)),
+        root=lower_root(covariance + np.outer(mean, mean)),
+        log_factor=log_factor,
+        in_circuit=in_circuit,
+    )
 
 
 def _error_beside_channels(scene: Scene, frames: SharedFrames, moves: SharedChanges) -> Number:
@@ -261,7 +305,7 @@ def _channel_spread(
     error = np.array([size])
     spreads = factors * (systematic_of(scene) or Systematic()).size(CHANNELS)
     unloaded = unloaded_costs(scene, frames.resting, frames.fit, error, spreads)[:, 0]
-    changes = error_costs(scene, moves, error, factors, ASSUMED.slope_cells)[:, 0]
+    changes = error_costs(scene, moves, error, factors)[:, 0]
     prior = np.append(0.0, np.exp(LOG_PRIOR_OF_FACTORS))
     spread = Number.by_costs(factors, unloaded + changes, prior)
     likelihood = spread.odds[1:] / prior[1:]
@@ -310,28 +354,38 @@ def _with_common_errors(
         if spread.log_deviation < MAX_UNTOLD * LOG_SD_OF_FACTORS:
             determined = {CHANNELS: (usual * spread.mean, usual * spread.deviation)}
             errors = replace(errors, sizes=errors.sizes | determined)
-    posterior = joint_posterior(scene, moves, size, spread)
-    if posterior is None:
-        return _undetermined(
-            errors, "a load covers the panel: press a few cells, and leave the others free", scene
-        )
-    sizes = errors.sizes | _determined_sizes(moves, posterior, prior)
+    mean, covariance = joint_posterior(scene, moves, size, spread)
+    determined = _determined_sizes(moves, mean, covariance, prior)
     settings = [error.setting for error in moves.errors]
-    # The columns of the root behind those of common errors are the readings' own errors.
+    # The columns of the posterior behind those of common errors are the readings' own errors.
     if size:
         settings.append(READINGS)
-    second, _ = posterior
     if moves.has_channels:
-        # The root has the errors in the unit of the spread that readers of the scene take.
-        factor = float(np.sqrt(spread.mean_square))
-        unit = 1 / moves.scales(factor, len(second))
-        second = unit[:, None] * second * unit
-    possible = replace(errors.possible, settings=tuple(settings), root=lower_root(second))
-    return replace(errors, possible=possible, sizes=sizes)
+        # The posterior has the errors in the unit of the spread that readers of the scene take.
+        unit = 1 / moves.scales(float(np.sqrt(spread.mean_square)), len(mean))
+        mean, covariance = unit * mean, unit[:, None] * covariance * unit
+    root = lower_root(covariance + np.outer(mean, mean))
+    possible = replace(errors.possible, settings=tuple(settings), root=root)
+    shown = tuple(setting for setting in moves.counts if _is_shown(setting, errors, scene, moves))
+    return replace(
+        errors,
+        possible=possible,
+        sizes=errors.sizes | determined,
+        significant=(*errors.significant, *shown),
+        posterior=(mean, covariance),
+    )
+
+
+def _is_shown(setting: str, errors: SharedErrors, scene: Scene, moves: SharedChanges) -> bool:
+    """Return whether the evidence of a common error against none exceeds SHOWN_GAIN."""
+    gain = errors.gains.get(setting)
+    if gain is None:
+        gain = gain_of(scene, moves, errors.possible.sizes, setting)
+    return gain > SHOWN_GAIN
 
 
 def _determined_sizes(
-    moves: SharedChanges, posterior: tuple[Array, Array], prior: Systematic
+    moves: SharedChanges, mean: Array, covariance: Array, prior: Systematic
 ) -> dict[str, tuple[float, float]]:
     """Return the size and standard deviation of each error that the recording tells more of.
 
@@ -341,25 +395,24 @@ def _determined_sizes(
     Parameters
     ----------
     moves : SharedChanges
-    posterior : tuple of array
-        That of `joint_posterior`.
+    mean, covariance : array, shapes (columns,) and (columns, columns)
+        Those of `joint_posterior`.
     prior : Systematic
         Standard deviations of the errors, in which z is measured.
     """
     sizes = dict[str, tuple[float, float]]()
     first = 0
     for error in moves.errors:
-        last = first + moves.counts[error.setting]
-        if last == first:
+        chosen = slice(first, first + moves.counts[error.setting])
+        first = chosen.stop
+        variances = np.diag(covariance)[chosen]
+        if not variances.size or error.setting == CHANNELS:
             continue
+        variance = float(variances.mean())
         unit = prior.size(error.setting)
-        second, covariance = (
-            float(np.trace(matrix[first:last, first:last])) / (last - first) for matrix in posterior
-        )
-        if error.setting != CHANNELS and covariance < MAX_UNTOLD**2:
-            size = unit * float(np.sqrt(second)), unit * float(np.sqrt(covariance))
-            sizes[error.setting] = size
-        first = last
+        if variance < MAX_UNTOLD**2:
+            square = variance + float(np.mean(mean[chosen] ** 2))
+            sizes[error.setting] = unit * float(np.sqrt(square)), unit * float(np.sqrt(variance))
     return sizes
 
 
@@ -386,7 +439,7 @@ def _costs_of_errors(
     if moves is None:
         return np.zeros((len(factors), len(READING_ERRORS)))
     tried = numbers[READING_ERRORS[numbers] * moves.reach <= LINEAR_LIMIT]
-    costs = error_costs(scene, moves, READING_ERRORS[tried], factors, ASSUMED.skirt_cells)
+    costs = error_costs(scene, moves, READING_ERRORS[tried], factors)
     every = np.arange(len(READING_ERRORS))
     return np.array([np.interp(every, tried, of_factor) for of_factor in costs])
 
@@ -418,7 +471,7 @@ class StaticErrors(SceneEffect):
         elif sizes is None or not sizes.size(READINGS):
             return noise
         else:
-            errors = SharedErrors(Possible(sizes), {}, significant=True)
+            errors = SharedErrors(Possible(sizes), {}, significant=(READINGS,))
             # without unloaded frames, loads count as scatter of the cells
             resting = readings[unloaded if unloaded.any() else slice(None)].mean()
         possible = _known_at_rest(errors, scene, resting, noise.resting_cells)
@@ -436,6 +489,8 @@ class StaticErrors(SceneEffect):
         systematic = scene.systematic
         assert isinstance(systematic, Systematic)
         sizes = noise.possible_errors.sizes if noise.possible_errors else systematic_of(scene)
+        if noise.possible_errors is not None:
+            scene = noise.possible_errors.corrected(scene)
         stated = dict[str, Any]()
         for key in keys:
             name = key.removeprefix("systematic.")
@@ -503,4 +558,7 @@ def _gain_beside(scene: Scene, frames: SharedFrames, error: SharedEffect) -> flo
         return errors.gains[error.setting]
     if error.setting not in errors.sizes:
         return 0.0
-    return gain_of(scene, frames, errors.possible.sizes, error.setting)
+    sizes = errors.possible.sizes
+    moves = shared_changes(scene, frames, sizes)
+    gain = 0.0 if moves is None else gain_of(scene, moves, sizes, error.setting)
+    return gain if gain > MIN_EVIDENCE_GAIN else 0.0

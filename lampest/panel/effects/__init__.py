@@ -14,8 +14,8 @@ the readout's equations. `Shared` has those of a scene together.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from typing import Any, ClassVar
 
@@ -121,6 +121,13 @@ class SharedEffect(ABC):
     def unit(self) -> str:
         """Unit of the size; '' for a relative one."""
         return unit_of_key(self.setting)
+
+    def with_errors(self, scene: Scene, errors: Array) -> Scene:
+        """Return the scene whose circuit has the errors z · size of `columns`, (n,).
+
+        Raises ValueError where the circuit cannot have them.
+        """
+        raise ValueError(f"no key of the scene states {self.setting} line by line")
 
     def sentence(self, size: float, deviation: float) -> str:
         """Return the error that a recording shows in words, with its size and its deviation."""
@@ -291,6 +298,9 @@ class Possible:
     log_factor : array, shape (rows, columns), or None
         Logarithm of the factor on each recorded value that readings are corrected for; None where
         they are not.
+    in_circuit : mapping
+        Field of `Systematic` → errors that the scene's circuit is corrected for, (columns,) in the
+        setting's unit.
     film_scatter : float
         Scatter of log r of the unloaded cells beside each reading's own error; 0 where unknown.
     """
@@ -299,7 +309,14 @@ class Possible:
     settings: tuple[str, ...] = ()
     root: Array | None = None
     log_factor: Array | None = None
+    in_circuit: Mapping[str, Array] = field(default_factory=dict)
     film_scatter: float = 0.0
+
+    def corrected(self, scene: Scene) -> Scene:
+        """Return the scene whose circuit has the errors that it is corrected for."""
+        for setting, errors in self.in_circuit.items():
+            scene = shared_effect_of(setting).with_errors(scene, errors)
+        return scene
 
 
 def systematic_of(scene: Scene) -> Systematic | None:

@@ -7,6 +7,8 @@ import numpy as np
 from lampest.panel.effects import ReadoutNumber
 from lampest.panel.lines import MAX_OHM
 from lampest.panel.panel import Array
+from lampest.panel.readouts.tolerances import scene_behind_channels
+from lampest.panel.scene import Scene
 
 # Resistance of a channel of a CD74HC4067 at 5 V, by its data sheet.
 BEST_OHM = 40.0
@@ -27,6 +29,11 @@ class ChannelSpread(ReadoutNumber):
 
     def sentence(self, size: float, deviation: float) -> str:
         return f"channels of the lines seem to differ by {size:.2g} +- {deviation:.1g} ohm"
+
+    def with_errors(self, scene: Scene, errors: Array) -> Scene:
+        of_lines = np.split(errors, [scene.panel.network.rows])
+        corrected: Scene = scene_behind_channels(scene, *of_lines)
+        return corrected
 
     def drawn(self, lines: int, size: float, random: np.random.Generator) -> Array:
         """Return drawn resistances of the channels beyond the scene's, (lines,) ohm."""

@@ -6,7 +6,7 @@ from lampest.panel.effects import SharedEffect
 from lampest.panel.lines import MAX_OHM, of_side
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
-from lampest.panel.readouts.tolerances import tolerance_errors
+from lampest.panel.readouts.tolerances import scene_behind_channels, tolerance_errors
 from lampest.panel.scene import Scene
 
 
@@ -29,6 +29,15 @@ class SeriesTolerance(SharedEffect):
         lines = tolerance_errors(circuit, cells, measured, scene, 0.0, 1.0)[1:]
         driven, _ = of_side(circuit.noisy_side, *np.split(lines, [measured.shape[-2]]))
         return np.asarray(size * driven.sum(axis=0)[None])
+
+    def with_errors(self, scene: Scene, errors: Array) -> Scene:
+        driven = scene.circuit.noisy_side
+        of_lines = (
+            np.full(count, errors[0] if side == driven else 0.0)
+            for side, count in zip(("rows", "columns"), scene.panel.network.shape, strict=True)
+        )
+        corrected: Scene = scene_behind_channels(scene, *of_lines)
+        return corrected
 
 
 SERIES = SeriesTolerance()

@@ -7,7 +7,15 @@ from typing import Any, TypeVar
 import numpy as np
 
 from lampest.panel.circuit import nominal_terminations
-from lampest.panel.lines import LineNumber, along, as_tuple, of_side, opposite, with_channels
+from lampest.panel.lines import (
+    LineNumber,
+    SeriesPerLine,
+    along,
+    as_tuple,
+    of_side,
+    opposite,
+    with_channels,
+)
 from lampest.panel.panel import Array
 from lampest.panel.readouts.keys import entry
 from lampest.panel.readouts.readout import Readout, Surroundings
@@ -45,6 +53,22 @@ def behind_channels(circuit: Circuit, row_ohm: Array, column_ohm: Array) -> Circ
         for key, ohm in additional.items()
     }
     return replace(circuit, **changes) if changes else circuit
+
+
+def scene_behind_channels(scene: Any, row_ohm: Array, column_ohm: Array) -> Any:
+    """Return the scene with additional channels, (rows,) and (columns,) ohm.
+
+    Channels of a two-point readout are resistances in series. Raises ValueError where one would be
+    negative.
+    """
+    if scene.circuit.unit != "ohm":
+        return replace(scene, readout=behind_channels(scene.readout, row_ohm, column_ohm))
+    key = "series_resistance_ohm"
+    rows, columns = (
+        with_channels(key, tuple(lines), ohm)
+        for lines, ohm in zip(scene.series_lines, (row_ohm, column_ohm), strict=True)
+    )
+    return replace(scene, series_resistance_ohm=SeriesPerLine(rows=rows, columns=columns))
 
 
 def _reading_behind(
