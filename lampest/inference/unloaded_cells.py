@@ -119,8 +119,8 @@ def at_rest(
 
         E[z] = m + R Aᵀ P (t − U m),   cov z = R (1 − Aᵀ P A) Rᵀ.
 
-    The columns U of each error are those about their mean: cells of the unloaded panel do not tell
-    a resistance in series, because larger cells differ less. Raises errors of `BROKEN`.
+    Columns U are those about their mean: cells of the unloaded panel do not tell a resistance in
+    series, because larger cells differ less. Raises errors of `BROKEN`.
 
     Parameters
     ----------
@@ -155,13 +155,7 @@ def at_rest(
     }
     settings = tuple(setting for setting, part in parts.items() for _ in part)
     errors = np.concatenate([part - part.mean(axis=0) for part in parts.values()]).T
-    root = np.eye(len(settings))
-    mean = np.zeros(len(settings))
-    if known is not None:
-        places = {setting: np.flatnonzero(np.equal(settings, setting)) for setting in parts}
-        estimated = np.concatenate([places[setting] for setting in possible.settings])
-        mean[estimated], covariance = known
-        root[np.ix_(estimated, estimated)] = lower_root(covariance)
+    mean, root = _prior(settings, possible, known)
     columns = errors @ root
     variance = np.diag(resting.known_sigma[resting.plain] ** 2) + columns @ columns.T
     whitening = np.linalg.cholesky(variance + possible.film_scatter**2 * jacobian @ jacobian.T)
@@ -173,6 +167,20 @@ def at_rest(
     shown = others[:, :-1].T
     mean = mean + root @ (shown @ others[:, -1])
     return settings, mean, root @ (np.eye(len(root)) - shown @ shown.T) @ root.T
+
+
+def _prior(
+    settings: tuple[str, ...], possible: Possible, known: tuple[Array, Array] | None
+) -> tuple[Array, Array]:
+    """Return mean and root of the covariance of errors before the unloaded panel, as `at_rest`."""
+    mean = np.zeros(len(settings))
+    root = np.eye(len(settings))
+    if known is not None:
+        of_settings = [np.equal(settings, setting).nonzero()[0] for setting in possible.settings]
+        estimated = np.concatenate(of_settings)
+        mean[estimated], covariance = known
+        root[np.ix_(estimated, estimated)] = lower_root(covariance)
+    return mean, root
 
 
 def costs_by_scatter(
