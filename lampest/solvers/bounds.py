@@ -45,25 +45,17 @@ def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
 
     Returns None if neither side has such a point.
     """
-    least = _certain_cost(at) - MIN_DECREASE_SHARE * at.cost_scale
+    least = at.objective - MIN_DECREASE_SHARE * at.cost_scale
     size = float(np.abs(along).max(initial=0.0)) or 1.0
 
     def lower(length: float) -> Evaluation | None:
         for sign in (1.0, -1.0):
             point = moved_by(at, sign * length / size * along)
-            if point is not None and _certain_cost(point) < least:
+            if point is not None and point.objective < least:
                 return point
         return None
 
     return backtracked(lower, MAX_LENGTHS)
-
-
-def _certain_cost(at: Evaluation) -> float:
-    """Return φ minus the rounding error of residuals with an absolute loss."""
-    if not len(at.nonsmooth):
-        return at.objective
-    rounding = np.sum(at.cost.slope * np.minimum(np.abs(at.nonsmooth), at.last_bits))
-    return at.objective - float(rounding)
 
 
 def moved_by(at: Evaluation, step: Array) -> Evaluation | None:

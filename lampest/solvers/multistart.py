@@ -78,7 +78,7 @@ def best_solution(
 ) -> Solution:
     """Return the lowest minimum that a solver reaches from the starts of a frame.
 
-    Minima on the branch of the first start precede all others. A start with a numerical breakdown
+    A start with a numerical breakdown
     is skipped. If all starts break down, the status states it.
 
     Parameters
@@ -93,7 +93,6 @@ def best_solution(
     solver = solver.continued(carried)
     continues = previous is not None and not data.first
     best = None
-    branch = None
     ends = list[Solution]()
     with np.errstate(all="ignore"), delayed_interrupt():
         for start in evaluable(solver.cost, data, _places(solver, data, previous, ends)):
@@ -101,8 +100,7 @@ def best_solution(
             if ends:  # only the first start continues the previous frame
                 attempt = solver.cold() if solver.cost.convex_losses else solver.continued(None)
             ends.append(solved_from(attempt, start))
-            branch = start.branch if branch is None else branch
-            best = preferred(best, ends[-1], branch)
+            best = lower_of(best, ends[-1])
             if data.overdue or _is_spent(solver, data, best, ends, continues=continues):
                 break
     best = _broken(solver.cost, data) if best is None else best
@@ -129,20 +127,6 @@ def _places(
     yield from usual
     if solver.settings.starts is not None:
         yield from scattered(data)
-
-
-def preferred(best: Solution | None, solution: Solution, branch: Array) -> Solution:
-    """Return the solution on the branch, or that of lower cost if both or neither are on it.
-
-    Two panels can have equal readings (`lampest.panel.readouts.branches`), and costs do not tell
-    them apart. The first start does, because it continues the frame before.
-    """
-    if best is None or not best.solved or not solution.solved:
-        return lower_of(best, solution)
-    on_branch = [at is None or np.array_equal(at.branch, branch) for at in (best.at, solution.at)]
-    if on_branch[0] == on_branch[1]:
-        return lower_of(best, solution)
-    return best if on_branch[0] else solution
 
 
 def settles(second: Solution, first: Solution) -> bool:
