@@ -207,13 +207,9 @@ class DenseErrors:
             return self.model.penalty_rank - used
         # tr(B⁺ B_t) in the same way
         rows = self._free_rows[of_term].toarray()
-        return float(np.sum((rows @ self._penalties_inverse) * rows)) - used
-
-    @cached_property
-    def _penalties_inverse(self) -> Array:
-        """B⁺, (free, free)."""
         square = (self._free_rows.T @ self._free_rows).toarray()
-        return np.linalg.pinv(square, hermitian=True)
+        inverse = np.linalg.pinv(square, hermitian=True)
+        return float(np.sum((rows @ inverse) * rows)) - used
 
     @cached_property
     def _carried(self) -> list[tuple[int, Array]]:
@@ -223,7 +219,7 @@ class DenseErrors:
         """
         size = np.sqrt(self.model.penalty_curvature)[:, None]
         return [
-            (number, np.asarray(-self._pulls @ (rows.toarray() * size)))
+            (number, -self._pulls @ (rows.toarray() * size))
             for number, rows in enumerate(self.model.known_jacobians)
             if rows.nnz
         ]
@@ -237,7 +233,7 @@ class DenseErrors:
             (self.inverse, model.scale**2 * model.ignorance),
         ]
         if len(model.penalty_term):
-            pulled = np.asarray((model.pulls[model.free].T @ self.inverse).T)
+            pulled = (model.pulls[model.free].T @ self.inverse).T
             parts += [
                 (self._pulls, model.scale * self.widening),
                 (pulled, np.ones(pulled.shape[1])),

@@ -82,7 +82,7 @@ class SampledErrors(DenseErrors):
 
     def _adjoint(self, rows: Array) -> Array:
         """Return Jᵀ Ω x over all cells for one column x of the data."""
-        weights = np.asarray(self.model.through.T @ (self.model.data_curvature * rows))
+        weights = self.model.through.T @ (self.model.data_curvature * rows)
         return self._curvature.adjoint(weights.reshape(self.model.cells.shape))
 
     def _forward(self, change: Array) -> Array:

@@ -162,9 +162,13 @@ class Spectrum:
 
         The sum is over the directions with a penalty.
         """
+        return float(0.5 * np.sum((1 / (1 + weight * self._effective)) ** 2))
+
+    @property
+    def _effective(self) -> Array:
+        """κ above rounding in directions that data determine."""
         penalised = self.stiffness > NEGLIGIBLE * self.stiffness.max()
-        stiffness = self.stiffness[penalised & self.determined]
-        return float(0.5 * np.sum((1 / (1 + weight * stiffness)) ** 2))
+        return self.stiffness[penalised & self.determined]
 
     @cached_property
     def determined(self) -> Mask:
@@ -179,12 +183,9 @@ class Spectrum:
     @property
     def extent(self) -> tuple[float, float]:
         """Logarithms of the least and the largest λ that affect directions the data determine."""
-        # Rounding of all singular values is that of the largest one.
-        penalised = self.stiffness > NEGLIGIBLE * self.stiffness.max()
-        effective = self.stiffness[penalised & self.determined]
+        effective = self._effective
         smallest = -float(np.log(EXTENT_FACTOR * effective.max()))
-        largest = float(np.log(EXTENT_FACTOR / effective.min()))
-        return smallest, largest
+        return smallest, float(np.log(EXTENT_FACTOR / effective.min()))
 
 
 def best_weight(spectra: Sequence[Spectrum]) -> float:
@@ -192,10 +193,10 @@ def best_weight(spectra: Sequence[Spectrum]) -> float:
     extents = [spectrum.extent for spectrum in spectra]
 
     def value(log_weight: float) -> float:
-        risk = 0.0
-        for spectrum, (low, high) in zip(spectra, extents, strict=True):
-            risk += spectrum.risk(float(np.exp(min(max(log_weight, low), high))))
-        return risk
+        pairs = zip(spectra, extents, strict=True)
+        return sum(
+            spectrum.risk(np.exp(np.clip(log_weight, *extent))) for spectrum, extent in pairs
+        )
 
     lowest, highest = zip(*extents, strict=True)
     # Global minimum on a grid of log λ, refined between its neighbours
@@ -293,10 +294,7 @@ def settled_weights(
             magnitude = float((spread + mean * erf(mean / size / np.sqrt(2))).sum())
             evidence = PenaltyEvidence(mean, magnitude, count, partial(float, used))
             weights[number] = _weight(model, number, evidence)
-        changes = [
-            abs(np.log(weight / earlier)) for weight, earlier in zip(weights, previous, strict=True)
-        ]
-        if max(changes) < TOLERANCE:
+        if np.abs(np.log(np.divide(weights, previous))).max() < TOLERANCE:
             break
     return weights
 

@@ -9,7 +9,7 @@ which ends in lower minima than steps straight down (docs/studies/speed.md).
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import count, islice
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,6 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.files.errors import BROKEN
 from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
-from lampest.solvers.certificate import MIN_COST_SHARE
 from lampest.solvers.check import check
 from lampest.solvers.solution import (
     MAX_STARTS,
@@ -67,8 +66,10 @@ def _is_spent(
     requested = solver.settings.starts is not None
     if not (requested or best.solved):
         return iterations > MAX_UNSOLVED
-    if requested or len(ends) >= most_starts(solver, data) or not solver.cost.convex_losses:
-        return len(ends) >= most_starts(solver, data)
+    if len(ends) >= most_starts(solver, data):
+        return True
+    if requested or not solver.cost.convex_losses:
+        return False
     kept = len(ends) == 1 and best.strict and (best.convex or continues)
     return kept or iterations > MAX_SPENT
 
@@ -129,19 +130,6 @@ def _places(
         yield from scattered(data)
 
 
-def settles(second: Solution, first: Solution) -> bool:
-    """Return whether a second solution is a strict minimum and costs no more than the first.
-
-    Costs are compared within rounding.
-    """
-    if not second.strict or second.at is None:
-        return False
-    return (
-        not first.solved
-        or second.objective <= first.objective + MIN_COST_SHARE * second.at.cost_scale
-    )
-
-
 def several_minima(cost: Cost, data: Data) -> bool:
     """Return whether the cost may have several minima.
 
@@ -154,8 +142,8 @@ def several_minima(cost: Cost, data: Data) -> bool:
     if all(term.reads_measurement for term in cost.terms):
         return False
     comparing = [term for term in cost.terms if term.needs_previous]
-    convex_in_log = bool(comparing) and all(term.convex_in_log for term in comparing)
-    return not (convex_in_log and bool(data.plain.all()))
+    convex_in_log = comparing and all(term.convex_in_log for term in comparing)
+    return not (convex_in_log and data.plain.all())
 
 
 def starts(cost: Cost, data: Data, previous: Array | None) -> Iterator[Array]:
@@ -178,11 +166,10 @@ def scattered(data: Data) -> Iterator[Array]:
     START_SPREAD are the fractional parts of √2·n², which are evenly distributed (Rudnick, Sarnak &
     Zaharescu, Invent. Math. 145, 2001).
     """
-    size = data.measured.size
-    for drawn in count():
-        places = np.arange(1, size + 1, dtype=float) + size * drawn
-        share = (np.sqrt(2.0) * places**2 % 1.0).reshape(data.measured.shape)
-        yield data.apparent_resistance * START_SPREAD**share
+    places = np.arange(1.0, data.measured.size + 1).reshape(data.measured.shape)
+    while True:
+        yield data.apparent_resistance * START_SPREAD ** (np.sqrt(2.0) * places**2 % 1.0)
+        places = places + places.size
 
 
 def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:

@@ -281,7 +281,7 @@ def _next_point(
 ) -> Iterate:
     """Return an accepted trial with a preconditioner and the certificate of its predecessor."""
     # Linear convergence: the next step is shorter by the ratio of the residuals.
-    moved = float(np.abs(trial.at.position - point.at.position).max())
+    moved = np.abs(trial.at.position - point.at.position).max()
     small = point.hessian.dense and not len(point.at.nonsmooth)
     return replace(
         trial,
