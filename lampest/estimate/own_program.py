@@ -283,9 +283,7 @@ def _of_frames(
     symbolic = None
     if numbers:
         symbolic = SymbolicReadout.of(scene, numbers, readings[chosen].mean().value)
-    symbols = Program.build(
-        cost, scene.circuit, scene.wiring, EXCITATIONS[formulation], len(chosen), symbolic
-    )
+    symbols = Program.build(cost, scene.circuit, scene.wiring, formulation, len(chosen), symbolic)
     return OwnProgram(symbols, evaluations, estimator.solver, formulation, unread)
 
 

@@ -11,11 +11,9 @@ currents into the terminals, with one voltage an unknown for each node and patte
 Source: paper, equations (2)-(9).
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Literal
 
 import casadi
 import numpy as np
@@ -186,20 +184,8 @@ class FrameNetwork:
         return NetworkSymbols(self.voltages, self.units, balance, reading, self.places)
 
 
-@dataclass(frozen=True)
-class Excitation(ABC):
-    """Patterns of excitation of one frame, and the network with them."""
-
-    kind: str  # the name in `formulation:`
-
-    @abstractmethod
-    def complete(self, network: FrameNetwork) -> NetworkSymbols:
-        """Return a network with its voltages, equations and readings."""
-
-
-@dataclass(frozen=True)
-class Nodal(Excitation):
-    """One pattern a line.
+def nodal(network: FrameNetwork) -> NetworkSymbols:
+    """Return a network with one pattern a line, its equations and readings.
 
     The voltages of lines without wire are the symmetric matrix Z. With the n lines of the shorter
     side driven, and the m others far, the unknowns are half of the driven block of Z, the voltages
@@ -207,36 +193,34 @@ class Nodal(Excitation):
     the balance of a far line under its own current needs no further voltage. The unknowns number
     n(n + 1)/2 + mn + m in place of (m + n)².
     """
-
-    kind: Literal["nodal"] = "nodal"
-
-    def complete(self, network: FrameNetwork) -> NetworkSymbols:
-        circuit = network.circuit
-        if circuit.lines_only:
-            impedance = _impedance_of_lines(network)
-        else:
-            lines, pattern = _patterns(circuit, network.readout)
-            entries = network.excited("node_voltage", lines)
-            impedance = casadi.SX(len(pattern), len(pattern))
-            for line, number in enumerate(pattern):
-                if number >= 0:
-                    impedance[:, line] = entries[:, int(number)]
-                    impedance[line, :] = impedance[:, line].T
-        rows = circuit.shape[0]
-        return network.read([*_grids(circuit, casadi.diag(impedance)), impedance[:rows, rows:]])
+    circuit = network.circuit
+    if circuit.lines_only:
+        impedance = _impedance_of_lines(network)
+    else:
+        lines, pattern = _patterns(circuit, network.readout)
+        entries = network.excited("node_voltage", lines)
+        impedance = casadi.SX(len(pattern), len(pattern))
+        for line, number in enumerate(pattern):
+            if number >= 0:
+                impedance[:, line] = entries[:, int(number)]
+                impedance[line, :] = impedance[:, line].T
+    rows = circuit.shape[0]
+    return network.read([*_grids(circuit, casadi.diag(impedance)), impedance[:rows, rows:]])
 
 
 def _impedance_of_lines(network: FrameNetwork) -> casadi.SX:
-    """Return the symmetric matrix Z of lines without wire, in the unknowns of `Nodal`."""
+    """Return the symmetric matrix Z of lines without wire, in the unknowns of `nodal`."""
     circuit = network.circuit
-    sides = _sides(circuit.shape)
-    lines, others = (side[:, None] for side in sides)
-    driven, far = (side.tolist() for side in sides)
+    rows, columns = circuit.shape
+    # Lines of the shorter side are driven, those of the longer one are far.
+    sides = np.split(np.arange(circuit.count)[:, None], [rows])
+    lines, others = sides[::-1] if rows >= columns else sides
+    driven, far = (side.ravel().tolist() for side in (lines, others))
     first, second = np.tril_indices(len(driven))
     half = network.new("driven_voltage", lines[first], lines[second])
     far_voltage = network.new("far_voltage", others, lines.T)
     # Whether the reading depends on the voltage of a far line under its own current
-    reads_far = _reads_own(circuit, network.readout)[circuit.shape[0] < circuit.shape[1]]
+    reads_far = _reads_own(circuit, network.readout)[rows < columns]
     own = network.new("own_voltage", others, others) if reads_far else casadi.SX.zeros(len(far))
     # Columns of Z: the driven lines' own patterns; of each far line's pattern only its voltage and,
     # by reciprocity, those of the driven lines, which are all neighbours of its node.
@@ -254,49 +238,38 @@ def _impedance_of_lines(network: FrameNetwork) -> casadi.SX:
     return impedance
 
 
-@dataclass(frozen=True)
-class PerPixel(Excitation):
-    """One pattern a pixel (paper, equations 5 to 9).
+def per_pixel(network: FrameNetwork) -> NetworkSymbols:
+    """Return a network with one pattern a pixel, its equations and readings.
 
     Two-point: a unit current enters row j and leaves column k, R_jk = V_j − V_k. Other readouts
     take two patterns, a unit current into row j and one into column k, or the first alone where
-    their reading does not depend on Z_kk.
+    their reading does not depend on Z_kk. Source: paper, equations (5) to (9).
     """
-
-    kind: Literal["per_pixel"] = "per_pixel"
-
-    def complete(self, network: FrameNetwork) -> NetworkSymbols:
-        circuit = network.circuit
-        row, column = _lines_of_cells(circuit)
-        if network.readout.two_point and not circuit.held.any():
-            voltage = network.new("pixel_voltage", np.arange(circuit.count)[:, None], row, column)
-            into = circuit.excitations(row)[1] - circuit.excitations(column)[1]
-            balance = circuit.balance(network.symbols, voltage) - casadi.DM(into)
-            network.balances.append(casadi.vec(balance))
-            at_row, at_column = (
-                casadi.diag(voltage[circuit.terminals[line].tolist(), :]) for line in (row, column)
-            )
-            return network.reading(network.symbols.scale * (at_row - at_column))
-        from_row = network.excited("from_row_voltage", row)
-        own_row, mutual = (casadi.diag(from_row[line.tolist(), :]) for line in (row, column))
-        own_column = mutual
-        if _reads_own(circuit, network.readout)[1]:
-            from_column = network.excited("from_column_voltage", column)
-            own_column = casadi.diag(from_column[column.tolist(), :])
-        return network.read([_grid(circuit, entry) for entry in (own_row, own_column, mutual)])
+    circuit = network.circuit
+    row, column = _lines_of_cells(circuit)
+    if network.readout.two_point and not circuit.held.any():
+        voltage = network.new("pixel_voltage", np.arange(circuit.count)[:, None], row, column)
+        into = circuit.excitations(row)[1] - circuit.excitations(column)[1]
+        balance = circuit.balance(network.symbols, voltage) - casadi.DM(into)
+        network.balances.append(casadi.vec(balance))
+        at_row, at_column = (
+            casadi.diag(voltage[circuit.terminals[line].tolist(), :]) for line in (row, column)
+        )
+        return network.reading(network.symbols.scale * (at_row - at_column))
+    from_row = network.excited("from_row_voltage", row)
+    own_row, mutual = (casadi.diag(from_row[line.tolist(), :]) for line in (row, column))
+    own_column = mutual
+    if _reads_own(circuit, network.readout)[1]:
+        from_column = network.excited("from_column_voltage", column)
+        own_column = casadi.diag(from_column[column.tolist(), :])
+    return network.read([_grid(circuit, entry) for entry in (own_row, own_column, mutual)])
 
 
-EXCITATIONS: dict[str, Excitation] = {patterns.kind: patterns for patterns in (Nodal(), PerPixel())}
-
-
-def _sides(shape: tuple[int, int]) -> tuple[Numbers, Numbers]:
-    """Return the numbers of the lines of the shorter side, and of the longer one.
-
-    The lines of the shorter side are driven, those of the longer one are far.
-    """
-    rows, columns = shape
-    of_rows, of_columns = np.split(np.arange(rows + columns), [rows])
-    return (of_columns, of_rows) if rows >= columns else (of_rows, of_columns)
+# By the names in `formulation:`, the patterns of excitation of one frame, and the network with them
+EXCITATIONS: dict[str, Callable[[FrameNetwork], NetworkSymbols]] = {
+    "nodal": nodal,
+    "per_pixel": per_pixel,
+}
 
 
 def _patterns(circuit: Circuit, readout: Readout) -> tuple[Numbers, Numbers]:

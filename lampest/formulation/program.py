@@ -37,7 +37,7 @@ from lampest.files.typed import real_array
 from lampest.formulation.circuit import Circuit, ConductanceSymbols
 from lampest.formulation.patterns import (
     END_VOLTAGE,
-    Excitation,
+    EXCITATIONS,
     FrameNetwork,
     NetworkSymbols,
     joined_addresses,
@@ -157,7 +157,7 @@ class Program(CasadiOwner):
         cost: Cost,
         readout: Readout,
         wiring: Wiring | None,
-        excitation: Excitation,
+        excitation: str,
         blocks: int = 1,
         symbolic: "SymbolicReadout | None" = None,
     ) -> "Program":
@@ -168,7 +168,7 @@ class Program(CasadiOwner):
         cost : Cost
         readout : Readout
         wiring : Wiring or None
-        excitation : Excitation
+        excitation : {'nodal', 'per_pixel'}
         blocks : int
         symbolic : SymbolicReadout or None
             The readout with numbers that are unknown, the same in all frames.
@@ -188,7 +188,7 @@ class Program(CasadiOwner):
             addresses = []
             for circuit, tied in zip(circuits, casadi.horzsplit(ties + of_readout), strict=True):
                 symbols = ConductanceSymbols(conductance[:, frame], tied, scale, equation.reading)
-                addresses.append(excitation.complete(FrameNetwork(circuit, readout, symbols)))
+                addresses.append(EXCITATIONS[excitation](FrameNetwork(circuit, readout, symbols)))
             networks.append(joined_addresses(circuits, addresses))
         network = stacked_networks(networks)
         program = cls(

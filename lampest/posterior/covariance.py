@@ -324,12 +324,13 @@ class DenseErrors:
         for number in np.unique(model.penalty_term):
             chosen = model.penalty_term == number
             # Σ ω x̂²/(s² γ) over the rows of one term
-            widened[chosen] = np.maximum(
-                widened[chosen], squares[chosen].sum() / max(self.determined(int(number)), 1.0)
-            )
-            if (chosen & unread).any() and (chosen & ~unread).any():
-                far = np.quantile(squares[chosen & ~unread], LEVEL, method="higher") / TWO_SIDED**2
-                widened[chosen & unread] = np.maximum(widened[chosen & unread], far)
+            mean = squares[chosen].sum() / max(self.determined(int(number)), 1.0)
+            widened[chosen] = np.maximum(widened[chosen], mean)
+            blind = chosen & unread
+            read = chosen & ~unread
+            if blind.any() and read.any():
+                far = np.quantile(squares[read], LEVEL, method="higher") / TWO_SIDED**2
+                widened[blind] = np.maximum(widened[blind], far)
         previous = None if self.before is None else self.before.variance()
         return widened - model.known_share(previous)
 

@@ -14,11 +14,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.formulation.instance import Instance, Multipliers, ProgramResult
 from lampest.formulation.ipopt import Interface
-from lampest.formulation.patterns import Excitation
 from lampest.formulation.program import Program
 from lampest.panel.compiled import guarded
 from lampest.panel.readouts import Readout
@@ -75,10 +73,9 @@ class Ending:
         absolute losses, whose duals change with the readings.
         """
         ended = self.hessian
-        if len(start.cost.slope) or not ended.dense:
-            return start
         current = sharp_hessian(start, np.zeros(0))
-        if current.position.shape != ended.position.shape:
+        alike = current.position.shape == ended.position.shape
+        if len(start.cost.slope) or not ended.dense or not alike:
             return start
         change = current.reading_weight - ended.reading_weight
         matrix = ended.matrix + weighted_square(ended.jacobian, change.ravel())
@@ -107,7 +104,7 @@ class Ipopt(Solver):
     settings : Settings
     readout : Readout
     wiring : Wiring or None
-    patterns : Excitation
+    patterns : {'nodal', 'per_pixel'}
     previous : Ending or None
         End of the frame before.
     """
@@ -116,13 +113,13 @@ class Ipopt(Solver):
 
     readout: Readout
     wiring: Wiring | None
-    patterns: Excitation
+    patterns: str
     previous: Ending | None = None
 
     @property
     def name(self) -> str:
         """The solver in words."""
-        return f"IPOPT {self.patterns.kind}"
+        return f"IPOPT {self.patterns}"
 
     def prepare(self) -> None:
         """Build the program, and IPOPT for cold starts, before the first solve."""
@@ -209,9 +206,7 @@ class Ipopt(Solver):
 
     def _built(self) -> Interface:
         """Return IPOPT's interface to the program, which is built once."""
-        return _interface(
-            self.cost.unweighted, self.readout, self.wiring, self.patterns, self.settings
-        )
+        return _interface(replace(self, cost=self.cost.unweighted, previous=None))
 
 
 def interface_to(program: Program, settings: Settings, **options: Any) -> Interface:
@@ -228,8 +223,7 @@ def interface_to(program: Program, settings: Settings, **options: Any) -> Interf
 
 @guarded
 @lru_cache(maxsize=32)
-def _interface(
-    cost: Cost, readout: Readout, wiring: Wiring | None, patterns: Excitation, settings: Settings
-) -> Interface:
-    """Return IPOPT for the program of a cost; each process compiles it once."""
-    return interface_to(Program.build(cost, readout, wiring, patterns), settings)
+def _interface(solver: Ipopt) -> Interface:
+    """Return IPOPT for the program of a solver; each process compiles it once."""
+    program = Program.build(solver.cost, solver.readout, solver.wiring, solver.patterns)
+    return interface_to(program, solver.settings)

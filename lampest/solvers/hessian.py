@@ -197,11 +197,8 @@ class Hessian:
             force += self.kinked.T @ (self._kinks * (self.kinked @ move))
         through = self.adjoint(force[step.size :].reshape(cells.shape))
         # + N·p + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y)·p
-        force_of = (
-            cells.ravel() * force[: step.size]
-            + through
-            + np.concatenate([second.ravel() for second in seconds])
-        )
+        own = np.concatenate([second.ravel() for second in seconds])
+        force_of = cells.ravel() * force[: step.size] + through + own
         return np.asarray(force_of + (self.direct - self.through) * step)
 
     def gauss_newton_product(self, step: Array) -> Array:
@@ -292,7 +289,8 @@ class Hessian:
         jacobian = self.jacobian
         cells = self._flat(self.cells)
         count = cells.shape[-1]
-        entries, values = self.at.cost.functions.entries, self._smooth_terms
+        entries = self.at.cost.functions.entries
+        values = self._smooth_terms
         # N + diag(r) T_rr diag(r)
         row, column = entries.at_cells
         scale = cells[..., row] * cells[..., column]

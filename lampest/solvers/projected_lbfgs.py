@@ -71,19 +71,17 @@ class InverseHessian:
         For the other cells, and for all if M is not positive definite, 1/diagonal stands in. M is
         the Hessian in relative changes s of conductances, ∇²φ + diag(∇φ).
         """
-        matrix = points.matrix[row].copy()
-        np.einsum("ii->i", matrix)[...] += points.gradient[row]
+        matrix = points.matrix[row] + np.diag(points.gradient[row])
         free = np.flatnonzero(points.free[row])
         scale = np.abs(np.diag(matrix))
         inverse = np.diag(1 / np.where(scale > 0, scale, 1.0))
-        factor = None
-        if len(free):
-            factor = Cholesky.of(points.position[row], free, matrix)
-        positive = factor is not None and clear_of_rounding(factor.triangle, factor.norm)
-        if factor is not None and positive:
-            inverse[np.ix_(free, free)] = factor.inverse()
         position = points.position[row].copy()
-        return cls(inverse, position, points.free[row].copy(), positive or not len(free))
+        factor = Cholesky.of(position, free, matrix) if len(free) else None
+        positive = not len(free)
+        if factor is not None and clear_of_rounding(factor.triangle, factor.norm):
+            positive = True
+            inverse[np.ix_(free, free)] = factor.inverse()
+        return cls(inverse, position, points.free[row].copy(), positive)
 
 
 # Before the first frame of a panel
@@ -192,12 +190,8 @@ def serves(cost: Cost, data: Data) -> bool:
     All losses must be smooth and convex, the readings two-point readings without wiring, and no
     second derivative may couple cells with readings, or readings with each other.
     """
-    if (
-        any(term.loss.enters == "dual" for term in cost.terms)
-        or not cost.convex_losses
-        or cost.frames != 1
-        or data.wiring is not None
-    ):
+    smooth = not any(term.loss.enters == "dual" for term in cost.terms) and cost.convex_losses
+    if not smooth or cost.frames != 1 or data.wiring is not None:
         return False
     entries = cost.functions.entries
     return data.readout.two_point and entries.at_model is not None and not entries.crossed
@@ -333,16 +327,13 @@ def _advanced(
     step = secants.direction(points, inverses)
     count = len(inverses.panels)
     length = np.ones((count, 1))
-    low = points.position - MAX_CHANGE
-    high = points.position + MAX_CHANGE
     most = conductance_change(np.asarray(MAX_CHANGE))
-    trial = points
-    moved = np.zeros(count, dtype=bool)
     # Backtracking line search: u − log(1 − t·s), t shortened for the panels that have not found a
     # step, at last to 0.
     for attempt in range(MAX_TRIES + 1):
-        target = points.position + log_resistance_change(np.minimum(length * step, most))
-        trial = points.elsewhere(np.where(length > 0, np.clip(target, low, high), points.position))
+        change = log_resistance_change(np.minimum(length * step, most))
+        change = np.where(length > 0, np.clip(change, -MAX_CHANGE, MAX_CHANGE), 0.0)
+        trial = points.elsewhere(points.position + change)
         gain = points.at.objectives - trial.at.objectives
         expected = np.abs((points.gradient * (trial.position - points.position)).sum(axis=1))
         moved = decreases_enough(

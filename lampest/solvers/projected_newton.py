@@ -188,16 +188,11 @@ def crowds_bounds(start: Evaluation) -> bool:
     hessian = Hessian(start, Smoothing.start(start))
     data = start.data
     cells = start.cell_resistance
-    if (
-        hessian.dense
-        or not hessian.only_data
-        or not all(term.loss.squared for term in start.cost.terms)
-    ):
+    squared = all(term.loss.squared for term in start.cost.terms)
+    if hessian.dense or not hessian.only_data or not squared:
         return False
     # 1/(1/r) and exp(log r) of a bound differ from it in their last bits.
-    at_bound = np.isclose(cells, data.lower, rtol=1e-12, atol=0) | np.isclose(
-        cells, data.upper, rtol=1e-12, atol=0
-    )
+    at_bound = np.isclose(cells, [data.lower, data.upper], rtol=1e-12, atol=0).any(axis=0)
     crowded = np.sum(at_bound & (data.lower < data.upper)) > sum(cells.shape[1:])
     return bool(crowded and has_central_path(start) and hessian.residual > PATH_TOLERANCE)
 

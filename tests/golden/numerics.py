@@ -136,7 +136,7 @@ def loss_row(loss: lp.Loss) -> dict[str, Any]:
 def program_row(formulation: str, loss: lp.Loss) -> dict[str, Any]:
     """A nonlinear program at some point: its objective, constraints and derivatives."""
     cost = Cost(PANEL, (lp.Misfit(), lp.LogGradient(weight=0.7, loss=loss)), 1)
-    program = Program.build(cost, lp.TwoPointReadout(), None, EXCITATIONS[formulation])
+    program = Program.build(cost, lp.TwoPointReadout(), None, formulation)
     rng = np.random.default_rng(2)
     x, p = (
         np.exp(0.3 * rng.standard_normal(symbol.shape[0]))
@@ -212,7 +212,7 @@ def formulation_row(name: str) -> list[Any]:
                 symbols = (casadi.SX.sym(letter, size) for letter, size in sizes.items())
                 reading = equation_of(readout, *shape).reading
                 begun = FrameNetwork(circuit, readout, ConductanceSymbols(*symbols, reading))
-                rows.append(form.complete(begun).values(circuit.voltages(cells, tie)))
+                rows.append(form(begun).values(circuit.voltages(cells, tie)))
     return rows
 
 
@@ -310,7 +310,7 @@ def solver_row(cost: str, circuit: str, solver: str) -> dict[str, Any]:
     begin = point(cost, circuit)
     kinds = {"newton": ProjectedNewton(begin.cost, Settings())}
     known = begin.cost, Settings(), TINY[circuit].circuit, TINY[circuit].wiring
-    kinds |= {name: by_ipopt.Ipopt(*known, form) for name, form in EXCITATIONS.items()}
+    kinds |= {name: by_ipopt.Ipopt(*known, name) for name in EXCITATIONS}
     solution = multistart.best_solution(kinds[solver], begin.data, None)
     return {
         "cells": solution.cell_resistance,
@@ -345,7 +345,7 @@ def begun_row(cost: str, circuit: str, form: str) -> list[Any]:
         return ProgramResult(ended, pull, equations, "Search_Direction_Becomes_Too_Small", 7)
 
     with patch.object(Interface, "minimise", minimise), patch.object(by_ipopt, "MAX_FINE", 0):
-        solver = by_ipopt.Ipopt(at.cost, Settings(), scene.circuit, scene.wiring, EXCITATIONS[form])
+        solver = by_ipopt.Ipopt(at.cost, Settings(), scene.circuit, scene.wiring, form)
         outcome = solver.solve(at.data, at)
     return [given, outcome.cell_resistance, outcome.dual, outcome.status, outcome.iterations]
 

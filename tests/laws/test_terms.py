@@ -214,7 +214,7 @@ def test_the_hessian_is_the_derivative_of_the_gradient(
         Cost(PANEL, terms, frames),
         TwoPointReadout(),
         None,
-        EXCITATIONS[formulation],
+        formulation,
     )
     nlp = program.nlp
     multiplier = casadi.SX.sym("multiplier", program.nlp["g"].shape[0])

@@ -92,7 +92,7 @@ def _program(
     parts: tuple[ProgramPart, ...],
 ) -> Program:
     """Return the program of a frame with own parts; a process builds it once."""
-    program = Program.build(cost, readout, wiring, EXCITATIONS[kind])
+    program = Program.build(cost, readout, wiring, kind)
     for part in parts:
         program = part.add_to(program)
     return program

@@ -489,7 +489,6 @@ def solver_of(
         from lampest.solvers.projected_newton import ProjectedNewton
 
         return ProjectedNewton(cost, settings)
-    from lampest.formulation.patterns import EXCITATIONS
     from lampest.solvers.by_ipopt import Ipopt
 
-    return Ipopt(cost, settings, readout, wiring, EXCITATIONS[kind])
+    return Ipopt(cost, settings, readout, wiring, kind)
