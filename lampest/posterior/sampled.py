@@ -199,12 +199,9 @@ class SampledErrors(DenseErrors):
 
         The shape is (frames, rows, columns).
         """
-        squares = np.zeros(self.model.cells.shape)
-        for sample in self._samples[0]:
-            squares += (
-                np.reshape(self._curvature.forward(self.model.over_all(sample)), squares.shape) ** 2
-            )
-        return np.sqrt(squares / self.samples)
+        samples = self.model.over_all(self._samples[0].T).T
+        changes = [self._curvature.forward(sample) for sample in samples]
+        return np.sqrt(np.mean(np.square(changes), axis=0))
 
     def memory(self) -> Memory:
         samples = self.model.over_all(self._samples[0].T).T

@@ -268,26 +268,24 @@ def settled_weights(
         # Estimate for the present weights: p = −A⁻¹ (Jᵀ Ω x̂ + Zᵀ Ω x̂)
         curvature = model.penalty_curvature_for(np.asarray(weights))
         prior = (rows.T * curvature) @ rows
-        inverse = positive_inverse(data + prior + IGNORANCE * model.scale * np.eye(len(data)))
+        unit = np.eye(len(data))
+        inverse = positive_inverse(data + prior + IGNORANCE * model.scale * unit)
         step = -inverse @ (slope + rows.T @ (curvature * model.penalty))
         # B⁺, by a regularised inverse of the penalties alone
-        prior_inverse = positive_inverse(
-            prior + RIDGE * np.trace(prior) / len(prior) * np.eye(len(prior))
+        prior_inverse = positive_inverse(prior + RIDGE * np.trace(prior) / len(prior) * unit)
+        # diag(Z A⁻¹ Zᵀ) and diag(Z B⁺ Zᵀ)
+        posterior, free = (
+            np.sum((rows @ each) * rows, axis=1) for each in (inverse, prior_inverse)
         )
         residual = model.penalty + rows @ step
         previous = weights
         weights = list(weights)
         for number in open_terms:
-            of_term = model.penalty_term == number
-            # diag(Z A⁻¹ Zᵀ) and diag(Z B⁺ Zᵀ) over the rows of the term
-            posterior = _quadratic_forms(rows[of_term], inverse)
-            free = _quadratic_forms(rows[of_term], prior_inverse)
-            inside = curvature[of_term] > 0
-            mean = residual[of_term][inside]
+            inside = (model.penalty_term == number) & (curvature > 0)
+            mean = residual[inside]
             size = np.sqrt(np.maximum(model.scale * posterior[inside], np.finfo(float).tiny))
             # tr(B⁺ B_t) and tr(A⁻¹ B_t)
-            count = float(np.sum(curvature[of_term] * free))
-            used = float(np.sum(curvature[of_term] * posterior))
+            count, used = (float(curvature[inside] @ form[inside]) for form in (free, posterior))
             # E|x| of x ~ N(mean, size²)
             # size·√(2/π)·exp(−mean²/(2 size²)) + mean·erf(mean/(√2 size))
             spread = size * np.sqrt(2 / np.pi) * np.exp(-0.5 * (mean / size) ** 2)
@@ -297,11 +295,6 @@ def settled_weights(
         if np.abs(np.log(np.divide(weights, previous))).max() < TOLERANCE:
             break
     return weights
-
-
-def _quadratic_forms(rows: Array, matrix: Array) -> Array:
-    """Return diag(Z M Zᵀ) for rows Z, (rows,)."""
-    return np.asarray(np.einsum("ij,jk,ik->i", rows, matrix, rows, optimize=True))
 
 
 def _weight(model: LinearModel, term: int, evidence: PenaltyEvidence) -> float:

@@ -144,13 +144,13 @@ def _balanced_residual(hessian: Hessian) -> float | None:
     inside = ((at.position > lower) & (at.position < upper)).ravel()
     signs = (-1.0) ** np.arange(cells.size).reshape(cells.shape)
     rounded = at.elsewhere(cells * (1 + ROUNDING * signs))
-    residuals = []
+    least = np.inf
     for free in (np.ones_like(inside), inside):
         subgradient[corner] = lsq_linear(weighted[free], target[free], (-1.0, 1.0), method="bvls").x
         gradient = at.log_gradient(subgradient)
         rounding = np.abs(rounded.log_gradient(subgradient) - gradient).max() / at.cost_scale
-        residuals.append(float(at.projected_gradients(gradient) - rounding))
-    return max(min(residuals), 0.0)
+        least = min(least, float(at.projected_gradients(gradient) - rounding))
+    return max(least, 0.0)
 
 
 def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> Status:
