@@ -49,14 +49,7 @@ class Memory(ABC):
 
     Terms that compare a frame with the previous one, or with the unloaded panel, carry them into
     the next estimate. Small panels keep their covariance as a matrix, large ones samples.
-
-    Attributes
-    ----------
-    exact : bool
-        Whether they are a matrix.
     """
-
-    exact: ClassVar[bool]
 
     @abstractmethod
     def resting(self) -> "Memory":
@@ -81,7 +74,6 @@ class DenseMemory(Memory):
         S₀, the joint covariance of the last estimate (0) and the baseline (1).
     """
 
-    exact: ClassVar[bool] = True
     blocks: Array
 
     def resting(self) -> "DenseMemory":

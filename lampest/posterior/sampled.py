@@ -38,7 +38,6 @@ class SampledMemory(Memory):
         Number of frames so far, the seed of the next frame's noise.
     """
 
-    exact: ClassVar[bool] = False
     samples: Array
     frames: int = 1
 

@@ -23,7 +23,7 @@ from lampest.panel.effects import Shared
 from lampest.panel.panel import Array, Mask
 from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.certainty import Certainty, common_variance
-from lampest.posterior.covariance import DenseErrors, Memory
+from lampest.posterior.covariance import DenseErrors, DenseMemory, Memory
 from lampest.posterior.linear import LinearModel
 from lampest.recording.readings import Readings, stand_in_spread
 
@@ -279,8 +279,8 @@ def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = N
     drawn : array, shape (data rows, n), or None
         V, random errors that the readings of a frame share.
     """
-    samples = None if memory is None or memory.exact else memory
-    if samples is None and model.cells.size <= MAX_DENSE:
+    dense = memory is None or isinstance(memory, DenseMemory)
+    if dense and model.cells.size <= MAX_DENSE:
         errors = DenseErrors(model, memory, drawn)
         if model.sites is not None or not model.chosen_absolute.any():
             return errors
@@ -289,7 +289,7 @@ def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = N
         return with_sites(errors)
     from lampest.posterior.sampled import SampledErrors
 
-    return SampledErrors(model, samples, drawn)
+    return SampledErrors(model, None if dense else memory, drawn)
 
 
 def tangent(errors: DenseErrors, cell: int) -> Array:
