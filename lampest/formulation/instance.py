@@ -136,7 +136,7 @@ class Instance(ReadOnlyArrays):
                 {name: rule(at) if callable(rule) else rule for name, rule in rules.items()}
             )
 
-        at = Values.of(program, blocks)
+        at = Values.of(program.addresses, blocks)
         if program.unknown.sizes["split"]:
             parameter = program.parameter.stacked(at.parameters)
             apparent = at.with_cells(np.concatenate([data.apparent_resistance for data in at.data]))

@@ -113,10 +113,8 @@ class Program(CasadiOwner):
         Rows and columns.
     conductance : casadi.SX, shape (cells, frames)
         s/r.
-    circuits : tuple of Circuit
-        Circuit of each address of the readout.
-    addresses : tuple of NetworkSymbols
-        Network of one frame at each address.
+    addresses : tuple of pairs of Circuit and NetworkSymbols
+        Circuit of each address of the readout, and its network in one frame.
     network : NetworkSymbols
         Voltages and current balances of all frames.
     reading : casadi.SX, shape (cells, frames)
@@ -137,8 +135,7 @@ class Program(CasadiOwner):
     cost: Cost
     shape: tuple[int, int]
     conductance: casadi.SX
-    circuits: tuple[Circuit, ...]
-    addresses: tuple[NetworkSymbols, ...]
+    addresses: tuple[tuple[Circuit, NetworkSymbols], ...]
     network: NetworkSymbols
     reading: casadi.SX
     given: Given
@@ -195,8 +192,7 @@ class Program(CasadiOwner):
             cost,
             (rows, columns),
             conductance,
-            circuits,
-            tuple(addresses),
+            tuple(zip(circuits, addresses, strict=True)),
             network,
             network.reading,
             Given.symbols(rows * columns, frames, partial=cost.partial),

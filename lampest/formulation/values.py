@@ -2,18 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lampest.cost.problem import Data, Evaluation
-from lampest.formulation.patterns import END_VOLTAGE
+from lampest.formulation.circuit import Circuit
+from lampest.formulation.patterns import END_VOLTAGE, NetworkSymbols
 from lampest.panel.panel import Array
 from lampest.panel.readouts.starts import nearly_shorted
 
-if TYPE_CHECKING:
-    from lampest.formulation.program import Program  # which states rules for these values
-
+Addresses = Sequence[tuple[Circuit, NetworkSymbols]]
 MIN_VOLTAGE = 1e-3  # smallest unit of a voltage, relative to the largest voltage of its kind
 MIN_SPLIT_UNIT = 1e-12  # unit of split residuals that are all zero, in their own unit
 # Distance of p, q from their bound 0 at the start, in split units: IPOPT's default of bound_push.
@@ -31,7 +29,8 @@ class Values:
 
     Attributes
     ----------
-    program : Program
+    addresses : sequence of pairs of Circuit and NetworkSymbols
+        Circuit of each address of the readout, and its network in one frame.
     data : sequence of Data
         Data of every block.
     scale : float
@@ -52,7 +51,7 @@ class Values:
         Unit of split residuals.
     """
 
-    program: "Program"
+    addresses: Addresses
     data: Sequence[Data]
     scale: float
     cost_scale: float
@@ -64,12 +63,12 @@ class Values:
     split_scale: float = MIN_SPLIT_UNIT
 
     @classmethod
-    def of(cls, program: "Program", blocks: Sequence[Evaluation]) -> "Values":
+    def of(cls, addresses: Addresses, blocks: Sequence[Evaluation]) -> "Values":
         """Return the values at the cells of the evaluations, without those of split residuals."""
         uniform = np.concatenate([block.data.uniform_start for block in blocks])
         costs = [float(block.cell_costs) or block.cost_scale for block in blocks]
         values = cls(
-            program,
+            addresses,
             [block.data for block in blocks],
             scale=float(np.exp(np.mean(np.log(uniform)))),
             cost_scale=float(np.mean(costs)),
@@ -86,11 +85,10 @@ class Values:
 
     def with_cells(self, cells: Array) -> "Values":
         """Return the values with other cells, (frames, rows, columns) ohm, and their voltages."""
-        addresses = list(zip(self.program.circuits, self.program.addresses, strict=True))
         solved = [
             network.values(circuit.voltages(frame, tie))
             for frame, ties in zip(cells, self.tie, strict=True)
-            for (circuit, network), tie in zip(addresses, ties, strict=True)
+            for (circuit, network), tie in zip(self.addresses, ties, strict=True)
         ]
         voltages = {
             name: np.concatenate([part[name] for part in solved])
@@ -116,7 +114,7 @@ class Values:
         0 for lines at ground, which the circuit knows.
         """
         ties = np.concatenate([data.ties for data in self.data])
-        ties = ties.reshape(len(ties), len(self.program.circuits), -1)
+        ties = ties.reshape(len(ties), len(self.addresses), -1)
         return np.where(np.isinf(ties), 0.0, ties)
 
     @property

@@ -200,7 +200,7 @@ class SampledErrors(DenseErrors):
         """
         samples = self.model.over_all(self._samples[0].T).T
         changes = [self._curvature.forward(sample) for sample in samples]
-        return np.sqrt(np.mean(np.square(changes), axis=0))
+        return np.asarray(np.sqrt(np.mean(np.square(changes), axis=0)))
 
     def memory(self) -> Memory:
         samples = self.model.over_all(self._samples[0].T).T

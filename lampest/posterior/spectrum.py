@@ -168,7 +168,7 @@ class Spectrum:
     def _effective(self) -> Array:
         """κ above rounding in directions that data determine."""
         penalised = self.stiffness > NEGLIGIBLE * self.stiffness.max()
-        return self.stiffness[penalised & self.determined]
+        return np.asarray(self.stiffness[penalised & self.determined])
 
     @cached_property
     def determined(self) -> Mask:

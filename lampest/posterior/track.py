@@ -254,8 +254,8 @@ def beyond_tangents(
         if moved is not None:
             changes = _stood_in(errors, readings, int(place), moved)
         elif cell in model.free and errors.exact:
-            ends = (profile_end(errors, cell, side) for side in (-1, 1))
-            changes = (tangent(errors, cell), *ends)
+            low, high = (profile_end(errors, cell, side) for side in (-1, 1))
+            changes = (tangent(errors, cell), low, high)
         else:
             continue
         along, low, high = (change.ravel()[-size:] for change in changes)

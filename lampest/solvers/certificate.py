@@ -339,11 +339,11 @@ def _by_conjugate_gradients(
     if solved.negative:
         # Negative curvature counts only beyond its rounding error.
         along = solved.step / (np.abs(solved.step).max() or 1.0)
-        curvature = along @ product(along)
+        curvature = float(along @ product(along))
         size = hessian.diagonal[chosen]
-        of_products = ROUNDING * (along @ (size * along))
+        of_products = ROUNDING * float(along @ (size * along))
         rounding = max(of_products, MIN_CURVATURE * hessian.at.cost_scale)
-        beyond = -curvature >= rounding
+        beyond = curvature <= -rounding
         definiteness = Definiteness.INDEFINITE if beyond else Definiteness.UNDETERMINED
     definiteness, lower = _confirmed(hessian, definiteness, chosen, solved.step)
     return Certificate.of(hessian, definiteness, chosen, solved.step, lower=lower)
