@@ -35,7 +35,6 @@ from lampest.cost.cost import Cost
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.stream import Stream
 from lampest.files.errors import BROKEN
-from lampest.formulation.patterns import EXCITATIONS
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.solvers.by_ipopt import Ipopt
@@ -264,7 +263,7 @@ class RandomProblem:
                 self.estimator.solver,
                 self.scene.circuit,
                 self.scene.wiring,
-                EXCITATIONS["nodal"],
+                "nodal",
             )
             solvers.append((nodal, [starts[1], np.log(data.start()).ravel()]))
         for solver, places in solvers:

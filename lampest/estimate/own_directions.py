@@ -71,7 +71,7 @@ class Directions:
         program = instance.program
         x = result.unknown
         names = np.repeat([*program.unknown.sizes], [*program.unknown.sizes.values()])
-        follows = np.isin(names, [*program.networks[0].voltages])
+        follows = np.isin(names, [*program.network.voltages])
         balance = program.equation.sizes["balance"]
         by_voltage = scipy.sparse.linalg.splu(jacobian[:balance, follows])
         leads = np.flatnonzero(~follows)

@@ -25,7 +25,6 @@ from lampest.estimate.methods import named_method
 from lampest.estimate.own_solution import OwnSolution
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError, in_words
-from lampest.formulation.circuit import Circuit
 from lampest.formulation.instance import Instance, Multipliers, ProgramResult
 from lampest.formulation.ipopt import Interface
 from lampest.formulation.patterns import EXCITATIONS
@@ -34,7 +33,7 @@ from lampest.formulation.scene_numbers import SymbolicReadout
 from lampest.inference.prepared import Prepared
 from lampest.panel.compiled import SymbolsOwner, guarded
 from lampest.recording.recording import UNLOADED, Recording
-from lampest.solvers.by_ipopt import ipopt_limits
+from lampest.solvers.by_ipopt import interface_to
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import Settings, Status
@@ -52,7 +51,6 @@ class OwnProgram(SymbolsOwner):
         The symbols: cells, voltages, readings, parameters.
     evaluations : tuple of Evaluation
         Costs of the frames at their starts.
-    circuits : tuple of Circuit
     settings : Settings
     formulation : {'nodal', 'per_pixel'}
     unread : mapping of int to Status
@@ -70,7 +68,6 @@ class OwnProgram(SymbolsOwner):
 
     symbols: Program
     evaluations: tuple[Evaluation, ...]
-    circuits: tuple[Circuit, ...]
     settings: Settings
     formulation: str = "nodal"
     unread: Mapping[int, Status] = field(default_factory=dict)
@@ -180,9 +177,7 @@ class OwnProgram(SymbolsOwner):
                 evaluated(each.cost, each.data, frame)
                 for each, frame in zip(evaluations, frames, strict=True)
             )
-        instance = Instance.of(
-            self.symbols, self.circuits, EXCITATIONS[self.formulation], evaluations
-        )
+        instance = Instance.of(self.symbols, evaluations)
         return instance if start is None else instance.begun_at(start.instance, start.result)
 
 
@@ -190,7 +185,8 @@ class OwnProgram(SymbolsOwner):
 @lru_cache(maxsize=8)
 def _interface(program: Program, settings: Settings) -> Interface:
     """Return IPOPT's interface to a program with own parts, which is built once."""
-    return Interface.of(program, ipopt_limits(settings), scaled=True)
+    # IPOPT scales own constraints by their gradients.
+    return interface_to(program, settings, nlp_scaling_method="gradient-based")
 
 
 def program(
@@ -284,14 +280,11 @@ def _of_frames(
     cost = estimator.cost(scene, 1, partial=readings.partial)
     data = [estimator.data(readings[frame].alone(), background) for frame in chosen]
     evaluations = tuple(evaluated(cost, each, each.uniform_start) for each in data)
-    circuits = Circuit.of_readout(scene.circuit, scene.panel.shape, scene.wiring)
     symbolic = None
     if numbers:
         symbolic = SymbolicReadout.of(scene, numbers, readings[chosen].mean().value)
-    symbols = Program.build(
-        cost, scene.circuit, circuits, EXCITATIONS[formulation], len(chosen), symbolic
-    )
-    return OwnProgram(symbols, evaluations, circuits, estimator.solver, formulation, unread)
+    symbols = Program.build(cost, scene.circuit, scene.wiring, formulation, len(chosen), symbolic)
+    return OwnProgram(symbols, evaluations, estimator.solver, formulation, unread)
 
 
 def _checked_estimator(

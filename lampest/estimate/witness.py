@@ -49,10 +49,9 @@ def testimony(cost: Cost, data: Data, previous: Array | None, settings: Settings
         Start of the first solve, ohm; None where it began at equal cells.
     settings : Settings
     """
-    from lampest.formulation.patterns import Nodal
     from lampest.solvers.by_ipopt import Ipopt
 
-    solver = Ipopt(cost, settings, data.readout, data.wiring, Nodal())
+    solver = Ipopt(cost, settings, data.readout, data.wiring, "nodal")
     with np.errstate(all="ignore"):
         start = another_start(cost, data, previous)
         return replace(solved_from(solver, start), solver=solver.name)

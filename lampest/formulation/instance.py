@@ -7,8 +7,6 @@ import numpy as np
 
 from lampest.cost.problem import Evaluation
 from lampest.files.typed import ReadOnlyArrays
-from lampest.formulation.circuit import Circuit
-from lampest.formulation.patterns import Excitation
 from lampest.formulation.program import Program
 from lampest.formulation.statement import Blocks
 from lampest.formulation.values import Values
@@ -127,13 +125,7 @@ class Instance(ReadOnlyArrays):
     split_scale: float
 
     @classmethod
-    def of(
-        cls,
-        program: Program,
-        circuits: Sequence[Circuit],
-        excitation: Excitation,
-        blocks: Sequence[Evaluation],
-    ) -> "Instance":
+    def of(cls, program: Program, blocks: Sequence[Evaluation]) -> "Instance":
         """Return the instance that begins at the cells of the evaluations, one for each block."""
         unknowns = program.statement.unknowns
         constraints = program.statement.constraints
@@ -144,14 +136,15 @@ class Instance(ReadOnlyArrays):
                 {name: rule(at) if callable(rule) else rule for name, rule in rules.items()}
             )
 
-        at = Values.of(circuits, excitation, blocks)
-        parameter = program.parameter.stacked(at.parameters)
-        residuals = program.split_residuals(column("start", at), parameter)
-        apparent = list[Array]()
-        if residuals:
-            of_apparent = column("start", at.with_cells(at.apparent))
-            apparent = program.split_residuals(of_apparent, parameter)
-        at = at.with_split(residuals, apparent)
+        at = Values.of(program.addresses, blocks)
+        if program.unknown.sizes["split"]:
+            parameter = program.parameter.stacked(at.parameters)
+            apparent = at.with_cells(np.concatenate([data.apparent_resistance for data in at.data]))
+            residuals = (
+                program.split_residuals(column("start", place), parameter)
+                for place in (at, apparent)
+            )
+            at = at.with_split(*residuals)
         low, high = (
             program.equation.stacked(
                 {name: getattr(each, kind) for name, each in constraints.items()}

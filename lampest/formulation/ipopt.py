@@ -74,34 +74,6 @@ FINE_ITERATIONS = 60
 INTERRUPTED = "NonIpopt_Exception_Thrown"
 
 
-@dataclass(frozen=True)
-class Limits:
-    """When IPOPT stops, and further options of a user.
-
-    Attributes
-    ----------
-    tolerance : float
-        Limit of the scaled optimality error.
-    max_iterations : int
-    seconds : float
-        Wall time of a solve.
-    own : tuple of pairs of str and value
-        Further options of IPOPT, which take the place of all others but those of a fine solve. That
-        ends where it comes no closer than the usual tolerance.
-    """
-
-    tolerance: float = 1e-8
-    max_iterations: int = 300
-    seconds: float = np.inf
-    own: tuple[tuple[str, Any], ...] = ()
-
-    def options(self) -> dict[str, Any]:
-        """Return the options of IPOPT."""
-        limits = {"tol": self.tolerance, "max_iter": self.max_iterations}
-        time = {} if np.isinf(self.seconds) else {"max_wall_time": self.seconds}
-        return {**limits, **time, **dict(self.own)}
-
-
 @dataclass(frozen=True, eq=False)
 class Interface(CasadiOwner):
     """IPOPT's interface to one program; derivatives are built once, for cold and for warm starts.
@@ -109,25 +81,18 @@ class Interface(CasadiOwner):
     Attributes
     ----------
     program : Program
-    limits : Limits
-    cold : casadi.Function
-        IPOPT from a cold start.
-    scaled : bool
-        Whether IPOPT scales constraints by their gradients, for own ones.
+    tolerance : float
+        Limit of the scaled optimality error.
+    max_iterations : int
+    own : mapping of str to value
+        Further options of IPOPT, which take the place of all others but those of a fine solve. That
+        ends where it comes no closer than the usual tolerance.
     """
 
     program: Program
-    limits: Limits
-    cold: casadi.Function
-    scaled: bool = False
-
-    @classmethod
-    @guarded
-    def of(cls, program: Program, limits: Limits, *, scaled: bool = False) -> "Interface":
-        """Return the interface to a program, with its derivatives."""
-        barrier = {"mu_max": MAX_BARRIER / program.conductance.numel()}
-        cold = _solver(program, COLD | barrier | limits.options(), scaled=scaled)
-        return cls(program, limits, cold, scaled)
+    tolerance: float
+    max_iterations: int
+    own: Mapping[str, Any]
 
     @guarded
     def minimise(
@@ -176,24 +141,40 @@ class Interface(CasadiOwner):
             history=history,
         )
 
+    def _solver(self, **chosen: Any) -> casadi.Function:
+        """Return IPOPT for the program, with chosen options in place of the common ones."""
+        order = 0 if self.program.unknown.column.shape[0] <= MAX_AMD_UNKNOWNS else 5
+        ipopt = {**COMMON, "mumps_pivot_order": order, **chosen}
+        options: dict[str, Any] = {"ipopt": ipopt, **QUIET, **self.program.derivatives}
+        return casadi.nlpsol("ipopt", "ipopt", self.program.nlp, options)
+
+    @property
+    def _limits(self) -> dict[str, Any]:
+        """Limits and further options, which take the place of others."""
+        return {"tol": self.tolerance, "max_iter": self.max_iterations, **self.own}
+
+    @cached_property
+    def cold(self) -> casadi.Function:
+        """IPOPT from a cold start."""
+        barrier = {"mu_max": MAX_BARRIER / self.program.conductance.numel()}
+        return self._solver(**COLD | barrier | self._limits)
+
     @cached_property
     def _warm(self) -> casadi.Function:
         """IPOPT for starts with multipliers."""
-        tolerance = self.limits.tolerance
         nearly = {
-            "acceptable_tol": WARM_SLOPES * tolerance,
-            "acceptable_compl_inf_tol": tolerance,
+            "acceptable_tol": WARM_SLOPES * self.tolerance,
+            "acceptable_compl_inf_tol": self.tolerance,
             "acceptable_iter": 1,
         }
-        chosen = WARM | nearly | self.limits.options()
-        return _solver(self.program, chosen, scaled=self.scaled)
+        return self._solver(**WARM | nearly | self._limits)
 
     @cached_property
     def _fine(self) -> casadi.Function:
         """IPOPT for starts with multipliers, to the digits that double precision holds."""
-        most = min(FINE_ITERATIONS, self.limits.max_iterations)
-        ends = {"acceptable_tol": self.limits.tolerance, "max_iter": most}
-        return _solver(self.program, self.limits.options() | FINE | ends, scaled=self.scaled)
+        most = min(FINE_ITERATIONS, self.max_iterations)
+        ends = {"acceptable_tol": self.tolerance, "max_iter": most}
+        return self._solver(**self._limits | FINE | ends)
 
 
 def is_option(name: str) -> bool:
@@ -225,12 +206,3 @@ def _objection(name: str, value: Any) -> tuple[str, str]:
     except (RuntimeError, NotImplementedError) as error:
         return str(error), said.getvalue()
     return "", ""
-
-
-def _solver(program: Program, chosen: dict[str, Any], *, scaled: bool) -> casadi.Function:
-    """Return IPOPT for a program, with chosen options."""
-    scaling = {"nlp_scaling_method": "gradient-based"} if scaled else {}
-    order = 0 if program.unknown.column.shape[0] <= MAX_AMD_UNKNOWNS else 5
-    ipopt = {**COMMON, "mumps_pivot_order": order, **scaling, **chosen}
-    options: dict[str, Any] = {"ipopt": ipopt, **QUIET, **program.derivatives}
-    return casadi.nlpsol("ipopt", "ipopt", program.nlp, options)

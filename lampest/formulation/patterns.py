@@ -11,11 +11,9 @@ currents into the terminals, with one voltage an unknown for each node and patte
 Source: paper, equations (2)-(9).
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Literal
 
 import casadi
 import numpy as np
@@ -27,7 +25,6 @@ from lampest.panel.law import ENTRY_NAMES
 from lampest.panel.panel import Array, Numbers
 from lampest.panel.readouts import Readout
 
-Voltages = dict[str, Array]
 END_VOLTAGE = "end_voltage"  # in volt; all others are for unit currents, in V/A
 
 
@@ -47,12 +44,27 @@ class NetworkSymbols:
         enters. Zero at a solution, bilinear in conductances and voltages.
     reading : casadi.SX, shape (cells, 1)
         Readings y = h(V), row-major, in the readout's unit.
+    places : mapping of str to list of arrays of int
+        Of one address: the node of every voltage, the line that is excited, and if the current
+        leaves at another line, that line.
     """
 
     voltages: dict[str, casadi.SX]
     units: dict[str, casadi.SX]
     balance: casadi.SX
     reading: casadi.SX
+    places: Mapping[str, Sequence[Numbers]] = field(default_factory=dict)
+
+    def values(self, response: Array) -> dict[str, Array]:
+        """Return the values of the voltages in a solved network, V/A.
+
+        `response`, (nodes, lines), are the voltages of all nodes for a unit current into each
+        terminal; those by the ends of the lines follow, if they have potentials.
+        """
+        return {
+            name: response[nodes, line] - sum(response[nodes, other] for other in others)
+            for name, (nodes, line, *others) in self.places.items()
+        }
 
 
 def joined_addresses(
@@ -62,8 +74,6 @@ def joined_addresses(
 
     Every address contributes the readings that it takes.
     """
-    if len(networks) == 1:
-        return networks[0]
     reading = casadi.SX(networks[0].reading.shape[0], 1)
     for circuit, network in zip(circuits, networks, strict=True):
         chosen = np.flatnonzero(circuit.read).tolist()
@@ -83,7 +93,7 @@ def stacked_networks(networks: Sequence[NetworkSymbols]) -> NetworkSymbols:
 
 
 @dataclass(eq=False)
-class _FrameNetwork:
+class FrameNetwork:
     """Network of one frame while it is built: voltages and units by name, balances."""
 
     circuit: Circuit
@@ -91,12 +101,18 @@ class _FrameNetwork:
     symbols: ConductanceSymbols
     voltages: dict[str, casadi.SX] = field(default_factory=dict)
     units: dict[str, casadi.SX] = field(default_factory=dict)
+    places: dict[str, list[Numbers]] = field(default_factory=dict)
     balances: list[casadi.SX] = field(default_factory=list)
 
-    def new(self, name: str, rows: int, columns: int = 1) -> casadi.SX:
-        """Return new voltages in the unit of resistances, (rows, columns)."""
-        symbol = casadi.SX.sym(name, rows, columns)
-        unit = casadi.SX.sym(f"unit_{name}", rows, columns)
+    def new(self, name: str, *places: Numbers) -> casadi.SX:
+        """Return new voltages in the unit of resistances, (rows, columns).
+
+        Their places, see `NetworkSymbols`, are broadcast to this shape.
+        """
+        shape = np.broadcast_shapes(*(place.shape for place in places))
+        self.places[name] = [np.broadcast_to(place, shape).ravel(order="F") for place in places]
+        symbol = casadi.SX.sym(name, *shape)
+        unit = casadi.SX.sym(f"unit_{name}", *shape)
         self.voltages[name] = casadi.vec(symbol)
         self.units[name] = casadi.vec(unit)
         return unit * symbol
@@ -108,24 +124,25 @@ class _FrameNetwork:
         `DifferenceNetwork`.
         """
         given, into = self.circuit.excitations(lines)
-        return self.solved(name, given, casadi.DM(into))
+        return self.solved(name, given, casadi.DM(into), lines)
 
     def solved(
         self,
         name: str,
         given: Array,
         into: casadi.SX | casadi.DM,
+        lines: Numbers,
         unit: casadi.SX | float = 1.0,
     ) -> casadi.SX:
         """Return the voltages of lines, or the currents of held ones in `unit`.
 
         The nodes that are free have unknown voltages, `given` (nodes, patterns) are those of the
-        others. The currents `into` the nodes have the same shape.
+        others. The currents `into` the nodes have the same shape. `lines` (patterns,) are excited.
         """
         circuit = self.circuit
         free = circuit.free.tolist()
         voltage = casadi.SX(casadi.DM(given))
-        voltage[free, :] = self.new(name, *given[circuit.free].shape)
+        voltage[free, :] = self.new(name, circuit.free[:, None], lines)
         out = circuit.balance(self.symbols, voltage) - into
         self.balances.append(casadi.vec(out[free, :]))
         entries = voltage[circuit.points.tolist(), :]
@@ -156,42 +173,19 @@ class _FrameNetwork:
             # In volt, where all other voltages are for unit currents in the unit of resistances
             volt = casadi.DM(np.where(circuit.held, 0.0, circuit.ends))
             into = casadi.SX(circuit.at_terminals @ (self.symbols.tie * volt))
-            known += _grids(circuit, self.solved(END_VOLTAGE, circuit.held_potentials, into, scale))
+            last = np.array([-1])
+            given = circuit.held_potentials
+            known += _grids(circuit, self.solved(END_VOLTAGE, given, into, last, scale))
         return self.reading(casadi.vec(casadi.SX(self.symbols.reading(*known)).T))
 
     def reading(self, reading: casadi.SX) -> NetworkSymbols:
         """Return the network with its readings, (cells, 1)."""
-        return NetworkSymbols(self.voltages, self.units, casadi.vertcat(*self.balances), reading)
+        balance = casadi.vertcat(*self.balances)
+        return NetworkSymbols(self.voltages, self.units, balance, reading, self.places)
 
 
-@dataclass(frozen=True)
-class Excitation(ABC):
-    """Patterns of excitation of one frame, and the network with them."""
-
-    kind: str  # the name in `formulation:`
-
-    def network(
-        self, circuit: Circuit, readout: Readout, symbols: ConductanceSymbols
-    ) -> NetworkSymbols:
-        """Return the unknown voltages and the equations of one frame's network."""
-        return self._built(_FrameNetwork(circuit, readout, symbols))
-
-    @abstractmethod
-    def _built(self, network: _FrameNetwork) -> NetworkSymbols:
-        """Return a network with its voltages, equations and readings."""
-
-    @abstractmethod
-    def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
-        """Return the values of `NetworkSymbols.voltages` in a solved network, V/A.
-
-        `response`, (nodes, lines), are the voltages of all nodes for a unit current into each
-        terminal; those by the ends of the lines follow, if they have potentials.
-        """
-
-
-@dataclass(frozen=True)
-class Nodal(Excitation):
-    """One pattern a line.
+def nodal(network: FrameNetwork) -> NetworkSymbols:
+    """Return a network with one pattern a line, its equations and readings.
 
     The voltages of lines without wire are the symmetric matrix Z. With the n lines of the shorter
     side driven, and the m others far, the unknowns are half of the driven block of Z, the voltages
@@ -199,51 +193,39 @@ class Nodal(Excitation):
     the balance of a far line under its own current needs no further voltage. The unknowns number
     n(n + 1)/2 + mn + m in place of (m + n)².
     """
-
-    kind: Literal["nodal"] = "nodal"
-
-    def _built(self, network: _FrameNetwork) -> NetworkSymbols:
-        circuit = network.circuit
-        if circuit.lines_only:
-            impedance = _impedance_of_lines(network)
-        else:
-            lines, pattern = _patterns(circuit, network.readout)
-            entries = network.excited("node_voltage", lines)
-            impedance = casadi.SX(len(pattern), len(pattern))
-            for line, number in enumerate(pattern):
-                if number >= 0:
-                    impedance[:, line] = entries[:, int(number)]
-                    impedance[line, :] = impedance[:, line].T
-        rows = circuit.shape[0]
-        return network.read([*_grids(circuit, casadi.diag(impedance)), impedance[:rows, rows:]])
-
-    def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
-        if not circuit.lines_only:
-            lines, _ = _patterns(circuit, readout)
-            voltages = {"node_voltage": response[np.ix_(circuit.free, lines)].T.ravel()}
-            return voltages | _end_voltages(circuit, response)
-        driven, far = _sides(circuit.shape)
-        half = response[np.ix_(driven, driven)][np.tril_indices(len(driven))]
-        voltages = {"driven_voltage": half, "far_voltage": response[np.ix_(far, driven)].T.ravel()}
-        if _reads_far(circuit, readout):
-            voltages["own_voltage"] = np.diag(response)[far]
-        return voltages | _end_voltages(circuit, response)
-
-
-def _impedance_of_lines(network: _FrameNetwork) -> casadi.SX:
-    """Return the symmetric matrix Z of lines without wire, in the unknowns of `Nodal`."""
     circuit = network.circuit
-    driven, far = (numbers.tolist() for numbers in _sides(circuit.shape))
-    driven_count = len(driven)
-    far_count = len(far)
-    reads_far = _reads_far(circuit, network.readout)
-    half = network.new("driven_voltage", driven_count * (driven_count + 1) // 2)
-    far_voltage = network.new("far_voltage", far_count, driven_count)
-    own = network.new("own_voltage", far_count) if reads_far else casadi.SX.zeros(far_count)
+    if circuit.lines_only:
+        impedance = _impedance_of_lines(network)
+    else:
+        lines, pattern = _patterns(circuit, network.readout)
+        entries = network.excited("node_voltage", lines)
+        impedance = casadi.SX(len(pattern), len(pattern))
+        for line, number in enumerate(pattern):
+            if number >= 0:
+                impedance[:, line] = entries[:, int(number)]
+                impedance[line, :] = impedance[:, line].T
+    rows = circuit.shape[0]
+    return network.read([*_grids(circuit, casadi.diag(impedance)), impedance[:rows, rows:]])
+
+
+def _impedance_of_lines(network: FrameNetwork) -> casadi.SX:
+    """Return the symmetric matrix Z of lines without wire, in the unknowns of `nodal`."""
+    circuit = network.circuit
+    rows, columns = circuit.shape
+    # Lines of the shorter side are driven, those of the longer one are far.
+    sides = np.split(np.arange(circuit.count)[:, None], [rows])
+    lines, others = sides[::-1] if rows >= columns else sides
+    driven, far = (side.ravel().tolist() for side in (lines, others))
+    first, second = np.tril_indices(len(driven))
+    half = network.new("driven_voltage", lines[first], lines[second])
+    far_voltage = network.new("far_voltage", others, lines.T)
+    # Whether the reading depends on the voltage of a far line under its own current
+    reads_far = _reads_own(circuit, network.readout)[rows < columns]
+    own = network.new("own_voltage", others, others) if reads_far else casadi.SX.zeros(len(far))
     # Columns of Z: the driven lines' own patterns; of each far line's pattern only its voltage and,
     # by reciprocity, those of the driven lines, which are all neighbours of its node.
     impedance = casadi.SX(circuit.count, circuit.count)
-    upper = casadi.SX(casadi.Sparsity.upper(driven_count), half)
+    upper = casadi.SX(casadi.Sparsity.upper(len(driven)), half)
     impedance[driven, driven] = casadi.triu2symm(upper)
     impedance[far, driven] = far_voltage
     impedance[driven, far] = far_voltage.T
@@ -256,57 +238,38 @@ def _impedance_of_lines(network: _FrameNetwork) -> casadi.SX:
     return impedance
 
 
-@dataclass(frozen=True)
-class PerPixel(Excitation):
-    """One pattern a pixel (paper, equations 5 to 9).
+def per_pixel(network: FrameNetwork) -> NetworkSymbols:
+    """Return a network with one pattern a pixel, its equations and readings.
 
     Two-point: a unit current enters row j and leaves column k, R_jk = V_j − V_k. Other readouts
     take two patterns, a unit current into row j and one into column k, or the first alone where
-    their reading does not depend on Z_kk.
+    their reading does not depend on Z_kk. Source: paper, equations (5) to (9).
     """
-
-    kind: Literal["per_pixel"] = "per_pixel"
-
-    def _built(self, network: _FrameNetwork) -> NetworkSymbols:
-        circuit = network.circuit
-        row, column = _lines_of_cells(circuit)
-        if network.readout.two_point and not circuit.held.any():
-            voltage = network.new("pixel_voltage", circuit.count, len(row))
-            into = circuit.excitations(row)[1] - circuit.excitations(column)[1]
-            balance = circuit.balance(network.symbols, voltage) - casadi.DM(into)
-            network.balances.append(casadi.vec(balance))
-            at_row, at_column = (
-                _chosen(voltage, circuit.terminals[line]) for line in (row, column)
-            )
-            return network.reading(network.symbols.scale * (at_row - at_column))
-        from_row = network.excited("from_row_voltage", row)
-        own_row, mutual = (_chosen(from_row, line) for line in (row, column))
-        own_column = mutual
-        if _reads_own(circuit, network.readout)[1]:
-            own_column = _chosen(network.excited("from_column_voltage", column), column)
-        return network.read([_grid(circuit, entry) for entry in (own_row, own_column, mutual)])
-
-    def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
-        row, column = _lines_of_cells(circuit)
-        if readout.two_point and not circuit.held.any():
-            return {"pixel_voltage": (response[:, row] - response[:, column]).T.ravel()}
-        values = {"from_row_voltage": response[np.ix_(circuit.free, row)].T.ravel()}
-        if _reads_own(circuit, readout)[1]:
-            values["from_column_voltage"] = response[np.ix_(circuit.free, column)].T.ravel()
-        return values | _end_voltages(circuit, response)
+    circuit = network.circuit
+    row, column = _lines_of_cells(circuit)
+    if network.readout.two_point and not circuit.held.any():
+        voltage = network.new("pixel_voltage", np.arange(circuit.count)[:, None], row, column)
+        into = circuit.excitations(row)[1] - circuit.excitations(column)[1]
+        balance = circuit.balance(network.symbols, voltage) - casadi.DM(into)
+        network.balances.append(casadi.vec(balance))
+        at_row, at_column = (
+            casadi.diag(voltage[circuit.terminals[line].tolist(), :]) for line in (row, column)
+        )
+        return network.reading(network.symbols.scale * (at_row - at_column))
+    from_row = network.excited("from_row_voltage", row)
+    own_row, mutual = (casadi.diag(from_row[line.tolist(), :]) for line in (row, column))
+    own_column = mutual
+    if _reads_own(circuit, network.readout)[1]:
+        from_column = network.excited("from_column_voltage", column)
+        own_column = casadi.diag(from_column[column.tolist(), :])
+    return network.read([_grid(circuit, entry) for entry in (own_row, own_column, mutual)])
 
 
-EXCITATIONS: dict[str, Excitation] = {patterns.kind: patterns for patterns in (Nodal(), PerPixel())}
-
-
-def _sides(shape: tuple[int, int]) -> tuple[Numbers, Numbers]:
-    """Return the numbers of the lines of the shorter side, and of the longer one.
-
-    The lines of the shorter side are driven, those of the longer one are far.
-    """
-    rows, columns = shape
-    of_rows, of_columns = np.split(np.arange(rows + columns), [rows])
-    return (of_columns, of_rows) if rows >= columns else (of_rows, of_columns)
+# By the names in `formulation:`, the patterns of excitation of one frame, and the network with them
+EXCITATIONS: dict[str, Callable[[FrameNetwork], NetworkSymbols]] = {
+    "nodal": nodal,
+    "per_pixel": per_pixel,
+}
 
 
 def _patterns(circuit: Circuit, readout: Readout) -> tuple[Numbers, Numbers]:
@@ -333,12 +296,6 @@ def _patterns(circuit: Circuit, readout: Readout) -> tuple[Numbers, Numbers]:
     return np.flatnonzero(driven)[first], pattern
 
 
-def _reads_far(circuit: Circuit, readout: Readout) -> bool:
-    """Return whether the reading depends on the voltage of a far line under its own current."""
-    rows, columns = circuit.shape
-    return _reads_own(circuit, readout)[rows < columns]
-
-
 @guarded
 @lru_cache(maxsize=64)
 def _reads_own(circuit: Circuit, readout: Readout) -> tuple[bool, bool]:
@@ -347,16 +304,6 @@ def _reads_own(circuit: Circuit, readout: Readout) -> tuple[bool, bool]:
     row, column, *others = (casadi.MX.sym(name, *circuit.shape) for name in names)
     reading = equation_of(readout, *circuit.shape).reading(row, column, *others)
     return bool(casadi.depends_on(reading, row)), bool(casadi.depends_on(reading, column))
-
-
-def _end_voltages(circuit: Circuit, response: Array) -> Voltages:
-    """Return the values of the voltages by the ends of lines; none without potentials."""
-    return {} if circuit.ends is None else {END_VOLTAGE: response[circuit.free, -1]}
-
-
-def _chosen(values: casadi.SX, rows: Numbers) -> casadi.SX:
-    """Return one entry of each column, (columns, 1)."""
-    return casadi.vertcat(*(values[row, column] for column, row in enumerate(rows.tolist())))
 
 
 def _grid(circuit: Circuit, values: casadi.SX) -> casadi.SX:

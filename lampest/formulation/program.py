@@ -17,9 +17,11 @@ Source: paper, equations (2)-(24); Wächter & Biegler, Mathematical Programming 
 of IPOPT).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import casadi
@@ -35,7 +37,8 @@ from lampest.files.typed import real_array
 from lampest.formulation.circuit import Circuit, ConductanceSymbols
 from lampest.formulation.patterns import (
     END_VOLTAGE,
-    Excitation,
+    EXCITATIONS,
+    FrameNetwork,
     NetworkSymbols,
     joined_addresses,
     stacked_networks,
@@ -46,6 +49,7 @@ from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.panel.equation import equation_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
+from lampest.panel.readouts.wiring import Wiring
 
 if TYPE_CHECKING:
     from lampest.formulation.scene_numbers import SymbolicReadout  # loads every driven readout
@@ -109,8 +113,10 @@ class Program(CasadiOwner):
         Rows and columns.
     conductance : casadi.SX, shape (cells, frames)
         s/r.
-    networks : tuple of NetworkSymbols
-        Voltages and current balances of every frame.
+    addresses : tuple of pairs of Circuit and NetworkSymbols
+        Circuit of each address of the readout, and its network in one frame.
+    network : NetworkSymbols
+        Voltages and current balances of all frames.
     reading : casadi.SX, shape (cells, frames)
         y = h(V), as the terms read it.
     given : Given
@@ -129,7 +135,8 @@ class Program(CasadiOwner):
     cost: Cost
     shape: tuple[int, int]
     conductance: casadi.SX
-    networks: tuple[NetworkSymbols, ...]
+    addresses: tuple[tuple[Circuit, NetworkSymbols], ...]
+    network: NetworkSymbols
     reading: casadi.SX
     given: Given
     tie: casadi.SX
@@ -146,8 +153,8 @@ class Program(CasadiOwner):
         cls,
         cost: Cost,
         readout: Readout,
-        circuits: Sequence[Circuit],
-        patterns: Excitation,
+        wiring: Wiring | None,
+        excitation: str,
         blocks: int = 1,
         symbolic: "SymbolicReadout | None" = None,
     ) -> "Program":
@@ -157,36 +164,37 @@ class Program(CasadiOwner):
         ----------
         cost : Cost
         readout : Readout
-        circuits : sequence of Circuit
-            Circuit of each address of the readout.
-        patterns : Excitation
+        wiring : Wiring or None
+        excitation : {'nodal', 'per_pixel'}
         blocks : int
         symbolic : SymbolicReadout or None
             The readout with numbers that are unknown, the same in all frames.
         """
         frames = blocks * cost.frames
         rows, columns = cost.panel.shape
+        circuits = Circuit.of_readout(readout, (rows, columns), wiring)
         tie = casadi.SX.sym("tie", rows + columns, frames * len(circuits))
         scale, cost_scale, split_scale = (
             casadi.SX.sym(name) for name in ("scale", "cost_scale", "split_scale")
         )
         conductance = casadi.SX.sym("conductance", rows * columns, frames)
         equation = equation_of(readout, rows, columns) if symbolic is None else symbolic
-        of_readout = casadi.SX(*tie.shape) if symbolic is None else scale * symbolic.tie
+        of_readout = 0 if symbolic is None else scale * symbolic.tie
         networks = []
-        for frame in range(frames):
+        for frame, ties in enumerate(casadi.horzsplit(tie, len(circuits))):
             addresses = []
-            for number, circuit in enumerate(circuits):
-                tied = tie[:, frame * len(circuits) + number] + of_readout[:, number]
+            for circuit, tied in zip(circuits, casadi.horzsplit(ties + of_readout), strict=True):
                 symbols = ConductanceSymbols(conductance[:, frame], tied, scale, equation.reading)
-                addresses.append(patterns.network(circuit, readout, symbols))
+                addresses.append(EXCITATIONS[excitation](FrameNetwork(circuit, readout, symbols)))
             networks.append(joined_addresses(circuits, addresses))
+        network = stacked_networks(networks)
         program = cls(
             cost,
             (rows, columns),
             conductance,
-            tuple(networks),
-            casadi.horzcat(*(network.reading for network in networks)),
+            tuple(zip(circuits, addresses, strict=True)),
+            network,
+            network.reading,
             Given.symbols(rows * columns, frames, partial=cost.partial),
             tie,
             casadi.SX.sym("weights", len(cost.terms)),
@@ -208,10 +216,9 @@ class Program(CasadiOwner):
         frames = counted(self.conductance.shape[1], "frame")
         rows, columns = self.shape
         lines = [f"program of {frames} of {rows} × {columns} cells", "minimise"]
-        sizes = dict.fromkeys(range(len(self.cost.terms)), 0)
-        for group in self.groups:
-            for part in group:
-                sizes[part.term] += part.rows
+        sizes = Counter[int]()
+        for part in chain(*self.groups):
+            sizes[part.term] += part.rows
         lines += [
             f"    {term_kind(term):<24}{counted(sizes[number], 'residual'):>16}  {term.loss.kind}"
             for number, term in enumerate(self.cost.terms)
@@ -389,17 +396,16 @@ class Program(CasadiOwner):
         """Costs w·ρ(x) of all terms and frames, in groups that are lowered together."""
         pairs = []
         size = self.cost.frames
+        sources = self.given.sources()
         for first in range(0, self.conductance.shape[1], size):
             block = slice(first, first + size)
             # Inputs of one block of frames
-            sources = self.given.sources()
             some = {
                 name: value[:, block] if sources[name].per_frame else value
                 for name, value in self.given.named()
             }
-            symbols = Symbols(
-                self.cell_resistance[:, block], self.reading[:, block], replace(self.given, **some)
-            )
+            given = replace(self.given, **some)
+            symbols = Symbols(self.cell_resistance[:, block], self.reading[:, block], given)
             pairs += self.cost.residuals(symbols)
         return program_groups(summands(self.cost.terms, pairs, self.weight))
 
@@ -411,22 +417,17 @@ class Program(CasadiOwner):
     @guarded
     def split_residuals(self, unknown: Array, parameter: Array) -> list[Array]:
         """Return the residuals of each group that is split into p and q, for values of x and p."""
-        values = self._split_residuals.call([unknown, parameter])
-        return [np.asarray(value).ravel() for value in values]
+        return [value.full().ravel() for value in self._split_residuals.call([unknown, parameter])]
 
     @cached_property
     def _split_residuals(self) -> casadi.Function:
         """Function (x, p) → residuals, a column for each group of split terms."""
-        split = [group for group in self.groups if group[0].loss.enters != "whole"]
         residuals = [
-            casadi.densify(casadi.vertcat(*(part.residual for part in group))) for group in split
+            casadi.vertcat(*(part.residual for part in group))
+            for group in self.groups
+            if group[0].loss.enters != "whole"
         ]
         return casadi.Function("split", [self.unknown.column, self.parameter.column], residuals)
-
-    @cached_property
-    def network(self) -> NetworkSymbols:
-        """The networks of all frames as one."""
-        return stacked_networks(self.networks)
 
     @cached_property
     def statement(self) -> Statement:
@@ -521,8 +522,7 @@ class Program(CasadiOwner):
         upper = casadi.triu(full)
         upper[:first, first : first + voltages.shape[0]] += block.T
         arguments = [unknown, self.parameter.column, weight, multiplier]
-        names = ["x", "p", "lam_f", "lam_g"]
-        return casadi.Function("nlp_hess_l", arguments, [upper], names, ["hess_gamma_x_x"])
+        return casadi.Function("nlp_hess_l", arguments, [upper])
 
 
 def _check_text(name: Any, what: str) -> None:

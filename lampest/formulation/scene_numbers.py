@@ -14,7 +14,7 @@ Amplifier Design, 1945, chapter 1.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import compress, product
+from itertools import chain, compress, product
 from math import prod
 from typing import Any
 
@@ -87,9 +87,8 @@ class SceneNumber:
     def stated(self, scene: Scene, value: Array) -> Scene:
         """Return the scene with other numbers."""
         listed = isinstance(specified(scene, self.key), tuple)
-        stated: Scene = _stated(
-            scene, self.key, tuple(value.tolist()) if listed else float(value[0])
-        )
+        numbers = value.tolist()
+        stated: Scene = _stated(scene, self.key, tuple(numbers) if listed else numbers[0])
         return stated
 
 
@@ -165,8 +164,9 @@ class SymbolicReadout(CasadiOwner):
 
     def as_the_scene_reads(self, reading: casadi.SX) -> casadi.SX:
         """Return what the scene takes for readings of the network, (cells, frames)."""
-        frames = reading.shape[1]
-        slope, offset = (casadi.repmat(each, 1, frames) for each in (self.slope, self.offset))
+        slope, offset = (
+            casadi.repmat(each, 1, reading.shape[1]) for each in (self.slope, self.offset)
+        )
         return slope * reading + offset
 
     @property
@@ -186,18 +186,15 @@ def _places(scene: Scene, numbers: Sequence[SceneNumber], measured: Array) -> ND
     """
     nominal = _entries(scene, scene, measured)
     place = np.full((len(numbers), len(nominal)), -1)
-    for key, number in enumerate(numbers):
-        for entry, chosen in enumerate(np.eye(len(number.value))):
-            moved = number.stated(scene, number.value + chosen * number.step)
-            changed = _entries(moved, scene, measured)
-            # Entries are equal but for rounding; infinite ones have no difference.
-            with np.errstate(invalid="ignore"):
-                far = ~(np.abs(changed - nominal) <= ROUNDING**1.5 * np.abs(nominal))
-            depends = far & (changed != nominal)
-            if np.any(depends & (place[key] >= 0)):
+    for own, number in zip(place, numbers, strict=True):
+        for entry, chosen in enumerate(np.diag(number.step)):
+            changed = _entries(number.stated(scene, number.value + chosen), scene, measured)
+            # Entries are equal but for rounding.
+            depends = ~np.isclose(changed, nominal, rtol=ROUNDING**1.5, atol=0.0)
+            if np.any(own[depends] >= 0):
                 raise _refusal(number.key)
-            place[key][depends] = entry
-        if np.all(place[key] < 0):
+            own[depends] = entry
+        if np.all(own < 0):
             raise InputError(f"numbers: no reading depends on {number.key}")
     return place
 
@@ -222,14 +219,14 @@ def _ratios(
             moved = number.stated(moved, number.value + step * number.step)
         seen.append(_entries(moved, scene, measured))
     values = np.array(seen)
-    nominal = values[points.index((0.0,) * len(numbers))]
-    column = casadi.SX(casadi.DM(np.where(np.isfinite(nominal), nominal, 0.0)))
+    # the first point is that of the scene's numbers
+    column = casadi.SX(casadi.DM(np.where(np.isfinite(values[0]), values[0], 0.0)))
     for entry in np.flatnonzero((place >= 0).any(axis=0)).tolist():
         acting = place[:, entry] >= 0
         at = np.array(points)[:, acting]
         of_entry = values[:, entry]
         fit = _ratio(at[:count], of_entry[:count])
-        upper, lower = (_products(at) @ polynomial for polynomial in fit)
+        upper, lower = fit @ _products(at).T
         if not np.all(np.abs(upper / lower - of_entry) <= ROUNDING * np.abs(of_entry).max()):
             raise _refusal(" and ".join(number.key for number in compress(numbers, acting)))
         steps = [
@@ -237,13 +234,7 @@ def _ratios(
             for number, line in zip(numbers, place[:, entry].tolist(), strict=True)
             if line >= 0
         ]
-        upper, lower = (
-            sum(
-                float(factor) * part
-                for factor, part in zip(polynomial, _subsets(steps), strict=True)
-            )
-            for polynomial in fit
-        )
+        upper, lower = casadi.vertsplit(casadi.DM(fit) @ casadi.vertcat(*_subsets(steps)))
         column[entry] = upper / lower
     return column
 
@@ -306,12 +297,10 @@ def _entries(scene: Scene, nominal: Scene, measured: Array) -> Array:
 def _arrays(equation: Equation) -> list[Any]:
     """Return the numbers of an equation, to be broadcast to (rows, columns) each."""
     arrays = [getattr(equation, name) for name in SINGLE]
-    for name in PAIRS:
-        arrays += getattr(equation, name)
+    arrays += chain(*(getattr(equation, name) for name in PAIRS))
     if equation.potentials is not None:
-        of_ends = [getattr(equation.potentials, name) for name in OF_ENDS]
-        arrays += [array for array in of_ends if array is not None]
-    return arrays
+        arrays += [getattr(equation.potentials, name) for name in OF_ENDS]
+    return [array for array in arrays if array is not None]
 
 
 def _with_arrays(equation: Equation, column: casadi.SX) -> Equation:

@@ -7,10 +7,11 @@ import numpy as np
 
 from lampest.cost.problem import Data, Evaluation
 from lampest.formulation.circuit import Circuit
-from lampest.formulation.patterns import END_VOLTAGE, Excitation
+from lampest.formulation.patterns import END_VOLTAGE, NetworkSymbols
 from lampest.panel.panel import Array
 from lampest.panel.readouts.starts import nearly_shorted
 
+Addresses = Sequence[tuple[Circuit, NetworkSymbols]]
 MIN_VOLTAGE = 1e-3  # smallest unit of a voltage, relative to the largest voltage of its kind
 MIN_SPLIT_UNIT = 1e-12  # unit of split residuals that are all zero, in their own unit
 # Distance of p, q from their bound 0 at the start, in split units: IPOPT's default of bound_push.
@@ -28,9 +29,8 @@ class Values:
 
     Attributes
     ----------
-    circuits : sequence of Circuit
-        Circuit of each address of the readout.
-    excitation : Excitation
+    addresses : sequence of pairs of Circuit and NetworkSymbols
+        Circuit of each address of the readout, and its network in one frame.
     data : sequence of Data
         Data of every block.
     scale : float
@@ -51,8 +51,7 @@ class Values:
         Unit of split residuals.
     """
 
-    circuits: Sequence[Circuit]
-    excitation: Excitation
+    addresses: Addresses
     data: Sequence[Data]
     scale: float
     cost_scale: float
@@ -61,18 +60,15 @@ class Values:
     voltages: Mapping[str, Array]
     units: Mapping[str, Array]
     split: Array | float = 0.0
-    split_scale: float = 1.0
+    split_scale: float = MIN_SPLIT_UNIT
 
     @classmethod
-    def of(
-        cls, circuits: Sequence[Circuit], excitation: Excitation, blocks: Sequence[Evaluation]
-    ) -> "Values":
+    def of(cls, addresses: Addresses, blocks: Sequence[Evaluation]) -> "Values":
         """Return the values at the cells of the evaluations, without those of split residuals."""
         uniform = np.concatenate([block.data.uniform_start for block in blocks])
         costs = [float(block.cell_costs) or block.cost_scale for block in blocks]
         values = cls(
-            circuits,
-            excitation,
+            addresses,
             [block.data for block in blocks],
             scale=float(np.exp(np.mean(np.log(uniform)))),
             cost_scale=float(np.mean(costs)),
@@ -89,16 +85,16 @@ class Values:
 
     def with_cells(self, cells: Array) -> "Values":
         """Return the values with other cells, (frames, rows, columns) ohm, and their voltages."""
-        readout = self.data[0].readout
-        solved = []
-        for frame, ties in zip(cells, self.tie, strict=True):
-            for circuit, tie in zip(self.circuits, ties, strict=True):
-                response = circuit.voltages(frame, tie)
-                solved.append(self.excitation.voltages(circuit, readout, response))
-        voltages = {}
-        for name in solved[0]:
-            unit = 1.0 if name == END_VOLTAGE else self.scale
-            voltages[name] = np.concatenate([part[name] for part in solved]) / unit
+        solved = [
+            network.values(circuit.voltages(frame, tie))
+            for frame, ties in zip(cells, self.tie, strict=True)
+            for (circuit, network), tie in zip(self.addresses, ties, strict=True)
+        ]
+        voltages = {
+            name: np.concatenate([part[name] for part in solved])
+            / (1.0 if name == END_VOLTAGE else self.scale)
+            for name in solved[0]
+        }
         return replace(self, cells=cells, voltages=voltages)
 
     def with_split(self, residuals: Sequence[Array], apparent: Sequence[Array]) -> "Values":
@@ -107,17 +103,9 @@ class Values:
         The unit of p and q is the largest residual of the start and of the apparent resistances,
         because a start at the baseline may leave none.
         """
-        largest = [float(np.abs(group).max(initial=0)) for group in (*residuals, *apparent)]
-        unit = max([MIN_SPLIT_UNIT, *largest])
-        parts = [np.zeros(0)]
-        for group in residuals:
-            parts += [np.maximum(side / unit, 0) + SPLIT_START for side in (group, -group)]
-        return replace(self, split=np.concatenate(parts), split_scale=unit)
-
-    @property
-    def apparent(self) -> Array:
-        """Apparent resistances, (frames, rows, columns) ohm."""
-        return np.concatenate([data.apparent_resistance for data in self.data])
+        unit = np.abs(np.concatenate([*residuals, *apparent])).max(initial=MIN_SPLIT_UNIT)
+        sides = [np.maximum(side / unit, 0) for group in residuals for side in (group, -group)]
+        return replace(self, split=np.concatenate(sides) + SPLIT_START, split_scale=float(unit))
 
     @property
     def tie(self) -> Array:
@@ -126,7 +114,7 @@ class Values:
         0 for lines at ground, which the circuit knows.
         """
         ties = np.concatenate([data.ties for data in self.data])
-        ties = ties.reshape(len(ties), len(self.circuits), -1)
+        ties = ties.reshape(len(ties), len(self.addresses), -1)
         return np.where(np.isinf(ties), 0.0, ties)
 
     @property
@@ -140,10 +128,10 @@ class Values:
 
         Smaller cells than `nearly_shorted` do not change any reading.
         """
-        limits = []
-        for data in self.data:
-            lower = np.maximum(data.lower, nearly_shorted(data.readout, data.measured))
-            limits.append(np.minimum(lower, data.upper))
+        limits = [
+            np.clip(data.lower, nearly_shorted(data.readout, data.measured), data.upper)
+            for data in self.data
+        ]
         return np.concatenate(limits)
 
     @property

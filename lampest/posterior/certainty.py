@@ -141,11 +141,12 @@ class Certainty(ReadOnlyArrays):
         shape = self.deviation.shape
         answers = answer.reshape(*shape[:-2], shape[-2] * shape[-1], -1)
         variance = (answers**2).sum(axis=-1).reshape(shape)
-        common = common_variance(answers).reshape(shape)
-        wider = self.reaching_farther(TWO_SIDED**2 * variance, TWO_SIDED**2 * variance)
-        deviation = np.sqrt(self.deviation**2 + variance)
-        common = np.sqrt(self.common**2 + common)
-        return replace(wider, deviation=deviation, common=common)
+        reach = TWO_SIDED**2 * variance
+        return replace(
+            self.reaching_farther(reach, reach),
+            deviation=np.sqrt(self.deviation**2 + variance),
+            common=np.sqrt(self.common**2 + common_variance(answers).reshape(shape)),
+        )
 
     def reaching(self, cells: Numbers, below: Array, above: Array) -> "Certainty":
         """Return the certainty with the intervals of `cells` at least `below` and `above`."""
@@ -161,9 +162,8 @@ class Certainty(ReadOnlyArrays):
         The interval has this extent if the conductance falls linearly.
         """
         with np.errstate(divide="ignore"):
-            return replace(
-                self, above=np.maximum(self.above, -np.log(np.maximum(1 - self.above, 0.0)))
-            )
+            linear = -np.log(np.maximum(1 - self.above, 0.0))
+        return replace(self, above=np.maximum(self.above, linear))
 
     def of_frame(self, frame: int) -> "Certainty":
         """Return the certainty of one frame, (rows, columns)."""

@@ -49,14 +49,7 @@ class Memory(ABC):
 
     Terms that compare a frame with the previous one, or with the unloaded panel, carry them into
     the next estimate. Small panels keep their covariance as a matrix, large ones samples.
-
-    Attributes
-    ----------
-    exact : bool
-        Whether they are a matrix.
     """
-
-    exact: ClassVar[bool]
 
     @abstractmethod
     def resting(self) -> "Memory":
@@ -81,7 +74,6 @@ class DenseMemory(Memory):
         S₀, the joint covariance of the last estimate (0) and the baseline (1).
     """
 
-    exact: ClassVar[bool] = True
     blocks: Array
 
     def resting(self) -> "DenseMemory":
@@ -207,13 +199,9 @@ class DenseErrors:
             return self.model.penalty_rank - used
         # tr(B⁺ B_t) in the same way
         rows = self._free_rows[of_term].toarray()
-        return float(np.sum((rows @ self._penalties_inverse) * rows)) - used
-
-    @cached_property
-    def _penalties_inverse(self) -> Array:
-        """B⁺, (free, free)."""
         square = (self._free_rows.T @ self._free_rows).toarray()
-        return np.linalg.pinv(square, hermitian=True)
+        inverse = np.linalg.pinv(square, hermitian=True)
+        return float(np.sum((rows @ inverse) * rows)) - used
 
     @cached_property
     def _carried(self) -> list[tuple[int, Array]]:
@@ -223,7 +211,7 @@ class DenseErrors:
         """
         size = np.sqrt(self.model.penalty_curvature)[:, None]
         return [
-            (number, np.asarray(-self._pulls @ (rows.toarray() * size)))
+            (number, -self._pulls @ (rows.toarray() * size))
             for number, rows in enumerate(self.model.known_jacobians)
             if rows.nnz
         ]
@@ -237,7 +225,7 @@ class DenseErrors:
             (self.inverse, model.scale**2 * model.ignorance),
         ]
         if len(model.penalty_term):
-            pulled = np.asarray((model.pulls[model.free].T @ self.inverse).T)
+            pulled = (model.pulls[model.free].T @ self.inverse).T
             parts += [
                 (self._pulls, model.scale * self.widening),
                 (pulled, np.ones(pulled.shape[1])),
@@ -328,12 +316,13 @@ class DenseErrors:
         for number in np.unique(model.penalty_term):
             chosen = model.penalty_term == number
             # Σ ω x̂²/(s² γ) over the rows of one term
-            widened[chosen] = np.maximum(
-                widened[chosen], squares[chosen].sum() / max(self.determined(int(number)), 1.0)
-            )
-            if (chosen & unread).any() and (chosen & ~unread).any():
-                far = np.quantile(squares[chosen & ~unread], LEVEL, method="higher") / TWO_SIDED**2
-                widened[chosen & unread] = np.maximum(widened[chosen & unread], far)
+            mean = squares[chosen].sum() / max(self.determined(int(number)), 1.0)
+            widened[chosen] = np.maximum(widened[chosen], mean)
+            blind = chosen & unread
+            read = chosen & ~unread
+            if blind.any() and read.any():
+                far = np.quantile(squares[read], LEVEL, method="higher") / TWO_SIDED**2
+                widened[blind] = np.maximum(widened[blind], far)
         previous = None if self.before is None else self.before.variance()
         return widened - model.known_share(previous)
 

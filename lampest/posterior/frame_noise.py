@@ -79,31 +79,24 @@ class FrameNoise:
         """
         circuit = self.scene.circuit
         volt = circuit.volt_from_recorded(circuit.to_recorded(measured, self.scene))
+        # Changes of voltages stay within half of the distance to the ends of the converter's range.
+        lower, upper = circuit.range_volt
+        most = 0.5 * np.minimum(volt - lower, upper - volt)
         parts = list[Array]()
         for listed in EFFECTS:
             sizes = [getattr(self, name) for name in listed.of_frames]
-            if not sizes:
-                continue
-            if parts and not any(np.any(size) for size in sizes if size is not None):
+            some = any(np.any(size) for size in sizes if size is not None)
+            if not sizes or (parts and not some):
                 continue
             effect = loaded(listed.path)()
+            changes = effect.columns(circuit, volt if effect.in_volt else measured, *sizes)
             if effect.in_volt:
-                columns = self._by_volt(volt, effect.columns(circuit, volt, *sizes))
-            else:
-                changes = effect.columns(circuit, measured, *sizes)
-                columns = changes.reshape(len(changes), measured.size).T
+                changes = np.clip(changes, -most, most)
+                above, below = (
+                    circuit.from_recorded(circuit.recorded_from_volt(volt + side), self.scene)
+                    for side in (changes, -changes)
+                )
+                changes = (above - below) / 2
+            columns = changes.reshape(len(changes), measured.size).T
             parts.append(columns / averaging if effect.averages else columns)
         return np.column_stack(parts)
-
-    def _by_volt(self, volt: Array, changes: Array) -> Array:
-        """Return the changes of readings (cells, n) by those of the voltages (n, rows, columns)."""
-        circuit = self.scene.circuit
-        # Changes stay within half of the distance to the ends of the converter's range.
-        lower, upper = circuit.range_volt
-        most = 0.5 * np.minimum(volt - lower, upper - volt)
-        changes = np.clip(changes, -most, most)
-        ends = [
-            circuit.from_recorded(circuit.recorded_from_volt(volt + sign * changes), self.scene)
-            for sign in (1, -1)
-        ]
-        return (ends[0] - ends[1]).reshape(len(changes), -1).T / 2

@@ -7,7 +7,7 @@ The unknown is z ~ N(0, P), the noise N(0, C). With the covariance S = A P Aᵀ 
 Independent sets of readings of one z ~ N(0, 1) add their information Λ = Σ Aᵀ C⁻¹ A and
 v = Σ Aᵀ C⁻¹ d:
 
-    cov = (1 + Λ)⁻¹,   mean = cov v,   −2 ln p(d) = Σ (dᵀ C⁻¹ d + ln|C|) + ln|1 + Λ| − vᵀ cov v.
+    cov = (1 + Λ)⁻¹,   mean = cov v.
 """
 
 from dataclasses import dataclass
@@ -97,34 +97,18 @@ class Information:
         Λ.
     pull : array, shape (n,)
         v.
-    cost : float
-        Σ (dᵀ C⁻¹ d + ln|C|).
     """
 
     precision: Array
     pull: Array
-    cost: float = 0.0
-
-    @classmethod
-    def of(cls, columns: Array, noise: Array, change: Array) -> "Information":
-        """Return the information of readings d with the columns A and the noise C."""
-        # With C = R Rᵀ: Λ and v are products of R⁻¹ (A, d) with itself.
-        root = cholesky(noise, lower=True, check_finite=False)
-        both = np.column_stack([columns, change])
-        white = solve_triangular(root, both, lower=True, check_finite=False)
-        square = white.T @ white
-        volume = 2 * float(np.sum(np.log(np.diag(root))))
-        return cls(square[:-1, :-1], square[:-1, -1], float(square[-1, -1]) + volume)
 
     def __add__(self, other: "Information") -> "Information":
         """Return the information of both sets."""
-        return Information(
-            self.precision + other.precision, self.pull + other.pull, self.cost + other.cost
-        )
+        return Information(self.precision + other.precision, self.pull + other.pull)
 
     def share(self, share: float) -> "Information":
         """Return a share of the information."""
-        return Information(share * self.precision, share * self.pull, share * self.cost)
+        return Information(share * self.precision, share * self.pull)
 
     @property
     def covariance(self) -> Array:
@@ -135,13 +119,6 @@ class Information:
     def mean(self) -> Array:
         """The posterior mean, (n,)."""
         return np.linalg.solve(np.eye(len(self.pull)) + self.precision, self.pull)
-
-    @property
-    def evidence_cost(self) -> float:
-        """−2 ln p(d) of all sets, up to a constant."""
-        root = cholesky(np.eye(len(self.pull)) + self.precision, lower=True)
-        white = solve_triangular(root, self.pull, lower=True)
-        return self.cost + 2 * float(np.sum(np.log(np.diag(root)))) - float(white @ white)
 
 
 def forms_over_scales(square: Array, vectors: Array, scales: Array) -> tuple[Array, Array]:

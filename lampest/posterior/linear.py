@@ -120,8 +120,7 @@ class LinearModel:
     def ignorance(self) -> Array:
         """Prior precision ε of log r, (free,); 12/ln²(upper/lower) for cells that were not read."""
         # Variance of a uniform distribution over the bounds: ln²(upper/lower)/12
-        below, above = (room[self.free] for room in self._rooms)
-        within = 12 / np.maximum(below + above, NEAR_BOUND) ** 2
+        within = 12 / np.maximum(np.sum(self._rooms, axis=0)[self.free], NEAR_BOUND) ** 2
         return np.where(self.unread, np.maximum(within, IGNORANCE), IGNORANCE)
 
     @cached_property
@@ -137,7 +136,7 @@ class LinearModel:
         """Whether a penalty involves a free cell without a reading, boolean (penalty rows,)."""
         return np.asarray(abs(self.penalty_jacobian)[:, self.free[self.unread]].sum(axis=1) > 0)
 
-    @cached_property
+    @property
     def _residuals(self) -> Residuals:
         return residuals(self.at.cost)
 
@@ -189,8 +188,8 @@ class LinearModel:
     @cached_property
     def absolute(self) -> Mask:
         """Whether a penalty row has an absolute loss, (penalty rows,)."""
-        numbers = [n for n, term in enumerate(self.at.cost.terms) if term.loss.enters == "dual"]
-        return np.isin(self.penalty_term, numbers)
+        enters = np.array([term.loss.enters == "dual" for term in self.at.cost.terms])
+        return enters[self.penalty_term]
 
     @cached_property
     def plateaus(self) -> sparse.csc_array:
@@ -207,23 +206,20 @@ class LinearModel:
         pinned = self.absolute & (np.abs(self.penalty) < PINNED)
         rows = sparse.csr_array(self.penalty_jacobian)[pinned]
         counts = np.diff(rows.indptr)
-        entries = rows.indices
-        fixed = np.zeros(cells, dtype=bool)
-        fixed[entries[np.repeat(counts == 1, counts)]] = True
-        pairs = entries[np.repeat(counts == 2, counts)].reshape(-1, 2).T
+        alone = rows.indices[np.repeat(counts == 1, counts)]
+        pairs = rows.indices[np.repeat(counts == 2, counts)].reshape(-1, 2).T
         linked = sparse.coo_array((np.ones(pairs.shape[1]), tuple(pairs)), shape=(cells, cells))
         count, label = connected_components(linked, directed=False)
-        moving = ~np.bincount(label, fixed, count).astype(bool)
-        size = np.bincount(label, minlength=count)
-        entry = np.where(moving[label], size[label] ** -0.5, 0.0)
+        moving = np.setdiff1d(np.arange(count), label[alone])
+        entry = np.bincount(label)[label] ** -0.5
         basis = sparse.csc_array((entry, (np.arange(cells), label)), shape=(cells, count))
-        return sparse.csc_array(basis[:, np.flatnonzero(moving)])
+        return sparse.csc_array(basis[:, moving])
 
     @property
     def chosen_absolute(self) -> Mask:
         """Whether a penalty row has an absolute loss whose weight the data chose, (rows,)."""
         chosen = np.flatnonzero(np.isfinite(self.weight_sigma))
-        return self.absolute & np.isin(self.penalty_term, chosen) & bool(len(self.dual))
+        return self.absolute & np.isin(self.penalty_term, chosen) & (len(self.dual) > 0)
 
     @property
     def half_slopes(self) -> Array:
@@ -238,7 +234,7 @@ class LinearModel:
     @property
     def penalty_squares(self) -> Array:
         """Squares ω x̂²/s² of the penalties, (penalty rows,); 0 of sites, which fit the data."""
-        squares = np.asarray(self.penalty_curvature * self.penalty**2 / self.scale)
+        squares = self.penalty_curvature * self.penalty**2 / self.scale
         if self.sites is not None:
             squares[self.sites.rows] = 0.0
         return squares
@@ -331,13 +327,11 @@ class LinearModel:
         The share is zero for terms that do not weigh the previous frame's error. `variance` is that
         of the previous frame's log r, (cells,), or None.
         """
-        weighing = [
-            number for number, term in enumerate(self.at.cost.terms) if term.weighs_previous
-        ]
-        if variance is None or not weighing:
+        weighing = np.array([term.weighs_previous for term in self.at.cost.terms])
+        if variance is None or not weighing.any():
             return np.zeros(len(self.penalty_term))
         share = np.minimum(_squares(self.known_jacobians[0]) @ variance, 1.0)
-        return np.where(np.isin(self.penalty_term, weighing), share, 0.0)
+        return np.asarray(weighing[self.penalty_term] * share)
 
 
 def positive_inverse(matrix: Array) -> Array:
@@ -360,22 +354,16 @@ def inverse_and_volume(matrix: Array) -> tuple[Array, float]:
     log_volume : float
         log det A⁻¹.
     """
-    factor, failed = lapack.dpotrf(matrix)
-    inverse, broken = lapack.dpotri(factor)
-    if failed or broken or not np.all(np.isfinite(inverse)):
-        raise np.linalg.LinAlgError("the cost is flat round the estimate")
+    factor = _sound(*lapack.dpotrf(matrix))
+    inverse = _sound(*lapack.dpotri(factor))
     inverse = inverse + inverse.T  # its lower triangle is zero
     np.einsum("ii->i", inverse)[...] /= 2
-    return np.asarray(inverse), -2 * float(np.sum(np.log(np.diag(factor))))
+    return inverse, -2 * float(np.sum(np.log(np.diag(factor))))
 
 
 def inverse_root(matrix: Array) -> Array:
     """Return W with A⁻¹ = W Wᵀ from the upper triangle of A. Raises as `positive_inverse`."""
-    factor, failed = lapack.dpotrf(matrix)
-    root, broken = lapack.dtrtri(factor)
-    if failed or broken or not np.all(np.isfinite(root)):
-        raise np.linalg.LinAlgError("the cost is flat round the estimate")
-    return np.asarray(root)
+    return _sound(*lapack.dtrtri(_sound(*lapack.dpotrf(matrix))))
 
 
 def misfit_and_volume(covariance: Array, deviation: Array) -> tuple[float, float]:
@@ -385,11 +373,19 @@ def misfit_and_volume(covariance: Array, deviation: Array) -> tuple[float, float
     """
     if not deviation.size:
         return 0.0, 0.0
-    factor, failed = lapack.dpotrf(covariance, lower=True)
-    white, broken = lapack.dtrtrs(factor, deviation, lower=True)
-    if failed or broken or not np.all(np.isfinite(white)):
-        raise np.linalg.LinAlgError("the cost is flat round the estimate")
+    factor = _sound(*lapack.dpotrf(covariance, lower=True))
+    white = _sound(*lapack.dtrtrs(factor, deviation, lower=True))
     return float(white @ white), 2 * float(np.sum(np.log(np.diag(factor))))
+
+
+def _sound(result: Array, failed: int) -> Array:
+    """Return the result of a routine of LAPACK.
+
+    Raises numpy.linalg.LinAlgError if it failed, or the result is not finite.
+    """
+    if failed or not np.all(np.isfinite(result)):
+        raise np.linalg.LinAlgError("the cost is flat round the estimate")
+    return result
 
 
 def swept(table: Array, place: int) -> Array:

@@ -89,9 +89,9 @@ def references(
 
     Raises numpy.linalg.LinAlgError if a network cannot be solved.
     """
-    fits = list[ReferenceFit]()
-    for data in solves:
-        fits += [ReferenceFit.of(data, cost, frame) for frame in range(len(data.measured))]
+    fits = [
+        ReferenceFit.of(data, cost, frame) for data in solves for frame in range(len(data.measured))
+    ]
     noise_known = solves[0].noise_known
     first = 1.0 if noise_known else MIN_RELATIVE_NOISE
     tried = _fits_by_scale(fits, first, 1 if noise_known and believed else MAX_SCALES)
@@ -107,12 +107,8 @@ def references(
     frames = iter([fit.reference(best) for fit in tried[best]])
     estimates = []
     for data in solves:
-        own = [next(frames) for _ in data.measured]
-        joined = Reference(
-            cells=np.stack([frame.cells for frame in own]),
-            deviation=np.stack([frame.deviation for frame in own]),
-            covariance=block_diag(*(frame.covariance for frame in own)),
-        )
+        cells, deviation, covariance = zip(*(next(frames) for _ in data.measured), strict=True)
+        joined = Reference(np.stack(cells), np.stack(deviation), block_diag(*covariance))
         estimates.append(joined)
     return ErrorScale(best, tail, len(errors), tuple(scales), tuple(bounds.tolist())), estimates
 

@@ -63,7 +63,7 @@ class Reference:
 
     Attributes
     ----------
-    cells : array, shape (frames, rows, columns), or of one frame
+    cells : array, shape (frames, rows, columns)
         Estimated cell resistance, ohm.
     deviation : array, same shape
         Standard deviation of each reading due to noise and model error, in the readings' unit;
@@ -149,8 +149,7 @@ class ReferenceFit:
         # Steps far beyond the usual ones count little from the first expectation on: it would take
         # a single cell of many times the resistance for an error of its reading.
         squares = (steps @ position[cells] - origin) ** 2
-        usual = max(float(np.median(squares)) * MAD_TO_SIGMA**2, FIRST_VARIANCE)
-        nu = DEGREES_OF_FREEDOM
+        usual = max(np.median(squares) * MAD_TO_SIGMA**2, FIRST_VARIANCE)
         far = squares > OUTLIER_THRESHOLD**2 * usual
         return cls(
             data,
@@ -160,7 +159,7 @@ class ReferenceFit:
             origin,
             position,
             np.ones(panel.crossings),
-            np.where(far, (nu + 1) / (nu + squares / usual), 1.0),
+            np.where(far, _precisions(squares, usual), 1.0),
         )
 
     @cached_property
@@ -174,19 +173,18 @@ class ReferenceFit:
     def sigma(self) -> Array:
         """Standard deviations σ of the readings, flat; the readings if the noise is unknown."""
         sigma = self.data.deviation if self.data.noise_known else np.abs(self.data.measured)
-        return np.asarray(sigma[self.frame]).ravel()
+        return np.asarray(sigma[self.frame].ravel())
 
     @cached_property
     def residual(self) -> Array:
         """Residuals (f(u) − y)/σ, flat."""
-        return np.asarray(
-            (self.network.reading() - self.data.measured[self.frame]).ravel() / self.sigma
-        )
+        missed: Array = self.network.reading() - self.data.measured[self.frame]
+        return missed.ravel() / self.sigma
 
     @cached_property
     def values(self) -> Mask:
         """Whether a reading is a value, flat."""
-        return np.asarray(self.data.plain[self.frame]).ravel()
+        return np.asarray(self.data.plain[self.frame].ravel())
 
     @cached_property
     def counted(self) -> Mask:
@@ -196,6 +194,11 @@ class ReferenceFit:
         side = np.ravel(self.data.given.side[self.frame])
         seen = np.ravel(self.data.given.seen[self.frame])
         return np.where(side != 0, side * self.residual < 0, seen > 0)
+
+    @property
+    def _log_bounds(self) -> list[Array]:
+        """Lower and upper bounds of log r, flat."""
+        return [bound[self.frame].ravel() for bound in self.data.log_bounds]
 
     @property
     def step(self) -> Array:
@@ -214,12 +217,9 @@ class ReferenceFit:
             if abs(fit.bound - previous) < SETTLED_BOUND:
                 break
             previous = fit.bound
-            moved = fit.moved(square)
-            if moved is None:
-                break
-            converged = float(np.abs(moved.position - fit.position).max()) < SETTLED_STEP
-            fit = moved
-            if converged:
+            place = fit.position
+            fit = fit.moved(square)
+            if np.abs(fit.position - place).max() < SETTLED_STEP:
                 break
         return fit
 
@@ -261,10 +261,8 @@ class ReferenceFit:
         weights = self.reading_weights[rows]
         readings = weights / square
         steps = self.step_weights / self.variance
-        matrix = blas.dsyrk(1.0, (jacobian * np.sqrt(readings)[:, None]).T)
-        matrix = blas.dsyrk(
-            1.0, (self.steps * np.sqrt(steps)[:, None]).T, 1.0, matrix, overwrite_c=True
-        )
+        stacked = np.vstack([jacobian, self.steps]) * np.sqrt(np.append(readings, steps))[:, None]
+        matrix = blas.dsyrk(1.0, stacked.T)
         matrix[np.diag_indices(len(matrix))] += RIDGE * np.trace(matrix) / len(matrix)
         covariance, log_volume = inverse_and_volume(matrix)
         slope = jacobian.T @ (readings * residual) + self.steps.T @ (steps * self.step)
@@ -276,12 +274,12 @@ class ReferenceFit:
         step_variances = np.sum((self.steps @ covariance) * self.steps, axis=1)
         # Σ w x²/(n − tr(S Jᵀ W J)) of the n values
         count = int(value.sum())
-        followed = float(np.sum((readings * residual_variances)[value]))
+        followed = np.sum((readings * residual_variances)[value])
         freedom = max(count - followed, MIN_FREEDOM_SHARE * len(rows))
-        squares = float(np.sum((weights * residual**2)[value]))
+        squares = np.sum((weights * residual**2)[value])
         # γ = rank − tr(S Dᵀ V D), the number of steps that the readings determine
-        determined = max(self._rank - float(np.sum(steps * step_variances)), 0.0)
-        step_sum = float(np.sum(self.step_weights * step**2))
+        determined = max(self._rank - np.sum(steps * step_variances), 0.0)
+        step_sum = np.sum(self.step_weights * step**2)
         if self.origin.any():
             share = prior_scale / (prior_scale + self.variance)
             variance = (step_sum + 2 * share * self.variance) / (determined + 2 * (1 - share))
@@ -292,18 +290,17 @@ class ReferenceFit:
         step_squares = step**2 + step_variances
         bound = count * np.log(square) + self._rank * np.log(variance) - log_volume
         bound += _tails(reading_squares[value], square) + _tails(step_squares, variance)
-        nu = DEGREES_OF_FREEDOM
         reading_weights = np.zeros(len(self.position))
-        reading_weights[rows] = (nu + 1) / (nu + reading_squares / square)
+        reading_weights[rows] = _precisions(reading_squares, square)
         return replace(
             self,
             reading_weights=reading_weights,
-            step_weights=(nu + 1) / (nu + step_squares / variance),
+            step_weights=_precisions(step_squares, variance),
             variance=variance,
             covariance=covariance,
             change=change,
             bound=float(bound),
-            residual_variance=squares / freedom,
+            residual_variance=float(squares / freedom),
         )
 
     def _within_bounds(self, matrix: Array, slope: Array) -> Array:
@@ -311,25 +308,24 @@ class ReferenceFit:
 
         `matrix` is the upper triangle of the Hessian.
         """
-        lower, upper = (np.ravel(bound[self.frame])[self.cells] for bound in self.data.log_bounds)
+        lower, upper = (bound[self.cells] for bound in self._log_bounds)
         place = self.position[self.cells]
         # Active set: fixed cells, and cells that the gradient presses against a bound; Newton step
         # of the others.
-        pressed_down = (place <= lower) & (slope > 0)
-        pressed_up = (place >= upper) & (slope < 0)
-        held = (upper <= lower) | pressed_down | pressed_up
+        pressed = np.where(slope > 0, place <= lower, (slope < 0) & (place >= upper))
+        held = (upper <= lower) | pressed
         free = np.flatnonzero(~held)
         change = np.zeros(len(slope))
         symmetric = np.triu(matrix) + np.triu(matrix, 1).T
         change[free] = -np.linalg.solve(symmetric[np.ix_(free, free)], slope[free])
         return change
 
-    def moved(self, square: float) -> "ReferenceFit | None":
+    def moved(self, square: float) -> "ReferenceFit":
         """Return the fit after the largest tried share of the step that does not raise the cost.
 
-        Returns None if every share raises the cost.
+        The fit itself is returned if every share raises the cost.
         """
-        lower, upper = (np.ravel(bound[self.frame]) for bound in self.data.log_bounds)
+        lower, upper = self._log_bounds
         change = np.zeros(len(self.position))
         change[self.cells] = np.clip(self.change, -MAX_STEP, MAX_STEP)
         # Backtracking on −2 log of the heavy-tailed densities.
@@ -337,13 +333,12 @@ class ReferenceFit:
             trial = replace(self, position=np.clip(self.position + share * change, lower, upper))
             if trial.cost(square) <= self.cost(square):
                 return trial
-        return None
+        return self
 
     def cost(self, square: float) -> float:
         """Return −2 log of the joint density at u, up to a constant; infinite if not finite."""
-        cost = _tails(self.residual[self.counted] ** 2, square) + _tails(
-            self.step**2, self.variance
-        )
+        of_readings = _tails(self.residual[self.counted] ** 2, square)
+        cost = of_readings + _tails(self.step**2, self.variance)
         return cost if np.isfinite(cost) else np.inf
 
     def errors(self, scale: float) -> Array:
@@ -352,17 +347,22 @@ class ReferenceFit:
         weights = np.maximum(self.reading_weights[self.values], MIN_WEIGHT)
         return scale * np.sqrt(np.maximum((nu + 1) / weights - nu, 0.0))
 
-    def reference(self, scale: float) -> Reference:
+    def reference(self, scale: float) -> tuple[Array, Array, Array]:
         """Return the estimate, the readings' standard deviations s σ/√w, and S.
 
-        S is over all crossings.
+        The first two have the shape (rows, columns), S is over all crossings.
         """
         weights = np.where(self.reading_weights > 0, self.reading_weights, 1.0)
         covariance = np.zeros((len(self.position),) * 2)
         covariance[np.ix_(self.cells, self.cells)] = self.covariance
         shape = self.data.measured[self.frame].shape
         deviation = (scale * self.sigma / np.sqrt(weights)).reshape(shape)
-        return Reference(np.exp(self.position).reshape(shape), deviation, covariance)
+        return np.exp(self.position).reshape(shape), deviation, covariance
+
+
+def _precisions(squares: Array, variance: float) -> Array:
+    """Return the expected precisions (ν + 1)/(ν + x²/s²) for squares x² and the `variance` s²."""
+    return (DEGREES_OF_FREEDOM + 1) / (DEGREES_OF_FREEDOM + squares / variance)
 
 
 def _tails(squares: Array, variance: float) -> float:

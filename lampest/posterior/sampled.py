@@ -38,7 +38,6 @@ class SampledMemory(Memory):
         Number of frames so far, the seed of the next frame's noise.
     """
 
-    exact: ClassVar[bool] = False
     samples: Array
     frames: int = 1
 
@@ -82,7 +81,7 @@ class SampledErrors(DenseErrors):
 
     def _adjoint(self, rows: Array) -> Array:
         """Return Jᵀ Ω x over all cells for one column x of the data."""
-        weights = np.asarray(self.model.through.T @ (self.model.data_curvature * rows))
+        weights = self.model.through.T @ (self.model.data_curvature * rows)
         return self._curvature.adjoint(weights.reshape(self.model.cells.shape))
 
     def _forward(self, change: Array) -> Array:
@@ -199,12 +198,9 @@ class SampledErrors(DenseErrors):
 
         The shape is (frames, rows, columns).
         """
-        squares = np.zeros(self.model.cells.shape)
-        for sample in self._samples[0]:
-            squares += (
-                np.reshape(self._curvature.forward(self.model.over_all(sample)), squares.shape) ** 2
-            )
-        return np.sqrt(squares / self.samples)
+        samples = self.model.over_all(self._samples[0].T).T
+        changes = [self._curvature.forward(sample) for sample in samples]
+        return np.asarray(np.sqrt(np.mean(np.square(changes), axis=0)))
 
     def memory(self) -> Memory:
         samples = self.model.over_all(self._samples[0].T).T

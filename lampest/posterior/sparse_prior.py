@@ -210,7 +210,7 @@ def with_sites(errors: DenseErrors) -> DenseErrors:
         for number in np.unique(term):
             own = term == number
             if number not in priors:
-                known = 1 / float(np.mean(1 / cavity[own]))
+                known = 1 / np.mean(1 / cavity[own])
                 priors[number] = SparsePrior.of(known, float(np.max(residual[own] ** 2)))
             centre, spread = priors[number].moments(middle[own], cavity[own])
             # Cavity times prior is wider than the cavity where both rest and motion are possible.

@@ -162,9 +162,13 @@ class Spectrum:
 
         The sum is over the directions with a penalty.
         """
+        return float(0.5 * np.sum((1 / (1 + weight * self._effective)) ** 2))
+
+    @property
+    def _effective(self) -> Array:
+        """κ above rounding in directions that data determine."""
         penalised = self.stiffness > NEGLIGIBLE * self.stiffness.max()
-        stiffness = self.stiffness[penalised & self.determined]
-        return float(0.5 * np.sum((1 / (1 + weight * stiffness)) ** 2))
+        return np.asarray(self.stiffness[penalised & self.determined])
 
     @cached_property
     def determined(self) -> Mask:
@@ -179,12 +183,9 @@ class Spectrum:
     @property
     def extent(self) -> tuple[float, float]:
         """Logarithms of the least and the largest λ that affect directions the data determine."""
-        # Rounding of all singular values is that of the largest one.
-        penalised = self.stiffness > NEGLIGIBLE * self.stiffness.max()
-        effective = self.stiffness[penalised & self.determined]
+        effective = self._effective
         smallest = -float(np.log(EXTENT_FACTOR * effective.max()))
-        largest = float(np.log(EXTENT_FACTOR / effective.min()))
-        return smallest, largest
+        return smallest, float(np.log(EXTENT_FACTOR / effective.min()))
 
 
 def best_weight(spectra: Sequence[Spectrum]) -> float:
@@ -192,10 +193,10 @@ def best_weight(spectra: Sequence[Spectrum]) -> float:
     extents = [spectrum.extent for spectrum in spectra]
 
     def value(log_weight: float) -> float:
-        risk = 0.0
-        for spectrum, (low, high) in zip(spectra, extents, strict=True):
-            risk += spectrum.risk(float(np.exp(min(max(log_weight, low), high))))
-        return risk
+        pairs = zip(spectra, extents, strict=True)
+        return sum(
+            spectrum.risk(np.exp(np.clip(log_weight, *extent))) for spectrum, extent in pairs
+        )
 
     lowest, highest = zip(*extents, strict=True)
     # Global minimum on a grid of log λ, refined between its neighbours
@@ -267,43 +268,33 @@ def settled_weights(
         # Estimate for the present weights: p = −A⁻¹ (Jᵀ Ω x̂ + Zᵀ Ω x̂)
         curvature = model.penalty_curvature_for(np.asarray(weights))
         prior = (rows.T * curvature) @ rows
-        inverse = positive_inverse(data + prior + IGNORANCE * model.scale * np.eye(len(data)))
+        unit = np.eye(len(data))
+        inverse = positive_inverse(data + prior + IGNORANCE * model.scale * unit)
         step = -inverse @ (slope + rows.T @ (curvature * model.penalty))
         # B⁺, by a regularised inverse of the penalties alone
-        prior_inverse = positive_inverse(
-            prior + RIDGE * np.trace(prior) / len(prior) * np.eye(len(prior))
+        prior_inverse = positive_inverse(prior + RIDGE * np.trace(prior) / len(prior) * unit)
+        # diag(Z A⁻¹ Zᵀ) and diag(Z B⁺ Zᵀ)
+        posterior, free = (
+            np.sum((rows @ each) * rows, axis=1) for each in (inverse, prior_inverse)
         )
         residual = model.penalty + rows @ step
         previous = weights
         weights = list(weights)
         for number in open_terms:
-            of_term = model.penalty_term == number
-            # diag(Z A⁻¹ Zᵀ) and diag(Z B⁺ Zᵀ) over the rows of the term
-            posterior = _quadratic_forms(rows[of_term], inverse)
-            free = _quadratic_forms(rows[of_term], prior_inverse)
-            inside = curvature[of_term] > 0
-            mean = residual[of_term][inside]
+            inside = (model.penalty_term == number) & (curvature > 0)
+            mean = residual[inside]
             size = np.sqrt(np.maximum(model.scale * posterior[inside], np.finfo(float).tiny))
             # tr(B⁺ B_t) and tr(A⁻¹ B_t)
-            count = float(np.sum(curvature[of_term] * free))
-            used = float(np.sum(curvature[of_term] * posterior))
+            count, used = (float(curvature[inside] @ form[inside]) for form in (free, posterior))
             # E|x| of x ~ N(mean, size²)
             # size·√(2/π)·exp(−mean²/(2 size²)) + mean·erf(mean/(√2 size))
             spread = size * np.sqrt(2 / np.pi) * np.exp(-0.5 * (mean / size) ** 2)
             magnitude = float((spread + mean * erf(mean / size / np.sqrt(2))).sum())
             evidence = PenaltyEvidence(mean, magnitude, count, partial(float, used))
             weights[number] = _weight(model, number, evidence)
-        changes = [
-            abs(np.log(weight / earlier)) for weight, earlier in zip(weights, previous, strict=True)
-        ]
-        if max(changes) < TOLERANCE:
+        if np.abs(np.log(np.divide(weights, previous))).max() < TOLERANCE:
             break
     return weights
-
-
-def _quadratic_forms(rows: Array, matrix: Array) -> Array:
-    """Return diag(Z M Zᵀ) for rows Z, (rows,)."""
-    return np.asarray(np.einsum("ij,jk,ik->i", rows, matrix, rows, optimize=True))
 
 
 def _weight(model: LinearModel, term: int, evidence: PenaltyEvidence) -> float:

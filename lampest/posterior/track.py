@@ -23,7 +23,7 @@ from lampest.panel.effects import Shared
 from lampest.panel.panel import Array, Mask
 from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.certainty import Certainty, common_variance
-from lampest.posterior.covariance import DenseErrors, Memory
+from lampest.posterior.covariance import DenseErrors, DenseMemory, Memory
 from lampest.posterior.linear import LinearModel
 from lampest.recording.readings import Readings, stand_in_spread
 
@@ -177,7 +177,7 @@ class Track(ReadOnlyArrays):
         drawn = None
         if self.noise is not None:
             columns = self.noise.columns(model.at.data.measured, baseline=baseline)
-            drawn = np.asarray(model.through @ columns)
+            drawn = model.through @ columns
         return errors_of(model, self.memory, drawn)
 
     def _answered(self, errors: DenseErrors) -> tuple[Array, Certainty]:
@@ -203,7 +203,7 @@ class Track(ReadOnlyArrays):
         if previous is None:
             previous = np.zeros((2, cells[0].size, columns.shape[1]))
         answer = np.zeros((cells.size, columns.shape[1]))
-        rows = np.asarray(model.through @ columns)
+        rows = model.through @ columns
         if errors.exact and (model.at_lower | model.at_upper).any():
             from lampest.posterior.at_bounds import active_bounds
 
@@ -254,11 +254,8 @@ def beyond_tangents(
         if moved is not None:
             changes = _stood_in(errors, readings, int(place), moved)
         elif cell in model.free and errors.exact:
-            changes = (
-                tangent(errors, cell),
-                profile_end(errors, cell, -1),
-                profile_end(errors, cell, 1),
-            )
+            low, high = (profile_end(errors, cell, side) for side in (-1, 1))
+            changes = (tangent(errors, cell), low, high)
         else:
             continue
         along, low, high = (change.ravel()[-size:] for change in changes)
@@ -266,9 +263,8 @@ def beyond_tangents(
         # Ends of failed solves are NaN, which fmax ignores.
         below += np.fmax(np.fmax(-low, -high), 0.0) ** 2
         above += np.fmax(np.fmax(low, high), 0.0) ** 2
-    shape = readings.value.shape
-    further_below = np.maximum(below - straight, 0.0).reshape(shape)
-    further_above = np.maximum(above - straight, 0.0).reshape(shape)
+    further = np.maximum([below - straight, above - straight], 0.0)
+    further_below, further_above = further.reshape(2, *readings.value.shape)
     return further_below, further_above
 
 
@@ -283,8 +279,8 @@ def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = N
     drawn : array, shape (data rows, n), or None
         V, random errors that the readings of a frame share.
     """
-    samples = None if memory is None or memory.exact else memory
-    if samples is None and model.cells.size <= MAX_DENSE:
+    dense = memory is None or isinstance(memory, DenseMemory)
+    if dense and model.cells.size <= MAX_DENSE:
         errors = DenseErrors(model, memory, drawn)
         if model.sites is not None or not model.chosen_absolute.any():
             return errors
@@ -293,7 +289,7 @@ def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = N
         return with_sites(errors)
     from lampest.posterior.sampled import SampledErrors
 
-    return SampledErrors(model, samples, drawn)
+    return SampledErrors(model, None if dense else memory, drawn)
 
 
 def tangent(errors: DenseErrors, cell: int) -> Array:
@@ -330,9 +326,9 @@ def profile_end(errors: DenseErrors, cell: int, side: int) -> Array:
         right[place, 1] = 1.0
         factor = cho_factor(errors.normal, check_finite=False)
         newton, column = cho_solve(factor, right, check_finite=False).T
-        force = float((step - newton[place]) / column[place])
+        force = (step - newton[place]) / column[place]
         change = model.over_all(newton + force * column)
-        change *= min(1.0, 2 * MAX_STEP / float(np.abs(change).max()))
+        change *= min(1.0, 2 * MAX_STEP / np.abs(change).max())
         position = np.clip(position + change.reshape(position.shape), *begin.data.log_bounds)
         # Rise of φ along the path by the trapezoidal rule, with the force λ = ½ dφ/du_c.
         rise = rise + step * (previous_force + force)
@@ -353,7 +349,7 @@ def _stood_in(
     model = errors.model
     unit = np.zeros(readings.value.shape)
     unit.flat[place] = TWO_SIDED * stand_in_spread(readings.value, readings.plain).flat[place]
-    rows = np.asarray(model.through @ (readings.value * unit).reshape(-1, 1))
+    rows = model.through @ (readings.value * unit).reshape(-1, 1)
     along = model.over_all(errors.answer(rows)[:, 0])
     low, high = (
         moved(replace(readings, value=readings.value * np.exp(side * unit))) for side in (-1, 1)

@@ -36,8 +36,7 @@ def within_bounds(at: Evaluation, free: Numbers, step: Array) -> Array:
     position = at.position.ravel()
     target = position.copy()
     target[free] += step
-    lower, upper = (bound.ravel() for bound in at.data.log_bounds)
-    return np.minimum(np.maximum(target, lower), upper) - position
+    return np.clip(target, *(bound.ravel() for bound in at.data.log_bounds)) - position
 
 
 def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
@@ -45,25 +44,17 @@ def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
 
     Returns None if neither side has such a point.
     """
-    least = _certain_cost(at) - MIN_DECREASE_SHARE * at.cost_scale
-    size = float(np.abs(along).max(initial=0.0)) or 1.0
+    least = at.objective - MIN_DECREASE_SHARE * at.cost_scale
+    size = np.abs(along).max(initial=0.0) or 1.0
 
     def lower(length: float) -> Evaluation | None:
         for sign in (1.0, -1.0):
             point = moved_by(at, sign * length / size * along)
-            if point is not None and _certain_cost(point) < least:
+            if point is not None and point.objective < least:
                 return point
         return None
 
     return backtracked(lower, MAX_LENGTHS)
-
-
-def _certain_cost(at: Evaluation) -> float:
-    """Return φ minus the rounding error of residuals with an absolute loss."""
-    if not len(at.nonsmooth):
-        return at.objective
-    rounding = np.sum(at.cost.slope * np.minimum(np.abs(at.nonsmooth), at.last_bits))
-    return at.objective - float(rounding)
 
 
 def moved_by(at: Evaluation, step: Array) -> Evaluation | None:
@@ -112,10 +103,9 @@ def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
     if all(term.reads_measurement and term.loss.squared for term in at.cost.terms):
         return True
     through = at.partials(np.clip(dual, -1, 1))[1]
-    networks = at.networks
+    pairs = list(zip(at.networks, through, strict=True))
     # Pull of a cell's own reading, J_cc·∂φ/∂y_c, and of all readings, Jᵀ·∂φ/∂y.
-    curvature = through * np.stack([network.own_response() for network in networks])
-    pairs = zip(networks, through, strict=True)
+    own = np.stack([network.own_response() * part for network, part in pairs])
     pull = np.stack([network.adjoint(part) for network, part in pairs])
     borne = (pull * gradient > 0) & (np.abs(gradient) >= np.abs(pull) / 2)
-    return bool(np.any(held & missed & borne & (curvature * gradient > 0)))
+    return bool(np.any(held & missed & borne & (own * gradient > 0)))

@@ -10,16 +10,13 @@ ones of the previous frame.
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import log
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.formulation.circuit import Circuit
 from lampest.formulation.instance import Instance, Multipliers, ProgramResult
-from lampest.formulation.ipopt import Interface, Limits
-from lampest.formulation.patterns import Excitation
+from lampest.formulation.ipopt import Interface
 from lampest.formulation.program import Program
 from lampest.panel.compiled import guarded
 from lampest.panel.readouts import Readout
@@ -76,10 +73,9 @@ class Ending:
         absolute losses, whose duals change with the readings.
         """
         ended = self.hessian
-        if len(start.cost.slope) or not ended.dense:
-            return start
         current = sharp_hessian(start, np.zeros(0))
-        if current.position.shape != ended.position.shape:
+        alike = current.position.shape == ended.position.shape
+        if len(start.cost.slope) or not ended.dense or not alike:
             return start
         change = current.reading_weight - ended.reading_weight
         matrix = ended.matrix + weighted_square(ended.jacobian, change.ravel())
@@ -108,7 +104,7 @@ class Ipopt(Solver):
     settings : Settings
     readout : Readout
     wiring : Wiring or None
-    patterns : Excitation
+    patterns : {'nodal', 'per_pixel'}
     previous : Ending or None
         End of the frame before.
     """
@@ -117,17 +113,17 @@ class Ipopt(Solver):
 
     readout: Readout
     wiring: Wiring | None
-    patterns: Excitation
+    patterns: str
     previous: Ending | None = None
 
     @property
     def name(self) -> str:
         """The solver in words."""
-        return f"IPOPT {self.patterns.kind}"
+        return f"IPOPT {self.patterns}"
 
     def prepare(self) -> None:
-        """Build the program before the first solve."""
-        self._built()
+        """Build the program, and IPOPT for cold starts, before the first solve."""
+        _ = self._built().cold
 
     def continued(self, carried: object) -> "Ipopt":
         """Return the solver that begins at the end of the frame before."""
@@ -147,21 +143,19 @@ class Ipopt(Solver):
         instance, result, iterations = self._minimised(start)
         status = STATUS.get(result.status, Status.BREAKDOWN)
         outcome = self._outcome(start, instance, result, status, iterations)
-        multipliers = instance.multipliers_of(result)
         for _ in range(MAX_FINE):
             verdict = outcome.certificate
             if verdict is None or outcome.at is None or verdict.settled:
                 break
             # IPOPT goes on, from the lower point beside a saddle if there is one, in units of that
             # point
+            multipliers = instance.multipliers_of(result)
             instance = self._instance(verdict.lower or outcome.at)
             result = self._built().minimise(instance, multipliers, fine=True)
-            multipliers = instance.multipliers_of(result)
-            fine = self._outcome(
-                start, instance, result, status, outcome.iterations + result.iterations
-            )
+            iterations += result.iterations
+            fine = self._outcome(start, instance, result, status, iterations)
             if fine.at is None or fine.at.objective > outcome.at.objective:
-                return replace(outcome, iterations=fine.iterations)
+                return replace(outcome, iterations=iterations)
             outcome = fine
             if verdict.lower is None:
                 break
@@ -169,8 +163,7 @@ class Ipopt(Solver):
 
     def _instance(self, at: Evaluation) -> Instance:
         """Return the program's instance that begins at an evaluation."""
-        circuits = _circuits(self.readout, self.cost.panel.shape, self.wiring)
-        return Instance.of(self._built().program, circuits, self.patterns, [at])
+        return Instance.of(self._built().program, [at])
 
     def _outcome(
         self,
@@ -183,10 +176,9 @@ class Ipopt(Solver):
         """Return the outcome of a result, with the certificate of an optimum."""
         cells = instance.cells_of(result)
         dual = instance.duals_of(result, self.cost.slope)
-        moved = float(np.abs(np.log(cells / start.cell_resistance)).max())
-        outcome = Outcome(
-            cells, dual, status, iterations, convex=not (result.corrected and moved > FAR)
-        )
+        moved = np.abs(np.log(cells / start.cell_resistance)).max()
+        convex = not (result.corrected and moved > FAR)
+        outcome = Outcome(cells, dual, status, iterations, convex=convex)
         if status is not Status.OPTIMUM or not np.all(np.isfinite(cells)):
             return outcome
         at = start.elsewhere(np.clip(cells, start.data.lower, start.data.upper))
@@ -205,40 +197,33 @@ class Ipopt(Solver):
             warm = self._instance(self.previous.predicted(start))
             if len(self.previous.multipliers.of_bounds) == len(warm.start):
                 result = self._built().minimise(warm, self.previous.multipliers)
-                if STATUS.get(result.status) is Status.OPTIMUM:
-                    return warm, result, result.iterations
                 iterations = result.iterations
+                if STATUS.get(result.status) is Status.OPTIMUM:
+                    return warm, result, iterations
         instance = self._instance(start)
         result = self._built().minimise(instance)
         return instance, result, iterations + result.iterations
 
     def _built(self) -> Interface:
         """Return IPOPT's interface to the program, which is built once."""
-        return _interface(
-            self.cost.unweighted, self.readout, self.wiring, self.patterns, self.settings
-        )
+        return _interface(replace(self, cost=self.cost.unweighted, previous=None))
 
 
-def ipopt_limits(settings: Settings) -> Limits:
-    """Return the limits of IPOPT for the settings of a solver."""
-    seconds = np.inf if settings.time_limit_s is None else settings.time_limit_s
-    own = () if settings.ipopt is None else settings.ipopt.own
-    return Limits(ACCURACY * settings.tolerance, settings.max_iterations, seconds, own)
+def interface_to(program: Program, settings: Settings, **options: Any) -> Interface:
+    """Return IPOPT's interface to a program, for the settings of a solver.
 
-
-@lru_cache(maxsize=32)
-def _circuits(
-    readout: Readout, shape: tuple[int, int], wiring: Wiring | None
-) -> tuple[Circuit, ...]:
-    """Return the circuits of a panel, one for each address; each process builds them once."""
-    return Circuit.of_readout(readout, shape, wiring)
+    The settings' own options of IPOPT take the place of the `options`.
+    """
+    if settings.time_limit_s is not None:
+        options["max_wall_time"] = settings.time_limit_s
+    if settings.ipopt is not None:
+        options |= dict(settings.ipopt.own)
+    return Interface(program, ACCURACY * settings.tolerance, settings.max_iterations, options)
 
 
 @guarded
 @lru_cache(maxsize=32)
-def _interface(
-    cost: Cost, readout: Readout, wiring: Wiring | None, patterns: Excitation, settings: Settings
-) -> Interface:
-    """Return IPOPT for the program of a cost; each process compiles it once."""
-    program = Program.build(cost, readout, _circuits(readout, cost.panel.shape, wiring), patterns)
-    return Interface.of(program, ipopt_limits(settings))
+def _interface(solver: Ipopt) -> Interface:
+    """Return IPOPT for the program of a solver; each process compiles it once."""
+    program = Program.build(solver.cost, solver.readout, solver.wiring, solver.patterns)
+    return interface_to(program, solver.settings)

@@ -7,8 +7,9 @@ Source: Nocedal & Wright, Numerical Optimization, 2006, theorem 2.4; Boyd & Vand
 Optimization, 2004, section 9.5 (the decrement).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -71,8 +72,8 @@ class Certificate:
     definiteness: Definiteness
     step: Array
     decrement: float
-    deviations: float
-    undetermined_slope: float = float("inf")
+    deviations: float = inf
+    undetermined_slope: float = inf
     factor: Cholesky | None = None
     lower: Evaluation | None = None
 
@@ -92,21 +93,16 @@ class Certificate:
         """
         step = within_bounds(hessian.at, free, part)
         data = hessian.at.data
-        deviations = float("inf")
         if decrement is None:
             # δ² = gᵀ H⁻¹ g = −gᵀs
-            decrement = float(np.sqrt(max(-float(hessian.gradient[free] @ part), 0.0)))
-        long = float(np.abs(step).max(initial=0.0)) > MILLIONTH
-        if (
-            kind is Definiteness.POSITIVE
-            and long
-            and data.noise_known
-            and np.any(hessian.curvature > 0)
-        ):
+            decrement = float(np.sqrt(np.maximum(-hessian.gradient[free] @ part, 0.0)))
+        point = cls(kind, step, decrement, **more)
+        curved = hessian.curvature > 0
+        if kind is Definiteness.POSITIVE and not point.short and data.noise_known and curved.any():
             # √2·s₀ = √(mean ∂²φ/∂y² σ²)
-            spread = (hessian.curvature * data.sigma.ravel() ** 2)[hessian.curvature > 0]
-            deviations = decrement / float(np.sqrt(np.mean(spread)))
-        return cls(kind, step, decrement, deviations, **more)
+            spread = (hessian.curvature * data.sigma.ravel() ** 2)[curved]
+            return replace(point, deviations=decrement / np.sqrt(np.mean(spread)))
+        return point
 
     @property
     def settled(self) -> bool:
@@ -162,7 +158,7 @@ def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) 
     free = free_cells(hessian.at, hessian.gradient)
     chosen = np.flatnonzero(free)
     if not len(chosen):
-        return Certificate(Definiteness.POSITIVE, np.zeros(len(free)), 0.0, 0.0)
+        return Certificate(Definiteness.POSITIVE, np.zeros(len(free)), 0.0)
     if not hessian.dense:
         return _by_conjugate_gradients(hessian, free, preconditioner)
     return _by_factorisation(hessian, chosen)
@@ -187,8 +183,8 @@ def toward_readings(hessian: Hessian) -> Certificate | None:
         if not _close(missed):
             return None
         return Certificate.of(hessian, Definiteness.UNDETERMINED, cells, 0 * missed, np.inf)
-    beyond = float(np.abs(within_bounds(hessian.at, cells, step) - step).max())
-    far = float(np.abs(step).max()) > MAX_DISTANCE or beyond > MAX_RELATIVE_MISFIT
+    beyond = np.abs(within_bounds(hessian.at, cells, step) - step).max()
+    far = np.abs(step).max() > MAX_DISTANCE or beyond > MAX_RELATIVE_MISFIT
     if far and not _close(missed):
         return None
     # δ² = eᵀ (WY²) e with the weights W = ∂²φ/∂y² and the readings Y
@@ -223,7 +219,7 @@ def _confirmed(
     direction = np.zeros(len(hessian.gradient))
     direction[free] = along
     lower = lower_along(hessian.at, direction)
-    return (definiteness if lower is not None else Definiteness.UNDETERMINED), lower
+    return (definiteness if lower else Definiteness.UNDETERMINED), lower
 
 
 def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
@@ -342,7 +338,7 @@ def _by_conjugate_gradients(
     definiteness = Definiteness.POSITIVE if moved else Definiteness.UNDETERMINED
     if solved.negative:
         # Negative curvature counts only beyond its rounding error.
-        along = solved.step / (float(np.abs(solved.step).max()) or 1.0)
+        along = solved.step / (np.abs(solved.step).max() or 1.0)
         curvature = float(along @ product(along))
         size = hessian.diagonal[chosen]
         of_products = ROUNDING * float(along @ (size * along))

@@ -70,8 +70,9 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
             stationary = verdict.short and residual <= VERIFIED
         outcome = replace(outcome, certificate=verdict)
     if worse or not stationary:
-        fault = Status.WORSE if stationary else Status.UNVERIFIED
-        fault = fault if outcome.status is Status.OPTIMUM else outcome.status
+        fault = outcome.status
+        if fault is Status.OPTIMUM:
+            fault = Status.WORSE if stationary else Status.UNVERIFIED
         return failure(cost, data, _cause(at, gradient, outcome, fault), residual, outcome)
     # Second order: definiteness of the Hessian and length of the next Newton step.
     verdict = outcome.certificate or certificate(sharp_hessian(at, dual), outcome.preconditioner)
@@ -95,9 +96,8 @@ def misses_many(at: Evaluation) -> bool:
     ignores = any(term.reads_measurement and not term.loss.convex for term in at.cost.terms)
     if not (ignores and data.noise_known):
         return False
-    plain = data.plain
-    far = np.abs(at.reading - data.measured)[plain] > FAR * data.sigma[plain]
-    return bool(far.sum() > MAX_FAR * far.size)
+    far = np.abs(at.reading - data.measured) > FAR * data.sigma
+    return bool(far[data.plain].sum() > MAX_FAR * data.plain.sum())
 
 
 def sharp_hessian(at: Evaluation, dual: Array) -> Hessian:
@@ -105,7 +105,7 @@ def sharp_hessian(at: Evaluation, dual: Array) -> Hessian:
 
     The smoothing width is SMOOTHING_WIDTH of the largest residual.
     """
-    largest = float(np.abs(at.nonsmooth).max(initial=0.0)) or 1.0
+    largest = np.abs(at.nonsmooth).max(initial=0.0) or 1.0
     return Hessian(at, Smoothing(SMOOTHING_WIDTH * largest, dual))
 
 
@@ -144,13 +144,13 @@ def _balanced_residual(hessian: Hessian) -> float | None:
     inside = ((at.position > lower) & (at.position < upper)).ravel()
     signs = (-1.0) ** np.arange(cells.size).reshape(cells.shape)
     rounded = at.elsewhere(cells * (1 + ROUNDING * signs))
-    residuals = []
+    least = np.inf
     for free in (np.ones_like(inside), inside):
         subgradient[corner] = lsq_linear(weighted[free], target[free], (-1.0, 1.0), method="bvls").x
         gradient = at.log_gradient(subgradient)
         rounding = np.abs(rounded.log_gradient(subgradient) - gradient).max() / at.cost_scale
-        residuals.append(float(at.projected_gradients(gradient) - rounding))
-    return max(min(residuals), 0.0)
+        least = min(least, float(at.projected_gradients(gradient) - rounding))
+    return max(least, 0.0)
 
 
 def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> Status:

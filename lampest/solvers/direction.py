@@ -93,12 +93,10 @@ class QuadraticModel:
         if hessian.dense and len(point.at.nonsmooth):
             # Corners change the matrix from step to step. Products with H keep the digits that its
             # factor loses under heavy weights.
-            matrix = hessian.matrix.copy()
-            matrix.flat[:: len(matrix) + 1] += curved
             free = np.flatnonzero(hessian.free)
-            cached = Cholesky.of(point.at.cell_resistance, free, matrix)
+            cached = Cholesky.of(hessian.cells, free, hessian.matrix + np.diag(curved))
         cached = cached or point.newest_preconditioner
-        if cached is None or cached.distance(point.at.cell_resistance) > MAX_REUSE_DISTANCE:
+        if cached is None or cached.distance(hessian.cells) > MAX_REUSE_DISTANCE:
             cached = preconditioner(hessian, hessian.free)
         return cls(lambda step: hessian.product(step) + curved * step, cached)
 

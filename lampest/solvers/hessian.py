@@ -161,8 +161,7 @@ class Hessian:
         """
         if not len(self.at.cost.slope):
             return np.zeros(0)
-        lower, upper = (bound.ravel() - self.position for bound in self.at.data.log_bounds)
-        step = np.clip(step, lower, upper)
+        step = np.clip(step, *(bound.ravel() - self.position for bound in self.at.data.log_bounds))
         move = np.concatenate([self.cells.ravel() * step, self.forward(step).ravel()])
         return np.asarray(self.kinked @ move)
 
@@ -198,11 +197,8 @@ class Hessian:
             force += self.kinked.T @ (self._kinks * (self.kinked @ move))
         through = self.adjoint(force[step.size :].reshape(cells.shape))
         # + N·p + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y)·p
-        force_of = (
-            cells.ravel() * force[: step.size]
-            + through
-            + np.concatenate([second.ravel() for second in seconds])
-        )
+        own = np.concatenate([second.ravel() for second in seconds])
+        force_of = cells.ravel() * force[: step.size] + through + own
         return np.asarray(force_of + (self.direct - self.through) * step)
 
     def gauss_newton_product(self, step: Array) -> Array:
@@ -221,9 +217,8 @@ class Hessian:
         weight = np.maximum(self.curvature, 0.0)
         if not all(term.loss.squared for term in self.at.cost.terms if term.reads_measurement):
             part = residuals(self.at.cost).data
-            stiffness = self._stiffness(part)
             # W_i = Σ_k (∂x_k/∂y_i)²·ρ'(x_k)/x_k
-            weight = part.jacobian("reading", self.at).power(2).T @ stiffness
+            weight = part.jacobian("reading", self.at).power(2).T @ self._stiffness(part)
         return weight.reshape(self.cells.shape)
 
     @cached_property
@@ -233,9 +228,8 @@ class Hessian:
         The matrix is sparse and semidefinite, (frames·cells, frames·cells).
         """
         part = residuals(self.at.cost).penalties
-        size = self.cells.size
         if not len(part.term):
-            return sparse.csr_array((size, size))
+            return sparse.csr_array((self.cells.size,) * 2)
         # P = ∂x/∂u = (∂x/∂r)·diag(r)
         slopes = by_log(part.jacobian("cell_resistance", self.at), self.cells)
         weight = self._stiffness(part)[slopes.indices]
@@ -295,12 +289,12 @@ class Hessian:
         jacobian = self.jacobian
         cells = self._flat(self.cells)
         count = cells.shape[-1]
-        entries, values = self.at.cost.functions.entries, self._smooth_terms
+        entries = self.at.cost.functions.entries
+        values = self._smooth_terms
         # N + diag(r) T_rr diag(r)
         row, column = entries.at_cells
-        matrix[..., row, column] += (
-            values[..., entries.cells] * cells[..., row] * cells[..., column]
-        )
+        scale = cells[..., row] * cells[..., column]
+        matrix[..., row, column] += values[..., entries.cells] * scale
         # + Jᵀ T_yy J
         if entries.at_model is None:
             matrix += jacobian.T @ (self.terms[count:, count:] @ jacobian)
@@ -350,7 +344,7 @@ def by_log(jacobian: sparse.csc_array, cells: Array) -> sparse.csc_array:
 
 def block_diagonal(blocks: Sequence[Array]) -> Array:
     """Return the block-diagonal matrix of the blocks; a single block is returned unchanged."""
-    return blocks[0] if len(blocks) == 1 else np.asarray(linalg.block_diag(*blocks))
+    return blocks[0] if len(blocks) == 1 else (linalg.block_diag(*blocks))
 
 
 def square_of_rows(rows: sparse.csr_array, weight: Array) -> Array:

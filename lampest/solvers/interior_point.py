@@ -40,18 +40,16 @@ MAX_BARRIER_SHARE = 1e-8
 SIDES = np.array([1.0, -1.0])[:, None, None, None]
 
 
-def central_path(start: Evaluation, max_steps: int | None = None) -> tuple[Evaluation, int]:
+def central_path(start: Evaluation, max_steps: int = MAX_STEPS) -> tuple[Evaluation, int]:
     """Return the point at which the barrier's share of the cost has vanished.
 
     The number of steps is returned, too. Returns `start` if the path ends at a higher cost.
     """
     barrier = Barrier.of(start)
     steps = 0
-    limit = MAX_STEPS if max_steps is None else min(max_steps, MAX_STEPS)
-    while steps < limit and not start.data.overdue:
-        if not barrier.added > MAX_BARRIER_SHARE * barrier.at.objective:
-            break
-        trial = barrier.advanced()
+    while steps < min(max_steps, MAX_STEPS) and not start.data.overdue:
+        ended = not barrier.added > MAX_BARRIER_SHARE * barrier.at.objective
+        trial = None if ended else barrier.advanced()
         if trial is None:
             break
         barrier = trial
@@ -98,7 +96,7 @@ class Barrier:
         low = 1 / start.data.upper
         high = 1 / start.data.lower
         conductance = 1 / start.cell_resistance
-        margin = np.minimum(START_MARGIN * float(np.median(conductance)), (high - low) / 50)
+        margin = np.minimum(START_MARGIN * np.median(conductance), (high - low) / 50)
         at = start.elsewhere(1 / np.clip(conductance, low + margin, high - margin))
         bare = cls(at, np.zeros((2, *low.shape)), 0.0)
         mean = 0.1 * float(
@@ -161,7 +159,7 @@ class Barrier:
         length = reach(self.distances, SIDES * step)
         # Backtracking until the barrier function falls by a share of the predicted decrease.
         current = self.merit(mean)
-        slope = SUFFICIENT_DECREASE * float(np.sum(push * step))
+        slope = SUFFICIENT_DECREASE * np.sum(push * step)
 
         def lower(share: float) -> Barrier | None:
             conductance = self.conductance + share * length * step
@@ -201,12 +199,12 @@ class Barrier:
     def _dense(self, chosen: Numbers, stiff: Array, slope: Array) -> Array:
         """Return the relative step of the chosen cells by Cholesky's factor."""
         hessian = self.hessian
-        exact = hessian.matrix + np.diag(hessian.gradient + stiff)
-        factor = Cholesky.of(self.at.cell_resistance, chosen, exact)
-        if factor is None:
-            squares = hessian.gauss_newton_matrix + np.diag(stiff)
-            factor = Cholesky.of(self.at.cell_resistance, chosen, squares)
-        return np.full(len(chosen), np.nan) if factor is None else -factor.solve(slope)
+        exact = hessian.matrix + np.diag(hessian.gradient)
+        for matrix in (exact, hessian.gauss_newton_matrix):
+            factor = Cholesky.of(self.at.cell_resistance, chosen, matrix + np.diag(stiff))
+            if factor is not None:
+                return -factor.solve(slope)
+        return np.full(len(chosen), np.nan)
 
     def _sparse(self, chosen: Numbers, stiff: Array, slope: Array) -> Array:
         """Return the relative step of the chosen cells by conjugate gradients."""
@@ -229,9 +227,8 @@ class Barrier:
             return hessian.gauss_newton_product(step) + stiff * step
 
         for product in (exact, gauss_newton):
-            solved = steihaug(
-                restricted(product, chosen, free.size), precondition, slope, accuracy, admits=admits
-            )
+            part = restricted(product, chosen, free.size)
+            solved = steihaug(part, precondition, slope, accuracy, admits=admits)
             if not solved.negative:
                 break
         return solved.step

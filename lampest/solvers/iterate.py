@@ -112,9 +112,8 @@ class Iterate:
         if self.residual <= tolerance and self.sharp(tolerance):
             return self.slope
         dual = self.hessian.smoothing.dual
-        if not len(dual) or not self.sharp(tolerance, dual):
-            return None
-        return dual if self.dual_residual <= tolerance else None
+        proved = len(dual) and self.sharp(tolerance, dual) and self.dual_residual <= tolerance
+        return dual if proved else None
 
     @property
     def _smoothed_cost(self) -> float:
@@ -139,17 +138,18 @@ class Iterate:
         smoothing = self.hessian.smoothing
         if not len(smoothing.dual):
             return self
-        cost = self._smoothed_cost * self.at.cost_scale
+        scale = self.at.cost_scale
+        cost = self._smoothed_cost * scale
         complementarity = smoothing.complementarity(self.at)
         level = max(smoothing.level(self.at), np.finfo(float).tiny)
         gap = complementarity * level
         share = MAX_SHARE
-        if gap < MAX_SHARE**2 * cost and self.dual_residual <= gap / self.at.cost_scale:
-            share = float(np.sqrt(gap / cost))
+        if gap < MAX_SHARE**2 * cost and self.dual_residual <= gap / scale:
+            share = np.sqrt(gap / cost)
         least = MIN_GAP_SHARE * tolerance * cost
         factor = min(1.0, max(share * complementarity, least / level))
         if not (self.hessian.dense or self.convex) and self.dual_residual > MILLIONTH:
-            factor = max(factor, MAX_SHARE * self.dual_residual * self.at.cost_scale / level)
+            factor = max(factor, MAX_SHARE * self.dual_residual * scale / level)
         if factor == 1.0:
             return self
         smoothing = replace(smoothing, width=factor * smoothing.width)
@@ -165,7 +165,7 @@ class Iterate:
     def error(self) -> float:
         """The larger of the gradient and the gap with the duals, relative to the cost's scale."""
         gap = self.at.dual_gap(self.hessian.smoothing.dual)
-        return max(self.dual_residual, float(gap) / self.at.cost_scale)
+        return max(self.dual_residual, gap / self.at.cost_scale)
 
     def certified(self) -> "Iterate":
         """Return this point with its certificate.
@@ -177,7 +177,7 @@ class Iterate:
         previous = self.nearby
         hessian = self.hessian
         if previous and previous.factor and previous.definiteness is Definiteness.POSITIVE:
-            near = previous.factor.distance(self.at.cell_resistance) <= REFACTOR_DISTANCE**2
+            near = previous.factor.distance(hessian.cells) <= REFACTOR_DISTANCE**2
             if near and np.array_equal(np.flatnonzero(hessian.free), previous.factor.cells):
                 return replace(self, certificate=previous.after(hessian))
         return replace(self, certificate=certificate(hessian, self.preconditioner))
@@ -209,9 +209,9 @@ class Iterate:
     @property
     def below_saddle(self) -> "Iterate | None":
         """The certificate's point of lower cost next to a saddle; None without such a point."""
-        if self.certificate is None or self.certificate.lower is None:
+        lower = self.certificate and self.certificate.lower
+        if not lower:
             return None
-        lower = self.certificate.lower
         change = lower.nonsmooth - self.at.nonsmooth
         smoothing = self.hessian.smoothing.moved(self.at, lower, change)
         return Iterate.of(lower, smoothing, convex=False)
@@ -220,9 +220,7 @@ class Iterate:
     def newest_preconditioner(self) -> Preconditioner | None:
         """Factor of ∇²φ of the newest certificate, else the preconditioner of an earlier point."""
         verdict = self.newest_certificate
-        if verdict is None or verdict.factor is None:
-            return self.preconditioner
-        return verdict.factor
+        return (verdict and verdict.factor) or self.preconditioner
 
     def outcome(self, status: Status, iterations: int, dual: Array | None = None) -> Outcome:
         """Return the outcome at this point, with duals that are ψ'(x) by default.

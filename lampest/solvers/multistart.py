@@ -9,7 +9,7 @@ which ends in lower minima than steps straight down (docs/studies/speed.md).
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import count, islice
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,6 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.files.errors import BROKEN
 from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
-from lampest.solvers.certificate import MIN_COST_SHARE
 from lampest.solvers.check import check
 from lampest.solvers.solution import (
     MAX_STARTS,
@@ -67,8 +66,10 @@ def _is_spent(
     requested = solver.settings.starts is not None
     if not (requested or best.solved):
         return iterations > MAX_UNSOLVED
-    if requested or len(ends) >= most_starts(solver, data) or not solver.cost.convex_losses:
-        return len(ends) >= most_starts(solver, data)
+    if len(ends) >= most_starts(solver, data):
+        return True
+    if requested or not solver.cost.convex_losses:
+        return False
     kept = len(ends) == 1 and best.strict and (best.convex or continues)
     return kept or iterations > MAX_SPENT
 
@@ -78,7 +79,7 @@ def best_solution(
 ) -> Solution:
     """Return the lowest minimum that a solver reaches from the starts of a frame.
 
-    Minima on the branch of the first start precede all others. A start with a numerical breakdown
+    A start with a numerical breakdown
     is skipped. If all starts break down, the status states it.
 
     Parameters
@@ -93,7 +94,6 @@ def best_solution(
     solver = solver.continued(carried)
     continues = previous is not None and not data.first
     best = None
-    branch = None
     ends = list[Solution]()
     with np.errstate(all="ignore"), delayed_interrupt():
         for start in evaluable(solver.cost, data, _places(solver, data, previous, ends)):
@@ -101,8 +101,7 @@ def best_solution(
             if ends:  # only the first start continues the previous frame
                 attempt = solver.cold() if solver.cost.convex_losses else solver.continued(None)
             ends.append(solved_from(attempt, start))
-            branch = start.branch if branch is None else branch
-            best = preferred(best, ends[-1], branch)
+            best = lower_of(best, ends[-1])
             if data.overdue or _is_spent(solver, data, best, ends, continues=continues):
                 break
     best = _broken(solver.cost, data) if best is None else best
@@ -131,33 +130,6 @@ def _places(
         yield from scattered(data)
 
 
-def preferred(best: Solution | None, solution: Solution, branch: Array) -> Solution:
-    """Return the solution on the branch, or that of lower cost if both or neither are on it.
-
-    Two panels can have equal readings (`lampest.panel.readouts.branches`), and costs do not tell
-    them apart. The first start does, because it continues the frame before.
-    """
-    if best is None or not best.solved or not solution.solved:
-        return lower_of(best, solution)
-    on_branch = [at is None or np.array_equal(at.branch, branch) for at in (best.at, solution.at)]
-    if on_branch[0] == on_branch[1]:
-        return lower_of(best, solution)
-    return best if on_branch[0] else solution
-
-
-def settles(second: Solution, first: Solution) -> bool:
-    """Return whether a second solution is a strict minimum and costs no more than the first.
-
-    Costs are compared within rounding.
-    """
-    if not second.strict or second.at is None:
-        return False
-    return (
-        not first.solved
-        or second.objective <= first.objective + MIN_COST_SHARE * second.at.cost_scale
-    )
-
-
 def several_minima(cost: Cost, data: Data) -> bool:
     """Return whether the cost may have several minima.
 
@@ -170,8 +142,8 @@ def several_minima(cost: Cost, data: Data) -> bool:
     if all(term.reads_measurement for term in cost.terms):
         return False
     comparing = [term for term in cost.terms if term.needs_previous]
-    convex_in_log = bool(comparing) and all(term.convex_in_log for term in comparing)
-    return not (convex_in_log and bool(data.plain.all()))
+    convex_in_log = comparing and all(term.convex_in_log for term in comparing)
+    return not (convex_in_log and data.plain.all())
 
 
 def starts(cost: Cost, data: Data, previous: Array | None) -> Iterator[Array]:
@@ -194,11 +166,10 @@ def scattered(data: Data) -> Iterator[Array]:
     START_SPREAD are the fractional parts of √2·n², which are evenly distributed (Rudnick, Sarnak &
     Zaharescu, Invent. Math. 145, 2001).
     """
-    size = data.measured.size
-    for drawn in count():
-        places = np.arange(1, size + 1, dtype=float) + size * drawn
-        share = (np.sqrt(2.0) * places**2 % 1.0).reshape(data.measured.shape)
-        yield data.apparent_resistance * START_SPREAD**share
+    places = np.arange(1.0, data.measured.size + 1).reshape(data.measured.shape)
+    while True:
+        yield data.apparent_resistance * START_SPREAD ** (np.sqrt(2.0) * places**2 % 1.0)
+        places = places + places.size
 
 
 def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:

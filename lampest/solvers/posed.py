@@ -91,11 +91,9 @@ class Bounds(Configuration):
         upper = readout.apparent_resistance(measured) * OPEN_FACTOR
         if self.lower == "measured":
             least = least_cells(readout, measured, sigma)
-            lower = (
-                least
-                if wiring is None
-                else np.maximum(least - wiring.path_ohm(measured.shape[-2:]), lower)
-            )
+            lower = least
+            if wiring is not None:
+                lower = np.maximum(least - wiring.path_ohm(measured.shape[-2:]), shorts)
         elif not isinstance(self.lower, str):
             lower = np.full_like(measured, self.lower)
         if self.upper == "resolution" and sigma is not None:
@@ -204,10 +202,9 @@ def with_weights_of_missing(readings: Readings, scene: Scene, stand_ins: Mask) -
     """
     if not readings.partial:
         return readings
+    known = readings.sigma is not None
     missing = readings.missing(scene) & stand_ins[:, None, None]
-    bounded = (
-        readings.bounds if readings.sigma is not None else np.zeros(readings.seen.shape, dtype=bool)
-    )
+    replaced = missing | (readings.bounds & known)
     noise = readings.value * UNKNOWN_NOISE if readings.sigma is None else readings.sigma
     # own: noise of each bound and substitute; usual: geometric mean of σ over the frame's values
     wide = noise.copy()
@@ -221,10 +218,6 @@ def with_weights_of_missing(readings: Readings, scene: Scene, stand_ins: Mask) -
     # weight usual/own, at most 1; σ · weight is the typical noise, so that weighted residuals keep
     # their scale
     most = np.where(missing, MAX_STAND_IN_WEIGHT, 1.0)
-    share = np.where(missing | bounded, np.minimum(usual / wide, most), 1.0)
-    sigma = (
-        None
-        if readings.sigma is None
-        else np.where(missing | bounded, wide * share, readings.sigma)
-    )
+    share = np.where(replaced, np.minimum(usual / wide, most), 1.0)
+    sigma = np.where(replaced, wide * share, noise) if known else None
     return replace(readings, sigma=sigma, seen=np.where(missing, share, readings.seen * share))

@@ -109,7 +109,7 @@ class Cholesky(Preconditioner):
         triangle, failed = lapack.dpotrf(unit.T, clean=0, overwrite_a=1)
         if failed or not np.isfinite(norm):
             return None
-        diagonal = np.full(cell_resistance.size, float(np.mean(pivots)))
+        diagonal = np.full(cell_resistance.size, np.mean(pivots))
         diagonal[cells] = pivots
         return cls(cell_resistance, cells, triangle, size, diagonal, norm)
 
@@ -154,12 +154,21 @@ class TwoLevel(Preconditioner):
     ----------
     solve : Linear
         (T + diag(c))⁻¹·x, derivatives by ohm.
-    lines : CoarseLines or None
-        Coarse space V of rows and columns; None where it does not repay its cost.
+    local : sparse.csr_array, shape (cells, cells)
+        T + diag(c).
+    lines : sparse.csr_array, shape (cells, vectors · lines)
+        Coarse space V of rows and columns; without columns where it does not repay its cost.
+    mixed : array, shape (vectors · lines, vectors · lines)
+        S.
+    coarse : array, shape (vectors · lines, vectors · lines)
+        (VᵀAV)⁻¹.
     """
 
     solve: Linear
-    lines: "CoarseLines | None" = None
+    local: sparse.csr_array
+    lines: sparse.csr_array
+    mixed: Array
+    coarse: Array
 
     @classmethod
     def of(
@@ -181,154 +190,105 @@ class TwoLevel(Preconditioner):
         if len(cells) == 1:
             # JᵀWJ of a single frame ≈ diag(own) + V S Vᵀ; a floor of the weights keeps lines tied
             # together.
-            weight = np.maximum(
-                hessian.reading_weight[0],
-                WEAK_WEIGHT * (hessian.reading_weight.max(initial=0.0) or 1.0),
-            )
+            weight = hessian.reading_weight[0]
+            weight = np.maximum(weight, WEAK_WEIGHT * (weight.max(initial=0.0) or 1.0))
             parts = hessian.at.networks[0].normal_by_lines(weight)
             level = local(parts.own.ravel())
             along = parts.along / cells
             if len(along) and level.nnz <= level.shape[0]:
                 diagonal = floored(level.diagonal()).reshape(cells.shape[1:])
-                return Woodbury(cells, diagonal, LineColumns(along), parts.mixed_inverse)
-            lines = CoarseLines.of(level, along, parts.mixed)
-            if lines is not None:
-                return cls(cells, sparse_inverse(level), lines)
-        return cls(cells, sparse_inverse(local(hessian.own)))
+                return Woodbury(cells, diagonal, along, parts.mixed_inverse)
+            if len(along):
+                lines = _columns(along)
+                mixed = parts.mixed.matrix()
+                # VᵀAV = Vᵀ(T + diag(c))V + (VᵀV) S (VᵀV)
+                crossed = (lines.T @ (level @ lines)).toarray()
+                square = (lines.T @ lines).toarray()
+                added = square @ mixed @ square
+                if np.quantile(added.diagonal() / crossed.diagonal(), WEAK_LINE_SHARE) >= 1:
+                    coarse = _scaled_inverse(crossed + added)
+                    return cls(cells, sparse_inverse(level), level, lines, mixed, coarse)
+        level = local(hessian.own)
+        nothing = np.zeros((0, 0))
+        none = sparse.csr_array((cells.size, 0))
+        return cls(cells, sparse_inverse(level), level, none, nothing, nothing)
 
     def over(self, free: Mask, cell_resistance: Array) -> Linear:
         return _by_log(self._solved, free, cell_resistance)
 
     def _solved(self, values: Array) -> Array:
-        """Return the product with the preconditioner.
+        """Return the product Q v + b − Q A b, b = (T + diag(c))⁻¹ (v − A Q v)."""
 
-        S v without lines, else P v + b − P L b with b = S (v − L P v), for the solves P of the
-        lines and S of the factor, and the product L of the lines.
-        """
-        if self.lines is None:
-            return self.solve(values)
-        first = self.lines.solve(values)
-        between = self.solve(values - self.lines.product(first))
-        return first + between - self.lines.solve(self.lines.product(between))
+        def coarse(values: Array) -> Array:
+            return np.asarray(self.lines @ (self.coarse @ (self.lines.T @ values)))
+
+        def product(values: Array) -> Array:
+            return np.asarray(
+                self.local @ values + self.lines @ (self.mixed @ (self.lines.T @ values))
+            )
+
+        first = coarse(values)
+        between = self.solve(values - product(first))
+        return first + between - coarse(product(between))
+
+
+def _columns(along: Array) -> sparse.csr_array:
+    """Return V = [diag(v)·U for v in along], U the incidence of cells and lines, sparse."""
+    row, column = np.indices(along.shape[1:]).reshape(2, -1)
+    places = np.concatenate([row, along.shape[1] + column])
+    incidence = sparse.csr_array((np.ones(len(places)), (np.tile(np.arange(len(row)), 2), places)))
+    return sparse.csr_array(
+        sparse.hstack([sparse.diags_array(v.ravel()) @ incidence for v in along])
+    )
+
+
+def _scaled_inverse(matrix: Array) -> Array:
+    """Return the inverse of a matrix scaled to a unit diagonal.
+
+    A shift serves columns of V that coincide, as they do on even panels.
+    """
+    size = np.sqrt(np.maximum(np.abs(matrix.diagonal()), TINY))
+    unit = matrix / size[:, None] / size
+    unit.flat[:: len(unit) + 1] += SHIFTS[0]
+    inverse = np.linalg.inv(unit) / size[:, None] / size
+    return (inverse + inverse.T) / 2
 
 
 @dataclass(frozen=True, eq=False)
 class Woodbury(Preconditioner):
-    """A⁻¹ between any cells, exactly, where T + diag(c) is `diagonal`, in ohm (rows, columns)."""
+    """A⁻¹ between any cells, exactly, where T + diag(c) is diagonal.
+
+    Attributes
+    ----------
+    diagonal : array, shape (rows, columns)
+        T + diag(c), by ohm.
+    along : array, shape (vectors, rows, columns)
+        Columns V = [diag(v)·U for v in along], U the incidence of cells and lines.
+    mixed_inverse : LineBlocks
+        S⁻¹.
+    """
 
     diagonal: Array
-    lines: "LineColumns"
+    along: Array
     mixed_inverse: LineBlocks
 
     def over(self, free: Mask, cell_resistance: Array) -> Linear:
         """Return (D + V S Vᵀ)⁻¹ = D⁻¹ − D⁻¹V (S⁻¹ + VᵀD⁻¹V)⁻¹ VᵀD⁻¹ over the free cells."""
-        shape = self.diagonal.shape
-        inverse = np.where(free.reshape(shape), 1 / self.diagonal, 0.0)
+        along = self.along
+        inverse = np.where(free.reshape(self.diagonal.shape), 1 / self.diagonal, 0.0)
         inner: Linear = np.zeros_like  # D⁻¹ alone remains if contrasts exceed double precision
         with suppress(np.linalg.LinAlgError):
-            inner = (self.mixed_inverse + self.lines.between(inverse)).inverse()
-        flat = inverse.ravel()
+            grids = along[:, None] * along * inverse
+            inner = (self.mixed_inverse + LineBlocks(line_sums(grids), grids)).inverse()
 
         def solve(values: Array) -> Array:
-            return flat * (values - self.lines.back(inner(self.lines.sums(flat * values))))
+            scaled = inverse * values.reshape(inverse.shape)
+            on_lines = inner(line_sums(along * scaled).ravel()).reshape(len(along), -1)
+            rows, columns = np.split(on_lines, [along.shape[1]], axis=1)
+            back = (along * (rows[:, :, None] + columns[:, None])).sum(axis=0)
+            return np.asarray((scaled - inverse * back).ravel())
 
         return _by_log(solve, free, cell_resistance)
-
-
-@dataclass(frozen=True, eq=False)
-class LineColumns:
-    """Columns V = [diag(v)·U for v in along] of rows and columns.
-
-    U is the incidence of cells and lines.
-
-    Attributes
-    ----------
-    along : array, shape (vectors, rows, columns)
-        The vectors v.
-    """
-
-    along: Array
-
-    def between(self, values: Array) -> LineBlocks:
-        """Return Vᵀ diag(x) V for x (rows, columns)."""
-        grids = self.along[:, None] * self.along * values
-        return LineBlocks(line_sums(grids), grids)
-
-    def sums(self, values: Array) -> Array:
-        """Return Vᵀ·x, (vectors · lines,)."""
-        return line_sums(self.along * values.reshape(self.along.shape[1:])).ravel()
-
-    def back(self, lines: Array) -> Array:
-        """Return V·y, flat."""
-        of_rows, of_columns = np.split(
-            lines.reshape(len(self.along), -1), [self.along.shape[1]], axis=1
-        )
-        return np.asarray(
-            (self.along * (of_rows[:, :, None] + of_columns[:, None])).sum(axis=0)
-        ).ravel()
-
-
-@dataclass(frozen=True, eq=False)
-class CoarseLines(LineColumns):
-    """Coarse space V.
-
-    Attributes
-    ----------
-    local : sparse.csr_array, shape (cells, cells)
-        T + diag(c).
-    mixed : array, shape (vectors · lines, vectors · lines)
-        S.
-    coarse : array, shape (vectors · lines, vectors · lines)
-        (VᵀAV)⁻¹.
-    """
-
-    local: sparse.csr_array
-    mixed: Array
-    coarse: Array
-
-    @classmethod
-    def of(cls, local: sparse.csr_array, along: Array, blocks: LineBlocks) -> "CoarseLines | None":
-        """Return the coarse space, or None if it does not repay its cost.
-
-        The cost is not repaid if three quarters of the lines add less than T + diag(c) has along
-        them.
-        """
-        if not len(along):
-            return None
-        mixed = blocks.matrix()
-        # V with columns of unit length
-        row, column = np.indices(along.shape[1:]).reshape(2, -1)
-        number = np.tile(np.arange(len(row)), 2)
-        places = np.concatenate([row, along.shape[1] + column])
-        incidence = sparse.csr_array((np.ones(len(places)), (number, places)))
-        columns = sparse.csr_array(
-            sparse.hstack([sparse.diags_array(side.ravel()) @ incidence for side in along])
-        )
-        length = np.sqrt(np.maximum(columns.multiply(columns).sum(axis=0), TINY))
-        columns = sparse.csr_array(columns @ sparse.diags_array(1 / length))
-        # VᵀAV = Vᵀ(T + diag(c))V + (VᵀV) S (VᵀV)
-        crossed = (columns.T @ (local @ columns)).toarray()
-        square = (columns.T @ columns).toarray()
-        added = square @ (mixed * length[:, None] * length) @ square
-        if np.quantile(added.diagonal() / crossed.diagonal(), WEAK_LINE_SHARE) < 1:
-            return None
-        coarse = crossed + added
-        # Inverse of the matrix scaled to a unit diagonal, shifted because columns of V can
-        # coincide.
-        size = np.sqrt(np.maximum(np.abs(coarse.diagonal()), TINY))
-        coarse = coarse / size[:, None] / size
-        coarse.flat[:: len(coarse) + 1] += SHIFTS[0]  # columns that are alike on even panels
-        scale = 1 / (size * length)
-        inverse = np.linalg.inv(coarse) * scale[:, None] * scale
-        return cls(along, local, mixed, (inverse + inverse.T) / 2)
-
-    def solve(self, values: Array) -> Array:
-        """Return Q·x, flat."""
-        return self.back(self.coarse @ self.sums(values))
-
-    def product(self, values: Array) -> Array:
-        """Return A·x, flat."""
-        return np.asarray(self.local @ values + self.back(self.mixed @ self.sums(values)))
 
 
 def preconditioner(hessian: Hessian, free: Mask) -> Preconditioner:
@@ -371,12 +331,12 @@ def _by_log(product: Linear, free: Mask, cell_resistance: Array) -> Linear:
     chosen = np.flatnonzero(free)
     size = cell_resistance.ravel()[chosen]
     part = restricted(product, chosen, free.size)
-    return lambda values: np.asarray(part(values / size) / size)
+    return lambda values: part(values / size) / size
 
 
 def floored(diagonal: Array) -> Array:
     """Return a diagonal with entries raised to at least MIN_DIAGONAL of the largest."""
-    return np.maximum(diagonal, MIN_DIAGONAL * (float(diagonal.max(initial=0.0)) or 1.0))
+    return np.maximum(diagonal, MIN_DIAGONAL * (diagonal.max(initial=0.0) or 1.0))
 
 
 def sparse_inverse(matrix: sparse.csr_array) -> Linear:
@@ -393,4 +353,4 @@ def sparse_inverse(matrix: sparse.csr_array) -> Linear:
     unit = sparse.csc_array(scale @ matrix @ scale + shift)
     options = {"SymmetricMode": True}
     solve = splu(unit, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
-    return lambda values: np.asarray(solve(values / size) / size)
+    return lambda values: solve(values / size) / size

@@ -7,13 +7,11 @@ Source: Nocedal & Wright, Numerical Optimization, 2006, algorithms 3.1 and 4.1, 
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from lampest.cost.problem import Data
-from lampest.panel.panel import Mask
+from lampest.panel.panel import Array, Mask
 from lampest.panel.trust_region import SUFFICIENT_DECREASE
 from lampest.solvers.bounds import MIN_DECREASE_SHARE
 from lampest.solvers.iterate import Iterate
@@ -29,11 +27,11 @@ History = Sequence[tuple[float, float]]
 
 
 def decreases_enough(
-    decrease: ArrayLike,
-    predicted: ArrayLike,
-    objective: ArrayLike,
-    residual: ArrayLike,
-    trial_residual: ArrayLike,
+    decrease: Array | float,
+    predicted: Array | float,
+    objective: Array | float,
+    residual: Array | float,
+    trial_residual: Array | float,
 ) -> Mask:
     """Return whether steps are accepted, (…,).
 
@@ -49,13 +47,10 @@ def decreases_enough(
     residual, trial_residual : array, shape (…,)
         Largest entry of the projected gradient before and after the step.
     """
-    decrease, predicted, residual, trial_residual = map(
-        np.asarray, (decrease, predicted, residual, trial_residual)
-    )
-    rounding: Any = MIN_DECREASE_SHARE * np.abs(objective)
+    rounding = MIN_DECREASE_SHARE * np.abs(objective)
     falls = np.isfinite(decrease) & (decrease >= SUFFICIENT_DECREASE * predicted)
     halves = (np.abs(decrease) <= rounding) & (trial_residual <= residual / 2)
-    return np.asarray(np.where(predicted > rounding, falls, halves))
+    return np.where(predicted > rounding, falls, halves)
 
 
 def exceeds_rounding(point: Iterate, predicted: float) -> bool:

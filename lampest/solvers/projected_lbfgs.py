@@ -71,19 +71,17 @@ class InverseHessian:
         For the other cells, and for all if M is not positive definite, 1/diagonal stands in. M is
         the Hessian in relative changes s of conductances, ∇²φ + diag(∇φ).
         """
-        matrix = points.matrix[row].copy()
-        np.einsum("ii->i", matrix)[...] += points.gradient[row]
+        matrix = points.matrix[row] + np.diag(points.gradient[row])
         free = np.flatnonzero(points.free[row])
         scale = np.abs(np.diag(matrix))
         inverse = np.diag(1 / np.where(scale > 0, scale, 1.0))
-        factor = None
-        if len(free):
-            factor = Cholesky.of(points.position[row], free, matrix)
-        positive = factor is not None and clear_of_rounding(factor.triangle, factor.norm)
-        if factor is not None and positive:
-            inverse[np.ix_(free, free)] = factor.inverse()
         position = points.position[row].copy()
-        return cls(inverse, position, points.free[row].copy(), positive or not len(free))
+        factor = Cholesky.of(position, free, matrix) if len(free) else None
+        positive = not len(free)
+        if factor is not None and clear_of_rounding(factor.triangle, factor.norm):
+            positive = True
+            inverse[np.ix_(free, free)] = factor.inverse()
+        return cls(inverse, position, points.free[row].copy(), positive)
 
 
 # Before the first frame of a panel
@@ -133,7 +131,7 @@ class InverseHessians:
         near = self.distance(points.position) <= CERTIFIED_DISTANCE
         pairs = zip(self.panels, points.free, strict=True)
         covered = [not (free & ~panel.free).any() for panel, free in pairs]
-        return np.asarray(near & self.positive & np.array(covered))
+        return near & self.positive & covered
 
     def newton(self, gradient: Array) -> Array:
         """Return M⁻¹ g, (panels, cells); 0 where there is no M."""
@@ -152,18 +150,16 @@ class InverseHessians:
         because their Hessians differ only by the part of their residuals.
         """
         rows = np.flatnonzero(chosen)
-        there = points.some(rows)
-        if len(rows) > 1 and not np.ptp(there.position, axis=0).any():
-            made = [InverseHessian.of(there.some(np.array([0])), 0)] * len(rows)
-        else:
-            made = [InverseHessian.of(there, row) for row in range(len(rows))]
-        return self.replaced(rows, InverseHessians(tuple(made)))
+        alike = len(rows) > 1 and not np.ptp(points.position[rows], axis=0).any()
+        there = points.some(rows[:1] if alike else rows)
+        made = [InverseHessian.of(there, row) for row in range(len(there.position))]
+        return self.replaced(rows, InverseHessians((*made,) * len(rows) if alike else (*made,)))
 
     def worn_where(self, failed: Mask) -> "InverseHessians":
         """Return the inverse Hessians after a failed step of some panels."""
-        pairs = zip(self.panels, failed.tolist(), strict=True)
+        pairs = zip(self.panels, failed, strict=True)
         return InverseHessians(
-            tuple(replace(panel, worn=panel.worn or fails) for panel, fails in pairs)
+            tuple(replace(panel, worn=True) if fails else panel for panel, fails in pairs)
         )
 
 
@@ -194,12 +190,8 @@ def serves(cost: Cost, data: Data) -> bool:
     All losses must be smooth and convex, the readings two-point readings without wiring, and no
     second derivative may couple cells with readings, or readings with each other.
     """
-    if (
-        any(term.loss.enters == "dual" for term in cost.terms)
-        or not cost.convex_losses
-        or cost.frames != 1
-        or data.wiring is not None
-    ):
+    smooth = not any(term.loss.enters == "dual" for term in cost.terms) and cost.convex_losses
+    if not smooth or cost.frames != 1 or data.wiring is not None:
         return False
     entries = cost.functions.entries
     return data.readout.two_point and entries.at_model is not None and not entries.crossed
@@ -223,12 +215,13 @@ def solve(start: Evaluation, inverses: InverseHessians, settings: Settings) -> B
     solved = np.zeros(count, dtype=bool)
     iterations = np.zeros(count, dtype=np.int64)
     panels = np.arange(count)
+    moved = np.ones(count, dtype=bool)
     secants = Secants()
     for _ in range(min(MAX_STEPS, settings.max_iterations)):
-        if not len(panels):
-            break
-        # Panels with a small gradient: renew M where it does not show a minimum, then accept short
-        # Newton steps.
+        # Panels without a step of lower cost leave the batch, and of those with a small gradient
+        # those with a short Newton step, after it, and those that are no minimum. M is renewed
+        # where it does not show a minimum.
+        staying = moved
         near = points.residual <= settings.tolerance
         if near.any():
             current = inverses.some(panels)
@@ -236,47 +229,27 @@ def solve(start: Evaluation, inverses: InverseHessians, settings: Settings) -> B
             if doubtful.any():
                 current = current.renewed(doubtful, points)
                 inverses = inverses.replaced(panels, current)
-            step, settled, stuck = _last_steps(points, current, near)
+            gradient = np.where(points.free, points.gradient, 0.0)
+            step = np.where(points.free, current.newton(gradient), 0.0)
+            short = np.abs(step).max(axis=1) <= LAST_STEP
+            settled = moved & near & current.positive & short
             solved[panels[settled]] = True
-            # Panels that are accepted, or are no minimum, leave the batch; the accepted ones after
-            # their last step.
-            staying = ~(settled | stuck)
-            if not staying.all():
-                ends[panels] = points.position - np.where(settled[:, None], step, 0.0)
-                points = points.some(np.flatnonzero(staying))
-                panels = panels[staying]
-                secants = secants.some(staying)
+            ends[panels] = points.position - np.where(settled[:, None], step, 0.0)
+            staying = moved & ~settled & ~(near & ~current.positive)
+        else:
+            ends[panels] = points.position
+        if not staying.all():
+            points = points.some(np.flatnonzero(staying))
+            panels = panels[staying]
+            secants = secants.some(staying)
         if not len(panels):
             break
-        # One L-BFGS step of all others. Panels without a step of lower cost leave, too.
+        # One L-BFGS step of all others.
         points, secants, current, moved = _advanced(points, secants, inverses.some(panels))
         inverses = inverses.replaced(panels, current)
         iterations[panels] += 1
-        if not moved.all():
-            ends[panels] = points.position
-            points = points.some(np.flatnonzero(moved))
-            panels = panels[moved]
-            secants = secants.some(moved)
     ends[panels] = points.position
     return BatchOutcome(begun.elsewhere(ends), solved, iterations, inverses)
-
-
-def _last_steps(points: Hessian, inverses: InverseHessians, near: Mask) -> tuple[Array, Mask, Mask]:
-    """Return the Newton steps of panels, and which of those near an optimum leave the batch.
-
-    Returns
-    -------
-    step : array, shape (panels, cells)
-    settled : array of bool, shape (panels,)
-        M shows a minimum and the step is short.
-    stuck : array of bool, shape (panels,)
-        ∇²φ is not positive definite.
-    """
-    gradient = np.where(points.free, points.gradient, 0.0)
-    step = np.where(points.free, inverses.newton(gradient), 0.0)
-    positive = inverses.positive
-    settled = near & positive & (np.abs(step).max(axis=1) <= LAST_STEP)
-    return step, settled, near & ~positive
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,16 +327,13 @@ def _advanced(
     step = secants.direction(points, inverses)
     count = len(inverses.panels)
     length = np.ones((count, 1))
-    low = points.position - MAX_CHANGE
-    high = points.position + MAX_CHANGE
     most = conductance_change(np.asarray(MAX_CHANGE))
-    trial = points
-    moved = np.zeros(count, dtype=bool)
     # Backtracking line search: u − log(1 − t·s), t shortened for the panels that have not found a
     # step, at last to 0.
     for attempt in range(MAX_TRIES + 1):
-        target = points.position + log_resistance_change(np.minimum(length * step, most))
-        trial = points.elsewhere(np.where(length > 0, np.clip(target, low, high), points.position))
+        change = log_resistance_change(np.minimum(length * step, most))
+        change = np.where(length > 0, np.clip(change, -MAX_CHANGE, MAX_CHANGE), 0.0)
+        trial = points.elsewhere(points.position + change)
         gain = points.at.objectives - trial.at.objectives
         expected = np.abs((points.gradient * (trial.position - points.position)).sum(axis=1))
         moved = decreases_enough(

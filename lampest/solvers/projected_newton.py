@@ -39,8 +39,6 @@ from lampest.solvers.solution import Outcome, Solver, Status
 
 # Fraction of a solver's tolerance with absolute losses; optima agree to 1e-9 of the cost.
 KINKED_SHARE = 0.1
-# Products of one step, (sparse, dense), beyond which the preconditioner is made anew
-MAX_REUSE_PRODUCTS = (30, 5)
 NEXT_DAMPING = 1e-4  # least μ of a second try of Levenberg's step
 MAX_DAMPING = 1e3
 # Projected gradient, relative to the cost's scale, below which a start does not follow the central
@@ -190,16 +188,11 @@ def crowds_bounds(start: Evaluation) -> bool:
     hessian = Hessian(start, Smoothing.start(start))
     data = start.data
     cells = start.cell_resistance
-    if (
-        hessian.dense
-        or not hessian.only_data
-        or not all(term.loss.squared for term in start.cost.terms)
-    ):
+    squared = all(term.loss.squared for term in start.cost.terms)
+    if hessian.dense or not hessian.only_data or not squared:
         return False
     # 1/(1/r) and exp(log r) of a bound differ from it in their last bits.
-    at_bound = np.isclose(cells, data.lower, rtol=1e-12, atol=0) | np.isclose(
-        cells, data.upper, rtol=1e-12, atol=0
-    )
+    at_bound = np.isclose(cells, [data.lower, data.upper], rtol=1e-12, atol=0).any(axis=0)
     crowded = np.sum(at_bound & (data.lower < data.upper)) > sum(cells.shape[1:])
     return bool(crowded and has_central_path(start) and hessian.residual > PATH_TOLERANCE)
 
@@ -220,9 +213,7 @@ def certified_step(point: Iterate, parts: NewtonParts = NewtonParts()) -> Iterat
     if trial is None or not parts.acceptance(point, trial, 0.5 * verdict.decrement**2):
         return None
     patience = GAUSS_NEWTON_STEPS
-    return _next_point(
-        point, trial, point.newest_preconditioner, patience, convex=point.convex, worn=False
-    )
+    return _next_point(point, trial, point.newest_preconditioner, patience, convex=point.convex)
 
 
 def descent_step(point: Iterate, parts: NewtonParts = NewtonParts()) -> Iterate | None:
@@ -264,11 +255,7 @@ def trust_region_step(point: Iterate, parts: NewtonParts) -> Iterate | None:
         if trial is not None and parts.acceptance(point, trial, direction.decrease):
             if model.exact and not direction.negative:
                 patience = GAUSS_NEWTON_STEPS
-            # If conjugate gradients took too many products, no factor is reused.
-            worn = direction.products > MAX_REUSE_PRODUCTS[point.hessian.dense]
-            return _next_point(
-                point, trial, model.preconditioner, patience, convex=convex, worn=worn
-            )
+            return _next_point(point, trial, model.preconditioner, patience, convex=convex)
         # Rejected: try again within a smaller radius. Where the decrease is within rounding, the
         # gradient would have to halve, which a step of a quarter of the length cannot do.
         if trial is not None and not exceeds_rounding(point, abs(direction.decrease)):
@@ -286,23 +273,19 @@ def _next_point(
     patience: int,
     *,
     convex: bool,
-    worn: bool,
 ) -> Iterate:
-    """Return an accepted trial with a preconditioner and the certificate of its predecessor.
-
-    Neither is reused if it is `worn`.
-    """
+    """Return an accepted trial with a preconditioner and the certificate of its predecessor."""
     # Linear convergence: the next step is shorter by the ratio of the residuals.
-    moved = float(np.abs(trial.at.position - point.at.position).max())
+    moved = np.abs(trial.at.position - point.at.position).max()
     small = point.hessian.dense and not len(point.at.nonsmooth)
     return replace(
         trial,
-        preconditioner=None if worn else preconditioner,
+        preconditioner=preconditioner,
         gauss_newton=patience,
         convex=convex,
         damping=point.damping,
         expected=moved * trial.residual / (point.residual or 1.0) if small else inf,
-        nearby=None if worn else point.newest_certificate,
+        nearby=point.newest_certificate,
     )
 
 

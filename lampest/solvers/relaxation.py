@@ -14,7 +14,7 @@ Source: Yohai, Ann. Statist. 15, 1987 (a robust convex start for a redescending 
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, reduce
 
 import numpy as np
@@ -94,35 +94,21 @@ def exchanging_starts(ends: Sequence[Solution]) -> Iterator[Array]:
     lowest = None
     while (best := reduce(lower_of, ends, None)) is not lowest and best is not None:
         lowest = best
-        possible = list[Exchange]()
+        possible = list[tuple[float, Array]]()
         with suppress(*BROKEN):
             possible = exchanges(best)
-        for exchange in possible:
-            yield best.cell_resistance * np.exp(exchange.step)
+        for _, step in possible:
+            yield best.cell_resistance * np.exp(step)
             if reduce(lower_of, ends, None) is not lowest:
                 break
 
 
-@dataclass(frozen=True, eq=False)
-class Exchange:
-    """Step from a minimum that changes whether one reading is an outlier.
-
-    Attributes
-    ----------
-    gain : float
-        Decrease of the cost in the quadratic model.
-    step : array, shape (frames, rows, columns)
-        Change of u = log r, at most LARGEST_STEP.
-    """
-
-    gain: float
-    step: Array
-
-
-def exchanges(minimum: Solution) -> list[Exchange]:
+def exchanges(minimum: Solution) -> list[tuple[float, Array]]:
     """Return the exchanges of one reading at a minimum, largest gain first.
 
-    None where the solution is not one.
+    An exchange changes whether a reading is an outlier. It is a pair of the decrease of the cost in
+    the quadratic model, and a step of u = log r of at most LARGEST_STEP, (frames, rows, columns).
+    There are none where the solution is no minimum.
 
     With the gradient a = ∂x/∂u of a residual x, its loss ρ and weight w, its second derivative
     k = wρ'', the Hessian M of the cost, and the leverage h = k aᵀM⁻¹a:
@@ -143,7 +129,7 @@ def exchanges(minimum: Solution) -> list[Exchange]:
     part = residuals(at.cost).data
     values = part.values(at)
     by_reading = part.jacobian("reading", at).tocsr()
-    found = []
+    possible = []
     for number, term in enumerate(at.cost.terms):
         loss = term.loss
         weight = float(at.weights[number])
@@ -162,16 +148,16 @@ def exchanges(minimum: Solution) -> list[Exchange]:
                 factor = -x / size
                 gain -= x**2 / (2 * size)
             else:
-                k = 2 * weight * float(loss.curvature(np.array([x]))[0])
+                k = 2 * weight * loss.curvature(np.array([x]))[0]
                 remaining = 1 - k * size
                 if remaining <= 0 or abs(x) <= limit * np.sqrt(remaining):
                     continue
                 factor = k * x / remaining
                 gain += k * x**2 * k * size / (2 * remaining) - weight * _cost(loss, x / remaining)
             step = factor * response
-            step *= min(1.0, LARGEST_STEP / float(np.abs(step).max(initial=LARGEST_STEP)))
-            found.append(Exchange(gain, step.reshape(at.position.shape)))
-    return sorted(found, key=lambda exchange: -exchange.gain)
+            step *= min(1.0, LARGEST_STEP / np.abs(step).max(initial=LARGEST_STEP))
+            possible.append((gain, step.reshape(at.position.shape)))
+    return sorted(possible, key=lambda exchange: -exchange[0])
 
 
 def _cost(loss: Loss, residual: float) -> float:

@@ -90,7 +90,7 @@ class Smoothing:
         size = self._size(before.nonsmooth) + self.dual * before.nonsmooth
         of_dual = ((1 - self.dual**2) * reached - 2 * self.width * self.dual) / size
         room = np.where(of_dual > 0, 1 - self.dual, 1 + self.dual)
-        reach = float(np.min(room / np.maximum(np.abs(of_dual), np.finfo(float).tiny)))
+        reach = np.min(room / np.maximum(np.abs(of_dual), np.finfo(float).tiny))
         share = max(TO_BOUNDARY, 1 - self.level(before) / before.cost_scale)
         return replace(self, dual=self.dual + min(1.0, share * reach) * of_dual)
 

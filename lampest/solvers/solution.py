@@ -395,9 +395,8 @@ def lower_of(best: Solution | None, solution: Solution) -> Solution:
         return solution
     # near 0 relative differences say nothing: several panels may give the readings exactly
     rounding = 0.0 if best.at is None else MIN_COST_SHARE * best.at.cost_scale
-    if solution.solved and solution.objective < best.objective * (1 - SAME_MINIMUM) - rounding:
-        return solution
-    return best
+    lower = solution.objective < best.objective * (1 - SAME_MINIMUM) - rounding
+    return solution if solution.solved and lower else best
 
 
 @typed

@@ -21,12 +21,13 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.weights import EvidencePoint
 from lampest.files.errors import InputError
 from lampest.files.typed import members_of
-from lampest.formulation.circuit import Circuit
+from lampest.formulation.circuit import Circuit, ConductanceSymbols
 from lampest.formulation.instance import ProgramResult, on_bounds
 from lampest.formulation.ipopt import Interface
-from lampest.formulation.patterns import EXCITATIONS
+from lampest.formulation.patterns import EXCITATIONS, FrameNetwork
 from lampest.formulation.program import Program
 from lampest.panel import least_squares
+from lampest.panel.equation import equation_of
 from lampest.panel.trust_region import steihaug
 from lampest.posterior import certainty, covariance, interval, linear, spectrum
 from lampest.posterior.at_bounds import active_bounds
@@ -135,9 +136,7 @@ def loss_row(loss: lp.Loss) -> dict[str, Any]:
 def program_row(formulation: str, loss: lp.Loss) -> dict[str, Any]:
     """A nonlinear program at some point: its objective, constraints and derivatives."""
     cost = Cost(PANEL, (lp.Misfit(), lp.LogGradient(weight=0.7, loss=loss)), 1)
-    program = Program.build(
-        cost, lp.TwoPointReadout(), [Circuit.of(PANEL.shape, None)], EXCITATIONS[formulation]
-    )
+    program = Program.build(cost, lp.TwoPointReadout(), None, formulation)
     rng = np.random.default_rng(2)
     x, p = (
         np.exp(0.3 * rng.standard_normal(symbol.shape[0]))
@@ -209,7 +208,11 @@ def formulation_row(name: str) -> list[Any]:
                 lp.Scene(lp.Panel(*shape), readout, lines=lp.Lines(20.0, 0.0)).wiring,
             ):
                 circuit = Circuit.of(shape, wiring)
-                rows.append(form.voltages(circuit, readout, circuit.voltages(cells, tie)))
+                sizes = {"g": cells.size, "t": sum(shape), "s": 1}
+                symbols = (casadi.SX.sym(letter, size) for letter, size in sizes.items())
+                reading = equation_of(readout, *shape).reading
+                begun = FrameNetwork(circuit, readout, ConductanceSymbols(*symbols, reading))
+                rows.append(form(begun).values(circuit.voltages(cells, tie)))
     return rows
 
 
@@ -307,7 +310,7 @@ def solver_row(cost: str, circuit: str, solver: str) -> dict[str, Any]:
     begin = point(cost, circuit)
     kinds = {"newton": ProjectedNewton(begin.cost, Settings())}
     known = begin.cost, Settings(), TINY[circuit].circuit, TINY[circuit].wiring
-    kinds |= {name: by_ipopt.Ipopt(*known, form) for name, form in EXCITATIONS.items()}
+    kinds |= {name: by_ipopt.Ipopt(*known, name) for name in EXCITATIONS}
     solution = multistart.best_solution(kinds[solver], begin.data, None)
     return {
         "cells": solution.cell_resistance,
@@ -342,7 +345,7 @@ def begun_row(cost: str, circuit: str, form: str) -> list[Any]:
         return ProgramResult(ended, pull, equations, "Search_Direction_Becomes_Too_Small", 7)
 
     with patch.object(Interface, "minimise", minimise), patch.object(by_ipopt, "MAX_FINE", 0):
-        solver = by_ipopt.Ipopt(at.cost, Settings(), scene.circuit, scene.wiring, EXCITATIONS[form])
+        solver = by_ipopt.Ipopt(at.cost, Settings(), scene.circuit, scene.wiring, form)
         outcome = solver.solve(at.data, at)
     return [given, outcome.cell_resistance, outcome.dual, outcome.status, outcome.iterations]
 

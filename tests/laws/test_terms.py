@@ -21,7 +21,6 @@ from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, Huber, Loss, PenaltyEvidence, Squared, Student
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, State, Term, term_types
-from lampest.formulation.circuit import Circuit
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
 from lampest.solvers.hessian import Hessian
@@ -214,8 +213,8 @@ def test_the_hessian_is_the_derivative_of_the_gradient(
     program = Program.build(
         Cost(PANEL, terms, frames),
         TwoPointReadout(),
-        [Circuit.of(PANEL.shape, None)],
-        EXCITATIONS[formulation],
+        None,
+        formulation,
     )
     nlp = program.nlp
     multiplier = casadi.SX.sym("multiplier", program.nlp["g"].shape[0])

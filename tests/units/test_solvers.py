@@ -17,7 +17,6 @@ from lampest.apps.studies.bench import BenchFile
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.sequence import first_stream
-from lampest.formulation.patterns import EXCITATIONS
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.trust_region import backtracked
 from lampest.solvers.by_ipopt import Ipopt
@@ -155,7 +154,7 @@ def test_ipopt_reaches_the_optimum_from_near_and_far(
     With its own multipliers it needs few iterations.
     """
     cost, data, cells = problem(readout, method)
-    solver = Ipopt(cost, Settings(), readout, None, EXCITATIONS[kind])
+    solver = Ipopt(cost, Settings(), readout, None, kind)
     optimum = (
         ProjectedNewton(cost, Settings(1e-12))
         .solve(data, evaluated(cost, data, cells))
@@ -179,7 +178,7 @@ def test_a_later_frame_begins_with_an_error_of_the_second_order() -> None:
     """Ten times as large a change of the readings leaves a hundred times as large an error."""
     readout = lampest.TwoPointReadout()
     cost, data, cells = problem(readout, "LSR-CR")
-    solver = Ipopt(cost, Settings(), readout, None, EXCITATIONS["nodal"])
+    solver = Ipopt(cost, Settings(), readout, None, "nodal")
     start = evaluated(cost, data, cells)
     first = check(start, solver.solve(data, start))
     change = np.random.default_rng(3).uniform(-1.0, 1.0, cells.shape)
@@ -203,7 +202,7 @@ def test_a_later_frame_begins_with_an_error_of_the_second_order() -> None:
 def test_a_later_frame_begins_lower_after_any_change_of_a_reading(factor: float) -> None:
     readout = lampest.TwoPointReadout()
     cost, data, cells = problem(readout, "LSR-CR")
-    solver = Ipopt(cost, Settings(), readout, None, EXCITATIONS["nodal"])
+    solver = Ipopt(cost, Settings(), readout, None, "nodal")
     start = evaluated(cost, data, cells)
     first = check(start, solver.solve(data, start))
     measured = data.measured.copy()

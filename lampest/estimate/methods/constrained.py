@@ -15,7 +15,6 @@ from lampest.estimate.own_solution import OwnSolution
 from lampest.estimate.state import AnyState, Step
 from lampest.files.errors import InputError
 from lampest.files.levels import TWO_SIDED
-from lampest.formulation.circuit import Circuit
 from lampest.formulation.constraints import AnyPart, ProgramPart
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
@@ -68,8 +67,7 @@ class ConstrainedIpopt(Solver):
 
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from the frame before, or else, and where that fails, from `start`."""
-        symbols, circuits = self._symbols()
-        program = OwnProgram(symbols, (start,), circuits, self.settings, self.kind)
+        program = OwnProgram(self._symbols(), (start,), self.settings, self.kind)
         solved = program.solve(self.start)
         iterations = solved.iterations
         if self.start is not None and not solved.solved:
@@ -79,7 +77,7 @@ class ConstrainedIpopt(Solver):
         cells = solved.cell_resistance
         return Outcome(cells, dual, solved.verdict, iterations, carried=solved)
 
-    def _symbols(self) -> tuple[Program, tuple[Circuit, ...]]:
+    def _symbols(self) -> Program:
         cost = self.cost.unweighted
         return _program(cost, self.readout, self.wiring, self.kind, self.parts)
 
@@ -92,13 +90,12 @@ def _program(
     wiring: Wiring | None,
     kind: str,
     parts: tuple[ProgramPart, ...],
-) -> tuple[Program, tuple[Circuit, ...]]:
-    """Return the program of a frame with own parts, and its circuits; a process builds it once."""
-    circuits = Circuit.of_readout(readout, cost.panel.shape, wiring)
-    program = Program.build(cost, readout, circuits, EXCITATIONS[kind])
+) -> Program:
+    """Return the program of a frame with own parts; a process builds it once."""
+    program = Program.build(cost, readout, wiring, kind)
     for part in parts:
         program = part.add_to(program)
-    return program, circuits
+    return program
 
 
 @dataclass(frozen=True)

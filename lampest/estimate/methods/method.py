@@ -31,7 +31,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.linear import UNKNOWN_SD, LinearModel
 from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
-from lampest.solvers.multistart import best_solution, settles
+from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings, Solution, Solver, lower_of
 
 # Cells up to which IPOPT takes some hundredths of a second a frame (docs/studies/formulations.md).
@@ -458,7 +458,8 @@ class OptimalMethod(Method):
         second = best_solution(other, data, previous)
         if astray:
             return second if second.optimum else solution
-        return second if settles(second, solution) else lower_of(solution, second)
+        first = (second, solution) if second.strict else (solution, second)
+        return lower_of(*first)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
         """Return the state of a single frame's solution that the next one carries, else None."""
@@ -488,7 +489,6 @@ def solver_of(
         from lampest.solvers.projected_newton import ProjectedNewton
 
         return ProjectedNewton(cost, settings)
-    from lampest.formulation.patterns import EXCITATIONS
     from lampest.solvers.by_ipopt import Ipopt
 
-    return Ipopt(cost, settings, readout, wiring, EXCITATIONS[kind])
+    return Ipopt(cost, settings, readout, wiring, kind)
