@@ -375,7 +375,7 @@ def _squares(panel: Panel, places: Array) -> Array:
     )
 
 
-def arranged(
+def maps_in_rows(
     count: int, panel: Panel, width: float, *, rows: int | None, own_bars: bool
 ) -> tuple[int, int, float, float, float]:
     """Arrange equal maps in a figure with about the proportions 3 : 2 and few gaps.
@@ -436,7 +436,7 @@ def maps_figure(
     contoured: bool = False,
     about: str = "",
 ) -> Figure:
-    """Draw maps side by side, as `arranged` places them.
+    """Draw maps side by side, as `maps_in_rows` places them.
 
     Parameters
     ----------
@@ -456,7 +456,7 @@ def maps_figure(
     scales = [scale] if isinstance(scale, Scale) else scale
     own_bars = len(scales) == len(tiles) > 1
     in_rows = 1 < len(scales) < len(tiles)
-    across, down, map_width, wide, tall = arranged(
+    across, down, map_width, wide, tall = maps_in_rows(
         len(tiles), panel, width, rows=len(scales) if in_rows else None, own_bars=own_bars
     )
     figure = new_figure(tall, wide)
