@@ -100,11 +100,11 @@ def run(
         cases = replace(cases, check="none")
     if not yes:
         refuse_large(cases.cases)
-    limited = any(case.estimator.solver.time_limit_s is not None for case in cases.cases)
     for name, text in cases.assumed:
         screen.warn(f"{name}: {text} assumed; the scene does not say")
     executor = cases.executor
     if jobs or executor is None:
+        limited = any(case.estimator.solver.time_limit_s is not None for case in cases.cases)
         tasks = sum(case.segments for case in cases.cases) if jobs else cases.tasks
         executor = local(jobs, tasks, separate=limited)
     with screen.progress("frames", counted=True) as on_frames:
@@ -125,11 +125,10 @@ def _print_report(report: "Report") -> None:
     """Print the counts of a run, and what it has found, assumed and failed at."""
     from lampest.audit.finding import sentences_and_entries
 
-    counts = (
+    screen.say(
         f"{counted(report.done, 'case')} solved, {report.skipped} were done before, "
-        f"{len(report.failed)} failed"
+        f"{len(report.failed)} failed: {report.results or 'no results'}"
     )
-    screen.say(f"{counts}: {report.results or 'no results'}")
     if report.aside:
         screen.warn(f"existing results of other cases were renamed: {report.aside}")
     screen.print_notes(f"estimated: {line}" for line in report.estimated)
@@ -161,7 +160,9 @@ def refuse_large(cases: "Sequence[Case]") -> None:
         # An unreadable recording fails later, as a case of its own.
         with suppress(InputError), recording_file(path) as (_, scene, _, _):
             panels[path] = scene.panel
-    for case in (case for case in cases if case.path in panels):
+    for case in cases:
+        if case.path not in panels:
+            continue
         seconds, size = case.estimator.effort(panels[case.path])
         if seconds > 120 or size > memory_limit():
             raise InputError(
@@ -185,8 +186,8 @@ def simulate(config: Path, out: screen.Output = None, assign: screen.Assign = No
 
     replaced = out is not None and out.is_file()
     with screen.progress("frames", counted=True) as on_frame:
-        written_files = run_simulation(config, out, on_frame, tuple(assign or ()))
-    for path in written_files:
+        paths = run_simulation(config, out, on_frame, tuple(assign or ()))
+    for path in paths:
         screen.say(screen.written(path, replaced=replaced))
 
 

@@ -71,9 +71,8 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
         vars(np).setdefault("f2py", None)
         replaced = options.get("repair") or options.get("apply")  # these rewrite their inputs
         with sparing(() if replaced else inputs):
-            refuse_inputs(
-                [options[name] for name in outputs if isinstance(options.get(name), Path)]
-            )
+            written = map(options.get, outputs)
+            refuse_inputs([path for path in written if isinstance(path, Path)])
             command(**options)
 
     called.__doc__ = about
@@ -168,8 +167,7 @@ def program() -> Any:
     """Return the program of all commands; its help names no type for options without a value."""
     program = typer.main.get_command(app)
     waiting = [program]
-    while waiting:
-        command = waiting.pop()
+    for command in waiting:
         waiting += getattr(command, "commands", {}).values()
         for parameter in command.get_params(command.context_class(command)):
             if getattr(parameter, "is_flag", False):

@@ -1,7 +1,7 @@
 """Commands that read, compare, draw, export and describe recordings and results."""
 
-import dataclasses
 import json
+from dataclasses import fields
 from functools import cache, partial
 from pathlib import Path
 from typing import Annotated
@@ -46,8 +46,8 @@ def compare(
         if csv:
             write_csv(csv, rows)
         if report:
-            write_report = applications().required("page", "report", "--report")
-            write_report(results, report, on_recording, read)
+            write = applications().required("page", "report", "--report")
+            write(results, report, on_recording, read)
     blocks = screen_blocks(rows, published=published)
     for block in blocks:
         screen.say(block.title)
@@ -92,7 +92,6 @@ def plot(
         return
     from lampest.report.plots import plot_results
 
-    chosen = screen.frames_of(frames)
     with screen.progress("pictures") as shown:
         files = plot_results(
             results,
@@ -102,7 +101,7 @@ def plot(
             frame=frame,
             estimators=tuple(estimator or ()),
             recordings=tuple(recording or ()),
-            frames=chosen,
+            frames=screen.frames_of(frames),
         )
     for path in files:
         screen.say(path)
@@ -151,10 +150,10 @@ def export(
             raise InputError(
                 "--to c takes no --start and no --frames: it exports an estimator, not frames"
             )
-        write_sketch = applications().required("microcontroller", "sketch", "--to c")
-        write_sketch(results, out, recording, estimator, (within, milliseconds, processor))
+        write = applications().required("microcontroller", "sketch", "--to c")
+        write(results, out, recording, estimator, (within, milliseconds, processor))
         return
-    if any(value is not None for value in (estimator, within, milliseconds, processor)):
+    if {estimator, within, milliseconds, processor} != {None}:
         raise InputError("--estimator, --within, --milliseconds and --processor belong to --to c")
     from lampest.report.export import export_results
 
@@ -169,14 +168,13 @@ def terms() -> None:
 
     rows = []
     for kind, term in term_types().items():
+        about, *_ = (term.__doc__ or "").split("\n\n")
         options = ", ".join(
             f"{field.name}: {getattr(field.default, 'kind', field.default)}"
-            for field in dataclasses.fields(term)
+            for field in fields(term)
             if field.name != "kind"
         )
-        rows.append(
-            (kind, " ".join((term.__doc__ or "").split("\n\n")[0].split()), term.unit, options)
-        )
+        rows.append((kind, " ".join(about.split()), term.unit, options))
     screen.print_table(Table(("term", "residual", "unit", "options and defaults"), tuple(rows)))
 
 

@@ -46,9 +46,9 @@ def _checked_place(parameter: typer.CallbackParam, value: Path | None) -> Path |
     Raises InputError for an empty one and for the root of the file system.
     """
     if value is not None and value.resolve() == Path(value.resolve().anchor):
-        name = parameter.opts[0]
         raise InputError(
-            f"{name}: output cannot be written to an empty path or to the root of the file system"
+            f"{parameter.opts[0]}: output cannot be written to an empty path "
+            "or to the root of the file system"
         )
     return value
 
@@ -73,12 +73,22 @@ Output = Annotated[Path | None, OUTPUT]
 NewFile = Annotated[Path, OUTPUT]
 Count = Annotated[int, option(min=1)]
 Amount = Annotated[float | None, option(callback=positive)]
-OVERRIDE = "Override an entry of the file: formulation=reduced. Repeatable."
-Assign = Annotated[list[str] | None, option(OVERRIDE, "--set", metavar="PATH=VALUE")]
-OVERRIDE_SCENE = "Override an entry of --scene: readout.adc_bits=12. Repeatable."
-AssignToScene = Annotated[list[str] | None, option(OVERRIDE_SCENE, "--set", metavar="PATH=VALUE")]
-
-
+Assign = Annotated[
+    list[str] | None,
+    option(
+        "Override an entry of the file: formulation=reduced. Repeatable.",
+        "--set",
+        metavar="PATH=VALUE",
+    ),
+]
+AssignToScene = Annotated[
+    list[str] | None,
+    option(
+        "Override an entry of --scene: readout.adc_bits=12. Repeatable.",
+        "--set",
+        metavar="PATH=VALUE",
+    ),
+]
 FramesNamed = Annotated[str | None, option("Range of frames: 40:50 is 40 to 49.", metavar="RANGE")]
 
 
@@ -339,22 +349,6 @@ def print_table(table: "Table") -> None:
         _draw(list(zip(headers, *block, strict=True))[1:], room, last=True)
 
 
-def _narrowed(full: Sequence[int], floors: Sequence[int], room: int) -> tuple[list[int], int]:
-    """Return widths of columns, narrowed until their sum fits, and the excess of the sum.
-
-    The widest column that is above its floor loses a character at a time.
-    """
-    widths = list(full)
-    beyond = sum(full) - room
-    while beyond > 0:
-        spare = [number for number, width in enumerate(widths) if width > floors[number]]
-        if not spare:
-            break
-        widths[max(spare, key=widths.__getitem__)] -= 1
-        beyond -= 1
-    return widths, beyond
-
-
 def _draw(table: Sequence[Sequence[str]], room: int, *, last: bool) -> bool:
     """Print a table, given as columns with their headers, and return True.
 
@@ -367,28 +361,37 @@ def _draw(table: Sequence[Sequence[str]], room: int, *, last: bool) -> bool:
     from rich.table import Table as RichTable
 
     columns = [[text.split("\n") for text in column] for column in table]
-    full = [max(map(len, chain.from_iterable(column))) for column in columns]
     words = [[line.split(" ") for line in chain.from_iterable(column)] for column in columns]
-    least = [max(map(len, chain.from_iterable(column))) for column in words]
+    full, least = (
+        [max(map(len, chain.from_iterable(column))) for column in parts]
+        for parts in (columns, words)
+    )
     cut_names = [min(least[0], max(MIN_NAME, len(table[0][0]))), *least[1:]]
     for gap, floors in ((2, least), (1, cut_names)):
-        widths, beyond = _narrowed(full, floors, room - gap * (len(full) - 1) - 2)
-        if beyond <= 0:
+        widths = [*full]
+        beyond = sum(full) + gap * (len(full) - 1) + 2 - room
+        while beyond > 0:
+            # The widest column that is above its floor loses a character at a time.
+            spare = [number for number, width in enumerate(widths) if width > floors[number]]
+            if not spare:
+                break
+            widths[max(spare, key=widths.__getitem__)] -= 1
+            beyond -= 1
+        else:
             break
     if beyond > 0 and not last:
         return False
     # The box adds one blank.
     drawn = RichTable(box=box.SIMPLE_HEAD, padding=(0, gap - 1, 0, 0), pad_edge=False)
-    folded = [
-        [
+    folded = []
+    for column, width in zip(columns, widths, strict=True):
+        header, *texts = (
             "\n".join("\n".join(wrap(line, width, break_on_hyphens=False)) for line in lines)
             for lines in column
-        ]
-        for column, width in zip(columns, widths, strict=True)
-    ]
-    for (header, *_), width in zip(folded, widths, strict=True):
+        )
         drawn.add_column(header, no_wrap=True, width=width)
-    for cells in list(zip(*folded, strict=True))[1:]:
-        drawn.add_row(*(cell.replace("\N{NO-BREAK SPACE}", " ") for cell in cells))
+        folded.append(text.replace("\N{NO-BREAK SPACE}", " ") for text in texts)
+    for cells in zip(*folded, strict=True):
+        drawn.add_row(*cells)
     Console(width=max(room, room + beyond), highlight=False, markup=False).print(drawn)
     return True

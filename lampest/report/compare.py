@@ -5,6 +5,7 @@ Tables compare solve times, data errors, cell errors, and published figures.
 
 import csv
 import io
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +13,6 @@ from functools import partial
 from itertools import compress
 from operator import itemgetter
 from pathlib import Path
-from string import Formatter
 from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 import numpy as np
@@ -40,6 +40,8 @@ Steps = Literal["all", "initial", "following"]
 Columns = Mapping[str, str | Callable[[Any], str]]
 # Header of the CSV file → figure of a case over some of its steps, None where there is none.
 Row = Mapping[str, Any]
+Rows = Sequence[Row]
+FIELD = re.compile("{([^:}]+):?([^}]*)}")  # name and format of a value in a template
 ASIDE = ("label", "warnings", "chosen weights")  # entries of a row that are not in the table
 MIN_DIFFERENCE = 1e-3  # percent or ms: less is rounding
 MAX_SHOWN = 6  # recordings, estimators of them, and contacts that are shown in full
@@ -86,36 +88,15 @@ class Table:
     best: frozenset[tuple[int, int]] = frozenset()
 
 
-class _Template(Formatter):
-    """Template over the values of a row by their names, whatever signs these have."""
-
-    def get_field(
-        self, field_name: str, args: Sequence[Any], kwargs: Mapping[str, Any]
-    ) -> tuple[Any, str]:
-        """Return the value of a field, and the field's name.
-
-        Returns
-        -------
-        value : object
-        field_name : str
-            The whole name, including dots and brackets, which `Formatter` would resolve.
-        """
-        return kwargs[field_name], field_name
-
-    def format_field(self, value: Any, format_spec: str) -> str:
-        return text_of(value, format_spec)
-
-
 def screen_table(items: Iterable[Any], columns: Columns, title: str = "") -> Table:
     """Return a table with a row for each item, without empty columns."""
     items = list(items)
-    template = _Template()
 
     def text(of: str | Callable[[Any], str], item: Any) -> str:
         if callable(of):
             return of(item)
         values = item if isinstance(item, Mapping) else vars(item)
-        return template.vformat(of, (), values).strip(" ±/")
+        return FIELD.sub(lambda part: text_of(values[part[1]], part[2]), of).strip(" ±/")
 
     texts = {header: [text(of, item) for item in items] for header, of in columns.items()}
     filled = {header: column for header, column in texts.items() if any(column)}
@@ -184,39 +165,41 @@ def compare(results: Results, source: str = "") -> list[Row]:
     rows: list[Row] = []
     for case in results.cases:
         published = results.published.get(case.estimator, PublishedFigures())
-        first = np.arange(len(case.time)) == 0
-        parts: dict[Steps, Mask] = {"initial": first, "following": ~first}
+        later = np.arange(len(case.time)) > 0
+        # Figures of all steps and those of the following steps substitute each other.
+        parts: dict[Steps, tuple[Mask, StepFigures | None]] = {
+            "initial": (~later, published.initial),
+            "following": (later, published.following or published.all),
+        }
         if not case.joint_start:
-            parts = {"all": first | ~first}
+            parts = {"all": (later | True, published.all or published.following)}
         texts = {
             "model": case.model_mark,
             "model check": case.model_sentence,
             "noise check": case.noise_sentence,
+            "label": case.unswept_name
+            if case.swept
+            else results.label(case).replace("lambda", "λ"),
+            "warnings": case.warnings,
+            "chosen weights": case.chosen_weights,
         }
-        label = case.unswept_name if case.swept else results.label(case).replace("lambda", "λ")
-        texts |= {"label": label, "warnings": case.warnings, "chosen weights": case.chosen_weights}
-        for steps, chosen in parts.items():
+        for steps, (chosen, figures) in parts.items():
             if np.any(chosen) or steps == "all":
+                quoted = figures or StepFigures()
                 named = {
                     "results": source,
                     "recording": case.recording,
                     "estimator": case.estimator,
                     "steps": steps,
+                    "swept": case.swept,
                 }
-                # Figures of all steps and those of the following steps substitute each other.
-                known = {
-                    "all": published.all or published.following,
-                    "initial": published.initial,
-                    "following": published.following or published.all,
-                }
-                quoted = known[steps] or StepFigures()
-                figures = figures_of(case, chosen) | {
+                of_publication = {
                     "published time [s]": quoted.time_s,
                     "published time sd [s]": quoted.time_sd_s,
                     "published data error [%]": quoted.error_percent,
                     "published data error sd [%]": quoted.error_sd_percent,
                 }
-                rows.append(named | {"swept": case.swept} | figures | texts)
+                rows.append(named | figures_of(case, chosen) | of_publication | texts)
     return rows
 
 
@@ -233,11 +216,15 @@ def figures_of(case: CaseResult, chosen: Mask) -> dict[str, Any]:
         None if part is None else 100 * part[good] for part in (case.sigma_own, case.sigma_common)
     )
     own_kpa, common_kpa = case.pressed_errors(good) or (None, None)
-    counts = {"missing readings": case.missing_readings, "bound readings": case.bound_readings}
+    solvers = Counter(filter(None, compress(case.solver or (), good)))
     return {
         "frames": int(np.sum(chosen)),
         "frames solved": int(np.sum(good)),
-        "solver": _solver_of(case, good),
+        # The solver of the solved frames, or each of several with its share of them.
+        "solver": ", ".join(
+            name if len(solvers) == 1 else f"{name} ({100 * count / solvers.total():.0f} %)"
+            for name, count in solvers.items()
+        ),
         **statistics(case.iterations[good].astype(float), "iterations {}", "median"),
         "verified by IPOPT": _verified_text(case, chosen),
         **statistics(case.solve_time[good], "solve time {} [s]", "mean", "sd"),
@@ -250,18 +237,10 @@ def figures_of(case: CaseResult, chosen: Mask) -> dict[str, Any]:
         "open cells": int(np.sum(case.open_cell[good] != 0)),
         **statistics(case.kkt_residual[good], "worst KKT residual", "largest"),
         **{
-            name: 0 if count is None else int(count[chosen].sum()) for name, count in counts.items()
+            f"{kind} readings": 0 if count is None else int(count[chosen].sum())
+            for kind, count in (("missing", case.missing_readings), ("bound", case.bound_readings))
         },
     }
-
-
-def _solver_of(case: CaseResult, good: Mask) -> str:
-    """Return the solver of the solved frames, or each of several with its share of them."""
-    counts = Counter(filter(None, compress(case.solver or (), good)))
-    return ", ".join(
-        name if len(counts) == 1 else f"{name} ({100 * count / counts.total():.0f} %)"
-        for name, count in counts.items()
-    )
 
 
 def _verified_text(case: CaseResult, chosen: Mask) -> str:
@@ -285,7 +264,7 @@ def _verified_text(case: CaseResult, chosen: Mask) -> str:
     return ", ".join(texts)
 
 
-def model_notes(rows: Sequence[Row]) -> list[str]:
+def model_notes(rows: Rows) -> list[str]:
     """Return lines on the weights that the data chose, and the warnings of each recording.
 
     Equal lines are returned once.
@@ -295,9 +274,12 @@ def model_notes(rows: Sequence[Row]) -> list[str]:
         for row in rows
         if row["chosen weights"]
     ]
-    for row in rows:
-        lines = filter(None, row["warnings"].split("\n"))
-        notes += [f"warning: {row['recording']}: {line}" for line in lines]
+    notes += [
+        f"warning: {row['recording']}: {line}"
+        for row in rows
+        for line in row["warnings"].split("\n")
+        if line
+    ]
     return list(dict.fromkeys(notes))
 
 
@@ -313,7 +295,7 @@ def write_rows(stream: TextIO, rows: Iterable[Iterable[object]]) -> None:
     csv.writer(stream, lineterminator="\n").writerows(map(no_formula, row) for row in rows)
 
 
-def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
+def write_csv(path: str | Path, rows: Rows) -> None:
     """Write all figures of the rows as CSV with units in the headers.
 
     Figures have full precision; missing figures are empty.
@@ -324,7 +306,7 @@ def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
     write_whole(Path(path), comma_separated([*lines[:1], *(line.values() for line in lines)]))
 
 
-def table_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
+def table_lines(rows: Rows) -> list[dict[str, Any]]:
     """Return the rows as one table, header → figure, with a column for each swept key."""
     keys = swept_keys(rows)
     lines = []
@@ -364,34 +346,29 @@ def comparison(*paths: str | Path) -> "DataFrame":
     return data_frame(table_lines(compare_files(paths)))
 
 
-def screen_blocks(rows: Sequence[Row], *, published: bool = False) -> list[Table]:
+def screen_blocks(rows: Rows, *, published: bool = False) -> list[Table]:
     """Return a table for each recording, or one with medians over more than six recordings.
 
     `published` states whether the figures quoted in the run file are included.
     """
-    groups = list(grouped(rows, itemgetter("results", "recording")).values())
-    if len(groups) > MAX_SHOWN:
+    groups = grouped(rows, itemgetter("results", "recording")).values()
+    many = len(groups) > MAX_SHOWN
+    first, *others = (OVER_ALL if many else {**COLUMNS, **(PUBLISHED if published else {})}).items()
+    # Columns of swept keys follow the estimator's.
+    swept = ((key.replace(".", " "), partial(_swept_text, key)) for key in swept_keys(rows))
+    columns = dict([first, *swept, *others])
+    if many:
         title = (
             f"{len(groups)} recordings, medians over them (--csv FILE and --report PAGE hold all)"
         )
-        estimators = grouped(rows, itemgetter("estimator", "steps")).values()
-        return [screen_table(estimators, _with_swept(OVER_ALL, rows), title)]
+        return [
+            screen_table(grouped(rows, itemgetter("estimator", "steps")).values(), columns, title)
+        ]
     several = len({row["results"] for row in rows}) > 1
-    columns = _with_swept({**COLUMNS, **(PUBLISHED if published else {})}, rows)
     return [screen_table(group, columns, _title(group, several=several)) for group in groups]
 
 
-def _with_swept(columns: Columns, rows: Sequence[Row]) -> Columns:
-    """Return the columns of rows, or of groups of them, with one for each swept key.
-
-    The columns of swept keys follow the estimator's.
-    """
-    first, *remaining = columns.items()
-    swept = ((key.replace(".", " "), partial(_swept_text, key)) for key in swept_keys(rows))
-    return dict([first, *swept, *remaining])
-
-
-def _swept_text(key: str, rows: Row | Sequence[Row]) -> str:
+def _swept_text(key: str, rows: Row | Rows) -> str:
     """Return the value that a sweep gave a key in a row or in a group of rows, as text.
 
     Returns '' for a key that was not swept.
@@ -409,7 +386,7 @@ def grouped(items: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list[A
     return groups
 
 
-def legend(rows: Sequence[Row], blocks: Sequence[Table]) -> list[str]:
+def legend(rows: Rows, blocks: Sequence[Table]) -> list[str]:
     """Return a sentence for each header of the tables that needs an explanation."""
     headers = [header for block in blocks for header in block.headers]
     headers += ["first"] * any(row["steps"] != "all" for row in rows)
@@ -418,7 +395,7 @@ def legend(rows: Sequence[Row], blocks: Sequence[Table]) -> list[str]:
     ]
 
 
-def _title(group: Sequence[Row], *, several: bool) -> str:
+def _title(group: Rows, *, several: bool) -> str:
     """Return a title such as 'lamprey_35mm: 21 frames, 12 readings missing'."""
     first = group[0]
     first_rows = [row for row in group if row["estimator"] == first["estimator"]]
@@ -443,14 +420,12 @@ def _data_error_text(row: Row) -> str:
     return digits(mean, 2) + ("" if sd is None else f" ± {digits(sd, 2, like=mean)}")
 
 
-def _solved(group: Sequence[Row]) -> str:
+def _solved(group: Rows) -> str:
     solved, frames = (sum(row[header] for row in group) for header in ("frames solved", "frames"))
     return f"{solved}/{frames}{STEPS[group[0]['steps']]}"
 
 
-def _over(
-    group: Sequence[Row], header: str, *functions: Callable[[Any], float], factor: float = 1.0
-) -> str:
+def _over(group: Rows, header: str, *functions: Callable[[Any], float], factor: float = 1.0) -> str:
     """Return statistics of a group's figures, such as '2.1 … 3.5'.
 
     '' if there are no figures.

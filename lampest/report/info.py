@@ -45,7 +45,9 @@ RISES = " .+*#"
 UNKNOWN = "?"
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
 SEALED = "as written: {bytes} bytes in {datasets} datasets agree with their checksums"
+TOO_LONG = "too long for memory; frames {} to {}:"
 Sentence = tuple[str, object]  # heading, text
+Sentences = Iterator[Sentence]
 UNSEALED = (
     "readable, but without checksums: "
     "written by an older version or another program, or never closed"
@@ -67,7 +69,6 @@ def describe(path: str | Path) -> Iterator[str]:
     Raises InputError for a damaged file and for one that is neither a recording nor results.
     """
     path = Path(path)
-    too_long_words = "too long for memory; frames {} to {}:"
     form = hdf5.format_of(path)
     with hdf5.existing_file(path) as file:
         if not form and not any(hdf5.has(file, place) for place in READINGS):
@@ -79,24 +80,22 @@ def describe(path: str | Path) -> Iterator[str]:
             yield from (head, *_results_lines(read_results(path)))
             return
         part = next(read_each(path, PART_READINGS))
-        first = int(part.frame[0])
-        last = int(part.frame[-1])
+        first, last = part.frame[[0, -1]].tolist()
         long = [f"  {case.estimator}  {case.frames} frames  case {case.case_id}" for case in cases]
         shown = _results_lines(read_results(path, frames=range(first, last + 1)))
-        yield from (head, *long, too_long_words.format(first, last), *shown)
+        yield from (head, *long, TOO_LONG.format(first, last), *shown)
         return
     sha256 = digest(path)
     recording = opened(path)
     yield head
-    if not isinstance(recording, Recording):
-        blocks = recording.blocks
-        parts = ((part.role, part.time) for part in map(recording.part, blocks))
-        role, time = (np.concatenate(values) for values in zip(*parts, strict=True))
-        yield from _lines([_frames(role, time)])
-        yield too_long_words.format(blocks[0][0], blocks[0][-1])
-        yield from _recording_lines(recording.part(blocks[0]))
+    if isinstance(recording, Recording):
+        yield from _recording_lines(recording, (path, sha256))
         return
-    yield from _recording_lines(recording, (path, sha256))
+    block, *_ = blocks = recording.blocks
+    parts = ((part.role, part.time) for part in map(recording.part, blocks))
+    yield from _lines([_frames(*map(np.concatenate, zip(*parts, strict=True)))])
+    yield TOO_LONG.format(block[0], block[-1])
+    yield from _recording_lines(recording.part(block))
 
 
 def _lines(sentences: Iterable[Sentence]) -> Iterator[str]:
@@ -109,8 +108,7 @@ def _lines(sentences: Iterable[Sentence]) -> Iterator[str]:
 
 def _frames(role: NDArray[np.uint8], time: Array) -> Sentence:
     """Return the numbers of frames and their times."""
-    unloaded = int(np.sum(role == UNLOADED))
-    measured = int(np.sum(role == MEASURED))
+    unloaded, measured = (np.sum(role == kind) for kind in (UNLOADED, MEASURED))
     kinds = f"{len(role)}: {unloaded} unloaded, {measured} measured"
     return "frames", f"{kinds}; {time.min():g} to {time.max():g} s"
 
@@ -128,15 +126,23 @@ def _recording_lines(
     found = _found(recording, of_file)
     yield from _lines(_content(recording))
     with suppress(InputError):  # an estimate raises it; a description of the file does not
-        yield from _lines(_health(found))
+        if isinstance(found, RecordingCheck):
+            health: Iterable[str] = found.health.split("\n")
+            noise = found.noise
+        else:
+            health = found.health.lines
+            noise = found.prepared.frame_noise.summary
+        named = zip(chain(["health"], repeat("")), health, strict=False)
+        yield from _lines([*named, ("noise", noise)])
     strongest = strongest_readings(recording)
     if strongest is None:
         yield f"readings of frame 0 in {recording.scene.circuit.unit}:"
         yield from text_map(recording.recorded[0])
     else:
-        where = f"frame {strongest[0]} at {recording.time[strongest[0]]:g} s"
+        frame, change = strongest
+        where = f"frame {frame} at {recording.time[frame]:g} s"
         yield f"readings of {where}, the strongest change against the unloaded ones:"
-        yield from shaded_map(strongest[1])
+        yield from shaded_map(change)
     with suppress(InputError):
         yield from _lines(_estimated(recording, found))
         if not isinstance(found, RecordingCheck):
@@ -151,8 +157,7 @@ def _found(recording: Recording, of_file: tuple[Path, str] | None) -> "Audit | R
     """Return the kept check of a recording, or its audit, which loads the whole estimate."""
     from lampest.runs.checks import kept_check
 
-    kept = None if of_file is None else kept_check(*of_file)
-    if kept is not None:
+    if of_file is not None and (kept := kept_check(*of_file)):
         return kept
     from lampest.audit.advice import Audit
     from lampest.inference.prepared import Prepared
@@ -160,23 +165,10 @@ def _found(recording: Recording, of_file: tuple[Path, str] | None) -> "Audit | R
     return Audit(Prepared(recording))
 
 
-def _health(found: "Audit | RecordingCheck") -> Iterator[Sentence]:
-    """Yield the table of health, and the noise of the frames."""
-    from lampest.runs.checks import RecordingCheck
-
-    if isinstance(found, RecordingCheck):
-        lines: Iterable[str] = found.health.split("\n")
-        noise = found.noise
-    else:
-        lines = found.health.lines
-        noise = found.prepared.frame_noise.summary
-    yield from zip(chain(["health"], repeat("")), lines, strict=False)
-    yield "noise", noise
-
-
-def _content(recording: Recording) -> Iterator[Sentence]:
+def _content(recording: Recording) -> Sentences:
     """Yield frames, scene, and the readings and values of a recording."""
-    circuit = recording.scene.circuit
+    scene = recording.scene
+    circuit = scene.circuit
     extras = {
         "σ": recording.sigma,
         "true cell resistance": recording.truth_cell_resistance,
@@ -186,15 +178,26 @@ def _content(recording: Recording) -> Iterator[Sentence]:
     }
     yield _frames(recording.role, recording.time)
     yield "start", recording.start_time and f"{recording.start_time} at 0 s"
-    yield from _scene(recording.scene)
+    yield from _scene(scene)
     yield "readings", f"{spanned(recording.recorded, circuit.unit)} ({circuit.signal_name})"
-    yield from (("", sentence) for sentence in _holes(recording))
+    readings = recording.readings()
+    yield "", holes_sentence(readings.missing(scene), readings.bounds)
+    estimable = readings.enough(scene)
+    unloaded = recording.role == UNLOADED
+    if not np.all(estimable):
+        few = f"{np.sum(~estimable)} of {len(estimable)} frames"
+        yield "", f"{few} have too few values to be estimated"
+    if np.any(unloaded) and np.any(estimable) and not readings[unloaded].mean().enough(scene):
+        yield (
+            "",
+            "the unloaded frames have too few values: the first frame with enough stands for them",
+        )
     yield from applications().advice(recording)
     held = (name for name, values in extras.items() if values is not None)
     yield "besides", ", ".join(held) or "nothing"
 
 
-def _estimated(recording: Recording, found: "Audit | RecordingCheck") -> Iterator[Sentence]:
+def _estimated(recording: Recording, found: "Audit | RecordingCheck") -> Sentences:
     """Yield sentences on processing by firmware, and on the numbers that the scene estimates."""
     from lampest.runs.checks import RecordingCheck
 
@@ -208,19 +211,18 @@ def _estimated(recording: Recording, found: "Audit | RecordingCheck") -> Iterato
         lines: Iterable[str] = found.estimated.split("\n")
     else:
         lines = estimated_lines(found.prepared.noise.estimated)
-    yield from (("estimated", line) for line in lines)
+    yield from zip(repeat("estimated"), lines, strict=False)
 
 
-def _verdict(check: "RecordingCheck") -> Iterator[Sentence]:
+def _verdict(check: "RecordingCheck") -> Sentences:
     """Yield warnings, the verdict on the circuit, and widths."""
     without = check.without.split("\n")
-    yield from (("warning", warning) for warning in without)
+    yield from zip(repeat("warning"), without, strict=False)
     yield "model", f"{check.mark}: {check.sentence}"
     for warning in check.warnings.split("\n"):
         if warning not in without and warning not in check.sentence:
             yield "warning", warning
-    for number, width in enumerate(check.widths.split("\n")):
-        yield "" if number else "width", width
+    yield from zip(chain(["width"], repeat("")), check.widths.split("\n"), strict=False)
 
 
 def _advice(advice: str) -> Iterator[str]:
@@ -253,20 +255,19 @@ def apply_advice(path: str | Path) -> list[str]:
             f"{path}: --apply: too long for memory; write the lines into its scene before import"
         )
     scene, written, refused = with_lines(recording.scene, Audit(Prepared(recording)).advice)
-    lines = list[str]()
+    lines = [f"written to the scene of {path}: {line}" for line in written]
     if written:
         before = path.with_suffix(f".before{path.suffix}")
         numbered = (before.with_stem(f"{before.stem}{number}") for number in count(2))
         before = next(free for free in chain([before], numbered) if not free.exists())
         shutil.copyfile(path, before)
         replace(recording, scene=scene).save(path)
-        lines = [f"written to the scene of {path}: {line}" for line in written]
         lines.append(f"the file before: {before}")
     lines += [f"not written: {sentence}" for sentence in refused]
     return lines or [f"{path}: no advice has a line to write"]
 
 
-def _scene(scene: Scene) -> Iterator[Sentence]:
+def _scene(scene: Scene) -> Sentences:
     """Describe panel, readout and series resistance in words, and other entries by their keys."""
     # Circuits are loaded for a scene's words alone.
     from lampest.inference.circuits.open_ends import open_ends
@@ -305,39 +306,44 @@ def _in_words(part: Any) -> str:
         return ", ".join(f"{key} {words}" for key, words in entries if words)
     if isinstance(part, list) and any(isinstance(item, dict) for item in part):
         return "; ".join(map(_in_words, part))
-    numbers = list(_numbers(part)) if isinstance(part, list) else []
+    numbers = _numbers(part) if isinstance(part, list) else []
     if len(numbers) > MAX_LISTED:
         return f"{min(numbers):.3g} to {max(numbers):.3g}"
-    return f"{part:g}" if isinstance(part, float) else str(part or "")
+    return f"{part:g}" if isinstance(part, float) else f"{part or ''}"
 
 
-def _numbers(values: list[Any]) -> Iterator[float]:
-    """Yield the numbers of nested lists, in their order."""
-    for value in values:
-        if isinstance(value, list):
-            yield from _numbers(value)
-        elif isinstance(value, int | float):
-            yield value
+def _numbers(value: Any) -> list[float]:
+    """Return the numbers of nested lists, in their order."""
+    if isinstance(value, list):
+        return list(chain.from_iterable(map(_numbers, value)))
+    return [value] if isinstance(value, int | float) else []
 
 
 def _results_lines(results: Results) -> list[str]:
     """Return the recordings, the cases, and the cells of the first case in words."""
-    lines = []
+    lines = list[str]()
     for recording in results.recordings():
         cases = results.of(recording)
         lines += _measurement_lines(cases[0])
         width = max(len(case.estimator) for case in cases)
         for case in cases:
-            lines += _case_lines(case, width)
+            solved = f"solved {np.sum(case.solved)}/{len(case.measured)}"
+            if case.local_optima is not None:
+                _, least, most = case.local_optima
+                starts = f"{least}" if least == most else f"{least} to {most}"
+                starts += f" start{'' if most == 1 else 's'} a frame"
+                solved += f", verified local optima, best of {starts}"
+            cells = f"r {spanned(case.cell_resistance, 'ohm')}  case {case.case_id}"
+            lines.append(f"  {case.estimator:{width}}  {solved}  {cells}")
+            if case.error_words:
+                lines.append(f"  {'':{width}}  {case.error_words} (medians)")
     if results.published:
         lines.append(f"published figures of {', '.join(results.published)}")
     for case in results.cases[:1]:
         place = strongest_index([case])
         where = f"frame {case.frame[place]} at {case.time[place]:g} s"
-        lines.append(
-            f"cells of {case.recording} × {case.estimator} in {where}, "
-            f"change against {reference_words(case)}:"
-        )
+        shown = f"cells of {case.recording} × {case.estimator} in {where}"
+        lines.append(f"{shown}, change against {reference_words(case)}:")
         lines += shaded_map(case.relative_change[place])
     return lines
 
@@ -372,35 +378,6 @@ def _measurement_lines(case: CaseResult) -> list[str]:
     return [headline, *_lines(sentences), *_advice(case.advice)]
 
 
-def _case_lines(case: CaseResult, width: int) -> list[str]:
-    """Return a case in words; its name has the given width."""
-    solved = f"solved {int(np.sum(case.solved))}/{len(case.measured)}"
-    if case.local_optima is not None:
-        _, least, most = case.local_optima
-        starts = f"{least}" if least == most else f"{least} to {most}"
-        starts += f" start{'' if most == 1 else 's'} a frame"
-        solved += f", verified local optima, best of {starts}"
-    cells = f"r {spanned(case.cell_resistance, 'ohm')}  case {case.case_id}"
-    lines = [f"  {case.estimator:{width}}  {solved}  {cells}"]
-    if case.error_words:
-        lines.append(f"  {'':{width}}  {case.error_words} (medians)")
-    return lines
-
-
-def _holes(recording: Recording) -> Iterator[str]:
-    """Yield sentences on missing and bounded readings of sound cells, and consequences."""
-    readings = recording.readings()
-    scene = recording.scene
-    yield holes_sentence(readings.missing(scene), readings.bounds)
-    estimable = readings.enough(scene)
-    unloaded = recording.role == UNLOADED
-    if not np.all(estimable):
-        few = f"{int(np.sum(~estimable))} of {len(estimable)} frames"
-        yield f"{few} have too few values to be estimated"
-    if np.any(unloaded) and np.any(estimable) and not readings[unloaded].mean().enough(scene):
-        yield "the unloaded frames have too few values: the first frame with enough stands for them"
-
-
 def holes_sentence(missing: Mask, bounds: Mask) -> str:
     """Return a sentence on missing readings and readings at a rail; '' if every one is a value.
 
@@ -411,16 +388,18 @@ def holes_sentence(missing: Mask, bounds: Mask) -> str:
     ----------
     missing, bounds : boolean array, shape (frames, rows, columns)
     """
-    kinds = (missing, "missing"), (bounds, "at a rail, zero or below the series resistance")
-    counts = [(int(np.sum(kind)), words) for kind, words in kinds if np.any(kind)]
-    if not counts:
+    parts = list[str]()
+    for kind, words in (
+        (missing, "missing"),
+        (bounds, "at a rail, zero or below the series resistance"),
+    ):
+        if number := np.sum(kind):
+            noun = "" if parts else " reading" if number == 1 else " readings"
+            share = float(f"{100 * number / missing.size:.2g}")
+            parts.append(f"{number}{noun} {words} ({share:g} %)")
+    if not parts:
         return ""
-    parts = [
-        f"{count} {words} ({float(f'{100 * count / missing.size:.2g}'):g} %)"
-        for count, words in counts
-    ]
-    parts[0] = parts[0].replace(" ", " reading " if counts[0][0] == 1 else " readings ", 1)
-    frames = int(np.sum((missing | bounds).any(axis=(1, 2))))
+    frames = np.sum((missing | bounds).any(axis=(1, 2)))
     sentence = f"{', '.join(parts)}, in {frames} of {len(missing)} frames"
     lines = [f"row {number}" for number in np.flatnonzero(missing.all(axis=(0, 2)))]
     lines += [f"column {number}" for number in np.flatnonzero(missing.all(axis=(0, 1)))]
@@ -468,12 +447,12 @@ def checked_sentence(path: Path) -> str:
 
 def text_map(values: Array) -> list[str]:
     """Return a matrix (rows, columns) as lines of numbers, cropped to the screen."""
-    texts = [
+    lines = [[*map(str, range(values.shape[1]))]]
+    lines += [
         ["-" if np.isnan(value) else f"{value:.4g}" for value in row] for row in values[:MAX_ROWS]
     ]
-    lines = [[*map(str, range(values.shape[1]))], *texts]
-    labels = ["column", *(f"row {row}" for row in range(len(texts)))]
-    width = 2 + max(len(text) for text in chain.from_iterable(lines))
+    labels = ["column", *(f"row {row}" for row in range(len(lines) - 1))]
+    width = 2 + max(map(len, chain.from_iterable(lines)))
     drawn, remark = _fitted(labels, lines, width, values.shape)
     return drawn + remark
 
@@ -484,20 +463,22 @@ def shaded_map(change: Array) -> list[str]:
     Falls are blocks and rises are signs; each has its own scale up to its largest value. A cell is
     two characters wide if all columns fit, else one.
     """
-    signs = np.where(np.isfinite(change), " ", UNKNOWN)
+    known = np.isfinite(change)
+    signs = np.where(known, " ", UNKNOWN)
     keys = []
     for name, shades, part in (("falls by", FALLS, -change), ("rises by", RISES, change)):
-        finite = np.where(np.isfinite(part), part, 0.0)
-        end = max(float(np.max(finite)), 1.0)  # changes from noise alone stay white
+        finite = np.where(known, part, 0.0)
+        end = max(np.max(finite), 1.0)  # changes from noise alone stay white
         steps = np.clip(np.rint(4 * finite / end), 0, 4).astype(int)
         signs = np.where(steps > 0, np.array(list(shades))[steps], signs)
         if np.any(steps > 0):
             parts = (f"{sign} {end * step / 4:.3g} %" for step, sign in enumerate(shades) if step)
             keys.append(f"{name} {' '.join(parts)}")
-    keys += [f"{UNKNOWN} no value"] if not np.all(np.isfinite(change)) else []
+    if not known.all():
+        keys.append(f"{UNKNOWN} no value")
     labels = [f"{row:>2} " for row in range(min(len(change), MAX_ROWS))]
     width = 2 if 2 * change.shape[1] + len(labels[-1]) <= _room() else 1
-    lines = [[width * str(sign) for sign in line] for line in signs[:MAX_ROWS]]
+    lines = [[width * sign for sign in line] for line in signs[:MAX_ROWS].tolist()]
     drawn, remark = _fitted(labels, lines, width, change.shape)
     return [*(line.rstrip() for line in drawn), "; ".join(keys) or "nothing changes", *remark]
 

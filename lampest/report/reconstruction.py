@@ -124,20 +124,19 @@ class Reconstruction(Estimates):
 
         case = self.result()
         place = strongest_index([case])
-        residual = (
-            np.sqrt(np.nanmean(data_error(case)[case.solved] ** 2)) if case.solved.any() else np.nan
-        )
+        errors = data_error(case)[case.solved]
+        residual = float(np.sqrt(np.nanmean(errors**2))) if errors.size else np.nan
         statistics = {
-            "frames solved": f"{int(self.solved.sum())} of {len(self.steps)}",
-            "readings": f"{int(case.valued.sum())} in {len(self.steps)} frames",
-            "residual, rms": f"{digits(float(residual), 2)} % of the reading",
+            "frames solved": f"{self.solved.sum()} of {len(self.steps)}",
+            "readings": f"{case.valued.sum()} in {len(self.steps)} frames",
+            "residual, rms": f"{digits(residual, 2)} % of the reading",
             "solve time": f"{_median(1000 * case.solve_time)} ms a frame",
         }
         if self.misfit:
-            statistics["chi-square"] = _median(self.misfit["chi_square"])
-            statistics["reduced chi-square"] = _median(
-                self.misfit["chi_square"] / self.misfit["degrees_of_freedom"]
-            )
+            chi_square = self.misfit["chi_square"]
+            statistics["chi-square"] = _median(chi_square)
+            reduced = chi_square / self.misfit["degrees_of_freedom"]
+            statistics["reduced chi-square"] = _median(reduced)
         cells = {
             "resistance": spanned(self.cell_resistance[place], "ohm"),
             "change": spanned(self.relative_change[place], "%"),
@@ -154,12 +153,9 @@ class Reconstruction(Estimates):
             "Estimated": list(estimated_lines(self.noise.estimated)),
             "Warnings": list(self.checks),
         }
-        blocks = (
-            (f"[[{title}]]", *(f"    {line}" for line in lines))
-            for title, lines in sections.items()
-            if lines
+        return "\n".join(
+            "\n    ".join((f"[[{title}]]", *lines)) for title, lines in sections.items() if lines
         )
-        return "\n".join(line for block in blocks for line in block)
 
     def _repr_html_(self) -> str:
         """Return the report and a picture of the strongest frame, for notebooks."""

@@ -47,8 +47,8 @@ def apparent_change(value: Array, baseline: Array, scene: Scene) -> Array:
 
 def reference_words(case: CaseResult) -> str:
     """Return the frames with which the changes of a case are compared, in words."""
-    unreferenced = UNREFERENCED in case.warnings
-    return "the first measured frame" if unreferenced else "the unloaded panel"
+    first = UNREFERENCED in case.warnings
+    return "the first measured frame" if first else "the unloaded panel"
 
 
 def strongest_index(cases: Sequence[CaseResult]) -> int:
@@ -90,8 +90,7 @@ def likely_change(value: Array, resting: Array) -> Array:
         Unloaded readings.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        moved = np.log(value / resting)
-    moved = np.ma.masked_invalid(moved)
+        moved = np.ma.masked_invalid(np.log(value / resting))
     rows, columns = value.shape[1:]
     mean = moved.mean(axis=(1, 2), keepdims=True)
     # x = x̄ + a (rows) + b (columns) + w; eigenvalues of ∂ln R/∂ln r: 1, M/K, N/K and 2/K
@@ -116,12 +115,11 @@ def strongest_readings(recording: Recording) -> tuple[int, Array] | None:
     """
     garbled = readings_of(garbled_lines(recording), recording)
     unloaded = recording.role == UNLOADED
-    intact = ~garbled.any(axis=(1, 2))
-    if not np.any(unloaded) or not np.any(~unloaded & intact):
+    frames = np.flatnonzero(~unloaded & ~garbled.any(axis=(1, 2)))
+    if not np.any(unloaded) or not frames.size:
         return None
     recorded = np.where(garbled | recording.scene.blind, np.nan, recording.recorded)
     resting = mean_reading(recorded[unloaded])
-    frames = np.flatnonzero(~unloaded & intact)
     frame = int(frames[furthest(recorded[frames], resting)])
     with np.errstate(divide="ignore", invalid="ignore"):
         return frame, percent_change(recorded[frame], resting)

@@ -139,9 +139,7 @@ def repaired_sentence(file: Path) -> str:
     from lampest.apps.board.journal import repair
 
     frames, dropped = repair(file)
-    single = dropped == 1
-    damage = (
-        f"; {dropped} damaged frame{' is' if single else 's are'} dropped "
-        f"and count{'s' if single else ''} as lost"
-    )
-    return f"{frames} frames: {file}{damage if dropped else ''}"
+    damage = f"; {dropped} damaged frames are dropped and count as lost" if dropped else ""
+    if dropped == 1:
+        damage = "; 1 damaged frame is dropped and counts as lost"
+    return f"{frames} frames: {file}{damage}"

@@ -1,8 +1,10 @@
 """Comparison of a board's own estimate with lampest's."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, counted
 from lampest.panel.panel import Array, Mask, Numbers
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import joined
@@ -12,32 +14,27 @@ from lampest.runs.case import CaseResult
 MAX_COMPARED = 12  # frames, evenly over the recording: some seconds
 
 
-def board_rows(recording: Recording) -> tuple[tuple[str, str], ...]:
-    """Return the row of `lampest info` about a board's own estimate."""
-    return (("board", board_sentence(recording)),)
+def board_rows(recording: Recording) -> Iterator[tuple[str, str]]:
+    """Yield the row of `lampest info` about a board's own estimate.
 
-
-def board_sentence(recording: Recording) -> str:
-    """Return a sentence on the board's estimate and its difference from lampest's default one.
-
-    Without an estimate of the board the sentence is ''.
+    The row has its difference from lampest's default estimate. There is none without an estimate of
+    the board.
     """
     if recording.board_log_change is None:
-        return ""
+        return
     measured = recording.role == MEASURED
     estimated = measured & np.isfinite(recording.board_log_change).any(axis=(1, 2))
-    count = (
-        f"the board estimated {int(np.sum(estimated))} of {int(np.sum(measured))} measured frames"
-    )
+    count = f"the board estimated {np.sum(estimated)} of {np.sum(measured)} measured frames"
     unloaded = recording.role == UNLOADED
-    if not np.any(estimated):
-        return count
-    if not np.any(unloaded):
-        return f"{count}; they are compared where unloaded frames precede them"
-    try:
-        return f"{count}; {_difference(recording, unloaded, np.flatnonzero(estimated))}"
-    except InputError as error:
-        return f"{count}; not compared: {error}"
+    if np.any(estimated):
+        compared = "they are compared where unloaded frames precede them"
+        if np.any(unloaded):
+            try:
+                compared = _difference(recording, unloaded, np.flatnonzero(estimated))
+            except InputError as error:
+                compared = f"not compared: {error}"
+        count = f"{count}; {compared}"
+    yield "board", count
 
 
 def _difference(recording: Recording, unloaded: Mask, estimated: Numbers) -> str:
@@ -72,21 +69,22 @@ def difference_sentence(case: CaseResult, board_log_change: Array, frames: Numbe
         )
     difference[(case.open_cell | case.at_lower_bound) > 0] = np.nan
     size = difference
+    unit = ""
     if case.sigma_own is not None:
         size = difference / np.where(case.sigma_own > 0, case.sigma_own, np.nan)
+        unit = "; σ is a cell's own error"
     compared = np.isfinite(size)
     if not np.any(compared):
         return "no cell has both estimates"
     worst = np.unravel_index(np.nanargmax(np.where(compared, size, np.nan)), size.shape)
 
     def amount(share: float, log_difference: float) -> str:
-        percent = f"{digits(100 * float(np.expm1(log_difference)), 2)} %"
-        return percent if case.sigma_own is None else f"{digits(share, 2)} σ ({percent})"
+        percent = f"{digits(100 * np.expm1(log_difference), 2)} %"
+        return f"{digits(share, 2)} σ ({percent})" if unit else percent
 
-    median = amount(float(np.median(size[compared])), float(np.median(difference[compared])))
-    largest = amount(float(size[worst]), float(difference[worst]))
-    unit = "" if case.sigma_own is None else "; σ is a cell's own error"
-    count = f"{len(case.frame)} frame{'' if len(case.frame) == 1 else 's'}"
+    median = amount(*(float(np.median(part[compared])) for part in (size, difference)))
+    largest = amount(size[worst], difference[worst])
+    count = counted(len(case.frame), "frame")
     return (
         f"its cells differ from lampest's ({' + '.join(case.costs)}, {count}) "
         f"by {median} in the median, {largest} at most, in frame {frames[worst[0]]}{unit}"

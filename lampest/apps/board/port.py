@@ -3,22 +3,21 @@
 The module also reads keys that are pressed meanwhile.
 """
 
-import contextlib
 import os
 import select
 import sys
-import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import count
+from time import monotonic
 from typing import Any, NamedTuple
 
 from serial.tools import list_ports
 
-from lampest.apps.board import protocol
 from lampest.apps.board.protocol import (
     MAX_BASELINE,
+    PROTOCOL_VERSION,
     Answer,
     Estimate,
     Foreign,
@@ -27,6 +26,8 @@ from lampest.apps.board.protocol import (
     Hello,
     Kind,
     Message,
+    Receiver,
+    Result,
     command,
 )
 from lampest.apps.board.source import ByteSource, NoBoardError
@@ -92,11 +93,9 @@ def only_port() -> str:
     likely = [port.url for port in ports() if port.likely]
     if len(likely) == 1:
         return likely[0]
-    reason = (
-        "several ports look like an Arduino: " + ", ".join(likely)
-        if likely
-        else "no port looks like an Arduino"
-    )
+    reason = "no port looks like an Arduino"
+    if likely:
+        reason = f"several ports look like an Arduino: {', '.join(likely)}"
     raise InputError(f"{reason}; name one (`lampest record --list` lists them)")
 
 
@@ -109,7 +108,7 @@ class Board:
     def __init__(self, source: ByteSource, url: str) -> None:
         self.source = source
         self._url = url
-        self._receiver = protocol.Receiver()
+        self._receiver = Receiver()
         self._waiting: list[Message] = []  # to be read
         self._tags = count(1)
         self.heard = 0
@@ -120,9 +119,12 @@ class Board:
 
         Raises InputError for another protocol version.
         """
+        return self._taken() or self._arrived()
+
+    def _taken(self) -> tuple[Message, ...]:
         waiting = tuple(self._waiting)
         self._waiting = []
-        return waiting or self._arrived()
+        return waiting
 
     def hello(self) -> Hello | None:
         """Return the board's HELLO; None where something else comes.
@@ -130,20 +132,20 @@ class Board:
         A board that did not reset is stopped and identified. One that prints numbers is not asked.
         Raises NoBoardError if nothing comes.
         """
-        began = time.monotonic()
+        began = monotonic()
         requested = began - ANSWER_SECONDS
-        while time.monotonic() < began + HELLO_SECONDS:
+        while monotonic() < began + HELLO_SECONDS:
             messages = self.messages()
             for item in messages:
                 if isinstance(item, Hello) and not item.running:
                     return item
             # A board that sends frames without a HELLO was not reset by opening the port.
             patient = 0.3 if any(isinstance(item, Frame) for item in messages) else SILENCE_SECONDS
-            if time.monotonic() > max(began + patient, requested + ANSWER_SECONDS):
+            if monotonic() > max(began + patient, requested + ANSWER_SECONDS):
                 if prints_numbers(self.first):
                     return None
                 self.source.write(command(Kind.STOP) + command(Kind.IDENTIFY))
-                requested = time.monotonic()
+                requested = monotonic()
         if self.heard:
             return None
         raise NoBoardError(
@@ -157,8 +159,8 @@ class Board:
         """
         answer = self._ask(kind, value)
         # A running board has carried out an earlier START whose answer was lost.
-        runs = kind is Kind.START and answer.result is protocol.Result.REFUSED_RUNNING
-        if answer.result is not protocol.Result.DONE and not runs:
+        runs = kind is Kind.START and answer.result is Result.REFUSED_RUNNING
+        if answer.result is not Result.DONE and not runs:
             raise InputError(f"{self._url}: {kind.name} {value} refused: {answer.result.value}")
         return int(answer.value)
 
@@ -176,8 +178,8 @@ class Board:
         expected = Hello if kind is Kind.IDENTIFY else Answer
         for _ in range(4):  # a line may be disturbed
             self.source.write(command(kind, tag, value))
-            until = time.monotonic() + ANSWER_SECONDS
-            while time.monotonic() < until:
+            until = monotonic() + ANSWER_SECONDS
+            while monotonic() < until:
                 arrived = [item for item in self._arrived() if not isinstance(item, Garbage)]
                 answers = [
                     item
@@ -203,7 +205,7 @@ class Board:
             if isinstance(item, Foreign):
                 raise InputError(
                     f"{self._url}: the board speaks version {item.version} of the protocol "
-                    f"and this lampest version {protocol.PROTOCOL_VERSION}; "
+                    f"and this lampest version {PROTOCOL_VERSION}; "
                     "upload the sketch in firmware/ that belongs to it"
                 )
             if isinstance(item, Hello) and item.fault:
@@ -223,16 +225,11 @@ class Board:
         """
         self.order(Kind.STOP)
         self._waiting = []
-        for kind, value in (
-            (Kind.SET_ROWS, rows),
-            (Kind.SET_COLUMNS, columns),
-            (Kind.SET_READINGS, readings),
-        ):
-            self.order(kind, value)
+        self.order(Kind.SET_ROWS, rows)
+        self.order(Kind.SET_COLUMNS, columns)
+        self.order(Kind.SET_READINGS, readings)
         # The command by which boards that estimate differ from others.
-        estimates = (
-            self._ask(Kind.SET_BASELINE, min(baseline, MAX_BASELINE)).result is protocol.Result.DONE
-        )
+        answer = self._ask(Kind.SET_BASELINE, min(baseline, MAX_BASELINE))
         shortest = self.identify().shortest_period_us
         if period_us is not None and period_us < shortest:
             raise InputError(
@@ -244,6 +241,7 @@ class Board:
         if settings.size != (rows, columns, readings):
             raise NoBoardError(f"{self._url}: the board restarted while it was being set")
         identity = self.order(Kind.START)
+        estimates = answer.result is Result.DONE
         settings = replace(settings, estimates=estimates, identity=identity)
         # HELLOs from before the start would look like a restart.
         self._waiting = [item for item in self._waiting if isinstance(item, Frame | Estimate)]
@@ -254,11 +252,9 @@ class Board:
 
         Missing boards and missing answers are ignored.
         """
-        with contextlib.suppress(OSError, InputError):
+        with suppress(OSError, InputError):
             self.order(Kind.STOP)
-        waiting = tuple(self._waiting)
-        self._waiting = []
-        return waiting
+        return self._taken()
 
 
 @contextmanager

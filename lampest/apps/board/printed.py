@@ -4,10 +4,11 @@ The lines are understood as those of a file that is imported (`lampest.apps.fore
 """
 
 import re
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import ceil
+from time import monotonic
+from time import time as wall_clock
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from lampest.apps.board.sample import (
     RESTARTED,
     TOO_FAST,
     UNFIT_SECONDS,
+    Batch,
     PrintedFrame,
     Printing,
     Sample,
@@ -42,28 +44,6 @@ MAX_SHOWN = 60  # characters of a line in a message
 MAX_IMPOSSIBLE = 0.1  # share of the first readings that may be damaged; more are of another unit
 BEHIND_SECONDS = 1.0  # s of lines that wait, from which the computer is too slow
 LINE_END = re.compile(rb"\r\n|\n|\r(?!\Z)")
-
-
-@dataclass(eq=False)
-class PrintedLines:
-    """Complete lines of bytes that come in pieces.
-
-    Attributes
-    ----------
-    pending : bytes
-        Bytes behind the last end of a line.
-    """
-
-    pending: bytes = b""
-
-    def of(self, data: bytes) -> list[str]:
-        """Return the lines that further bytes complete, without their ends."""
-        # '\r' at the end of a piece may be the first half of '\r\n'.
-        *lines, self.pending = LINE_END.split(self.pending + data)
-        if len(self.pending) > MAX_LINE:
-            lines.append(self.pending)
-            self.pending = b""
-        return [line_text(line) for line in lines]
 
 
 def line_text(line: bytes) -> str:
@@ -102,13 +82,12 @@ class Printer:
     last: Sample | None = None
     first_line: str = ""
     _reader: LineReader = field(init=False)
-    _lines: PrintedLines = field(default_factory=PrintedLines)
+    _pending: bytes = b""  # behind the last end of a line
     _arrivals: list[float | None] = field(default_factory=list)  # of the first lines
     _printing: Printing | None = None
     _count: int = 0  # of lines
     _frames: int = 0
-    _stamp: float | None = None  # the board's, of the last frame
-    _number: int | None = None
+    _previous: TextFrame | None = None
     _lost: int = 0
     _events: tuple[str, ...] = ()
     _began: float | None = None
@@ -129,8 +108,8 @@ class Printer:
 
         `heard` are bytes of it that were read before. Raises OSError if the source is gone.
         """
-        self._lines = PrintedLines()
-        began = time.monotonic()
+        self._pending = b""
+        began = monotonic()
         with Listener(source, heard) as listener:
             while True:
                 over = ending()
@@ -141,66 +120,70 @@ class Printer:
                 yield batch
                 if pieces is None or over:
                     return
-                waits = time.monotonic() - began
+                waits = monotonic() - began
                 self._check(waits, may_wait=source.one_way)
                 if listener.behind > BEHIND_SECONDS:
                     on_state(f"lines come faster than they are read: {listener.behind:.1f} s wait")
                     yield ()
 
-    def _taken(self, pieces: Sequence[Piece]) -> tuple[Sample, ...]:
+    def _taken(self, pieces: Sequence[Piece]) -> Batch:
         """Return the samples that pieces complete."""
-        samples = tuple[Sample, ...]()
+        samples: Batch = ()
         for piece in pieces:
             if piece.lost:
                 lines_per_frame = max(self._count / max(self._frames, 1), 1.0)
                 self._lost += ceil(piece.lost / lines_per_frame)
-                self._events = (*self._events, TOO_FAST)
-                self._lines = PrintedLines()
-            lines = self._lines.of(piece.data)
-            samples += self._samples_of(self._fed(lines, piece.arrived)) if lines else ()
+                self._events += (TOO_FAST,)
+                self._pending = b""
+            # '\r' at the end of a piece may be the first half of '\r\n'.
+            *lines, self._pending = LINE_END.split(self._pending + piece.data)
+            if len(self._pending) > MAX_LINE:
+                lines.append(self._pending)
+                self._pending = b""
+            if lines:
+                samples += self._samples_of(self._fed([*map(line_text, lines)], piece.arrived))
         return samples
 
     def _fed(self, lines: Sequence[str], arrived: float | None) -> list[Stamped]:
         """Return the frames that lines complete."""
         self.first_line = self.first_line or next(filter(None, map(str.strip, lines)), "")
-        self._began = self._began or time.monotonic()
+        self._began = self._began or monotonic()
         self._count += len(lines)
         frames = self._reader.feed(*lines)
         if self._printing is not None:
             return [Stamped(frame, arrived) for frame in frames]
         # Until the layout is understood frames wait: each has its share of the lines.
         self._arrivals += [arrived] * len(lines)
-        count = len(frames)
-        share = len(self._arrivals) / max(count, 1)
+        share = len(self._arrivals) / max(len(frames), 1)
         return [
             Stamped(frame, self._arrivals[round(share * number) - 1])
             for number, frame in enumerate(frames, 1)
         ]
 
-    def _completed(self) -> tuple[Sample, ...]:
+    def _completed(self) -> Batch:
         """Return the samples that the end of the lines completes."""
-        last = self._lines.pending
-        self._lines = PrintedLines()
-        now = time.monotonic()
-        frames = self._fed([line_text(last.rstrip(b"\r"))], now) if last.strip() else []
+        last = line_text(self._pending.rstrip(b"\r"))
+        self._pending = b""
+        now = monotonic()
+        frames = self._fed([last], now) if last.strip() else []
         frames += [Stamped(frame, now) for frame in self._reader.close()]
         samples = self._samples_of(frames)
         if self._printing is None and self._count:
             raise self._refused("ended before")
         return samples
 
-    def _samples_of(self, frames: Sequence[Stamped]) -> tuple[Sample, ...]:
+    def _samples_of(self, frames: Sequence[Stamped]) -> Batch:
         """Return frames of one arrival as samples; those without a reading are lost."""
         if not frames:
             return ()
         if self._printing is None:
             self._settle(frames)
-        samples = tuple[Sample, ...]()
+        samples: Batch = ()
         for place, stamped in enumerate(frames):
             if np.isnan(stamped.frame.values[self.scene.panel.present]).all():
                 self._lost += 1
-                continue
-            samples += (self._sample(stamped, len(frames) - place),)
+            else:
+                samples += (self._sample(stamped, len(frames) - place),)
         return samples
 
     def _settle(self, stamped: Sequence[Stamped]) -> None:
@@ -216,13 +199,12 @@ class Printer:
             recorded_values(values, self.unit, self.scene, self._place, self.url)
         arrivals = [item.arrived for item in stamped if item.arrived is not None]
         stamps = [item.frame.seconds for item in stamped if item.frame.seconds is not None]
-        how = "time: a frame's arrival"
+        how = "time: the board's" if stamps else "time: a frame's arrival"
         if self.period is not None:
             how = f"time: a frame every {self.period:g} s, as specified"
-        elif stamps:
-            how = "time: the board's"
         steps = np.diff(np.array(stamps or arrivals, dtype=float))
-        usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else USUAL_PERIOD
+        steps = steps[steps > 0]
+        usual = float(np.median(steps)) if steps.size else USUAL_PERIOD
         understood = "; ".join((*self._reader.sentences, reason, how))
         self._printing = Printing(self.period or usual, printable(understood))
 
@@ -234,29 +216,32 @@ class Printer:
         assert self._printing is not None and self.unit is not None
         frame = stamped.frame
         recorded = recorded_values(frame.values[None], self.unit, self.scene, None, self.url)[0]
-        now = time.monotonic() if stamped.arrived is None else stamped.arrived
+        now = monotonic() if stamped.arrived is None else stamped.arrived
         events = self._events
         if np.any(np.isfinite(frame.values) & np.isnan(recorded)):
-            events = (*events, DAMAGED)
+            events += (DAMAGED,)
         if frame.remarks:
-            events = (*events, LINES_LOST)
+            events += (LINES_LOST,)
         at = 0.0
         session = 0
         lost = self._lost
-        if self.last is not None:
-            elapsed = self._elapsed(stamped, now, together)
-            now = now if stamped.arrived is None else self.last.arrived + elapsed
-            restarted = frame.seconds is None and self._stamp is not None
+        previous = self._previous
+        if self.last is not None and previous is not None:
+            elapsed = self._printing.period
+            if stamped.arrived is not None:
+                # Frames that arrive together are spread evenly.
+                elapsed = max((now - self.last.arrived) / together, MIN_STEP)
+                now = self.last.arrived + elapsed
+            restarted = frame.seconds is None and previous.seconds is not None
             by_stamp = 0.0
-            if frame.seconds is not None and self._stamp is not None:
-                by_stamp = max(frame.seconds - self._stamp, 0.0)
+            if frame.seconds is not None and previous.seconds is not None:
+                by_stamp = max(frame.seconds - previous.seconds, 0.0)
             at = self.last.time + (self.period or by_stamp or elapsed)
             session = self.last.session + restarted
-            events = (*events, *((RESTARTED,) if restarted else ()))
-            if frame.number is not None and self._number is not None and not restarted:
-                lost += max(frame.number - self._number - 1, 0)
-        self._stamp = frame.seconds
-        self._number = frame.number
+            events += (RESTARTED,) * restarted
+            if frame.number is not None and previous.number is not None and not restarted:
+                lost += max(frame.number - previous.number - 1, 0)
+        self._previous = frame
         self._lost = 0
         self._events = ()
         device_s = at if frame.seconds is None else frame.seconds
@@ -267,23 +252,13 @@ class Printer:
             hello=self._printing,
             scene=self.scene,
             time=at,
-            host_time=time.time() - max(time.monotonic() - now, 0.0),
+            host_time=wall_clock() - max(monotonic() - now, 0.0),
             lost=lost,
             session=session,
             events=tuple(dict.fromkeys(events)),
             arrived=now,
         )
         return self.last
-
-    def _elapsed(self, stamped: Stamped, now: float, together: int) -> float:
-        """Return the time since the last frame by arrival in s.
-
-        Frames that arrive together are spread evenly.
-        """
-        assert self.last is not None and self._printing is not None
-        if stamped.arrived is None:
-            return self._printing.period
-        return max((now - self.last.arrived) / together, MIN_STEP)
 
     def _check(self, waited: float, *, may_wait: bool) -> None:
         """Raise InputError if too long no lines are understood, or none come."""
@@ -293,7 +268,7 @@ class Printer:
             if waited > UNFIT_SECONDS and not may_wait:
                 raise NoBoardError(f"{self.url}: no line came within {UNFIT_SECONDS:g} s")
             return
-        since = time.monotonic() - self._began
+        since = monotonic() - self._began
         words = not re.search(r"\d", self.first_line) and not self._reader.words
         if since > (WORDS_SECONDS if words else UNFIT_SECONDS):
             raise self._refused(f"were read for {since:.0f} s without")
@@ -332,7 +307,7 @@ def text_at_some_rate(source: ByteSource, heard: bytes, url: str, baud: int | No
 def _listened(source: ByteSource) -> bytes:
     """Return what comes until it is enough to know whether it is text, or RATE_SECONDS are over."""
     heard = b""
-    until = time.monotonic() + RATE_SECONDS
-    while len(heard) < ENOUGH and time.monotonic() < until:
+    until = monotonic() + RATE_SECONDS
+    while len(heard) < ENOUGH and monotonic() < until:
         heard += source.read()
     return heard

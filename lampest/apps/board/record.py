@@ -5,12 +5,11 @@ recording at the end.
 """
 
 import contextlib
-import dataclasses
-import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 
 from lampest.apps.board.journal import Journal, UnwrittenError, finished, journal_for
@@ -100,8 +99,7 @@ class Recorded:
     def warnings(self) -> Iterator[str]:
         """Yield what went wrong while the recording was made, a sentence each."""
         for name, sentence in WARNINGS.items():
-            n = self.count[name]
-            if n:
+            if n := self.count[name]:
                 yield sentence.format(n=n, s="" if n == 1 else "s", frames=self.frames)
         for reason, n in self.unestimated.items():
             yield f"the board did not estimate {n} of the {self.frames} frames: {reason}"
@@ -153,8 +151,8 @@ class Tally:
         Newest sample; None before the first one.
     """
 
-    count: Counter[str] = dataclasses.field(default_factory=Counter)
-    unestimated: Counter[str] = dataclasses.field(default_factory=Counter)
+    count: Counter[str] = field(default_factory=Counter)
+    unestimated: Counter[str] = field(default_factory=Counter)
     last: Sample | None = None
 
     @property
@@ -284,18 +282,18 @@ def _finished(tally: Tally, out: Path, ended_by: str, seconds: float | None) -> 
 
     `seconds` is the requested duration of a recording that nothing ended before.
     """
-    made = finished(out) if tally.last else None
-    if made is None or tally.last is None:
+    last = tally.last
+    if last is None:
         raise InputError(f"{out}: ended before the first frame; nothing is written")
+    scene, _, noise = finished(out)
+    settings = last.hello
     silent = 0.0  # s without frames at the end of the requested duration
     if seconds is not None:
-        silent = max(seconds - tally.last.time - tally.last.hello.period, 0.0)
-    scene, _, noise = made
-    settings = tally.last.hello
+        silent = max(seconds - last.time - settings.period, 0.0)
     return Recorded(
         path=out,
         scene=scene,
-        restarts=tally.last.session,
+        restarts=last.session,
         frames=tally.frames,
         lost=tally.count["lost"],
         count=tally.count,
@@ -322,8 +320,8 @@ def _wanted(batches: Samples, frames: int | None, seconds: float | None, period:
     The host's clock ends a timed recording 5 %, a period and 1 s later. Raises InputError if frames
     are counted and none has arrived for UNFIT_SECONDS and three periods.
     """
-    most = math.inf if frames is None else frames
-    until = math.inf if seconds is None else seconds
+    most = inf if frames is None else frames
+    until = inf if seconds is None else seconds
     count = 0
     began = 0.0
     heard = time.monotonic()
@@ -333,12 +331,13 @@ def _wanted(batches: Samples, frames: int | None, seconds: float | None, period:
         heard = time_now if batch else heard
         if frames is not None and time_now - heard > UNFIT_SECONDS + 3 * period:
             raise InputError(f"no frame came for {time_now - heard:.0f} s")
-        last = [
-            number >= most or item.time + item.hello.period > until - 1e-3
-            for number, item in enumerate(batch, count + 1)
-        ]
-        batch = batch[: last.index(True) + 1] if any(last) else batch
+        over = time_now - began > 1.05 * until + period + 1
+        for place, item in enumerate(batch, 1):
+            if count + place >= most or item.time + item.hello.period > until - 1e-3:
+                batch = batch[:place]
+                over = True
+                break
         count += len(batch)
         yield batch
-        if any(last) or time_now - began > 1.05 * until + period + 1:
+        if over:
             return

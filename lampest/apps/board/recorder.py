@@ -74,13 +74,23 @@ class Recorder:
                     self._journal.mark(sample.time, "zero")
             if len(self._unloaded) < self._baseline:
                 self._unloaded.append(sample)
-            if self._journal is not None and self._asked:
-                self._asked.clear()
-                self._end()
-            elif self._journal is not None:
-                self._grow(self._journal, (sample,), 0)
+            if self._journal is not None:
+                if self._asked:
+                    self._asked.clear()
+                    self._end()
+                else:
+                    self._grow(self._journal, (sample,), 0)
             elif self._asked and len(self._unloaded) == self._baseline:
-                self._begin(self._asked.popleft(), sample)
+                name = self._asked.popleft() or time.strftime("live_%Y-%m-%d_%H-%M-%S")
+                self._path = self._folder / f"{name}.h5"
+                if self._path.exists():
+                    raise InputError(
+                        f"{self._path}: exists already; a recording is never written over"
+                    )
+                self._journal = self._open.enter_context(journal_for(sample, self._path))
+                self._grow(self._journal, tuple(self._unloaded), self._baseline)
+                if sample is not self._unloaded[-1]:
+                    self._grow(self._journal, (sample,), 0)
         except InputError as error:
             self._end(str(error))
 
@@ -94,19 +104,6 @@ class Recorder:
         with deaf():
             for thread in self._finishing:
                 thread.join()
-
-    def _begin(self, name: str, sample: Sample) -> None:
-        """Start a recording with the unloaded frames and a sample.
-
-        Raises InputError if the file exists.
-        """
-        self._path = self._folder / f"{name or time.strftime('live_%Y-%m-%d_%H-%M-%S')}.h5"
-        if self._path.exists():
-            raise InputError(f"{self._path}: exists already; a recording is never written over")
-        self._journal = self._open.enter_context(journal_for(sample, self._path))
-        self._grow(self._journal, tuple(self._unloaded), self._baseline)
-        if sample is not self._unloaded[-1]:
-            self._grow(self._journal, (sample,), 0)
 
     def _grow(self, journal: Journal, samples: tuple[Sample, ...], unloaded: int) -> None:
         """Append samples, and report the progress.

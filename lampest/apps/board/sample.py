@@ -168,4 +168,5 @@ class Sample:
         return recorded_of_sums(self.scene, self.frame.sums, self.frame.readings)
 
 
-Samples = Generator[tuple[Sample, ...], None, None]
+Batch = tuple[Sample, ...]  # that arrived together, in order of time
+Samples = Generator[Batch, None, None]

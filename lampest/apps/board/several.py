@@ -51,7 +51,7 @@ def samples_of(ports: Sequence[str], listening: Listening) -> Samples:
                 "{modules: ...}, a board for each module"
             )
         return board_samples(ports[0] if ports else only_port(), listening)
-    numbers = [number for number in range(modules.count) if number not in scene.dead_modules]
+    numbers = sorted({*range(modules.count)} - {*scene.dead_modules})
     if len(ports) != len(numbers):
         named = ", ".join(str(list(modules.place(number))) for number in numbers[:4])
         raise InputError(
@@ -59,12 +59,8 @@ def samples_of(ports: Sequence[str], listening: Listening) -> Samples:
             f"in the order {named}{', …' if len(numbers) > 4 else ''}; not {len(ports)}. "
             "--lines reads one board that prints all of them"
         )
-    readings = {
-        module.readout.readings
-        for module in map(scene.of_modules.__getitem__, numbers)
-        if module.readout
-    }
-    if len(readings) != 1:
+    readouts = (scene.of_modules[number].readout for number in numbers)
+    if len({readout.readings for readout in readouts if readout}) != 1:
         raise InputError(
             "modules that are recorded together need a readout with one number of readings for all"
         )
@@ -76,8 +72,8 @@ class Alignment:
 
     Attributes
     ----------
-    boards : int
-        Number of boards.
+    boards : range
+        Numbers of the boards.
     waiting : list of list of Stamped
         Waiting frames of each board, oldest first.
     shown : list of Stamped or None
@@ -95,15 +91,15 @@ class Alignment:
     """
 
     def __init__(self, boards: int) -> None:
-        self.boards = boards
+        self.boards = range(boards)
         self.frames = 0
         self.moment: float | None = None
         self.began: float | None = None
         self.elapsed: float
         self.missing: tuple[int, ...] = ()
-        self.waiting: list[list[Stamped]] = [[] for _ in range(boards)]
+        self.waiting: list[list[Stamped]] = [[] for _ in self.boards]
         self.shown: list[Stamped | None] = [None] * boards
-        self.delays = [deque[float](maxlen=50) for _ in range(boards)]
+        self.delays = [deque[float](maxlen=50) for _ in self.boards]
 
     def _frames_of(self, board: int) -> list[Stamped]:
         """Return the last shown frame of a board, if any, and those that wait."""
@@ -126,11 +122,11 @@ class Alignment:
         led = self._led(now)
         if led is None:
             return None
-        at = led[0]
-        period = led[1].hello.period
+        at, sample = led
+        period = sample.hello.period
         late = now > at + 1.5 * period + LATE_SECONDS
         parts = dict[int, Stamped]()
-        for board in range(self.boards):
+        for board in self.boards:
             frames = self._frames_of(board)
             newest = frames[-1][0] if frames else -np.inf
             # A missing board is waited for as soon as it sends again: its next frame may be the
@@ -142,15 +138,13 @@ class Alignment:
             # Half a period, plus the jitter of clocks.
             if nearest is not None and abs(nearest[0] - at) <= 0.75 * period:
                 parts[board] = nearest
-        ends = [parts[board][0] if board in parts else at - period for board in range(self.boards)]
-        self.waiting = [
-            [part for part in waiting if part[0] > end]
-            for waiting, end in zip(self.waiting, ends, strict=True)
-        ]
+        for board, waiting in enumerate(self.waiting):
+            end = parts[board][0] if board in parts else at - period
+            self.waiting[board] = [part for part in waiting if part[0] > end]
         self.shown = [parts.get(board, last) for board, last in enumerate(self.shown)]
-        self.missing = tuple(board for board in range(self.boards) if board not in parts)
+        self.missing = tuple(board for board in self.boards if board not in parts)
         self.moment = at
-        self.frames = self.frames + 1
+        self.frames += 1
         self.began = at if self.began is None else self.began
         self.elapsed = at - self.began
         return {board: sample for board, (_, sample) in parts.items()}
@@ -194,7 +188,7 @@ def _images(
     ended = Event()
     arrived = Arrived()
     states = [""] * len(numbers)
-    present = set(range(len(numbers)))
+    present = {*current.boards}
     with _listeners(scene, numbers, ports, listening, arrived, ended):
         while present or not arrived.empty():
             if listening.ending():
@@ -254,8 +248,7 @@ def _listeners(
                     ending=ended.is_set,
                     baseline=0,
                 )
-                samples = board_samples(ports[board], how)
-                with closing(samples) as batches:
+                with closing(board_samples(ports[board], how)) as batches:
                     for sample in chain.from_iterable(batches):
                         sessions = before + sample.session + 1
                         arrived.put((board, replace(sample, session=sessions - 1)))
@@ -295,7 +288,7 @@ def _image(
         ("gone", after.missing, before.missing),
         ("back", before.missing, after.missing),
     ):
-        places = [layout.place(numbers[board]) for board in inside if board not in outside]
+        places = (layout.place(numbers[board]) for board in inside if board not in outside)
         events += [f"{word}: {','.join(map(str, place))}" for place in places]
     own = {numbers[board]: sample for board, sample in parts.items()}
     settings = first.hello
@@ -318,8 +311,7 @@ def _image(
 
 def _joined(layout: Modules, parts: Mapping[int, Sample], first: Sample) -> AnyFrame:
     """Return the frames of modules, by their numbers, as one; a missing module has no readings."""
-    module = layout.each
-    shape = (layout.count, module.rows, module.columns)
+    shape = (layout.count, layout.each.rows, layout.each.columns)
     missed = max(sample.frame.missed for sample in parts.values())
     if isinstance(first.frame, Frame):
         sums = np.full(shape, NO_SUM, dtype=np.uint16)

@@ -3,18 +3,17 @@
 No other module opens ports; this one and `lampest.apps.board.port` use pyserial.
 """
 
-import contextlib
 import os
 import select
 import socket
 import sys
-import time
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Condition, Thread
+from time import monotonic, sleep
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
@@ -89,10 +88,10 @@ class SerialSource(ByteSource):
 
     def reset_board(self) -> None:
         """Reset the board by DTR; ports without DTR stay as they are."""
-        with contextlib.suppress(OSError, ValueError):
+        with suppress(OSError, ValueError):
             self._port.reset_input_buffer()
             self._port.dtr = False
-            time.sleep(0.1)
+            sleep(0.1)
             self._port.reset_input_buffer()
             self._port.dtr = True
 
@@ -199,24 +198,26 @@ class GrowingFile(ByteSource):
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._file = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+        self._open()
+
+    def _open(self) -> None:
+        self._file = os.open(self._path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
 
     def read(self) -> bytes:
         """Return the bytes that were added; a file that was cut or replaced begins anew."""
         data = b""
-        with contextlib.suppress(BlockingIOError):  # a pipe without a byte
+        with suppress(BlockingIOError):  # a pipe without a byte
             data = os.read(self._file, BLOCK)
         if data:
             return data
         self.begins_late = False
         current = self._path.stat()
-        opened = os.fstat(self._file)
-        if current.st_ino != opened.st_ino:
-            os.close(self._file)
-            self._file = os.open(self._path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+        if current.st_ino != os.fstat(self._file).st_ino:
+            self.close()
+            self._open()
         elif self._path.is_file() and current.st_size < os.lseek(self._file, 0, os.SEEK_CUR):
             os.lseek(self._file, 0, os.SEEK_SET)
-        time.sleep(FILE_POLL_SECONDS)
+        sleep(FILE_POLL_SECONDS)
         return b""
 
     def close(self) -> None:
@@ -229,18 +230,17 @@ def source_at(url: str, baud: int) -> ByteSource:
 
     Raises OSError or ValueError if it cannot be opened.
     """
-    scheme = url.partition("://")[0] if "://" in url else ""
-    if scheme in ("tcp", "udp"):
+    if url.startswith(("tcp://", "udp://")):
         parts = urlsplit(url)
         if parts.port is None:
-            raise ValueError(f"no port is named; write {scheme}://HOST:PORT")
-        if scheme == "udp":
+            raise ValueError(f"no port is named; write {parts.scheme}://HOST:PORT")
+        if parts.scheme == "udp":
             return DatagramSource(parts.hostname or "", parts.port)
         return SocketSource(parts.hostname or "127.0.0.1", parts.port)
     if url == "-":
         return StandardInput()
     path = Path(url)
-    if not scheme and (path.is_file() or path.is_fifo()):
+    if "://" not in url and (path.is_file() or path.is_fifo()):
         return GrowingFile(path)
     return SerialSource(url, baud)
 
@@ -260,7 +260,7 @@ def opened_source(url: str, baud: int) -> Iterator[ByteSource]:
             source.reset_board()
         yield source
     finally:
-        with contextlib.suppress(OSError):
+        with suppress(OSError):
             source.close()
 
 
@@ -297,7 +297,7 @@ class Listener:
         self._ended = False
         self._error: OSError | None = None
         if heard:
-            self._put(Piece(heard, time.monotonic()))
+            self._put(Piece(heard, monotonic()))
         self._thread = Thread(target=self._listen, name="lampest-listener", daemon=True)
 
     def __enter__(self) -> "Listener":
@@ -313,7 +313,7 @@ class Listener:
         """Age of the oldest waiting bytes in s."""
         with self._changed:
             oldest = self._waiting[0].arrived if self._waiting else None
-        return 0.0 if oldest is None else time.monotonic() - oldest
+        return 0.0 if oldest is None else monotonic() - oldest
 
     def take(self) -> tuple[Piece, ...] | None:
         """Return the pieces that came, after POLL_SECONDS at most; None at the source's end.
@@ -341,7 +341,7 @@ class Listener:
                 data = self._source.read()
                 self._lost += self._source.dropped - dropped
                 if data:
-                    self._put(Piece(data, None if late else time.monotonic()))
+                    self._put(Piece(data, None if late else monotonic()))
         except OSError as error:
             self._error = error
         finally:

@@ -16,6 +16,7 @@ from lampest.apps.board.sample import (
     OTHER_BOARD,
     UNFIT_SECONDS,
     AnyFrame,
+    Batch,
     Listening,
     Sample,
     Samples,
@@ -61,17 +62,17 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
             # A calibrated load differs from the one that is printed on it: 5 % of ordinary
             # resistors, twice.
             if mine != theirs and not (name == "load_ohm" and abs(mine - theirs) <= 0.1 * theirs):
-                both = [
+                said, known = (
                     f"{value:g}" if isinstance(value, float) else value for value in (mine, theirs)
-                ]
-                raise InputError(
-                    f"the scene's readout.{name} is {both[0]}, "
-                    f"but the board says {both[1]} (firmware pins.h)"
                 )
-    size = (*scene.panel.shape, ours.readings)
-    most = (hello.most_rows, hello.most_columns, hello.most_readings)
-    for name, needed, possible in zip(
-        ("panel.rows", "panel.columns", "readout.readings"), size, most, strict=True
+                raise InputError(
+                    f"the scene's readout.{name} is {said}, "
+                    f"but the board says {known} (firmware pins.h)"
+                )
+    for name, needed, possible in (
+        ("panel.rows", scene.panel.rows, hello.most_rows),
+        ("panel.columns", scene.panel.columns, hello.most_columns),
+        ("readout.readings", ours.readings, hello.most_readings),
     ):
         if needed > possible:
             raise InputError(
@@ -83,14 +84,15 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
 def declared_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
     """Return the readout that a board declares in its HELLO."""
     reference = hello.reference_milliohm / 1000
-    drive = hello.drive_milliohm / 1000
     converter: dict[str, Any] = {
         "supply_volt": hello.supply_millivolt / 1000,
         "adc_bits": hello.adc_bits,
         "readings": hello.readings,
     }
     if hello.wiring == "loaded_columns":
-        return LoadedColumnsReadout(load_ohm=reference, drive_ohm=drive, **converter)
+        return LoadedColumnsReadout(
+            load_ohm=reference, drive_ohm=hello.drive_milliohm / 1000, **converter
+        )
     return TwoPointReadout(
         reference_ohm=reference, measured_across=hello.measured_across, **converter
     )
@@ -120,10 +122,8 @@ class Scanning:
         The two newest samples of this run.
     estimate : Estimate, or None
         Newest estimate of the board, which precedes its frame.
-    stray : Frame, or None
-        Newest frame that did not follow another one.
-    stray_host_time, stray_arrived : float
-        Its arrival in s since 1970-01-01 UTC, and on the steady clock.
+    stray : Sample, or None
+        Newest frame that did not follow another one, whose time is unknown.
     stopped : bool
         Whether the clock stands still.
     others : bool
@@ -139,14 +139,12 @@ class Scanning:
     before: Sample | None = None
     earlier: Sample | None = None
     estimate: Estimate | None = None
-    stray: Frame | None = None
-    stray_host_time: float = 0.0
-    stray_arrived: float = 0.0
+    stray: Sample | None = None
     stopped: bool = False
     others: bool = False
     since: float = field(default_factory=time.monotonic)
 
-    def take(self, frame: Frame) -> tuple[Sample, ...]:
+    def take(self, frame: Frame) -> Batch:
         """Take a further frame, and return the new samples.
 
         There are one or two samples, or none if the frame does not follow.
@@ -169,16 +167,14 @@ class Scanning:
                 return (*between, self._accept(sample))
         # Two consecutive frames that follow each other: the clock has jumped, or the numbers have
         # restarted.
-        if self.stray is not None and _since(self.stray, frame)[0] == 1:
-            resumed = self._resumed(self.stray, frame)
+        if self.stray is not None and _since(self.stray.frame, frame)[0] == 1:
+            resumed = self._resumed(self.stray.frame, frame)
             if resumed is not None:
                 return (self._accept(resumed), *self.take(frame))
-        self.stray = frame
-        self.stray_host_time = time.time()
-        self.stray_arrived = time.monotonic()
+        self.stray = self._placed(frame, 0.0)
         return ()
 
-    def _between(self, newest: Sample, frame: Frame, at: float) -> tuple[Sample, ...]:
+    def _between(self, newest: Sample, frame: Frame, at: float) -> Batch:
         """Return the stray frame as a sample, if its number is between those of its neighbours.
 
         The neighbours are a sample and the next frame, which is at the time `at` in s. The clock
@@ -187,33 +183,33 @@ class Scanning:
         stray = self.stray
         if stray is None or self.last is not newest or not at > newest.time:
             return ()
-        steps = _since(newest.frame, stray)[0]
+        steps = _since(newest.frame, stray.frame)[0]
         all_steps = _since(newest.frame, frame)[0]
         if not 0 < steps < all_steps:
             return ()
-        sample = Sample(
-            frame=stray,
+        moment = newest.time + steps / all_steps * (at - newest.time)
+        self.last = replace(stray, time=moment, lost=steps - 1, events=(CLOCK_JUMPED,))
+        return (self.last,)
+
+    def _placed(self, frame: AnyFrame, at: float) -> Sample:
+        """Return a frame that has just arrived as a sample of this session, at a time in s."""
+        return Sample(
+            frame=frame,
             hello=self.hello,
             scene=self.scene,
-            time=newest.time + steps / all_steps * (at - newest.time),
-            host_time=self.stray_host_time,
-            lost=steps - 1,
+            time=at,
+            host_time=time.time(),
+            lost=0,
             session=self.session,
-            events=(CLOCK_JUMPED,),
-            arrived=self.stray_arrived,
+            arrived=time.monotonic(),
         )
-        self.last = sample
-        return (sample,)
 
-    def last_sample(self) -> tuple[Sample, ...]:
+    def last_sample(self) -> Batch:
         """Return the last frame of a run as a sample, if its clock alone does not follow."""
-        if (
-            self.stray is None
-            or self.before is None
-            or _since(self.before.frame, self.stray)[0] != 1
-        ):
+        stray = self.stray
+        if not stray or not self.before or _since(self.before.frame, stray.frame)[0] != 1:
             return ()
-        resumed = self._resumed(self.stray, self.stray)
+        resumed = self._resumed(stray.frame, stray.frame)
         return () if resumed is None else (self._accept(resumed),)
 
     def doubt(self) -> None:
@@ -227,8 +223,11 @@ class Scanning:
     def _accept(self, sample: Sample) -> Sample:
         """Continue from a sample, and return it, with an event if the clock stopped."""
         # A late scan explains two frames with equal times, but not three.
-        elapsed_ms = _since(self.earlier.frame, sample.frame)[1] if self.earlier else 1
-        stopped = elapsed_ms == 0 and self.hello.period > 2e-3
+        stopped = (
+            self.earlier is not None
+            and _since(self.earlier.frame, sample.frame)[1] == 0
+            and self.hello.period > 2e-3
+        )
         if stopped and not self.stopped:
             sample = replace(sample, events=(*sample.events, CLOCK_STOPPED))
         self.session = sample.session
@@ -239,35 +238,25 @@ class Scanning:
         self.before = sample
         return sample
 
-    def _sample(self, frame: Frame, at: float, lost: int, anew: int = 0, *events: str) -> Sample:
+    def _sample(self, frame: AnyFrame, at: float, lost: int, anew: int = 0, *events: str) -> Sample:
         """Return a sample at a time in s, moved behind the last one if necessary.
 
         `anew` is 1 after a restart.
         """
-        host_time = time.time()
-        arrived = time.monotonic()
+        sample = self._placed(frame, at)
         if self.last is not None:
-            elapsed = arrived - self.last.arrived
+            elapsed = sample.arrived - self.last.arrived
             if at <= self.last.time:
                 at = self.last.time + max(elapsed, self.hello.period)
-            if abs(host_time - self.last.host_time - elapsed) > HOST_CLOCK_STEP + 1e-3 * elapsed:
+            ahead = sample.host_time - self.last.host_time - elapsed
+            if abs(ahead) > HOST_CLOCK_STEP + 1e-3 * elapsed:
                 events = (*events, HOST_CLOCK_SET)
         if self.others:
             events = (*events, OTHER_BOARD)
             self.others = False
-        return Sample(
-            frame=frame,
-            hello=self.hello,
-            scene=self.scene,
-            time=at,
-            host_time=host_time,
-            lost=lost,
-            session=self.session + anew,
-            events=events,
-            arrived=arrived,
-        )
+        return replace(sample, time=at, lost=lost, session=self.session + anew, events=events)
 
-    def _follows(self, frame: Frame, before: AnyFrame, arrived: float) -> bool:
+    def _follows(self, frame: AnyFrame, before: AnyFrame, arrived: float) -> bool:
         """Return whether number and clock of a frame can follow those of an earlier one.
 
         The earlier one arrived at this time of the host's steady clock.
@@ -289,7 +278,7 @@ class Scanning:
         # The factor 1000 covers simulated boards, which run 300 times as fast as a real one.
         return 1e3 * (1000 * max(time.monotonic() - moment, 0.0) + 10 + 3 * self.hello.period)
 
-    def _resumed(self, frame: Frame, after: Frame) -> Sample | None:
+    def _resumed(self, frame: AnyFrame, after: AnyFrame) -> Sample | None:
         """Return the first sample after a jump of the clock or a restart of the numbers.
 
         The result is None for a repetition. `after` is the next frame, whose clock follows that of
@@ -303,20 +292,17 @@ class Scanning:
         if not (0 < elapsed_ms < COUNTER // 2 and self._follows(after, frame, time.monotonic())):
             return None
         # Longer gaps are impossible here: after SILENCE_SECONDS the board is identified anew.
-        moved = min(
-            elapsed_ms / 1000,
-            SILENCE_SECONDS + max(time.monotonic() - self.last.arrived, self.hello.period),
-        )
-        return self._sample(
-            frame, self.last.time + moved, max(round(moved / self.hello.period) - 1, 0), anew=1
-        )
+        period = self.hello.period
+        longest = SILENCE_SECONDS + max(time.monotonic() - self.last.arrived, period)
+        moved = min(elapsed_ms / 1000, longest)
+        lost = max(round(moved / period) - 1, 0)
+        return self._sample(frame, self.last.time + moved, lost, anew=1)
 
 
 def _since(before: AnyFrame, frame: AnyFrame) -> tuple[int, int]:
     """Return the number of frames and the time in ms from one frame to another, modulo 2³²."""
-    return (frame.sequence - before.sequence) % COUNTER, (
-        frame.device_ms - before.device_ms
-    ) % COUNTER
+    steps = (frame.sequence - before.sequence) % COUNTER
+    return steps, (frame.device_ms - before.device_ms) % COUNTER
 
 
 def board_samples(url: str, listening: Listening) -> Samples:
@@ -358,19 +344,6 @@ def board_samples(url: str, listening: Listening) -> Samples:
         time.sleep(RETRY_SECONDS)
 
 
-def _hello_of(board: Board) -> Hello | None:
-    """Return a board's HELLO; None of one that prints numbers, even if it is gone since.
-
-    Raises OSError if a board that printed none is gone, NoBoardError if nothing comes.
-    """
-    try:
-        return board.hello()
-    except OSError:
-        if not prints_numbers(board.first):
-            raise
-        return None
-
-
 class _Line:
     """Connection to a board.
 
@@ -382,9 +355,9 @@ class _Line:
         self._url = url
         self._how = listening
         self._scene = listening.scene
-        options = listening.options
         self._printer: Printer | None = None
-        self.baud = options.baud or (PRINTED_BAUDS[0] if options.lines else BAUD)
+        usual = PRINTED_BAUDS[0] if listening.options.lines else BAUD
+        self.baud = listening.options.baud or usual
         self.heard = 0  # bytes of the current connection
         self.last: Sample | None = None
         self.renew()
@@ -414,7 +387,12 @@ class _Line:
             return
         board = Board(source, self._url)
         try:
-            hello = _hello_of(board)
+            hello = None
+            try:
+                hello = board.hello()
+            except OSError:  # a board that printed numbers may be gone since
+                if not prints_numbers(board.first):
+                    raise
             if hello is not None:
                 yield from self._started(board, hello)
                 return
@@ -454,9 +432,7 @@ class _Line:
                 requested = None if period is None else round(period * 1e6)
                 # A board that comes back may be loaded.
                 unloaded = self._how.baseline if self.last is None else 0
-                settings = board.start(
-                    agreed.panel.rows, agreed.panel.columns, readings, requested, unloaded
-                )
+                settings = board.start(*agreed.panel.shape, readings, requested, unloaded)
                 for samples in self._run(board, settings, agreed):
                     if samples:
                         self.last = samples[-1]
@@ -503,14 +479,14 @@ class _Line:
                         raise
                 heard = time.monotonic()
 
-    def _taken(self, run: Scanning, messages: Sequence[Message]) -> tuple[tuple[Sample, ...], bool]:
+    def _taken(self, run: Scanning, messages: Sequence[Message]) -> tuple[Batch, bool]:
         """Return the samples by which messages continue a run, and whether the board restarted."""
-        samples: tuple[Sample, ...] = ()
+        samples: Batch = ()
         for item in messages:
             if isinstance(item, Estimate):
                 run.estimate = item
                 continue
-            more = tuple[Sample, ...]()
+            more: Batch = ()
             instead = "answers"
             if isinstance(item, Frame) and item.identity != run.hello.identity:
                 run.others = True

@@ -4,7 +4,6 @@ The first frames give the baseline; then the newest frame is always the next one
 """
 
 import logging
-import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -12,6 +11,7 @@ from functools import partial
 from operator import methodcaller
 from queue import SimpleQueue
 from threading import Event
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ import numpy as np
 from lampest.apps.live.handover import Beside, Errand, Newest
 from lampest.apps.live.message import HISTORY_FRAMES, Picture, Point, View, with_detected
 from lampest.apps.live.state import NOTICED_PERCENT, Findings, PanelState, solved_scan
-from lampest.apps.live.watcher import News, Scan, Unloaded, watcher
+from lampest.apps.live.watcher import News, Scan, Scans, Unloaded, watcher
 from lampest.apps.recognition.detect.answer import Detected
 from lampest.estimate.estimator import Estimator
 from lampest.files.errors import InputError
@@ -163,11 +163,9 @@ class Engine:
                 self.say(source.state)
             return
         self._unloaded.append(scan)
-        self.say(
-            f"baseline: {len(self._unloaded)} "
-            f"of {self._baseline} unloaded frames; keep the panel free"
-        )
-        if len(self._unloaded) == self._baseline:
+        count = len(self._unloaded)
+        self.say(f"baseline: {count} of {self._baseline} unloaded frames; keep the panel free")
+        if count == self._baseline:
             self.begin(source, self._unloaded)
 
     def _solve(self, unloaded: Unloaded, period: float, resting: Readings) -> None:
@@ -181,7 +179,7 @@ class Engine:
         self._check(unloaded)
         number = 0
         looked = 0.0
-        loaded = tuple[Scan, ...]()
+        loaded: Scans = ()
         while (news := self._arrivals.after(number)) is not None:
             assert news.item is not None
             skipped = news.number - number - 1
@@ -195,7 +193,7 @@ class Engine:
             look = state.look
             if look is not None and self._beside is not None:
                 # Requests for error bars alone are rationed, since weights and searches come first.
-                moment = time.monotonic()
+                moment = monotonic()
                 if look.due or moment - looked >= BARS_SECONDS:
                     looked = moment
                     self._beside.ask(Errand("look", look.findings, look.due))
@@ -219,12 +217,11 @@ class Engine:
             state = replace(state, stream=findings.apply_to(state.stream))
         if self._beside is not None and self._beside.gone and state.stream.keeps_weights:
             track = state.track or state.stream.track
-            return replace(
-                state, stream=replace(state.stream, keeps_weights=False, track=track), track=None
-            )
+            stream = replace(state.stream, keeps_weights=False, track=track)
+            return replace(state, stream=stream, track=None)
         return state
 
-    def _check(self, unloaded: Unloaded, loaded: tuple[Scan, ...] = ()) -> None:
+    def _check(self, unloaded: Unloaded, loaded: Scans = ()) -> None:
         """Show warnings about the frames."""
         check = Errand("check", partial(_warnings, unloaded, loaded))
         if self._beside is None or self._beside.gone:
@@ -242,7 +239,7 @@ class Engine:
             self.show(deviation=answer.force.deviation, deviation_of=answer.number)
 
 
-def _warnings(unloaded: Unloaded, loaded: tuple[Scan, ...]) -> tuple[str, ...]:
+def _warnings(unloaded: Unloaded, loaded: Scans) -> tuple[str, ...]:
     """Return warnings about frames, or the reason why they cannot be read."""
     try:
         return Prepared(unloaded.recording(loaded)).warnings
@@ -255,11 +252,11 @@ def with_picture(view: View, picture: Picture, zeroed: str = "") -> View:
 
     `zeroed` is the reason of a new zero, or ''.
     """
-    point = Point(picture.number, picture.time, picture.force.newton)
-    zero = f"taken anew after frame {picture.number}: {zeroed}" if zeroed else view.zero
+    number = picture.number
+    point = Point(number, picture.time, picture.force.newton)
+    zero = f"taken anew after frame {number}: {zeroed}" if zeroed else view.zero
     skipped = view.skipped + picture.skipped
     history = (*view.history, point)[-HISTORY_FRAMES:]
     view = replace(view, picture=picture, skipped=skipped, history=history, zero=zero)
-    if np.isnan(picture.force.deviation):
-        return view
-    return replace(view, deviation=picture.force.deviation, deviation_of=picture.number)
+    deviation = picture.force.deviation
+    return view if np.isnan(deviation) else replace(view, deviation=deviation, deviation_of=number)

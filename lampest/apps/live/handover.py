@@ -166,9 +166,8 @@ class Errand(NamedTuple):
 
     def queued(self, waiting: "list[Errand]") -> "list[Errand]":
         """Return the waiting tasks with this one."""
-        replaced = [errand for errand in waiting if errand.kind == self.kind]
-        if any(errand.urgent and not self.urgent for errand in replaced):
-            return waiting
-        if not replaced:
-            return [*waiting, self]
-        return [self if errand in replaced else errand for errand in waiting]
+        for place, errand in enumerate(waiting):
+            if errand.kind == self.kind:
+                newest = errand if errand.urgent and not self.urgent else self
+                return [*waiting[:place], newest, *waiting[place + 1 :]]
+        return [*waiting, self]

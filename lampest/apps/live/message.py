@@ -4,6 +4,7 @@ import json
 import time
 from bisect import bisect_right
 from dataclasses import dataclass, replace
+from itertools import starmap
 from math import isfinite
 from typing import Any, NamedTuple
 
@@ -16,8 +17,9 @@ from lampest.panel.panel import Array, Mask, Panel
 
 FORMAT = "lampest stream 1"
 MAP_UNITS = {"change": "percent", "pressure": "kPa", "cells": "ohm"}
+Content = dict[str, Any]  # of a message or a part of it, as JSON has it
 UNKNOWN = Force(float("nan"), float("nan"))
-COMPACT: dict[str, Any] = {"allow_nan": False, "separators": (",", ":")}
+COMPACT: Content = {"allow_nan": False, "separators": (",", ":")}
 HISTORY_FRAMES = 1800  # frames of the page's history, one minute at 30 frames a second
 PAIRS = {"x_mm": "millimetre", "y_mm": "millimetre", "diameter_mm": "millimetre"}
 PAIRS |= {"suction_kpa": "kilopascal", "breathing_hz": "hertz"}
@@ -29,6 +31,8 @@ ANSWER = {
     "until_s": "second",
     **PAIRS,
 }
+HEAD = {"sequence": "1", "force": "newton", "verdict": "1", "solved": "1"}
+TAIL = {"force_sd": "newton", **ANSWER}
 VERDICTS = "nothing", "pressing", "sucking", "pressing and sucking", "unsolved"
 NOTHING, PRESSING, SUCKING, BOTH, UNSOLVED = VERDICTS
 
@@ -154,6 +158,11 @@ class View:
     alarm: str = ""
     acknowledged: frozenset[float] = frozenset()
 
+    @property
+    def detection(self) -> Content | None:
+        """Content of the answer, or None before the first one."""
+        return None if self.detected is None else self.detected.content()
+
 
 def with_detected(view: View, detected: Detected) -> View:
     """Return the view with a new answer.
@@ -222,53 +231,36 @@ class Message:
     def row(self) -> Array:
         """Return the frame as a row of numbers in the order of `channels`; unknown ones are NaN."""
         picture = self.picture
+        verdict = VERDICTS.index(picture.verdict)
+        head = [picture.number, picture.force.newton, verdict, self.solved]
+        known = {"force_sd": self.view.deviation}
         detected = self.view.detected
-        answer = dict[str, float]()
-        head = [
-            float(picture.number),
-            picture.force.newton,
-            float(VERDICTS.index(picture.verdict)),
-            float(self.solved),
-        ]
         if detected is not None:
-            answer = {"answer": ANSWERS.index(detected.answer), "probability": detected.probability}
-            answer["alarm"] = bool(self.view.alarm)
+            known["answer"] = ANSWERS.index(detected.answer)
+            known["probability"] = detected.probability
+            known["alarm"] = bool(self.view.alarm)
             attachment = detected.chosen
             if attachment is not None:
                 pairs = {name: getattr(attachment, name) for name in PAIRS}
-                answer |= {name: pair[0] for name, pair in pairs.items() if pair is not None}
-                answer["since_s"] = attachment.since_s
-                answer["until_s"] = np.nan if attachment.until_s is None else attachment.until_s
-        tail = [self.view.deviation, *(float(answer.get(name, np.nan)) for name in ANSWER)]
-        return np.concatenate([head, *(values.ravel() for values in self.maps.values()), tail])
+                known |= {name: pair[0] for name, pair in pairs.items() if pair is not None}
+                known["since_s"] = attachment.since_s
+                if attachment.until_s is not None:
+                    known["until_s"] = attachment.until_s
+        tail = [known.get(name, np.nan) for name in TAIL]
+        return np.concatenate([head, *map(np.ravel, self.maps.values()), tail])
 
     def channels(self) -> list[Channel]:
         """Return the descriptions of the numbers of `row`."""
-        head = [
-            Channel("sequence", "1"),
-            Channel("force", "newton"),
-            Channel("verdict", "1"),
-            Channel("solved", "1"),
-        ]
-        places = self.panel.places_mm / 1000
-        present = self.panel.present
+        panel = self.panel
+        places = (panel.places_mm / 1000).reshape(2, -1).T.tolist()
         cells = [
-            Channel(
-                f"{name}_{row}_{column}", MAP_UNITS[name], (x, y) if present[row, column] else None
-            )
-            for name in self.maps
-            for (row, column), x, y in zip(
-                np.ndindex(self.panel.shape), *places.reshape(2, -1).tolist(), strict=True
-            )
+            Channel(f"{name}_{row}_{column}", unit, (x, y) if panel.present[row, column] else None)
+            for name, unit in MAP_UNITS.items()
+            for (row, column), (x, y) in zip(np.ndindex(panel.shape), places, strict=True)
         ]
-        return [
-            *head,
-            *cells,
-            Channel("force_sd", "newton"),
-            *(Channel(name, unit) for name, unit in ANSWER.items()),
-        ]
+        return [*starmap(Channel, HEAD.items()), *cells, *starmap(Channel, TAIL.items())]
 
-    def content(self, sent_at: float) -> dict[str, Any]:
+    def content(self, sent_at: float) -> Content:
         """Return the content by docs/reference/stream.schema.json.
 
         `sent_at` is in s since 1970-01-01 UTC.
@@ -291,7 +283,7 @@ class Message:
             "force_sd": _number(view.deviation, 4),
             "force_sd_of": view.deviation_of or None,
             "verdict": picture.verdict,
-            "detection": view.detected and view.detected.content(),
+            "detection": view.detection,
             "alarm": view.alarm,
             "health": {
                 "solved": self.solved,
@@ -326,14 +318,13 @@ def view_text(view: View, sent_at: float, known: int = 0) -> str:
     picture = None
     if message and message.picture.number > known:
         elsewhere = ("cells", "pressure", "detection", "alarm")
-        picture = {
-            name: value for name, value in message.content(sent_at).items() if name not in elsewhere
-        }
+        content = message.content(sent_at)
+        picture = {name: value for name, value in content.items() if name not in elsewhere}
         picture |= {
             "measured": _numbers(message.picture.measured_change, 2),
             "passed": message.picture.skipped,
+            "centre": _centre(message),
         }
-        picture["centre"] = _centre(message)
         if (board := message.picture.board_change) is not None:
             picture["board"] = _numbers(board, 2)
     as_they_are = (
@@ -349,7 +340,7 @@ def view_text(view: View, sent_at: float, known: int = 0) -> str:
     )
     content = {name: getattr(view, name) for name in as_they_are} | {
         "deviation": _number(view.deviation, 4),
-        "detection": view.detected and view.detected.content(),
+        "detection": view.detection,
         "recording": view.recording and {"said": view.recording[0], "on": view.recording[1]},
         "sent": sent_at,
         "panel": view.panel and _panel(view.panel),
@@ -370,23 +361,15 @@ def _centre(message: Message) -> list[float] | None:
     ]
 
 
-def _panel(panel: Panel) -> dict[str, Any]:
+def _panel(panel: Panel) -> Content:
     """Return size, pitch in mm, modules and listed places of a panel, as messages have them."""
-    about: dict[str, Any] = {
-        "rows": panel.rows,
-        "columns": panel.columns,
-        "pitch_mm": panel.pitch_mm,
-    }
+    about: Content = {name: getattr(panel, name) for name in ("rows", "columns", "pitch_mm")}
     if panel.modules is not None:
-        about |= {
-            "modules": [panel.modules.each.rows, panel.modules.each.columns],
-            "seam_mm": panel.modules.seam_mm,
-        }
+        each = panel.modules.each
+        about |= {"modules": [each.rows, each.columns], "seam_mm": panel.modules.seam_mm}
     if panel.cells is not None:
-        about |= {
-            name: _numbers(at, 3)
-            for name, at in zip(("x_mm", "y_mm"), panel.places_mm, strict=True)
-        }
+        x, y = panel.places_mm
+        about |= {"x_mm": _numbers(x, 3), "y_mm": _numbers(y, 3)}
         if panel.heights_mm is not None:
             about["z_mm"] = _numbers(panel.heights_mm, 3)
     return about

@@ -21,7 +21,7 @@ from urllib.parse import SplitResult, unquote, urlsplit
 import numpy as np
 
 from lampest.apps.live.handover import FAREWELL_SECONDS, Newest
-from lampest.apps.live.message import COMPACT, FORMAT, VERDICTS, Message, View
+from lampest.apps.live.message import COMPACT, FORMAT, VERDICTS, Content, Message, View
 from lampest.apps.live.server import MAX_STREAMS, TURN_SECONDS, Access, ip_named
 from lampest.apps.recognition.detect.answer import ANSWERS
 from lampest.files.errors import InputError, extra
@@ -33,6 +33,7 @@ BUNDLE_HEAD = 16
 NO_PREFIX = set(" #*,?[]{}")  # of OSC's addresses, which receivers would take for patterns
 LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 Send = Callable[[Message], None]
+Outlet = tuple[str, Send]  # the public address, and a function that sends a message
 Say = Callable[[str], None]
 
 
@@ -59,14 +60,8 @@ class Publish(ABC):
         """
         user, password = (part and unquote(part) for part in (where.username, where.password))
         port = cls.port if where.port is None else where.port
-        return cls(
-            where.hostname or cls.host,
-            port,
-            where.path.strip("/") or cls.path,
-            user,
-            password,
-            token,
-        )
+        path = where.path.strip("/") or cls.path
+        return cls(where.hostname or cls.host, port, path, user, password, token)
 
     @property
     def where(self) -> str:
@@ -74,17 +69,12 @@ class Publish(ABC):
         return f"{self.kind}://{self.host}:{self.port}/{self.path}"
 
     @abstractmethod
-    def opened(self, say: Say) -> AbstractContextManager[tuple[str, Send]]:
+    def opened(self, say: Say) -> AbstractContextManager[Outlet]:
         """Yield the public address and a function that sends a message.
 
         Sending never waits for listeners: slow ones miss messages. `say` receives sentences about
         the connection. Raises InputError for a missing library and an unreachable peer.
         """
-
-
-def _detection(message: Message) -> Any:
-    """Return the content of the answer, or None before the first one."""
-    return message.view.detected and message.view.detected.content()
 
 
 class LslPublish(Publish):
@@ -102,7 +92,7 @@ class LslPublish(Publish):
         return cls(path=where.netloc or cls.path)
 
     @contextmanager
-    def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
+    def opened(self, say: Say) -> Iterator[Outlet]:
         """Open the stream, as `Publish.opened`."""
         with extra("streams"):
             try:
@@ -130,25 +120,25 @@ class LslPublish(Publish):
                     row, pylsl.local_clock() - (time.time() - message.picture.arrived)
                 )
             if [*message.signature[1:]] != before:
-                content = {"detection": _detection(message), "alarm": message.view.alarm}
+                content = {"detection": message.view.detection, "alarm": message.view.alarm}
                 outlets[1].push_sample([json.dumps(content, **COMPACT)])
 
         yield f"lsl://{self.path}", send
         outlets.clear()
 
 
-def _description(message: Message) -> dict[str, Any]:
+def _description(message: Message) -> Content:
     """Return names, units and places in metre of the channels, as the XDF format nests them."""
     channels = []
     for label, unit, place in message.channels():
         location = {} if place is None else {"location": dict(zip("XY", place, strict=True))}
-        channels.append({"label": label, "unit": unit} | location)
+        channels.append({"channel": {"label": label, "unit": unit} | location})
     lists = {"format": FORMAT, "verdicts": ",".join(VERDICTS), "answers": ",".join(ANSWERS)}
     panel = {name: getattr(message.panel, name) for name in ("rows", "columns", "pitch_mm")}
-    return lists | panel | {"channels": [{"channel": channel} for channel in channels]}
+    return lists | panel | {"channels": channels}
 
 
-def _describe(element: Any, content: dict[str, Any]) -> None:
+def _describe(element: Any, content: Content) -> None:
     """Append values to an XML element of liblsl; mappings and lists of them become children."""
     for name, value in content.items():
         if isinstance(value, dict | list):
@@ -171,7 +161,7 @@ class OscPublish(Publish):
     port: int = 9000
 
     @contextmanager
-    def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
+    def opened(self, say: Say) -> Iterator[Outlet]:
         """Open the stream, as `Publish.opened`. A name is looked up once, here."""
         with extra("streams"):
             from pythonosc.udp_client import UDPClient
@@ -213,7 +203,7 @@ class OscPublish(Publish):
         """
         from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 
-        groups = list[list[Any]]()
+        bundles = list[Any]()
         left_out = dict[str, int]()
         room = 0
         for built in self._messages(message):
@@ -222,17 +212,11 @@ class OscPublish(Publish):
                 left_out[built.address] = built.size
                 continue
             if size > room:
-                groups.append([])
+                bundles.append(OscBundleBuilder(IMMEDIATELY))
                 room = MAX_DATAGRAM - BUNDLE_HEAD
-            groups[-1].append(built)
+            bundles[-1].add_content(built)
             room -= size
-        bundles = []
-        for group in groups:
-            bundle = OscBundleBuilder(IMMEDIATELY)
-            for built in group:
-                bundle.add_content(built)
-            bundles.append(bundle.build())
-        return bundles, left_out
+        return [bundle.build() for bundle in bundles], left_out
 
     def _messages(self, message: Message) -> Iterator[Any]:
         """Yield the messages: whole numbers i, time d, other numbers f, texts s, solved T or F."""
@@ -240,7 +224,7 @@ class OscPublish(Publish):
 
         picture = message.picture
         view = message.view
-        parts: dict[str, Any] = {
+        parts: Content = {
             "sequence": picture.number,
             "time": picture.time,
             "size": message.panel.shape,
@@ -252,11 +236,10 @@ class OscPublish(Publish):
             "status": picture.status,
             "alarm": view.alarm,
         }
-        detected = view.detected
-        if detected is not None:
+        if view.detected is not None:
             for name in ("answer", "probability", "sentence"):
-                parts[name] = getattr(detected, name)
-            parts["detection"] = json.dumps(_detection(message), **COMPACT)
+                parts[name] = getattr(view.detected, name)
+            parts["detection"] = json.dumps(view.detection, **COMPACT)
         for name, values in parts.items():
             built = OscMessageBuilder(f"/{self.path}/{name}")
             for value in values if isinstance(values, list | tuple) else [values]:
@@ -277,7 +260,7 @@ class MqttPublish(Publish):
     port: int = 1883
 
     @contextmanager
-    def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
+    def opened(self, say: Say) -> Iterator[Outlet]:
         """Open the stream, as `Publish.opened`."""
         with extra("streams"):
             from paho.mqtt.client import Client
@@ -351,7 +334,7 @@ class WebsocketPublish(Publish):
     port: int = 8138
 
     @contextmanager
-    def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
+    def opened(self, say: Say) -> Iterator[Outlet]:
         """Open the stream, as `Publish.opened`."""
         with extra("streams"):
             from websockets.exceptions import ConnectionClosed
@@ -363,7 +346,7 @@ class WebsocketPublish(Publish):
             )
         access = Access.of(self.token, self.port, local=host.is_loopback)
         listeners = _Listeners(Newest(""), access, (ConnectionClosed, OSError))
-        settings: dict[str, Any] = {
+        settings: Content = {
             "max_size": 1024,
             "compression": None,
             "process_request": listeners.refusal,
@@ -375,9 +358,9 @@ class WebsocketPublish(Publish):
         try:
             server = serve(listeners.send_to, str(host), self.port, **settings)
         except OSError as error:
-            sentence = error.strerror or error
             raise InputError(
-                f"--publish: websocket: cannot listen at {host}:{self.port} ({sentence})"
+                f"--publish: websocket: cannot listen at {host}:{self.port} "
+                f"({error.strerror or error})"
             ) from error
         thread = Thread(target=server.serve_forever, name="lampest-websocket", daemon=True)
         thread.start()
@@ -421,12 +404,9 @@ class _Listeners:
         if self.access.token and not self.access.shown_by(request.path, shown):
             return connection.respond(HTTPStatus.FORBIDDEN, "the token is missing or wrong\n")
         self.cut_off(time.monotonic() - TURN_SECONDS)
-        full = len(self.sent) >= MAX_STREAMS
-        return (
-            connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many listen\n")
-            if full
-            else None
-        )
+        if len(self.sent) >= MAX_STREAMS:
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many listen\n")
+        return None
 
     def send_to(self, connection: Any) -> None:
         """Send each newest message to a connection, until it or the server ends."""
@@ -442,10 +422,10 @@ class _Listeners:
 
     def cut_off(self, before: float) -> None:
         """Close the connections that have not taken a message sent until a time."""
-        late = [connection for connection, sent in tuple(self.sent.items()) if sent <= before]
-        for connection in late:
-            with suppress(OSError):
-                connection.socket.shutdown(socket.SHUT_RDWR)
+        for connection, sent in tuple(self.sent.items()):
+            if sent <= before:
+                with suppress(OSError):
+                    connection.socket.shutdown(socket.SHUT_RDWR)
 
 
 WAYS: tuple[type[Publish], ...] = (LslPublish, OscPublish, MqttPublish, WebsocketPublish)

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -18,7 +18,7 @@ from lampest.apps.board.sample import USUAL, LineOptions, Listening, Printing, S
 from lampest.apps.board.several import samples_of
 from lampest.apps.live.engine import Engine, FrameSource
 from lampest.apps.live.message import acknowledged
-from lampest.apps.live.publish import publish_at, publishing
+from lampest.apps.live.publish import Say, publish_at, publishing
 from lampest.apps.live.server import PageActions, address, serving
 from lampest.apps.live.watcher import Scan
 from lampest.cost.terms import (
@@ -46,7 +46,8 @@ PENALTIES: dict[str, tuple[Term, ...]] = {
 }
 # The data choose the weights, so the names differ from the paper's.
 METHODS = {
-    name: Estimator((Misfit(), *terms), "reduced", tare=Tare()) for name, terms in PENALTIES.items()
+    name: Estimator((Misfit(), *penalties), "reduced", tare=Tare())
+    for name, penalties in PENALTIES.items()
 }
 
 
@@ -116,9 +117,9 @@ def live(
     estimator: tuple[str, Estimator],
     outlets: Outlets = Outlets(),
     frames: int | None = None,
-    on_url: Callable[[str], None] = lambda url: None,
-    on_trouble: Callable[[str], None] = lambda sentence: None,
-    on_note: Callable[[str], None] = lambda sentence: None,
+    on_url: Say = lambda url: None,
+    on_trouble: Say = lambda sentence: None,
+    on_note: Say = lambda sentence: None,
 ) -> Recorded | None:
     """Reconstruct frames as they arrive and show them in the browser until Ctrl-C or a last frame.
 
@@ -189,7 +190,7 @@ def _pass_frames(
     recording: Recording | None,
     recorder: Recorder | None,
     frames: int | None,
-    on_note: Callable[[str], None],
+    on_note: Say,
 ) -> Recorded | None:
     """Pass `frames` frames, or all, of a replayed recording or of a board.
 
@@ -245,18 +246,18 @@ def chosen(
     estimator : Estimator
     """
     if config is None:
-        known = tuple(METHODS)
+        known = [*METHODS]
         where = "there are"
     else:
         document = read_document(config, settings)
         run: RunFile = validated(document, RunFile)
-        known = tuple(run.estimators)
+        known = [*run.estimators]
         where = f"{config} has"
     name = name or known[0]
     if name not in known:
-        close = meant(name, known)
+        names = ", ".join(known)
         raise InputError(
-            f"--estimator: no estimator is called {name!r}; {where} {', '.join(known)}{close}"
+            f"--estimator: no estimator is called {name!r}; {where} {names}{meant(name, known)}"
         )
     return name, METHODS[name] if config is None else resolve(document, run, name)
 
@@ -266,7 +267,7 @@ def from_board(
     board: LiveBoard,
     frames: int | None,
     on_sample: Callable[[Sample], None],
-    on_note: Callable[[str], None] = lambda sentence: None,
+    on_note: Say = lambda sentence: None,
 ) -> None:
     """Pass `frames` frames of a board, or all, to the engine and to `on_sample`.
 
@@ -279,11 +280,9 @@ def from_board(
         board.scene, board.period, engine.say, baseline=board.baseline, options=board.options
     )
     with closing(samples_of(board.ports, listening)) as samples:
-        noted = False
-        for sample in islice((sample for batch in samples for sample in batch), frames):
-            if isinstance(sample.hello, Printing) and not noted:
+        for number, sample in enumerate(islice(chain.from_iterable(samples), frames)):
+            if isinstance(sample.hello, Printing) and not number:
                 on_note(f"the board prints: {sample.hello.understood}")
-                noted = True
             take_sample(engine, sample)
             on_sample(sample)
 
@@ -302,13 +301,16 @@ def recorded_from_board(engine: Engine, board: LiveBoard, frames: int | None) ->
         if progress.state:
             engine.say(progress.state)
 
-    how: dict[str, Any] = {
-        "frames": frames,
-        "baseline": board.baseline,
-        "period": board.period,
-        "options": board.options,
-    }
-    return record(board.ports, board.out, scene=board.scene, on_progress=on_progress, **how)
+    return record(
+        board.ports,
+        board.out,
+        frames=frames,
+        scene=board.scene,
+        baseline=board.baseline,
+        period=board.period,
+        on_progress=on_progress,
+        options=board.options,
+    )
 
 
 def take_sample(engine: Engine, sample: Sample) -> None:
@@ -336,25 +338,24 @@ def from_recording(
     source = FrameSource(
         recording.scene, frame_period(recording), f"replaying at {speed:g} times its speed"
     )
-    unloaded = [
-        scan_of(recording, int(frame)) for frame in np.flatnonzero(recording.role == UNLOADED)
-    ]
+    unloaded = np.flatnonzero(recording.role == UNLOADED).tolist()
     if unloaded:
-        engine.begin(source, unloaded)
-    measured = recording.measured_frames()[:frames]
-    began = time.monotonic() - recording.time[measured[0]] / speed
+        engine.begin(source, [scan_of(recording, frame) for frame in unloaded])
+    measured = recording.measured_frames()[:frames].tolist()
+    times = recording.time / speed
+    began = time.monotonic() - times[measured[0]]
     for frame in measured:
-        wait(max(0.0, began + recording.time[frame] / speed - time.monotonic()))
-        engine.take(source, scan_of(recording, int(frame)))
+        wait(max(0.0, began + times[frame] - time.monotonic()))
+        engine.take(source, scan_of(recording, frame))
 
 
 def scan_of(recording: Recording, frame: int) -> Scan:
     """Return a frame of a recording as if it arrived now."""
-    sigma = recording.sigma
     recorded = recording.recorded
-    origin = recording.acquisition
-    of_frame = None if sigma is None else np.broadcast_to(sigma, recorded.shape)[frame]
-    lost = 0 if origin is None else int(origin.lost[frame])
+    sigma = recording.sigma
+    if sigma is not None:
+        sigma = np.broadcast_to(sigma, recorded.shape)[frame]
+    lost = 0 if recording.acquisition is None else int(recording.acquisition.lost[frame])
     board = recording.board_log_change
     known = None if board is None or np.isnan(board[frame]).all() else board[frame]
-    return Scan(recorded[frame], of_frame, float(recording.time[frame]), time.time(), lost, known)
+    return Scan(recorded[frame], sigma, float(recording.time[frame]), time.time(), lost, known)

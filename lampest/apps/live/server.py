@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from hmac import compare_digest
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -83,23 +84,14 @@ class Access:
     def shown_by(self, target: str, authorization: str) -> bool:
         """Return whether the requested address or the header Authorization has the token."""
         kind, _, word = authorization.partition(" ")
-        brought = [value for name, value in _query(target) if name == "token"] + [word] * (
-            kind in ("Bearer", "token")
-        )
+        brought = [value for name, value in _query(target) if name == "token"]
+        brought += [word] * (kind in ("Bearer", "token"))
         return bool(self.token) and any(_same(text, self.token) for text in brought)
-
-    def remembered_by(self, cookie: str) -> bool:
-        """Return whether the header Cookie has the secret."""
-        return any(
-            _same(crumb.strip(), f"{self.name}={self.secret}") for crumb in cookie.split(";")
-        )
 
 
 def _same(first: str, second: str) -> bool:
     """Compare two texts in constant time."""
-    return compare_digest(
-        first.encode("utf-8", "surrogatepass"), second.encode("utf-8", "surrogatepass")
-    )
+    return compare_digest(*(text.encode("utf-8", "surrogatepass") for text in (first, second)))
 
 
 def _query(target: str) -> list[tuple[str, str]]:
@@ -207,28 +199,24 @@ class PageHandler(BaseHTTPRequestHandler):
         access = self.server.access
         header = self.headers.get
         self.introduced = access.shown_by(self.path, header("Authorization", ""))
-        admitted = not access.token or self.introduced or access.remembered_by(header("Cookie", ""))
-        foreign_name = self.server.local and not is_local_name(header("Host", ""))
-        if not admitted or foreign_name or self._is_of_foreign_page():
+        cookie = f"{access.name}={access.secret}"
+        remembered = any(_same(crumb.strip(), cookie) for crumb in header("Cookie", "").split(";"))
+        admitted = not access.token or self.introduced or remembered
+        host = header("Host", "")
+        foreign_name = self.server.local and not is_local_name(host)
+        # A browser says which page makes the request. A link to the page itself is none of another.
+        origin = header("Origin")
+        foreign_origin = origin is not None and urlsplit(origin).netloc != host
+        link = self.command == "GET" and urlsplit(self.path).path == "/"
+        foreign_site = header("Sec-Fetch-Site", "none") not in ("none", "same-origin") and not link
+        if not admitted or foreign_name or foreign_origin or foreign_site:
             self.send_error(HTTPStatus.FORBIDDEN)
             return False
         return True
 
-    def _is_of_foreign_page(self) -> bool:
-        """Return whether a browser says that another page makes the request.
-
-        A link to the page itself is none.
-        """
-        origin = self.headers.get("Origin")
-        site = self.headers.get("Sec-Fetch-Site", "none")
-        if origin is not None and urlsplit(origin).netloc != self.headers.get("Host", ""):
-            return True
-        link = self.command == "GET" and urlsplit(self.path).path == "/"
-        return site not in ("none", "same-origin") and not link
-
     def do_GET(self) -> None:
         """Serve the page at / and the views at /views."""
-        path = self.path if not self.introduced else urlsplit(self.path).path
+        path = urlsplit(self.path).path if self.introduced else self.path
         if path == "/":
             self._start("text/html; charset=utf-8", len(self.server.page))
             self.wfile.write(self.server.page)
@@ -252,10 +240,10 @@ class PageHandler(BaseHTTPRequestHandler):
         """
         actions = self.server.actions
         action = urlsplit(self.path).path.removeprefix("/")
-        record = actions.record
-        name = dict(_query(self.path)).get("name", "")
         callables = {"zero": actions.tare, "acknowledge": actions.acknowledge}
-        callables |= {"record": lambda: record(name)} if record else {}
+        if actions.record:
+            name = dict(_query(self.path)).get("name", "")
+            callables["record"] = partial(actions.record, name)
         if action not in callables:
             self.send_error(HTTPStatus.NOT_FOUND)
         elif (
@@ -286,7 +274,8 @@ class PageHandler(BaseHTTPRequestHandler):
     ) -> None:
         """Send the status and the headers of an answer; `length` is that of its body in bytes."""
         headers = {"Content-Type": kind} | HEADERS | further
-        headers |= {} if length is None else {"Content-Length": str(length)}
+        if length is not None:
+            headers["Content-Length"] = f"{length}"
         if status is HTTPStatus.OK and self.introduced:
             access = self.server.access
             headers["Set-Cookie"] = f"{access.name}={access.secret}; HttpOnly; SameSite=Lax; Path=/"
@@ -390,12 +379,7 @@ def serving(
             f"--http: cannot listen at {host}:{port} ({error.strerror or error})"
         ) from error
     with server:
-        thread = Thread(
-            target=server.serve_forever,
-            kwargs={"poll_interval": 0.1},
-            name="lampest-http",
-            daemon=True,
-        )
+        thread = Thread(target=server.serve_forever, args=(0.1,), name="lampest-http", daemon=True)
         thread.start()
         try:
             yield server

@@ -90,15 +90,11 @@ class SecondLook:
         force = None
         if cells is not None:
             same_weights = stream.weights == self.stream.weights
-            lower = (
-                None
-                if same_weights and step.solution.objective > self.objective * (1 - SAME_MINIMUM)
-                else cells
-            )
+            if not same_weights or step.solution.objective <= self.objective * (1 - SAME_MINIMUM):
+                lower = cells
             if step.bars is not None and not np.isnan(stream.baseline_resistance).any():
-                force = read_load(
-                    self.load, cells / stream.baseline_resistance, step.bars, self.time
-                )[1]
+                ratio = cells / stream.baseline_resistance
+                _, force = read_load(self.load, ratio, step.bars, self.time)
         return Findings(self.number, stream.weights, stream.weighed_at, lower, force)
 
 
@@ -150,11 +146,9 @@ class PanelState:
         """
         if scene.panel.modules is not None and estimator.error_bars == "auto":
             estimator = replace(estimator, error_bars=False)
-        start = cls(
-            begin_stream(estimator, scene, period, resting),
-            PressureTrack.begin(scene, tare=estimator.tare),
-        )
-        return start.in_haste() if hasty and not start.stream.joined else start
+        stream = begin_stream(estimator, scene, period, resting)
+        start = cls(stream, PressureTrack.begin(scene, tare=estimator.tare))
+        return start.in_haste() if hasty and not stream.joined else start
 
     def in_haste(self) -> "PanelState":
         """Return a state that solves frames as fast as possible.
@@ -163,19 +157,17 @@ class PanelState:
         baseline.
         """
         stream = self.stream
-        baseline = self.stream.baseline
+        baseline = stream.baseline
         if (
             stream.weights is None
             and baseline is not None
+            and baseline.solution.solved
             and len(baseline.weights) == len(stream.estimator.terms)
         ):
-            stream = replace(stream, weights=baseline.weights if baseline.solution.solved else None)
+            stream = replace(stream, weights=baseline.weights)
         track = None if stream.estimator.relative else stream.track
-        return replace(
-            self,
-            stream=replace(stream, keeps_weights=True, track=None if track else stream.track),
-            track=track,
-        )
+        kept = None if track else stream.track
+        return replace(self, stream=replace(stream, keeps_weights=True, track=kept), track=track)
 
     def after(self, readings: Readings, ratio: Array | None, time: float) -> "PanelState":
         """Return the state after a solved frame.
@@ -198,14 +190,11 @@ class PanelState:
     ) -> SecondLook | None:
         """Return the second look at a frame that was solved in haste; None if nothing is open."""
         stream = self.stream
-        due = self.stream.weights_due(readings)
-        if (
-            not stream.keeps_weights
-            or not step.solution.solved
-            or not (due or self.track is not None)
-        ):
+        due = stream.weights_due(readings)
+        is_open = due or self.track is not None
+        if not (stream.keeps_weights and step.solution.solved and is_open):
             return None
-        baseline = None if stream.baseline is None else stream.baseline.bare()
+        baseline = stream.baseline and stream.baseline.bare()
         stream = replace(
             stream, keeps_weights=False, prepared=None, track=self.track, baseline=baseline
         )
@@ -289,23 +278,19 @@ def solved_scan(
 def _unsolved_picture(scan: Scan, scene: Scene, number: int, skipped: int) -> Picture:
     """Return the picture of a frame before it is solved; the numbers are those of `solved_scan`."""
     unknown = np.full(scene.panel.shape, np.nan)
-    board = (
-        None
-        if scan.board_log_change is None
-        else 100 * np.expm1(scan.board_log_change.astype(float))
-    )
+    board = scan.board_log_change
     return Picture(
         number,
         scan.time,
         scan.arrived,
         unknown,
         unknown,
-        np.zeros(scene.panel.shape, dtype=bool),
+        unknown > 0,
         UNKNOWN,
         "",
         0.0,
         skipped,
-        board_change=board,
+        board_change=None if board is None else 100 * np.expm1(board.astype(float)),
     )
 
 
@@ -326,15 +311,14 @@ def _with_load(
     """
     solution = step.solution
     pressed, force = read_load(state.load, ratio, step.bars, picture.time)
-    verdict = verdict_of(
-        readings, state.stream.resting, ratio, np.asarray(solution.open_cell[-1], dtype=bool)
-    )
+    open_cell = solution.open_cell[-1]
+    verdict = verdict_of(readings, state.stream.resting, ratio, open_cell.astype(bool))
     if step.bars is None and pressed is not None and "pressing" not in verdict:
         force = Force(0.0, np.nan)
     return replace(
         picture,
         relative_change=100 * (ratio - 1),
-        open_cell=solution.open_cell[-1],
+        open_cell=open_cell,
         force=force,
         cell_resistance=solution.cell_resistance[-1],
         pressure=None if pressed is None else pressed.pressure,
@@ -396,8 +380,8 @@ def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: M
     open_cell : boolean array, shape (rows, columns)
         Cells that cannot be distinguished from open ones; they do not count.
     """
-    moved = np.log(readings.shown / resting.shown)
     # ln of readings over unloaded ones without the common change, against σ of that logarithm
+    moved = np.log(readings.shown / resting.shown)
     moved -= np.nanmedian(moved)
     sigma = readings.sigma_of_values
     resting_sigma = resting.sigma_of_values
@@ -408,9 +392,9 @@ def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: M
     change = np.log(ratio[~open_cell & np.isfinite(ratio)])
     if not np.any(noticed) or not change.size:
         return NOTHING
-    least_pressed = MIN_SHARE * float(np.max(np.abs(change)))
-    pressing = -float(np.min(change)) > least_pressed
-    sucking = float(np.max(change)) > least_pressed
+    least_loaded = MIN_SHARE * np.max(np.abs(change))
+    pressing = -np.min(change) > least_loaded
+    sucking = np.max(change) > least_loaded
     if pressing and sucking:
         return BOTH
     return SUCKING if sucking else PRESSING

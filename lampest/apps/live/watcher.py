@@ -51,14 +51,17 @@ class Scan:
     board_log_change: Array | None = None
 
 
+Scans = tuple[Scan, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Unloaded:
     """Frames of the unloaded panel, from which recognition starts again."""
 
     scene: Scene
-    scans: tuple[Scan, ...]
+    scans: Scans
 
-    def recording(self, loaded: tuple[Scan, ...] = (), name: str = "") -> Recording:
+    def recording(self, loaded: Scans = (), name: str = "") -> Recording:
         """Return these frames, and loaded ones after them, as a recording.
 
         σ is None unless all frames have it.
@@ -68,9 +71,8 @@ class Unloaded:
         sigma = np.stack(known) if len(known) == len(scans) else None
         role = np.repeat([UNLOADED, MEASURED], [len(self.scans), len(loaded)]).astype(np.uint8)
         times = np.arange(float(len(scans))) if loaded else np.array([scan.time for scan in scans])
-        return Recording(
-            self.scene, np.stack([scan.recorded for scan in scans]), times, role, sigma, name=name
-        )
+        recorded = np.stack([scan.recorded for scan in scans])
+        return Recording(self.scene, recorded, times, role, sigma, name=name)
 
 
 # a number requests that so many of the next frames become the new zero
@@ -106,7 +108,7 @@ class Watched:
     watch: Watch | ImageWatch | None = None
     times: tuple[float, ...] = ()
     missing: int = 0
-    zero: tuple[Scan, ...] = ()
+    zero: Scans = ()
 
     def after(self, news: News) -> "Watched":
         """Return the state after unloaded frames, a frame, or a request for a zero."""
@@ -122,11 +124,9 @@ class Watched:
         except (ArithmeticError, ValueError) as error:
             return replace(start, why=logged_reason(error, self.name))
         zeroed = replace(self, missing=self.missing - 1, zero=(*self.zero, news))
-        return (
-            zeroed
-            if zeroed.missing or self.scene is None
-            else zeroed.after(Unloaded(self.scene, zeroed.zero))
-        )
+        if zeroed.missing or self.scene is None:
+            return zeroed
+        return zeroed.after(Unloaded(self.scene, zeroed.zero))
 
     @property
     def detected(self) -> Detected:
@@ -144,11 +144,10 @@ class Watched:
         if isinstance(known, Detected):
             return replace(start, why=known.why)
         watch = known.watch()
-        before = () if self.watch is None else self.watch.attachments
         end = news.scans[0].time
         closed = tuple(
             replace(attachment, until_s=end) if attachment.present else attachment
-            for attachment in before
+            for attachment in (self.watch.attachments if self.watch else ())
         )
         return replace(start, known=known, watch=replace(watch, attachments=closed))
 
@@ -161,14 +160,9 @@ class Watched:
             return self
         readings = Readings.of(self.known.scene, scan.recorded, scan.sigma)
         watch = self.watch.push(*self.known.values(readings), scan.time)
-        ended = [attachment for attachment in watch.attachments if not attachment.present][
-            -MAX_REMEMBERED:
-        ]
-        remembered = (
-            attachment
-            for attachment in watch.attachments
-            if attachment.present or attachment in ended
-        )
+        ended = [attachment for attachment in watch.attachments if not attachment.present]
+        forgotten = ended[:-MAX_REMEMBERED]
+        remembered = (each for each in watch.attachments if each not in forgotten)
         watch = replace(watch, attachments=tuple(remembered))
         return replace(self, why="", watch=watch, times=(*self.times[-HEAD_FRAMES:], scan.time))
 
@@ -190,11 +184,9 @@ def watcher(name: str, on_answer: Callable[[Detected], None]) -> Beside[list[New
     """Return a process that watches lists of news; answers come from a thread of its own."""
 
     def answered(batch: list[News], answer: Any) -> None:
-        on_answer(
-            answer
-            if isinstance(answer, Detected)
-            else Detected.unknown(name, logged_reason(answer, name))
-        )
+        if not isinstance(answer, Detected):
+            answer = Detected.unknown(name, logged_reason(answer, name))
+        on_answer(answer)
 
     return Beside(
         Desk(name), in_one_batch, answered, lambda: on_answer(Detected.unknown(name, DIED))
@@ -208,10 +200,6 @@ def in_one_batch(more: list[News], waiting: list[list[News]]) -> list[list[News]
     """
     batch = [*(waiting[0] if waiting else []), *more]
     if len(batch) > MAX_WAITING:
-        odd = len(batch) % 2
-        batch = [
-            news
-            for number, news in enumerate(batch, odd)
-            if number % 2 or not isinstance(news, Scan)
-        ]
+        numbered = enumerate(batch, len(batch) % 2)
+        batch = [news for number, news in numbered if number % 2 or not isinstance(news, Scan)]
     return [batch]

@@ -1,5 +1,6 @@
 """Constants of one estimator on one panel, as the C library `lampest_estimate` takes them."""
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,6 +22,7 @@ from lampest.panel.readouts.unseen import unseen_scales
 from lampest.panel.scene import Scene
 from lampest.runs.case import CaseResult
 
+Sums = NDArray[np.uint32]  # of codes, MISSING where there is none
 MAX_LINES = 64  # of a side: LAMPEST_MAX_LINES
 MIN_OHM = 1e-3  # of a cell: SMALLEST_OHM
 MAX_OHM = 1e9  # of a cell: LARGEST_OHM
@@ -226,12 +228,9 @@ class Constants:
         """Return the constants of a case, unchecked."""
         scene = case.scene
         check_scene(scene)
-        readout = scene.circuit
         lines = None
-        if readout.unit == "volt":
-            lines = CircuitLines.of(readout, scene.panel.shape)
-        recorded = readout.to_recorded(case.measured, scene)
-        sigma_volt = _sigma_volt(case, recorded)
+        if scene.circuit.unit == "volt":
+            lines = CircuitLines.of(scene.circuit, scene.panel.shape)
         content = parse_document(case.case_yaml, f"{case.recording} × {case.estimator}").content
         terms = content["terms"]
         (data,) = [term for term in terms if term["kind"] == "misfit"]
@@ -243,10 +242,10 @@ class Constants:
         penalties = tuple(_penalty(term, case, scale) for term in terms if term is not data)
         loss, corner = _loss(data)
         solved = case.solved
-        noisy = 0.0
+        limit = MIN_LOADED_LIMIT
         if case.sigma_own is not None:
             noisy = LOADED_DEVIATIONS * float(np.nanmedian(case.sigma_own[solved]))
-        limit = max(MIN_LOADED_LIMIT, noisy if np.isfinite(noisy) else 0.0)
+            limit = max(limit, noisy if np.isfinite(noisy) else 0.0)
         bounds = content.get("bounds", {})
         lower = bounds.get("lower", "measured")
         upper = bounds.get("upper", "resolution")
@@ -258,7 +257,7 @@ class Constants:
         return cls(
             scene,
             lines,
-            sigma_volt,
+            _sigma_volt(case),
             plain / np.sqrt(data.get("weight", 1.0)),
             loss,
             corner / (plain or 1.0),
@@ -276,39 +275,36 @@ class Constants:
 
         A compiler would refuse it, or the board.
         """
-        losses = [
-            (self.data_loss, self.data_corner),
-            *((term.loss, term.corner) for term in self.penalties),
-        ]
+        losses = [(self.data_loss, self.data_corner)]
+        losses += [(term.loss, term.corner) for term in self.penalties]
         # The ranges are those that `constants_are_sound` of the library allows.
-        numbers: list[tuple[str, Any, tuple[float, float]]] = [
-            ("cells at rest, ohm,", self.baseline, (MIN_OHM, MAX_OHM)),
-            ("noise, volt,", self.sigma_volt, (1e-12, 1e6)),
-            ("noise of plain misfits", self.plain_sigma, (0.0, 1e12)),
-            ("supplies, volt,", self.scene.circuit.supply_volt, (1e-3, 1e3)),
-            (
-                "corners of losses",
+        numbers: dict[str, tuple[Any, float, float]] = {
+            "cells at rest, ohm,": (self.baseline, MIN_OHM, MAX_OHM),
+            "noise, volt,": (self.sigma_volt, 1e-12, 1e6),
+            "noise of plain misfits": (self.plain_sigma, 0.0, 1e12),
+            "supplies, volt,": (self.scene.circuit.supply_volt, 1e-3, 1e3),
+            "corners of losses": (
                 [corner for loss, corner in losses if loss != "LAMPEST_SQUARED"],
-                (1e-12, 1e12),
+                1e-12,
+                1e12,
             ),
-            ("weights", [term.weight for term in self.penalties], (0.0, 1e30)),
-            ("lower bounds, ohm,", self.least_ohm, (0.0, MAX_OHM)),
-            ("upper bounds, ohm,", self.largest_ohm, (0.0, 1e15)),
-            ("limits of loaded cells, ln r,", self.loaded_limit, (0.0, MAX_LOADED_LIMIT)),
-            ("series resistances, ohm,", self.scene.series_ohm, (0.0, MAX_OHM)),
-        ]
+            "weights": ([term.weight for term in self.penalties], 0.0, 1e30),
+            "lower bounds, ohm,": (self.least_ohm, 0.0, MAX_OHM),
+            "upper bounds, ohm,": (self.largest_ohm, 0.0, 1e15),
+            "limits of loaded cells, ln r,": (self.loaded_limit, 0.0, MAX_LOADED_LIMIT),
+            "series resistances, ohm,": (self.scene.series_ohm, 0.0, MAX_OHM),
+        }
         if self.lines is not None:
-            of_lines = (
-                ("ties of lines, siemens,", self.lines.tie, (0.0, 1e9)),
-                ("drive resistances, ohm,", self.lines.drive, (0.0, MAX_OHM)),
-                ("releases of lines", self.lines.release, (-1e9, 1.0)),
-                ("loads of lines, siemens,", self.lines.load, (-1e9, 1e9)),
-                ("gains of lines, volt,", self.lines.gain, (1e-12, 1e12)),
-            )
-            numbers += of_lines
+            numbers |= {
+                "ties of lines, siemens,": (self.lines.tie, 0.0, 1e9),
+                "drive resistances, ohm,": (self.lines.drive, 0.0, MAX_OHM),
+                "releases of lines": (self.lines.release, -1e9, 1.0),
+                "loads of lines, siemens,": (self.lines.load, -1e9, 1e9),
+                "gains of lines, volt,": (self.lines.gain, 1e-12, 1e12),
+            }
         elif isinstance(self.scene.circuit, TwoPointReadout):
-            numbers.append(("references, ohm,", self.scene.circuit.reference_ohm, (1e-6, MAX_OHM)))
-        for name, values, (low, high) in numbers:
+            numbers["references, ohm,"] = (self.scene.circuit.reference_ohm, 1e-6, MAX_OHM)
+        for name, (values, low, high) in numbers.items():
             flat = np.ravel(np.asarray(values, dtype=float))
             beyond = flat[~((flat >= low) & (flat <= high))]
             if beyond.size:
@@ -320,8 +316,8 @@ class Constants:
                 f"bounds: the lower one, {self.least_ohm:g} ohm, "
                 f"exceeds the upper, {self.largest_ohm:g}"
             )
-        low_sum, high_sum = self.valid_sums
-        if low_sum > high_sum:
+        low, high = self.valid_sums
+        if low > high:
             raise InputError(
                 "no sum of codes is a value: all are at an end of the converter's range"
             )
@@ -342,9 +338,8 @@ class Constants:
         readout = self.scene.circuit
         ends = readout.steps_from_volt(readout.volt_from_recorded(np.array(readout.rails())))
         low, high = np.sort(ends) * readout.readings
-        return int(np.clip(np.ceil(low - 1e-6), 0, self.top_sum)), int(
-            np.clip(np.floor(high + 1e-6), 0, self.top_sum)
-        )
+        valid = np.clip((np.ceil(low - 1e-6), np.floor(high + 1e-6)), 0, self.top_sum)
+        return int(valid[0]), int(valid[1])
 
     @property
     def relative(self) -> bool:
@@ -377,12 +372,12 @@ class Constants:
         """Whether a reading of the network grows with its sum."""
         readout = self.scene.circuit
         if readout.unit == "ohm":
-            rises = bool(entry(readout, "measured_across") == "sensor")
+            rises = entry(readout, "measured_across") == "sensor"
         else:
             rises = nominal_terminations(readout).sign > 0
-        return rises == (readout.code_sign > 0)
+        return bool(rises == (readout.code_sign > 0))
 
-    def sums_of(self, case: CaseResult) -> NDArray[np.uint32]:
+    def sums_of(self, case: CaseResult) -> Sums:
         """Return the sums of codes of the frames, (frames, rows, columns).
 
         Missing readings are MISSING.
@@ -393,10 +388,9 @@ class Constants:
             sums = readout.steps_from_volt(volt) * readout.readings
         sums = np.clip(np.nan_to_num(np.round(sums)), 0, self.top_sum)
         if case.reading_side is not None:
-            high = case.reading_side == (1 if self.rises else -1)
-            sums = np.where(case.reading_side != 0, np.where(high, self.top_sum, 0), sums)
-        missing = ~np.isfinite(case.measured)
-        return np.where(missing, MISSING, sums).astype(np.uint32)
+            side = case.reading_side if self.rises else -case.reading_side
+            sums = np.where(side > 0, self.top_sum, np.where(side < 0, 0, sums))
+        return np.where(np.isfinite(case.measured), sums, MISSING).astype(np.uint32)
 
 
 def check_scene(scene: Scene) -> None:
@@ -425,9 +419,9 @@ def check_scene(scene: Scene) -> None:
             "the C library has converters of codes from 0 and a straight, rising line only"
         )
     keys = ("idle_volt", "load_volt", "idle_load_volt", "driven_groups", "offset_volt")
-    named = [key for key in keys if getattr(readout, key, None) is not None]
-    if named:
-        raise InputError(f"the C library has no {named[0]}")
+    for key in keys:
+        if getattr(readout, key, None) is not None:
+            raise InputError(f"the C library has no {key}")
     if readout.unit == "ohm" and not readout.two_point:
         raise InputError(f"the C library has no such circuit: {readout.description()}")
     if readout.readings * (2**readout.adc_bits - 1) >= MISSING:
@@ -437,40 +431,31 @@ def check_scene(scene: Scene) -> None:
         )
 
 
-def _sigma_volt(case: CaseResult, recorded: Array) -> Array:
+def _sigma_volt(case: CaseResult) -> Array:
     """Return σ at the converter in volt, (rows, columns): the median over the frames."""
     if case.sigma is None:
         raise InputError(
             f"{case.recording} × {case.estimator}: the noise of the readings is not known"
         )
-    readout = case.scene.circuit
     scene = case.scene
+    readout = scene.circuit
     # d(network reading)/d(volt) by central differences of half a code
-    volt = readout.volt_from_recorded(recorded)
+    volt = readout.volt_from_recorded(readout.to_recorded(case.measured, scene))
     half = readout.lsb_volt / 2
     with np.errstate(invalid="ignore", divide="ignore"):
-        ends = [
-            readout.from_recorded(readout.recorded_from_volt(volt + side * half), scene)
-            for side in (1, -1)
-        ]
-        sigma = case.sigma / np.abs((ends[0] - ends[1]) / (2 * half))
+        upper, lower = (
+            readout.from_recorded(readout.recorded_from_volt(volt + side), scene)
+            for side in (half, -half)
+        )
+        sigma = case.sigma / np.abs((upper - lower) / (2 * half))
     sigma[~case.valued | ~np.isfinite(sigma)] = np.nan
     if not np.isfinite(sigma).any():
         raise InputError(f"{case.recording} × {case.estimator}: no reading is a value")
     typical = float(np.nanmedian(sigma))
-    with np.errstate(invalid="ignore"):
-        each = np.array(
-            [
-                [_median(sigma[:, row, column], typical) for column in range(sigma.shape[2])]
-                for row in range(sigma.shape[1])
-            ]
-        )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of cells without a value
+        each = np.nan_to_num(np.nanmedian(sigma, axis=0), nan=typical)
     return np.full_like(each, typical) if np.allclose(each, typical, rtol=1e-3) else each
-
-
-def _median(values: Array, otherwise: float) -> float:
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if finite.size else otherwise
 
 
 def _largest(case: CaseResult) -> float:

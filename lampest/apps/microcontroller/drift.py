@@ -29,20 +29,11 @@ def frames_to_follow(case: CaseResult, loaded_limit: float) -> float:
         change = np.log(case.cell_resistance / case.baseline_resistance)[case.solved]
     flat = change.reshape(len(change), -1)
     flat = flat[:, np.isfinite(flat).all(axis=0)]
-    longest = float(max(CANDIDATES))
     if not flat.size:
-        return longest
-    errors = [_prediction_error(flat, 1 / frames, loaded_limit) for frames in CANDIDATES]
-    least = min(errors)
-    if not np.isfinite(least):
-        return longest
-    return float(
-        max(
-            frames
-            for frames, error in zip(CANDIDATES, errors, strict=True)
-            if error <= MAX_EXCESS * least
-        )
-    )
+        return float(max(CANDIDATES))
+    errors = {frames: _prediction_error(flat, 1 / frames, loaded_limit) for frames in CANDIDATES}
+    largest = MAX_EXCESS * min(errors.values())
+    return float(max(frames for frames, error in errors.items() if error <= largest))
 
 
 def _prediction_error(change: Array, share: float, loaded_limit: float) -> float:

@@ -10,7 +10,6 @@ from lampest.apps.microcontroller.library import constants_fields, library_versi
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene
 
 NUMBERS_A_LINE = 8
 # Smaller ones are zero: about the smallest that single precision has with all its digits.
@@ -40,20 +39,17 @@ class CArray(NamedTuple):
     kind: str
     texts: tuple[str, ...]
 
-    @classmethod
-    def of_floats(cls, values: Array) -> "CArray":
-        """Return an array of floats."""
-        return cls("float", tuple(number(float(value)) for value in np.ravel(values)))
-
     def declaration(self, name: str) -> str:
         """Return the declaration under a name."""
         count = len(self.texts)
-        lines = [
-            ", ".join(self.texts[at : at + NUMBERS_A_LINE])
-            for at in range(0, count, NUMBERS_A_LINE)
-        ]
-        body = ",\n    ".join(lines)
+        starts = range(0, count, NUMBERS_A_LINE)
+        body = ",\n    ".join(", ".join(self.texts[at : at + NUMBERS_A_LINE]) for at in starts)
         return f"static const {self.kind} {name}[{count}] = {{\n    {body}}};\n"
+
+
+def floats(values: Array) -> CArray:
+    """Return an array of floats."""
+    return CArray("float", tuple(map(number, np.ravel(values).tolist())))
 
 
 Entries = dict[str, str | CArray]  # field of lampest_constants → literal, or array
@@ -73,35 +69,21 @@ def header(constants: Constants, name: str, about: Iterable[str]) -> str:
         Lines of the comment at the top.
     """
     rows, columns = constants.scene.panel.shape
-    budget = constants.budget
-    entries = (
-        _panel(constants)
-        | _circuit(constants)
-        | _converter(constants)
-        | _cost(constants)
-        | {
-            "steps": str(budget.steps),
-            "products": str(budget.products),
-            "within": number(budget.within),
-        }
-    )
-    arrays = [
-        entry.declaration(f"{name}_{field}")
-        for field, entry in entries.items()
-        if isinstance(entry, CArray)
-    ]
-    values = {
-        field: f"{name}_{field}" if isinstance(entry, CArray) else entry
-        for field, entry in entries.items()
-    }
+    entries = _panel(constants) | _circuit(constants) | _converter(constants) | _cost(constants)
+    arrays = []
+    values = dict[str, str]()
+    for field, entry in entries.items():
+        if isinstance(entry, CArray):
+            values[field] = f"{name}_{field}"
+            arrays.append(entry.declaration(values[field]))
+        else:
+            values[field] = entry
     # C++ demands designated initialisers in the order of their declaration; absent ones are 0.
     body = "\n".join(f"    .{field} = {values.get(field, '0')}," for field in constants_fields())
     guard = f"{name.upper()}_CONSTANTS_H"
     comment = "\n".join(f" * {line}".rstrip() for line in about)
-    memory = (
-        f"LAMPEST_MEMORY({rows}, {columns}, "
-        f"{int(constants.lines is not None)}, {int(constants.relative)})"
-    )
+    options = f"{constants.lines is not None:d}, {constants.relative:d}"
+    memory = f"LAMPEST_MEMORY({rows}, {columns}, {options})"
     return (
         f'/*\n{comment}\n */\n#ifndef {guard}\n#define {guard}\n\n#include "lampest_estimate.h"\n\n'
         f"#define {name.upper()}_ROWS {rows}\n#define {name.upper()}_COLUMNS {columns}\n"
@@ -116,18 +98,17 @@ def _panel(constants: Constants) -> Entries:
     panel = constants.scene.panel
     rows, columns = panel.shape
     entries: Entries = {
-        "version": str(library_version()),
-        "rows": str(rows),
-        "columns": str(columns),
+        "version": f"{library_version()}",
+        "rows": f"{rows}",
+        "columns": f"{columns}",
     }
     if panel.cells is not None:
-        entries["present"] = CArray(
-            "uint8_t", tuple(str(int(cell)) for cell in panel.present.ravel())
-        )
+        cells = panel.present.ravel().astype(int)
+        entries["present"] = CArray("uint8_t", tuple(map(str, cells)))
     if (pairs := constants.pairs) is not None:
         texts = tuple(f"{{{a}, {b}, {number(d)}}}" for a, b, d in zip(*pairs, strict=True))
         entries["pairs"] = CArray("lampest_pair", texts)
-        entries["pair_count"] = str(len(pairs[0]))
+        entries["pair_count"] = f"{len(texts)}"
     return entries
 
 
@@ -137,20 +118,17 @@ def _circuit(constants: Constants) -> Entries:
     ends = nominal_terminations(readout)
     if constants.lines is not None:
         lines = {
-            field: CArray.of_floats(getattr(constants.lines, field))
+            field: floats(getattr(constants.lines, field))
             for field in ("tie", "drive", "release", "load", "gain")
         }
-        sides = {
+        return lines | {
+            "driven": "true",
             "rows_driven": _literal(ends.driven == "rows"),
             "mirrored": _literal(ends.sign < 0),
         }
-        return {"driven": "true"} | sides | lines
     assert isinstance(readout, TwoPointReadout)
-    return _two_point(constants.scene, readout)
-
-
-def _two_point(scene: Scene, readout: TwoPointReadout) -> Entries:
-    """Return the divider's numbers, and the series resistance of each line."""
+    # The divider's numbers, and the series resistance of each line.
+    scene = constants.scene
     across = readout.measured_across == "reference"
     input_ohm = readout.input_ohm
     scale = 1 / (1 + readout.reference_ohm / input_ohm) if across and input_ohm else 1.0
@@ -167,7 +145,7 @@ def _two_point(scene: Scene, readout: TwoPointReadout) -> Entries:
         # Rows bear what they differ by, columns the rest: the sum is all that a reading shows.
         rows = series[:, 0] - series[:, 0].min()
         columns = series[0] - rows[0]
-        entries["series"] = CArray.of_floats(np.concatenate([rows, columns]))
+        entries["series"] = floats(np.concatenate([rows, columns]))
     return entries
 
 
@@ -176,10 +154,8 @@ def _converter(constants: Constants) -> Entries:
     readout = constants.scene.circuit
     low, high = constants.valid_sums
     # A mirrored voltage is taken from where loads end: the converter's input lowers this potential
-    mirrored_at = readout.supply_volt
     ends = nominal_terminations(readout)
-    if ends.sign < 0:
-        mirrored_at = ends.recorded_reference
+    mirrored_at = ends.recorded_reference if ends.sign < 0 else readout.supply_volt
     alike = bool(np.all(constants.sigma_volt == constants.sigma_volt.flat[0]))
     return {
         "top_sum": f"{constants.top_sum}u",
@@ -188,32 +164,35 @@ def _converter(constants: Constants) -> Entries:
         "volt_per_sum": number(readout.lsb_volt / readout.readings),
         "volt_at_zero": number(readout.zero_volt),
         "supply_volt": number(mirrored_at),
-        "sigma_volt": CArray.of_floats(constants.sigma_volt.ravel()[: 1 if alike else None]),
-        "sigma_count": str(1 if alike else constants.sigma_volt.size),
+        "sigma_volt": floats(constants.sigma_volt.ravel()[: 1 if alike else None]),
+        "sigma_count": f"{1 if alike else constants.sigma_volt.size}",
         "plain_sigma": number(constants.plain_sigma),
     }
 
 
 def _cost(constants: Constants) -> Entries:
-    """Return the loss of the misfit, the penalties, the bounds of cells, and the baseline."""
-    entries: Entries = {
-        "data_loss": constants.data_loss,
-        "data_corner": number(constants.data_corner),
-    }
+    """Return losses, penalties, the bounds of cells, the baseline, and the budget."""
+    entries: Entries = {}
     if constants.penalties:
         terms = tuple(
             f"{{{p.quantity}, {p.difference}, {p.loss}, {number(p.corner)}, {number(p.weight)}}}"
             for p in constants.penalties
         )
         entries["terms"] = CArray("lampest_term", terms)
-        entries["term_count"] = str(len(constants.penalties))
+        entries["term_count"] = f"{len(terms)}"
+    budget = constants.budget
     return entries | {
+        "data_loss": constants.data_loss,
+        "data_corner": number(constants.data_corner),
         "least_ohm": number(constants.least_ohm),
         "largest_ohm": number(constants.largest_ohm),
         "native_bounds": _literal(constants.native_bounds),
-        "baseline": CArray.of_floats(constants.baseline),
+        "baseline": floats(constants.baseline),
         "loaded_limit": number(constants.loaded_limit),
         "follow": number(constants.follow),
+        "steps": f"{budget.steps}",
+        "products": f"{budget.products}",
+        "within": number(budget.within),
     }
 
 

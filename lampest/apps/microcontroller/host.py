@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lampest.apps.microcontroller.constants import Budget, Constants
+from lampest.apps.microcontroller.constants import Budget, Constants, Sums
 from lampest.apps.microcontroller.header import header
 from lampest.apps.microcontroller.library import library_folder, sources
 from lampest.files.errors import InputError
@@ -41,7 +40,9 @@ static void put(lampest_status s, float *numbers) {
 void host_frame(const uint32_t *sums, float *change, float *numbers) {
     put(lampest_frame(&host_panel, sums, change), numbers);
 }
-void host_baseline(const uint32_t *sums, float *numbers) { put(lampest_baseline(&host_panel, sums), numbers); }
+void host_baseline(const uint32_t *sums, float *change, float *numbers) {
+    put(lampest_baseline(&host_panel, sums), numbers);
+}
 int host_follow(void) { return lampest_follow(&host_panel); }
 float host_deviation(int row, int column, int products) {
     return lampest_deviation(&host_panel, row, column, products);
@@ -94,7 +95,7 @@ class Host:
             self.library.host_begin(budget.steps, budget.products, ctypes.c_float(budget.within))
         )
 
-    def frame(self, sums: NDArray[np.uint32]) -> tuple[Array, Array]:
+    def frame(self, sums: Sums) -> tuple[Array, Array]:
         """Process one frame.
 
         Returns
@@ -102,11 +103,11 @@ class Host:
         log_change : array, shape (rows, columns)
         status : array, shape (8,)
         """
-        return self._call(self.library.host_frame, sums, changes=True)
+        return self._call(self.library.host_frame, sums)
 
-    def baseline(self, sums: NDArray[np.uint32]) -> Array:
+    def baseline(self, sums: Sums) -> Array:
         """Add a frame to the baseline, and return its status (8,)."""
-        return self._call(self.library.host_baseline, sums, changes=False)[1]
+        return self._call(self.library.host_baseline, sums)[1]
 
     def follow(self) -> bool:
         """Let the baseline follow the last frame; return whether it moved."""
@@ -116,30 +117,26 @@ class Host:
         """Return the standard deviation of ln r of a cell."""
         return float(self.library.host_deviation(row, column, products))
 
-    def frames(self, sums: NDArray[np.uint32], budget: Budget) -> Answers:
+    def frames(self, sums: Sums, budget: Budget) -> Answers:
         """Return the answers to frames (frames, rows, columns) from the baseline on."""
         if outcome := self.begin(budget):
             raise InputError(f"the C library refuses its constants (outcome {outcome})")
-        answers = [self.frame(frame) for frame in sums]
-        status = np.array([numbers for _, numbers in answers])
-        return Answers(np.array([change for change, _ in answers]), *status.T)
+        changes, statuses = zip(*map(self.frame, sums), strict=True)
+        return Answers(np.array(changes), *np.array(statuses).T)
 
-    def _call(
-        self, function: Any, sums: NDArray[np.uint32], *, changes: bool
-    ) -> tuple[Array, Array]:
+    def _call(self, function: Any, sums: Sums) -> tuple[Array, Array]:
         """Call a function of the C library with sums of codes, (rows, columns).
 
         Returns
         -------
         change : array, shape (rows, columns)
-            ln r/r0; zeros unless `changes`.
+            ln r/r0; zeros of a function that gives none.
         status : array, shape (8,)
         """
         held = np.ascontiguousarray(sums, np.uint32)
         change = np.zeros(self.shape, np.float32)
         status = np.zeros(8, np.float32)
-        arrays = (held, change, status) if changes else (held, status)
-        function(*(array.ctypes.data_as(ctypes.c_void_p) for array in arrays))
+        function(*(array.ctypes.data_as(ctypes.c_void_p) for array in (held, change, status)))
         return change.astype(float), status.astype(float)
 
 
@@ -158,11 +155,11 @@ def compiled(constants: Constants, *flags: str, program: str = "") -> Iterator[H
         place = Path(name)
         (place / "panel_constants.h").write_text(header(constants, "panel", ()), encoding="ascii")
         (place / "host.c").write_text(HOST + program, encoding="ascii")
-        files = [str(path) for path in sources() if path.suffix == ".c"]
-        build = [command, *FLAGS, *flags, f"-I{library_folder()}", str(place / "host.c"), *files]
+        files = [f"{path}" for path in (place / "host.c", *sources()) if path.suffix == ".c"]
+        build = [command, *FLAGS, *flags, f"-I{library_folder()}", *files]
         try:
             done = subprocess.run(
-                [*build, "-o", str(place / "host.so"), "-lm"],
+                [*build, "-o", f"{place}/host.so", "-lm"],
                 capture_output=True,
                 text=True,
                 check=False,
@@ -173,7 +170,7 @@ def compiled(constants: Constants, *flags: str, program: str = "") -> Iterator[H
             raise InputError(
                 f"{command} does not compile the C library: {done.stderr.strip().splitlines()[:1]}"
             )
-        library = ctypes.CDLL(str(place / "host.so"))
+        library = ctypes.CDLL(f"{place}/host.so")
     # The folder is gone while the library is used, so that nothing remains of a process that is
     # killed then.
     library.host_deviation.restype = ctypes.c_float

@@ -7,13 +7,12 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lampest.apps.microcontroller.constants import Budget, Constants
+from lampest.apps.microcontroller.constants import Budget, Constants, Sums
 from lampest.apps.microcontroller.header import header, number
 from lampest.apps.microcontroller.host import compiled, compiler
 from lampest.apps.microcontroller.library import library_version, sources
-from lampest.apps.microcontroller.trade import PROCESSORS, Trade, chosen_budget, trades
+from lampest.apps.microcontroller.trade import PROCESSORS, Trades, chosen_budget, trades
 from lampest.files.errors import InputError
 from lampest.files.typed import typed
 from lampest.files.whole import output_folder, refuse_inputs, sparing, whole_file
@@ -21,6 +20,7 @@ from lampest.panel.panel import Array
 from lampest.runs.case import CaseResult
 from lampest.runs.results import read_results
 
+Notes = tuple[str, ...]
 VECTOR_FRAMES = 6  # of the test vector: 600 bytes of flash each at 10 × 10
 SAME = 1e-5  # ln r: largest difference of the same arithmetic on two processors
 SKETCH = """\
@@ -109,10 +109,10 @@ class Sketch:
     """
 
     files: tuple[Path, ...]
-    about: tuple[str, ...]
-    table: tuple[Trade, ...]
+    about: Notes
+    table: Trades
     budget: Budget
-    notes: tuple[str, ...]
+    notes: Notes
 
 
 @dataclass(frozen=True)
@@ -133,11 +133,6 @@ class Wishes:
             raise InputError(
                 "--processor belongs to --milliseconds, the longest time of a frame on it"
             )
-
-    @property
-    def any(self) -> bool:
-        """Whether any wish is stated."""
-        return self.within is not None or self.milliseconds is not None
 
 
 @typed
@@ -172,8 +167,7 @@ def export_sketch(
     folder = source.with_name("panel_sketch") if out is None else Path(out)
     with sparing((source,)), ExitStack() as files:
         case = _case_of(source, recording, estimator)
-        measured = _measured(Constants.of(case), case, wishes)
-        constants = measured.constants
+        table, constants, vector, notes = _measured(Constants.of(case), case, wishes)
         budget = constants.budget
         about = (
             f"{case.recording} × {case.estimator}: {constants.scene.circuit.description()}",
@@ -186,7 +180,7 @@ def export_sketch(
         contents = {
             sketch: SKETCH,
             "panel_constants.h": _panel_header(constants, about),
-            "test_vector.h": measured.vector,
+            "test_vector.h": vector,
         } | {path.name: path.read_text(encoding="utf-8") for path in sources()}
         output_folder(folder)
         written = tuple(folder / name for name in contents)
@@ -194,10 +188,10 @@ def export_sketch(
         for path, content in zip(written, contents.values(), strict=True):
             files.enter_context(whole_file(path)).write_text(content, encoding="utf-8")
         (folder / sketch).unlink(missing_ok=True)
-    return Sketch(written, about, measured.table, budget, measured.notes)
+    return Sketch(written, about, table, budget, notes)
 
 
-def _panel_header(constants: Constants, about: tuple[str, ...]) -> str:
+def _panel_header(constants: Constants, about: Notes) -> str:
     """Return the constants as a header in C, with the number of readings in each sum."""
     head = (
         "Constants of an estimator, "
@@ -223,12 +217,15 @@ def _case_of(source: Path, recording: str | None, estimator: str | None) -> Case
     return cases[0]
 
 
-@dataclass(frozen=True, eq=False)
-class _Measured:
-    """Measurement of budgets, and the choice of one.
+def _measured(
+    constants: Constants, case: CaseResult, wishes: Wishes
+) -> tuple[Trades, Constants, str, Notes]:
+    """Measure the budgets on the first frames of a case, and choose one.
 
-    Attributes
-    ----------
+    Without a C compiler the budget is the usual one, and the vector holds the optimum.
+
+    Returns
+    -------
     table : tuple of Trade
         Accuracy of each budget; empty without a C compiler or error bars.
     constants : Constants
@@ -237,21 +234,10 @@ class _Measured:
         Test vector as a header.
     notes : tuple of str
     """
-
-    table: tuple[Trade, ...]
-    constants: Constants
-    vector: str
-    notes: tuple[str, ...]
-
-
-def _measured(constants: Constants, case: CaseResult, wishes: Wishes) -> _Measured:
-    """Measure the budgets on the first frames of a case, and choose one.
-
-    Without a C compiler the budget is the usual one, and the vector holds the optimum.
-    """
     sums = constants.sums_of(case)[:VECTOR_FRAMES]
+    any_wish = wishes != Wishes()
     if compiler() is None:
-        if wishes.any:
+        if any_wish:
             raise InputError(
                 "--within and --milliseconds need a C compiler here "
                 "(cc, gcc or clang), to measure budgets"
@@ -264,25 +250,25 @@ def _measured(constants: Constants, case: CaseResult, wishes: Wishes) -> _Measur
             "no C compiler here (cc, gcc or clang): "
             "budgets are not measured, the usual one is taken"
         )
-        return _Measured((), constants, _vector(sums, optimum, 0.1), (note,))
-    notes: list[str] = []
-    table: tuple[Trade, ...] = ()
+        return (), constants, _vector(sums, optimum, 0.1), (note,)
+    table: Trades = ()
     with compiled(constants) as host:
-        if case.sigma_own is None and not wishes.any:
-            notes.append(
+        notes: Notes = (f"working memory {host.bytes / 1000:.1f} kB",)
+        if case.sigma_own is None and not any_wish:
+            note = (
                 "these results have no error bars, the unit of deviations: "
                 "the usual budget is taken"
             )
+            notes = (note, *notes)
         else:
             table = trades(host, constants, case)
             trade, aim = chosen_budget(table, wishes.within, wishes.milliseconds, wishes.processor)
             constants = constants.within(replace(trade.budget, within=aim))
-        notes.append(f"working memory {host.bytes / 1000:.1f} kB")
         answers = host.frames(sums, constants.budget).log_change
-    return _Measured(table, constants, _vector(sums, answers, SAME), tuple(notes))
+    return table, constants, _vector(sums, answers, SAME), notes
 
 
-def _vector(sums: NDArray[np.uint32], changes: Array, tolerance: float) -> str:
+def _vector(sums: Sums, changes: Array, tolerance: float) -> str:
     """Return the test vector as a header."""
 
     def rows(values: Iterable[Iterable[str]]) -> str:

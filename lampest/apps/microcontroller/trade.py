@@ -15,26 +15,15 @@ from lampest.panel.panel import Array
 from lampest.report.compare import Table
 from lampest.runs.case import CaseResult
 
-
-@dataclass(frozen=True)
-class Processor:
-    """Clock in MHz, and least and most cycles of an instruction.
-
-    Cycles are estimates from manuals for this mix of loads, stores and fused products, and were not
-    measured on boards.
-    """
-
-    megahertz: float
-    cycles: tuple[float, float]
-
-
+# Clock in MHz, and least and most cycles of an instruction: estimates from manuals for this mix of
+# loads, stores and fused products, which were not measured on boards.
 PROCESSORS = {
     # Technical reference manual: one cycle, and one or two more for loads, stores and waits of the
     # FPU; divisions take 14.
-    "cortex-m4f": Processor(120.0, (1.6, 1.8)),
-    "cortex-m7": Processor(600.0, (0.7, 1.1)),  # two instructions at once, where they do not wait
-    "rp2350": Processor(150.0, (1.5, 1.8)),  # one Cortex-M33, whose pipeline is that of the M4
-    "esp32": Processor(240.0, (1.6, 2.5)),  # loads wait
+    "cortex-m4f": (120.0, 1.6, 1.8),
+    "cortex-m7": (600.0, 0.7, 1.1),  # two instructions at once, where they do not wait
+    "rp2350": (150.0, 1.5, 1.8),  # one Cortex-M33, whose pipeline is that of the M4
+    "esp32": (240.0, 1.6, 2.5),  # loads wait
 }
 BUDGETS = (
     *(Budget(1, products, 0.0) for products in (3, 5, 8)),
@@ -91,11 +80,12 @@ class Trade:
         least, most : float
             In milliseconds.
         """
-        about = PROCESSORS[processor]
-        least, most = (
-            self.most_instructions * cycles / about.megahertz / 1000 for cycles in about.cycles
-        )
-        return least, most
+        megahertz, least, most = PROCESSORS[processor]
+        of_cycle = self.most_instructions / megahertz / 1000
+        return least * of_cycle, most * of_cycle
+
+
+Trades = tuple[Trade, ...]
 
 
 def operations_of(constants: Constants) -> int:
@@ -106,18 +96,14 @@ def operations_of(constants: Constants) -> int:
 
 def instructions(constants: Constants, products: Array, steps: Array) -> Array:
     """Return the instructions of frames on a Cortex-M4F by their conjugate-gradient iterations."""
-    longer, shorter = sorted(constants.scene.panel.shape, reverse=True)
-    cells = longer * shorter
-    operations = operations_of(constants)
-    of_step = FOR_STEP_CELL * cells + FOR_STEP_LINES * longer * cells
-    return (
-        products * (FOR_OPERATION * operations + FOR_CELL * cells)
-        + steps * of_step
-        + FOR_FRAME_CELL * cells
-    )
+    rows, columns = constants.scene.panel.shape
+    cells = rows * columns
+    of_product = FOR_OPERATION * operations_of(constants) + FOR_CELL * cells
+    of_step = FOR_STEP_CELL + FOR_STEP_LINES * max(rows, columns)
+    return products * of_product + cells * (steps * of_step + FOR_FRAME_CELL)
 
 
-def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, ...]:
+def trades(host: Host, constants: Constants, case: CaseResult) -> Trades:
     """Return effort and accuracy of each budget on the first frames of a case.
 
     Raises InputError without error bars.
@@ -125,7 +111,7 @@ def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, .
     if case.sigma_own is None:
         raise InputError("these results have no error bars, the unit of the deviation")
     affordable = max(MIN_FRAMES, MAX_OPERATIONS // operations_of(constants))
-    count = min(MAX_FRAMES, affordable, len(case.frame))
+    count = min(MAX_FRAMES, affordable)
     sums = constants.sums_of(case)[:count]
     with np.errstate(invalid="ignore", divide="ignore"):
         optimum = np.log(case.cell_resistance / case.baseline_resistance)[:count]
@@ -137,23 +123,17 @@ def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, .
         raise InputError(
             "no frame of these results is solved, so that there is nothing to compare with"
         )
-    strongest = int(
-        np.argmax(np.nansum(np.where(np.isfinite(own), optimum, 0.0) ** 2, axis=(1, 2)))
-    )
+    squares = np.where(np.isfinite(own), optimum, 0.0) ** 2
+    strongest = int(np.argmax(np.nansum(squares, axis=(1, 2))))
     trades = []
     for budget in BUDGETS:
         frames = host.frames(sums, budget)
         deviation = _deviation(frames.log_change[solved], optimum[solved], own[solved])
         touched = host.frames(sums[[strongest, strongest]], budget).log_change[1]
+        touch = _deviation(touched, optimum[strongest], own[strongest])
         spent = instructions(constants, frames.products - frames.steps, frames.steps)
-        measures = (
-            float(np.median(deviation)),
-            float(deviation.max()),
-            float(_deviation(touched, optimum[strongest], own[strongest])),
-            float(spent.mean()),
-            float(spent.max()),
-        )
-        trades.append(Trade(budget, *measures))
+        measures = np.median(deviation), deviation.max(), touch, spent.mean(), spent.max()
+        trades.append(Trade(budget, *map(float, measures)))
     return tuple(trades)
 
 

@@ -79,18 +79,16 @@ def all_frames(cases: Sequence[CaseResult], place: int) -> AllFrames | None:
     most = max(2, min(MAX_FRAMES, MAX_PIXELS // (rows * columns)))
     spread = np.linspace(0, count - 1, min(count, most)).round().astype(int)
     shown = np.unique(np.append(spread, place))
-    changes = {
-        "measured": np.stack(
-            [apparent_change(case.measured[n], case.measured_baseline, case.scene) for n in shown]
-        )
-    }
+    measured = [
+        apparent_change(case.measured[n], case.measured_baseline, case.scene) for n in shown
+    ]
+    changes = {"measured": np.stack(measured)}
     for other in cases[:MAX_SHOWN]:
         solved = other.solved[shown, None, None]
         changes[estimated(other, cases)] = np.where(solved, other.relative_change[shown], np.nan)
     if case.truth is not None and case.truth_baseline is not None:
         changes["truth"] = percent_change(case.truth[shown], case.truth_baseline)
     scale = change_scale(list(changes.values()), "change of resistance [%]")
-    labels = [f"frame {case.frame[n]} at {case.time[n]:.4g} s" for n in shown]
     figure = new_figure(0.6)
     figure.colorbar(
         ScalarMappable(scale.norm, scale.colours),
@@ -102,7 +100,7 @@ def all_frames(cases: Sequence[CaseResult], place: int) -> AllFrames | None:
     return AllFrames(
         tuple(Strip(title, _image(change, scale)) for title, change in changes.items()),
         data_uri(figure),
-        tuple(labels),
+        tuple(f"frame {case.frame[n]} at {case.time[n]:.4g} s" for n in shown),
         int(np.flatnonzero(shown == place)[0]),
         (rows, columns),
         count - len(shown),

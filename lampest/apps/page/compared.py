@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from lampest.files.errors import InputError, counted
 from lampest.panel.panel import Array
 from lampest.report.compare import weighted_residual
 from lampest.report.words import digits, listed, median_text
-from lampest.runs.case import CaseResult
+from lampest.runs.case import CaseResult, Cases
 from lampest.runs.results import Reader, read_results
 
 # Successive parts of a recording whose means are taken as independent. Intervals of 20, 60 and 200
@@ -28,6 +28,7 @@ MIN_SOLVED = 0.95  # share of its frames that an estimator has to solve to be co
 SIMILAR = 0.05
 NONE = "–"
 HARD = "\N{NO-BREAK SPACE}"
+Texts = tuple[str, ...]
 Recordings = Mapping[str, Mapping[str, CaseResult]]  # name → estimator → case
 
 
@@ -35,11 +36,11 @@ Recordings = Mapping[str, Mapping[str, CaseResult]]  # name → estimator → ca
 class Batch:
     """Cases of one or several results files; `sources` are their names."""
 
-    sources: tuple[str, ...]
+    sources: Texts
     recordings: Recordings
 
     @classmethod
-    def of(cls, sources: Sequence[str], cases: Sequence[CaseResult]) -> "Batch":
+    def of(cls, sources: Sequence[str], cases: Cases) -> "Batch":
         """Group cases by recording; no two have the same names."""
         recordings: dict[str, dict[str, CaseResult]] = {}
         for case in cases:
@@ -47,7 +48,7 @@ class Batch:
         return cls(tuple(sources), recordings)
 
     @property
-    def estimators(self) -> tuple[str, ...]:
+    def estimators(self) -> Texts:
         """Names in order, each once."""
         return tuple(dict.fromkeys(name for cases in self.recordings.values() for name in cases))
 
@@ -72,10 +73,10 @@ class Matched:
         Sentences on estimators and recordings that are not compared.
     """
 
-    estimators: tuple[str, ...]
+    estimators: Texts
     recordings: Recordings
     chosen: tuple[NDArray[np.bool_], ...]
-    left_out: tuple[str, ...]
+    left_out: Texts
 
     @property
     def frames(self) -> int:
@@ -100,33 +101,27 @@ def read_batch(paths: Sequence[Path], read: Reader = read_results) -> Batch:
     """
     if len({path.resolve() for path in paths}) < len(paths):
         raise InputError("a results file is named twice")
-    cases: list[CaseResult] = []
+    cases = list[CaseResult]()
     for number, path in enumerate(paths, 1):
         cases += [_renamed(case, cases, number) for case in read(path).cases]
     if not cases:
         raise InputError(f"{', '.join(map(str, paths))}: no results to report")
-    return Batch.of([str(path) for path in paths], cases)
+    return Batch.of(list(map(str, paths)), cases)
 
 
-def _renamed(case: CaseResult, before: Sequence[CaseResult], number: int) -> CaseResult:
+def _renamed(case: CaseResult, before: Cases, number: int) -> CaseResult:
     """Return the case under names that no earlier case has."""
     same_name = [earlier for earlier in before if earlier.recording == case.recording]
-    if same_name and not _same_measurement(case, same_name[0]):
-        return replace(case, recording=f"{case.recording} [{number}]")
+    names = ("frame", "time", "measured", "measured_baseline", "truth", "truth_baseline")
+    for earlier, name in product(same_name[:1], names):
+        ours = getattr(case, name)
+        theirs = getattr(earlier, name)
+        equal_nan = ours is not None and theirs is not None
+        if not np.array_equal(ours, theirs, equal_nan=equal_nan):  # another measurement
+            return replace(case, recording=f"{case.recording} [{number}]")
     if any(earlier.estimator == case.estimator for earlier in same_name):
         return replace(case, estimator=f"{case.estimator} [{number}]")
     return case
-
-
-def _same_measurement(first: CaseResult, second: CaseResult) -> bool:
-    """Return whether two cases have the same frames, readings and truth."""
-    for name in ("frame", "time", "measured", "measured_baseline", "truth", "truth_baseline"):
-        ours = getattr(first, name)
-        theirs = getattr(second, name)
-        both = ours is not None and theirs is not None
-        if not np.array_equal(ours, theirs, equal_nan=both):
-            return False
-    return True
 
 
 def without_copies(recordings: Recordings) -> tuple[Recordings, list[str]]:
@@ -143,25 +138,21 @@ def without_copies(recordings: Recordings) -> tuple[Recordings, list[str]]:
         One sentence on each copy.
     """
     frames_of: dict[str, set[bytes]] = {}
-    copies: list[str] = []
+    copies = list[str]()
     for name, cases in recordings.items():
         frames = [
             np.float32(frame).tobytes()
             for frame in first_of(cases).measured
             if np.isfinite(frame).any()
         ]
-        originals = (
-            earlier
-            for earlier, earlier_frames in frames_of.items()
-            if sum(frame in earlier_frames for frame in frames) > len(frames) / 2
-        )
-        original = next(originals, None)
-        if original is None:
-            frames_of[name] = set(frames)
+        for original, known in frames_of.items():
+            if sum(frame in known for frame in frames) > len(frames) / 2:
+                copies.append(
+                    f"{name}, whose readings are those of {original}: a copy does not count again"
+                )
+                break
         else:
-            copies.append(
-                f"{name}, whose readings are those of {original}: a copy does not count again"
-            )
+            frames_of[name] = {*frames}
     return {name: recordings[name] for name in frames_of}, copies
 
 
@@ -233,14 +224,12 @@ def mean_interval(values: Array, parts: int) -> Interval:
 def positive_mean_interval(values: Array, parts: int) -> Interval:
     """Return the mean of positive values with its interval x̄·e^(±t·s/(x̄·√n)), as `mean_interval`.
 
-    The standard deviation of ln x̄ is that of x̄ over x̄, so that both ends are positive.
+    It is the ratio to one: the standard deviation of ln x̄ is that of x̄ over x̄, so that both ends
+    are positive.
     """
-    interval = mean_interval(values, parts)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        factor = float(np.exp((interval.upper - interval.value) / np.float64(interval.value)))
-    if not interval.value > 0:
-        return interval
-    return Interval(interval.value, interval.value / factor, interval.value * factor)
+    if not np.any(values):
+        return mean_interval(values, parts)
+    return ratio_interval(values, np.ones_like(values), parts)
 
 
 def ratio_interval(values: Array, others: Array, parts: int) -> Interval:
@@ -339,7 +328,7 @@ class Comparison:
 
     criterion: Criterion
     match: Matched
-    units: tuple[str, ...]
+    units: Texts
     values: Array
     standings: tuple[Standing, ...]
 
@@ -413,25 +402,21 @@ def comparison_of(batch: Batch) -> Comparison | None:
     values = _values(match, criterion.per_cell, criterion.average)
     parts = min(len(values), MAX_PARTS) if single else len(values)
     # geometric mean over the units of the median time per frame
-    times = np.exp(
-        _values(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median).mean(
-            axis=0
-        )
-    )
+    logs = _values(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median)
+    times = np.exp(logs.mean(axis=0))
     order = np.argsort(values.mean(axis=0), kind="stable")
     wins = np.sum(values == values.min(axis=1, keepdims=True), axis=0)
-    standings = []
-    for number in order:  # against the smallest mean
-        chosen_values = values[:, number]
-        best = values[:, order[0]]
-        intervals = (
-            positive_mean_interval(chosen_values, parts),
-            ratio_interval(chosen_values, best, parts),
+    standings = tuple(
+        Standing(
+            match.estimators[number],
+            positive_mean_interval(values[:, number], parts),
+            ratio_interval(values[:, number], values[:, order[0]], parts),  # to the smallest mean
+            int(wins[number]),
+            float(times[number]),
         )
-        standings.append(
-            Standing(match.estimators[number], *intervals, int(wins[number]), float(times[number]))
-        )
-    return Comparison(criterion, match, units, values, tuple(standings))
+        for number in order
+    )
+    return Comparison(criterion, match, units, values, standings)
 
 
 def _values(
@@ -441,11 +426,11 @@ def _values(
     columns = []
     for name in match.estimators:
         pairs_of = zip(match.cases(name), match.chosen, strict=True)
-        chosen = [
-            per_cell(case)[frames].reshape(int(np.sum(frames)), -1) for case, frames in pairs_of
-        ]
-        single = average(chosen[0], axis=1)
-        columns.append(single if len(chosen) == 1 else np.array([average(part) for part in chosen]))
+        chosen = [per_cell(case)[frames] for case, frames in pairs_of]
+        if len(chosen) == 1:
+            columns.append(average(chosen[0].reshape(len(chosen[0]), -1), axis=1))
+        else:
+            columns.append(np.array(list(map(average, chosen))))
     return np.stack(columns, axis=1)
 
 
@@ -472,8 +457,8 @@ class Advice:
 
     estimator: str | None
     headline: str
-    reasons: tuple[str, ...]
-    warnings: tuple[str, ...]
+    reasons: Texts
+    warnings: Texts
 
 
 def advise(batch: Batch, comparison: Comparison | None) -> Advice:
@@ -485,37 +470,35 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
     match = comparison.match if comparison else matched(batch.recordings)
     left_out = tuple(f"Not compared: {sentence}." for sentence in match.left_out)
     if comparison is None:
-        headline = "These results cannot rank the estimators."
         gap = "No two estimators solved the same frames."
         if len(match.estimators) > 1 and match.recordings:
             gap = (
                 "A ranking needs the true cells, "
                 "or the noise of the readings and the resolution. Neither is known."
             )
-        return Advice(None, headline, (gap,), left_out)
-    warnings = left_out
+        return Advice(None, "These results cannot rank the estimators.", (gap,), left_out)
+    warning = ""
     if comparison.over_frames:
-        only = "One recording only: the intervals describe its frames, not other subjects or days."
-        warnings = (only, *left_out)
-    elif len(comparison.units) < MIN_RECORDINGS:
-        few = (
-            f"{counted(len(comparison.units), 'recording')} are few: "
-            "the next one may change the ranking."
+        warning = (
+            "One recording only: the intervals describe its frames, not other subjects or days."
         )
-        warnings = (few, *left_out)
+    elif len(comparison.units) < MIN_RECORDINGS:
+        few = counted(len(comparison.units), "recording")
+        warning = f"{few} are few: the next one may change the ranking."
     best = comparison.standings[0]
     largest = (1 + SIMILAR) * best.mean.value
     similar = [
         row for row in comparison.standings if row.mean.value <= largest or not row.is_significant
     ]
     advised = min(similar, key=lambda row: row.milliseconds)
-    weights = weights_text([case.weights for case in comparison.match.cases(advised.estimator)])
+    weights = weights_text([case.weights for case in match.cases(advised.estimator)])
     named = f"{advised.estimator} ({weights})" if weights else advised.estimator
     headline = f"On these data take {named}."
     if len(similar) > 1:
         names = listed([row.estimator for row in similar])
         headline = f"No difference is shown between {names}; {named} is the fastest of them."
     reasons = tuple(_reasons(comparison, advised, similar))
+    warnings = tuple(filter(None, (warning, *left_out)))
     return Advice(advised.estimator, headline, reasons, warnings)
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
-from itertools import chain, combinations
+from itertools import chain, combinations, compress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,7 +30,7 @@ from lampest.report.plots.maps import Tile, maps_figure, signed_scale, values_of
 from lampest.report.plots.style import WIDTH_INCH, data_uri, verbatim
 from lampest.report.strongest import reference_words, strongest_index
 from lampest.report.words import digits
-from lampest.runs.case import CaseResult
+from lampest.runs.case import CaseResult, Cases
 from lampest.runs.executors import each_of
 from lampest.runs.results import Reader, read_results
 
@@ -116,15 +116,12 @@ def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> 
     """
     name, by_estimator, number, drawn = task
     in_full = number < MAX_SHOWN
-    cases = [case for estimator, case in by_estimator.items() if estimator in drawn] or [
-        *by_estimator.values()
-    ][:1]
+    every = [*by_estimator.values()]
+    cases = [case for case in every if case.estimator in drawn] or every[:1]
     place = strongest_index(cases)
     pairs = disagreements(cases) if in_full else ()
+    words = f"Maps of relative change of {name}: measured, by every estimator, and true where known"
     with verbatim():
-        words = (
-            f"Maps of relative change of {name}: measured, by every estimator, and true where known"
-        )
         shown = wide(ContourPlot(), cases, words)
         if in_full:
             frame = int(cases[0].frame[place])
@@ -141,7 +138,7 @@ def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> 
         "frames": all_frames(cases, place) if in_full else None,
         "reference": reference_words(cases[0]),
         "undecided": in_full and len(cases) > 1 and not pairs,
-        "failed": failures([*by_estimator.values()]),
+        "failed": failures(every),
     }
 
 
@@ -188,15 +185,13 @@ class Illustration:
         return not 0 < self.pairs <= MAX_NARROW
 
 
-def wide(plot: Plot, cases: Sequence[CaseResult], words: str) -> list[Illustration]:
+def wide(plot: Plot, cases: Cases, words: str) -> list[Illustration]:
     """Draw a plot over the whole page; empty if no case has its columns."""
     drawable = plot.drawable(cases)
     return [Illustration(plot.kind, data_uri(plot.draw(drawable)), words)] if drawable else []
 
 
-def differences(
-    cases: Sequence[CaseResult], place: int, pairs: Sequence[Disagreement]
-) -> list[Illustration]:
+def differences(cases: Cases, place: int, pairs: Sequence[Disagreement]) -> list[Illustration]:
     """Draw maps of the pairs that differ most, of half the width where there are two at most."""
     tiles = [
         Tile(pair.title, pair.significant[place], f"{digits(pair.share, 2)} %")
@@ -212,31 +207,26 @@ def differences(
     return [Illustration("differences", uri, "Maps of significant differences", len(pairs))]
 
 
-def case_table(groups: Mapping[str, Sequence[CaseResult]]) -> Table:
+def case_table(groups: Mapping[str, Cases]) -> Table:
     """Return a table with a column for each estimator and a line for each figure.
 
     Figures are medians over the cases, counts are sums. Lines without figures are omitted.
     """
     columns = [[figures(case) for case in cases] for cases in groups.values()]
+    weights = (weights_text([case.weights for case in cases]) for cases in groups.values())
     rows = [
         ("frames at a verified optimum", *map(_optima, groups.values())),
-        (
-            "weights",
-            *(weights_text([case.weights for case in cases]) or NONE for cases in groups.values()),
-        ),
+        ("weights", *(text or NONE for text in weights)),
     ]
-    lines = dict.fromkeys(chain.from_iterable(chain.from_iterable(columns)))
-    for line in lines:
-        cells = []
-        for column in columns:
-            values = (case.get(line) for case in column)
-            cells.append(_figure([value for value in values if isinstance(value, int | float)]))
-        rows.append((line, *cells))
+    for line in dict.fromkeys(chain.from_iterable(chain.from_iterable(columns))):
+        figures_of_line = ([case.get(line) for case in column] for column in columns)
+        rows.append((line, *map(_figure, figures_of_line)))
     return Table(("", *groups), tuple(row for row in rows if set(row[1:]) != {NONE}))
 
 
-def _figure(values: Sequence[float]) -> str:
+def _figure(known: Sequence[Any]) -> str:
     """Return the sum of whole numbers, or the median of others, in words."""
+    values = [value for value in known if isinstance(value, int | float)]
     if not values:
         return NONE
     if all(isinstance(value, int) for value in values):
@@ -245,7 +235,7 @@ def _figure(values: Sequence[float]) -> str:
     return f"<{HARD}{MIN_DIFFERENCE:g}" if 0 < value < MIN_DIFFERENCE else digits(value)
 
 
-def _optima(cases: Sequence[CaseResult]) -> str:
+def _optima(cases: Cases) -> str:
     """Return the number of frames at a verified optimum.
 
     An example is '21 of 22 (1 to 7 starts each)'.
@@ -254,19 +244,18 @@ def _optima(cases: Sequence[CaseResult]) -> str:
     if not solves:
         return NONE
     counts, least_starts, most_starts = zip(*solves, strict=True)
-    optima = sum(counts)
     frames = sum(len(case.time) for case in cases)
     least = min(least_starts)
     most = max(most_starts)
     starts = counted(most, "start") if least == most else f"{least} to {most} starts"
-    return f"{optima:,} of {frames:,} ({starts} each)"
+    return f"{sum(counts):,} of {frames:,} ({starts} each)"
 
 
-def failures(cases: Sequence[CaseResult]) -> list[str]:
+def failures(cases: Cases) -> list[str]:
     """Return a sentence for each way in which an estimator failed."""
     sentences = []
     for case in cases:
-        for status in dict.fromkeys(case.status[index] for index in np.flatnonzero(~case.solved)):
+        for status in dict.fromkeys(compress(case.status, ~case.solved)):
             frames = case.frame[[text == status for text in case.status]]
             noun = "frame" if len(frames) == 1 else "frames"
             sentences.append(f"{case.estimator}, {noun} {frames_text(frames.tolist())}: {status}")
@@ -288,26 +277,27 @@ def standing_table(comparison: Comparison) -> Table:
     )
     rows = []
     for row in comparison.standings:
-        times = NONE
+        times = faster = NONE
         verdict = "smallest"
-        ratio = NONE
         if row is not first:
             times = between(row.ratio)
-            ratio = digits(first.milliseconds / row.milliseconds, 2)
+            faster = digits(first.milliseconds / row.milliseconds, 2)
             verdict = "significant" if row.is_significant else "not significant"
         speed = digits(row.milliseconds)
-        rows.append((row.estimator, between(row.mean), times, verdict, str(row.wins), speed, ratio))
+        texts = (between(row.mean), times, verdict, f"{row.wins}", speed, faster)
+        rows.append((row.estimator, *texts))
     return Table(headers, tuple(rows))
 
 
 def unit_table(comparison: Comparison) -> Table:
     """Return a table of the criterion by unit, with the smallest values highlighted."""
-    rows = [
-        (unit, *map(digits, values))
-        for unit, values in zip(comparison.units, comparison.values, strict=True)
-    ]
-    smallest = np.argwhere(comparison.values == comparison.values.min(axis=1, keepdims=True))
-    best = frozenset((int(row), int(column) + 1) for row, column in smallest)
+    values = comparison.values
+    rows = (
+        (unit, *map(digits, of_unit))
+        for unit, of_unit in zip(comparison.units, values, strict=True)
+    )
+    smallest = np.argwhere(values == values.min(axis=1, keepdims=True)).tolist()
+    best = frozenset((row, column + 1) for row, column in smallest)
     return Table(("", *comparison.match.estimators), tuple(rows), best=best)
 
 
@@ -374,7 +364,7 @@ def doubts(estimator: str, recordings: Sequence[Mapping[str, Any]]) -> tuple[str
     return tuple(sentences)
 
 
-def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
+def disagreements(cases: Cases) -> tuple[Disagreement, ...]:
     """Return the significant differences of each pair of cases with error bars.
 
     The largest share comes first. For a > b the difference is significant if a − b > √((a − a_low)²
@@ -387,15 +377,12 @@ def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
         upper = case.relative_change_upper
         # Distances to the ends of the interval, never negative.
         if lower is not None and upper is not None:
-            arms = (
-                np.maximum(case.relative_change - lower, 0.0),
-                np.maximum(upper - case.relative_change, 0.0),
-            )
-            with_arms.append((case, arms))
+            lengths = np.stack([case.relative_change - lower, upper - case.relative_change])
+            with_arms.append((case, *np.maximum(lengths, 0.0)))
     pairs = []
-    for (first, first_arms), (second, second_arms) in combinations(with_arms, 2):
-        first_below, first_above = first_arms
-        second_below, second_above = second_arms
+    for one, other in combinations(with_arms, 2):
+        first, first_below, first_above = one
+        second, second_below, second_above = other
         both = first.solved & second.solved
         difference = first.relative_change - second.relative_change
         # half width of the interval of the difference towards zero
@@ -405,9 +392,8 @@ def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
         significant = np.where(np.abs(difference) > reach, difference, np.nan)
         if np.any(both):
             share = 100 * float(np.mean(np.isfinite(significant[both])))
-            pairs.append(
-                Disagreement(f"{first.estimator} − {second.estimator}", significant, share)
-            )
+            title = f"{first.estimator} − {second.estimator}"
+            pairs.append(Disagreement(title, significant, share))
     return tuple(sorted(pairs, key=lambda pair: -pair.share))
 
 

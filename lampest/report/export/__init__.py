@@ -11,9 +11,9 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-from lampest.files import hdf5
 from lampest.files.applications import applications
 from lampest.files.errors import InputError
+from lampest.files.hdf5 import format_of
 from lampest.files.typed import installed, of_kind, typed
 from lampest.files.whole import refuse_inputs, sparing, whole_file
 from lampest.report.export.formats import (
@@ -75,19 +75,18 @@ def export_results(
     InputError
         For damaged or unfit results, an unknown recording, a missing library, or a bad place.
 
-    Examples
-    --------
     >>> recording = lampest.datasets.load("rod")
     >>> estimate = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> estimate.save("results.h5", "LSM")
     >>> lampest.export_results("results.h5", "mat")[0].name
     'results.mat'
     """
-    if hdf5.format_of(Path(results)).startswith("detections/"):
-        exported = applications().required("recognition", "visits", str(results))
-        return (exported(Path(results), to, out),)
-    export = _format_of(to) if isinstance(to, str) else to
     source = Path(results)
+    if format_of(source).startswith("detections/"):
+        return (applications().required("recognition", "visits", f"{results}")(source, to, out),)
+    export = to
+    if isinstance(export, str):
+        export = of_kind(export, "format", (*EXPORTS, *installed("lampest.exports", Export)))
     path = source.with_suffix(export.suffix) if out is None else Path(out)
     written = (path, path.with_name(path.name + export.beside)) if export.beside else (path,)
     with sparing((source,)), ExitStack() as files:
@@ -96,14 +95,10 @@ def export_results(
         cases = _started(read.cases if recording is None else read.of(recording), start)
         if not cases:
             raise InputError(f"{source}: holds no case that could be exported")
-        unfinished = [files.enter_context(whole_file(file)) for file in written[::-1]]
-        export.write(cases, path.name, unfinished[-1], unfinished[0] if export.beside else None)
+        # The last file that is opened is the first that appears.
+        *beside, unfinished = (files.enter_context(whole_file(file)) for file in written[::-1])
+        export.write(cases, path.name, unfinished, beside[0] if beside else None)
     return written
-
-
-def _format_of(kind: str) -> Export:
-    known: tuple[Export, ...] = (*EXPORTS, *installed("lampest.exports", Export))
-    return of_kind(kind, "format", known)
 
 
 def _started(cases: Sequence[CaseResult], start: str | None) -> tuple[CaseResult, ...]:

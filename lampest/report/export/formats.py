@@ -77,23 +77,25 @@ class CsvExport(Export):
         with path.open("w", encoding="utf-8", newline="") as file:
             write_rows(file, [meanings])
             for table in tables:
-                known = [
-                    table[column].tolist() if column in table else repeat(None)
-                    for column in meanings
-                ]
+                lists = {column: values.tolist() for column, values in table.items()}
+                known = (lists.get(column, repeat(None)) for column in meanings)
                 write_rows(file, zip(*known, strict=False))  # the repeated ones have no end
         columns = [
-            {"name": column, "datatype": CSV_KINDS.get(np.dtype(meaning.dtype).kind, "string")}
-            | {"dc:description": meaning.long_name, "schema:unitText": meaning.units}
+            {
+                "name": column,
+                "datatype": CSV_KINDS.get(np.dtype(meaning.dtype).kind, "string"),
+                "dc:description": meaning.long_name,
+                "schema:unitText": meaning.units,
+            }
             | ({"schema:valueReference": _words(meaning)} if meaning.flags else {})
             for column, meaning in meanings.items()
         ]
-        head = {
+        content = {
             "@context": "http://www.w3.org/ns/csvw",
             "url": name,
             "tableSchema": {"columns": columns},
+            "notes": [case.attributes for case in cases],
         }
-        content = head | {"notes": [case.attributes for case in cases]}
         beside.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
@@ -113,7 +115,7 @@ class ExcelExport(Export):
         with extra("tables"):
             import openpyxl
         tables, meanings = long_tables(cases)
-        longest = max(len(next(iter(table.values()))) for table in tables)
+        longest = max(case.measured.size for case in cases)
         if longest >= MAX_SHEET_ROWS:
             limit = f"a sheet of Excel holds {MAX_SHEET_ROWS:,}"
             raise InputError(
@@ -126,19 +128,14 @@ class ExcelExport(Export):
             flags = ", ".join(f"{value}: {word}" for value, word in _words(meaning).items())
             about_columns.append([column, meaning.units, meaning.long_name, flags])
         for number, (case, table) in enumerate(zip(cases, tables, strict=True), 1):
-            title = re.sub(r"[\[\]:*?/\\']", "_", f"{number} {case.recording} {case.estimator}")[
-                :31
-            ]
-            sheet = book.create_sheet(title)
+            title = re.sub(r"[\[\]:*?/\\']", "_", f"{number} {case.recording} {case.estimator}")
+            sheet = book.create_sheet(title[:31])
             sheet.append(list(table))
             for values in zip(*(column.tolist() for column in table.values()), strict=True):
-                sheet.append([no_formula(_of_cell(value)) for value in values])
+                # Infinite numbers are words.
+                cells = (f"{value}" if value in (np.inf, -np.inf) else value for value in values)
+                sheet.append(list(map(no_formula, cells)))
         book.save(path)
-
-
-def _of_cell(value: Any) -> Any:
-    """Return a value as Excel holds it: infinite numbers are words."""
-    return str(value) if isinstance(value, float) and not np.isfinite(value) else value
 
 
 class ParquetExport(Export):
@@ -159,8 +156,8 @@ class ParquetExport(Export):
         parts = [
             pyarrow.table(
                 {
-                    name: pyarrow.array(v.data, mask=np.ma.getmaskarray(v))
-                    for name, v in columns.items()
+                    column: pyarrow.array(values.data, mask=np.ma.getmaskarray(values))
+                    for column, values in columns.items()
                 }
             )
             for columns in tables
@@ -169,12 +166,9 @@ class ParquetExport(Export):
         fields = []
         for field in table.schema:
             meaning = meanings[field.name]
-            flags = {"flags": json.dumps(_words(meaning))} if meaning.flags else {}
-            fields.append(
-                field.with_metadata(
-                    {"units": meaning.units, "long_name": meaning.long_name} | flags
-                )
-            )
+            about = {"units": meaning.units, "long_name": meaning.long_name}
+            about |= {"flags": json.dumps(_words(meaning))} if meaning.flags else {}
+            fields.append(field.with_metadata(about))
         known = {b"lampest": json.dumps([case.attributes for case in cases]).encode()}
         parquet.write_table(table.cast(pyarrow.schema(fields, known)), path, compression="zstd")
 
@@ -202,23 +196,17 @@ def long_tables(cases: Cases) -> tuple[list[Table], dict[str, Column]]:
         column.label: np.dtype(column.dtype) for column in all_columns() if column.dtype is not str
     }
     tables = list[Table]()
-    meanings = dict[str, Column]()
+    meanings = {word: Column(word, FRAMES, "1", f"name of the {word}", dtype=str) for word in NAMES}
     for case in cases:
-        words = {
-            word: Column(word, FRAMES, "1", f"name of the {word}", dtype=str) for word in NAMES
-        }
         table: dict[str, Values] = {
             word: np.ma.masked_array(np.full(case.measured.size, getattr(case, word), object))
             for word in NAMES
         }
-        meanings |= words
         for label, variable in case.long_columns().items():
             column = variable.column
             name = label if column.units == "1" else f"{label}_{column.units}"
             values = np.asarray(variable.values)
-            missing = (
-                np.isnan(values) if values.dtype.kind == "f" else np.zeros(len(values), dtype=bool)
-            )
+            missing = values != values  # NaN
             dtype = dtypes.get(label, values.dtype)
             filled = np.where(missing, 0, values) if missing.any() else values
             table[name] = np.ma.masked_array(filled.astype(dtype), missing)
@@ -268,11 +256,14 @@ def _struct(case: CaseResult) -> dict[str, Any]:
         name: _cells(variable.values) if variable.column.dtype is str else variable.stored
         for name, variable in held.items()
     }
-    units = {name: column.units for name, column in columns.items() if name not in CELLS}
-    names = {name: variable.column.long_name for name, variable in held.items()}
-    where = {name: variable.values for name, variable in places.items()}
-    further = {"units": units, "long_name": names, "flags": flags}
-    return case.attributes | values | where | further
+    return {
+        **case.attributes,
+        **values,
+        **{name: variable.values for name, variable in places.items()},
+        "units": {name: column.units for name, column in columns.items() if name not in CELLS},
+        "long_name": {name: variable.column.long_name for name, variable in held.items()},
+        "flags": flags,
+    }
 
 
 def _cells(values: Sequence[Any]) -> NDArray[Any]:

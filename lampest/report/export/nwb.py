@@ -37,10 +37,8 @@ class NwbExport(Export):
             from pynwb import NWBHDF5IO
         recordings = dict.fromkeys(case.recording for case in cases)
         if len(recordings) > 1:
-            raise InputError(
-                "an NWB file is one session: "
-                f"choose with --recording one of {', '.join(recordings)}"
-            )
+            named = ", ".join(recordings)
+            raise InputError(f"an NWB file is one session: choose with --recording one of {named}")
         session = _session(cases)
         for element in _elements(cases[0], shared=True):
             session.add_acquisition(element)
@@ -68,8 +66,8 @@ def _session(cases: Cases) -> Any:
     from pynwb.file import Subject
 
     first = cases[0]
-    subject = cases[0].scene.subject
-    experiment = cases[0].scene.experiment or Experiment()
+    subject = first.scene.subject
+    experiment = first.scene.experiment or Experiment()
     start = None
     with suppress(ValueError):
         start = datetime.fromisoformat(first.start_time)
@@ -126,36 +124,36 @@ def _elements(case: CaseResult, *, shared: bool) -> Iterator[Any]:
         if column.dtype is not str and column.axes != CELLS:
             known = {"name": name, "unit": column.units, "description": column.meaning}
             yield TimeSeries(data=variable.stored, timestamps=case.time, **known)
-    rows, lines = np.indices(case.scene.panel.shape)
-    x, y = case.scene.panel.places_mm
+    panel = case.scene.panel
+    rows, lines = np.indices(panel.shape)
+    x, y = panel.places_mm
+    place = "position of the cell, mm"
     places: list[tuple[str, str, Any]] = [
         ("row", "row line", rows),
         ("column", "column line", lines),
+        ("y_mm", place, y),
+        ("x_mm", place, x),
     ]
-    places += [("y_mm", "position of the cell, mm", y), ("x_mm", "position of the cell, mm", x)]
-    if case.scene.panel.heights_mm is not None:
-        places.append(("z_mm", "position of the cell, mm", case.scene.panel.heights_mm))
+    if panel.heights_mm is not None:
+        places.append(("z_mm", place, panel.heights_mm))
     time = [("time", "time of the frame, s", case.time)]
     texts = {name: each for name, each in held.items() if each.column.dtype is str}
     fixed = {name: each for name, each in held.items() if each.column.axes == CELLS}
-    for name, words, first, requested in (
+    for table, words, columns, requested in (
         ("frames", "what frames say in words", time, texts),
         ("cells", "what has no time", places, fixed),
     ):
-        columns = [
-            *first,
-            *(
-                (called, f"{each.column.meaning}, {each.column.units}", each.values)
-                for called, each in requested.items()
-            ),
+        columns += [
+            (name, f"{each.column.meaning}, {each.column.units}", each.values)
+            for name, each in requested.items()
         ]
         vectors = [
             VectorData(
-                name=called,
+                name=name,
                 description=text,
                 data=list(values) if isinstance(values, tuple) else np.ravel(values),
             )
-            for called, text, values in columns
+            for name, text, values in columns
         ]
         if requested:
-            yield DynamicTable(name=name, description=words, columns=vectors)
+            yield DynamicTable(name=table, description=words, columns=vectors)

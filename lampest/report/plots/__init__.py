@@ -45,6 +45,7 @@ from lampest.report.strongest import mean_reading, percent_change, strongest_rea
 from lampest.runs.columns import Column
 from lampest.runs.results import FORMAT, CaseResult, Results, read_results, stored_cases
 
+Size = tuple[float, float] | None  # width and height in inches; None for that of the maps
 PLOTS: tuple[Plot, ...] = (
     ContourPlot(),
     ChangePlot(),
@@ -80,8 +81,7 @@ def plot_results(
 ) -> list[Path]:
     """Draw every recording of a results file into ``<kind>_<recording>.png``; return the files.
 
-    Raises InputError for an unknown plot, frame, recording or estimator, unreadable results,
-    nothing to draw, or a place that cannot be written.
+    Raises InputError for unknown names, unreadable results, nothing to draw, or an unfit place.
 
     Parameters
     ----------
@@ -90,8 +90,7 @@ def plot_results(
     out : path, optional
         Folder, by default that of the results, or a .png, .svg or .pdf file for a single picture.
     show : str or Plot, optional
-        Kind of plot; by default ``sweep`` after a sweep of numbers, unless a frame is named, and
-        else ``contours``.
+        By default ``sweep`` after a sweep of numbers, unless a frame is named, else ``contours``.
     columns, frames : sequence of Column, and range, optional
         As in `read_results`.
     on_picture : callable
@@ -110,20 +109,23 @@ def plot_results(
     plot = None if show is None else _chosen(show, frame)
     path = Path(path)
     target = path.parent if out is None else Path(out)
-    single = None if out is None else _picture_file(target)
+    single = out is not None and target.suffix in SUFFIXES
+    kind = "" if out is None or single else guess_type(target)[0] or ""
+    if kind.startswith(("image/", "application/postscript")):
+        raise InputError(f"{target}: {PICTURES}")
     results = _read(path, columns, frame, frames, recordings, estimators)
     if plot is None:
         swept = frame is None and swept_numbers(results.cases)
         plot = _chosen("sweep" if swept else "contours", frame)
     drawn = _drawn(path, results, plot)
-    if single is not None and len(drawn) > 1:
+    if single and len(drawn) > 1:
         names = ", ".join([*drawn][:3]) + ", …" * (len(drawn) > 3)
         raise InputError(
             f"{target}: one picture cannot hold {len(drawn)} ({names}): "
             "choose a recording, or name a folder"
         )
     ending = "" if frame is None else f"_frame{frame}"
-    files = [single or target / f"{plot.kind}_{name}{ending}.png" for name in drawn]
+    files = [target if single else target / f"{plot.kind}_{name}{ending}.png" for name in drawn]
     return write_all([*drawn.values()], files, on_picture, in_process=isinstance(show, Plot))
 
 
@@ -143,19 +145,6 @@ def _drawn(path: Path, results: Results, plot: Plot) -> dict[str, Callable[[], F
     return drawn
 
 
-def _picture_file(target: Path) -> Path | None:
-    """Return the file of a single picture; None for a folder.
-
-    Raises InputError for a picture of another format.
-    """
-    if target.suffix in SUFFIXES:
-        return target
-    kind = guess_type(target)[0] or ""
-    if kind.startswith(("image/", "application/postscript")):
-        raise InputError(f"{target}: {PICTURES}")
-    return None
-
-
 def _read(
     path: Path,
     columns: Sequence[Column],
@@ -170,8 +159,8 @@ def _read(
     names, and for unreadable results.
     """
     if (
-        frames is None
-        and frame is not None
+        frame is not None
+        and frames is None
         and any(too_long(case.frames, case.cells) for case in stored_cases(path))
     ):
         frames = range(frame, frame + 1)
@@ -208,7 +197,7 @@ def picture(
     show: str | Plot,
     frame: int | None = None,
     ax: Axes | None = None,
-    figsize: tuple[float, float] | None = None,
+    figsize: Size = None,
     **ends: float | None,
 ) -> Figure:
     """Draw the cases of a recording.
@@ -241,41 +230,38 @@ def picture(
     drawable = plot.drawable(cases)
     if not drawable:
         raise InputError(f"{cases[0].recording}: {_lacks(plot)}")
+    return _shown(
+        lambda: plot.draw(drawable), lambda axes: plot.draw_on(axes, drawable), ax, figsize
+    )
+
+
+def _shown(
+    draw: Callable[[], Figure],
+    draw_on: Callable[[Axes], None],
+    ax: Axes | None,
+    figsize: Size,
+) -> Figure:
+    """Return a new figure of a size in inches, or the figure of axes, into which is drawn then.
+
+    Raises InputError for another object than axes, for a size that is none, and for the size of the
+    figure of axes, which has one.
+    """
     with verbatim():
         if ax is None:
-            return sized(plot.draw(drawable), figsize)
-        plot.draw_on(drawable_axes(ax, figsize), drawable)
-        return figure_of(ax)
-
-
-def drawable_axes(ax: Axes, figsize: tuple[float, float] | None) -> Axes:
-    """Return given axes.
-
-    Raises InputError for any other object, and for a size, which the figure of the axes already
-    has.
-    """
-    if not isinstance(ax, Axes):
-        raise InputError(f"ax must be Matplotlib's Axes, not {in_words(ax)}")
-    if figsize is not None:
-        raise InputError("figsize is for a new figure, and ax has one")
-    return ax
-
-
-def figure_of(ax: Axes) -> Figure:
-    """Return the figure of axes, which may be in a part of it."""
-    figure = ax.get_figure(root=True)
-    assert isinstance(figure, Figure)
-    return figure
-
-
-def sized(figure: Figure, figsize: tuple[float, float] | None) -> Figure:
-    """Return a figure of a size in inches. Raises InputError if it is none."""
-    if figsize is None:
-        return figure
-    if len(figsize) != 2 or not all(0 < side < 1000 for side in figsize):
-        raise InputError(f"figsize must be width and height in inches, not {figsize!r}")
-    figure.set_size_inches(*figsize)
-    return figure
+            figure = draw()
+            if figsize is not None:
+                if len(figsize) != 2 or not all(0 < side < 1000 for side in figsize):
+                    raise InputError(f"figsize must be width and height in inches, not {figsize!r}")
+                figure.set_size_inches(*figsize)
+            return figure
+        if not isinstance(ax, Axes):
+            raise InputError(f"ax must be Matplotlib's Axes, not {in_words(ax)}")
+        if figsize is not None:
+            raise InputError("figsize is for a new figure, and ax has one")
+        draw_on(ax)
+    figure_of_axes = ax.get_figure(root=True)  # the axes may be in a part of it
+    assert isinstance(figure_of_axes, Figure)
+    return figure_of_axes
 
 
 def _reading_scale(change: Array, recording: Recording) -> Scale:
@@ -287,7 +273,7 @@ def recording_picture(
     recording: Recording,
     frame: int | None = None,
     ax: Axes | None = None,
-    figsize: tuple[float, float] | None = None,
+    figsize: Size = None,
     vmin: float | None = None,
     vmax: float | None = None,
 ) -> Figure:
@@ -302,8 +288,9 @@ def recording_picture(
             f"{recording.name}: there is no frame {frame}; there are 0 to {len(recording.time) - 1}"
         )
     strongest = strongest_readings(recording)
-    by_default = 0 if strongest is None else strongest[0]
-    number = by_default if frame is None else frame
+    number = frame
+    if number is None:
+        number = 0 if strongest is None else strongest[0]
     values = recording.recorded[number]
     note = f"readings of frame {number} at {recording.time[number]:g} s"
     if strongest is None:
@@ -314,17 +301,19 @@ def recording_picture(
         resting = mean_reading(recording.recorded[recording.role == UNLOADED])
         values = percent_change(values, resting)
         scale = _reading_scale(values, recording)
-    scale = limited(scale, vmin, vmax)
     tile = Tile(recording.name, values, note)
-    with verbatim():
-        if ax is None:
-            return sized(
-                maps_figure([tile], recording.scene.panel, scale, width=WIDTH_INCH / 2), figsize
-            )
-        painter = MapPainter(recording.scene.panel, scale)
-        painter.draw(drawable_axes(ax, figsize), tile)
-        painter.bar(ax.figure, ax, "right")
-        return figure_of(ax)
+    painter = MapPainter(recording.scene.panel, limited(scale, vmin, vmax))
+
+    def draw_on(axes: Axes) -> None:
+        painter.draw(axes, tile)
+        painter.bar(axes.figure, axes, "right")
+
+    return _shown(
+        lambda: maps_figure([tile], painter.panel, painter.scale, width=WIDTH_INCH / 2),
+        draw_on,
+        ax,
+        figsize,
+    )
 
 
 def _chosen(show: str | Plot, frame: int | None) -> Plot:

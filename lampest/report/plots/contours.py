@@ -3,6 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, repeat
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,14 +17,36 @@ from lampest.files.errors import InputError
 from lampest.files.typed import Validated
 from lampest.panel.panel import Array, Mask
 from lampest.report.compare import MIN_DIFFERENCE, figures_of, weighted_residual
-from lampest.report.plots import maps, style
+from lampest.report.plots.maps import (
+    ACROSS_LABEL,
+    DOWN_LABEL,
+    PRESSING,
+    MapPainter,
+    Scale,
+    Tile,
+    change_scale,
+    limited,
+    log_scale,
+    maps_figure,
+    signed_scale,
+    stepped_scale,
+    values_of,
+)
+from lampest.report.plots.style import (
+    PLAIN_NUMBER,
+    SMALL_POINT,
+    change_text,
+    dressed,
+    labelled,
+    new_figure,
+    shared_legend,
+)
 from lampest.report.strongest import apparent_change, as_recorded, percent_change, strongest_index
 from lampest.report.words import digits
 from lampest.runs.case import CaseResult, Cases
 
 CHANGED = 10.0  # percent: cells within the line about the load
-Scales = maps.Scale | list[maps.Scale]  # one for all maps, or several
-Maps = tuple[Scales, list[maps.Tile]]
+Maps = tuple[list[Scale], list[Tile]]
 MAX_ACROSS = 7  # estimators in a row of maps, an inch each
 
 
@@ -110,7 +133,7 @@ class MapsPlot(Plot):
 
         Returns
         -------
-        scales : Scale or list of Scale
+        scales : list of Scale
             One scale for all maps, one for each row, or one for each map.
         tiles : list of Tile
             The maps, row by row.
@@ -120,42 +143,37 @@ class MapsPlot(Plot):
     about: ClassVar[str] = ""
     main: ClassVar[int] = 0  # the map of the first case, which is drawn into given axes
 
-    def _limited(self, scale: Scales) -> Scales:
-        """Return the scale, or all scales but a first one of readings, between vmin and vmax."""
-        if isinstance(scale, maps.Scale):
-            return maps.limited(scale, self.vmin, self.vmax)
-        return [
-            maps.limited(level, self.vmin, self.vmax) if n == self.main else level
-            for n, level in enumerate(scale)
-        ]
+    def _limited(self, cases: Cases) -> tuple[str, Scale, Maps]:
+        """Return the title of the maps, the main scale between vmin and vmax, and the maps with it.
+
+        Raises InputError if the frame has no results.
+        """
+        index, title = self.shown(cases)
+        scales, tiles = self.maps(cases, index)
+        place = min(self.main, len(scales) - 1)
+        scales[place] = limited(scales[place], self.vmin, self.vmax)
+        return title, scales[place], (scales, tiles)
 
     def draw_on(self, axes: Axes, cases: Cases) -> None:
         """Draw the map of the first case, with its colour bar.
 
         Raises InputError if the frame has no results.
         """
-        index, _ = self.shown(cases[:1])
-        scale, tiles = self.maps(cases[:1], index)
-        level = self._limited(scale)
+        _, scale, (_, tiles) = self._limited(cases[:1])
         tile = tiles[self.main]
-        warned = replace(tile, note="\n".join(filter(None, (tile.note, misfit_text(cases[:1])))))
-        chosen = level if isinstance(level, maps.Scale) else level[self.main]
-        painter = maps.MapPainter(cases[0].scene.panel, chosen, self.contoured)
-        painter.draw(axes, warned)
+        painter = MapPainter(cases[0].scene.panel, scale, self.contoured)
+        note = "\n".join(filter(None, (tile.note, misfit_text(cases[:1]))))
+        painter.draw(axes, replace(tile, note=note))
         painter.bar(axes.figure, axes, "right")
-        axes.set_xlabel(maps.ACROSS_LABEL)
-        axes.set_ylabel(maps.DOWN_LABEL)
+        axes.set_xlabel(ACROSS_LABEL)
+        axes.set_ylabel(DOWN_LABEL)
 
     def draw(self, cases: Cases) -> Figure:
         """Draw all estimators. Raises InputError if the frame has no results."""
-        index, title = self.shown(cases)
-        scale, tiles = self.maps(cases, index)
-        panel = cases[0].scene.panel
+        title, _, (scales, tiles) = self._limited(cases)
         title = "\n".join(filter(None, (title, misfit_text(cases))))
-        scale = self._limited(scale)
-        return maps.maps_figure(
-            tiles, panel, scale, title, contoured=self.contoured, about=self.about
-        )
+        panel = cases[0].scene.panel
+        return maps_figure(tiles, panel, scales, title, contoured=self.contoured, about=self.about)
 
 
 def misfit_text(cases: Cases) -> str:
@@ -189,7 +207,7 @@ class ChangePlot(MapsPlot):
 
         Returns
         -------
-        scale : Scale
+        scales : list of Scale
             Change of resistance in percent, for all maps.
         tiles : list of Tile
             Maps of the measurement, of each case, and of the truth if it is known.
@@ -199,10 +217,14 @@ class ChangePlot(MapsPlot):
         if first.truth is not None and first.truth_baseline is not None:
             truth = percent_change(first.truth[index], first.truth_baseline)
 
-        def tile(name: str, change: Array | None, crosses: Mask | None = None) -> maps.Tile:
-            note = _range(change) if truth is None or change is truth else _error(change, truth)
+        def tile(name: str, change: Array | None, crosses: Mask | None = None) -> Tile:
+            note = ""
+            if change is not None:
+                note = _range(change)
+                if truth is not None and change is not truth:
+                    note = _error(change, truth)
             outlined = None if truth is None else np.abs(truth) > CHANGED
-            return maps.Tile(name, change, note, crosses, outlined=outlined)
+            return Tile(name, change, note, crosses, outlined=outlined)
 
         measured = apparent_change(first.measured[index], first.measured_baseline, first.scene)
         alone = "" if first.scene.circuit.unit == "ohm" else ": each cell as if alone"
@@ -210,8 +232,9 @@ class ChangePlot(MapsPlot):
         for case in cases:
             change = case.relative_change[index] if case.solved[index] else None
             tiles.append(tile(estimated(case, cases), change, case.open_cell[index] != 0))
-        tiles += [] if truth is None else [tile("truth", truth)]
-        return maps.change_scale(maps.values_of(tiles), "change of resistance [%]"), tiles
+        if truth is not None:
+            tiles.append(tile("truth", truth))
+        return [change_scale(values_of(tiles), "change of resistance [%]")], tiles
 
 
 @dataclass(frozen=True)
@@ -234,24 +257,20 @@ def estimated(case: CaseResult, cases: Cases) -> str:
     return case.estimator if len(cases) > 1 else f"estimated: {case.estimator}"
 
 
-def _range(change: Array | None) -> str:
+def _range(change: Array) -> str:
     """Return the smallest and largest value in words, such as '−82 … +9.5 %'."""
-    if change is None:
-        return ""
     known = change[np.isfinite(change)]
     if not known.size:
         return "no number"
-    low, high = (style.change_text(float(end), 10.0) for end in (known.min(), known.max()))
+    low, high = (change_text(float(end), 10.0) for end in (known.min(), known.max()))
     return f"{low} … {high} %"
 
 
-def _error(change: Array | None, truth: Array) -> str:
+def _error(change: Array, truth: Array) -> str:
     """Return ‖x − x_true‖/‖x_true‖ of x = ln(r/r_unloaded) over the cells in words.
 
     An example is 'error 7.2 %'.
     """
-    if change is None:
-        return ""
     with np.errstate(divide="ignore", invalid="ignore"):
         logs, true = (np.log1p(percent / 100) for percent in (change, truth))
         known = np.isfinite(logs) & np.isfinite(true)
@@ -287,17 +306,18 @@ class ResistancePlot(MapsPlot):
         first = cases[0]
         named = [("measured", as_recorded(first.measured[index], first.scene))]
         named += [(estimated(case, cases), case.cell_resistance[index]) for case in cases]
-        named += [] if first.truth is None else [("truth", first.truth[index])]
+        if first.truth is not None:
+            named.append(("truth", first.truth[index]))
         relative = getattr(first.scene.readout, "reference_ohm", None) == 1
         unit = "in reference resistors" if relative else f"[{first.scene.circuit.unit}]"
         tiles = [
-            maps.Tile(name, values if np.isfinite(values).any() else None) for name, values in named
+            Tile(name, values if np.isfinite(values).any() else None) for name, values in named
         ]
-        scales: list[maps.Scale] = []
+        scales: list[Scale] = []
         for tile in tiles:
             label = f"resistance {unit.replace('volt', 'ohm')}" if scales else f"reading {unit}"
-            values = maps.values_of([tile])
-            scales.append(maps.log_scale(values, label, (1e-3, 1e12), "viridis_r"))
+            values = values_of([tile])
+            scales.append(log_scale(values, label, (1e-3, 1e12), "viridis_r"))
         return scales, tiles
 
 
@@ -321,7 +341,7 @@ class ResidualPlot(MapsPlot):
 
         Returns
         -------
-        scale : Scale
+        scales : list of Scale
             Residual in standard deviations, or in percent if a case has no noise; for all maps.
         tiles : list of Tile
             One map for each case.
@@ -337,13 +357,13 @@ class ResidualPlot(MapsPlot):
             residuals = [percent_change(case.reading_model, case.measured) for case in cases]
         tiles = []
         for case, residual in zip(cases, residuals, strict=True):
-            shown = residual[index] if case.solved[index] else None
-            rms = np.nan if shown is None else float(np.sqrt(np.nanmean(shown**2)))
-            size = f"< {MIN_DIFFERENCE}" if rms < MIN_DIFFERENCE else digits(rms, 2)
-            tiles.append(
-                maps.Tile(case.estimator, shown, "" if shown is None else f"rms {size} {unit}")
-            )
-        return maps.signed_scale(maps.values_of(tiles), label, least), tiles
+            tile = Tile(case.estimator, None)
+            if case.solved[index]:
+                rms = float(np.sqrt(np.nanmean(residual[index] ** 2)))
+                size = f"< {MIN_DIFFERENCE}" if rms < MIN_DIFFERENCE else digits(rms, 2)
+                tile = Tile(case.estimator, residual[index], f"rms {size} {unit}")
+            tiles.append(tile)
+        return [signed_scale(values_of(tiles), label, least)], tiles
 
 
 @dataclass(frozen=True)
@@ -371,25 +391,23 @@ class CertaintyPlot(MapsPlot):
             The maps, one for each case in each row.
         """
         cases = cases[:MAX_ACROSS]
-        cells = [case.cell_resistance[index] for case in cases]
-        errors, resolutions = ([case.column(name)[index] for case in cases] for name in self.needs)
-        deviations = [100 * error / estimate for error, estimate in zip(errors, cells, strict=True)]
-        scales = [maps.log_scale(deviations, "standard deviation [%]")]
-        scales.append(maps.Scale(Normalize(0, 1), colormaps["YlGnBu"], "resolution"))
-        values = [*deviations, *resolutions]
+        cells = np.stack([case.cell_resistance[index] for case in cases])
+        errors, resolutions = (
+            np.stack([case.column(name)[index] for case in cases]) for name in self.needs
+        )
+        deviations = 100 * errors / cells
+        values = [deviations, resolutions]
+        scales = [
+            log_scale([deviations], "standard deviation [%]"),
+            Scale(Normalize(0, 1), colormaps["YlGnBu"], "resolution"),
+        ]
         truth = cases[0].truth
         if truth is not None:
             with np.errstate(divide="ignore", invalid="ignore"):
-                ratios = [
-                    100 * np.log(estimate / truth[index]) / deviation
-                    for estimate, deviation in zip(cells, deviations, strict=True)
-                ]
-            scales.append(
-                maps.signed_scale(ratios, "error / standard deviation", least=3.0, most=5.0)
-            )
-            values += ratios
-        titles = [case.estimator for case in cases] + [""] * (len(values) - len(cases))
-        return scales, [maps.Tile(title, tile) for title, tile in zip(titles, values, strict=True)]
+                values.append(100 * np.log(cells / truth[index]) / deviations)
+            scales.append(signed_scale(values[2:], "error / standard deviation", 3.0, 5.0))
+        titles = chain((case.estimator for case in cases), repeat(""))
+        return scales, list(map(Tile, titles, chain.from_iterable(values)))
 
 
 @dataclass(frozen=True)
@@ -422,19 +440,17 @@ class PressurePlot(MapsPlot):
         """
         steps = (0.5, 1, 2, 5, 10, 20, 40)
         ticks = (-40, -10, -2, -0.5, 1, 5, 20)
-        signed = maps.stepped_scale(
-            steps, "pressure [kPa]: suction − contact +", ticks, maps.PRESSING
-        )
+        signed = stepped_scale(steps, "pressure [kPa]: suction − contact +", ticks, PRESSING)
         label = "half the 95 % interval [kPa]"
         decades = (0.1, 1.0, 10.0, 100.0)
-        widths = maps.Scale(LogNorm(0.1, 100), colormaps["YlGnBu"], label, decades)
+        widths = Scale(LogNorm(0.1, 100), colormaps["YlGnBu"], label, decades)
         pressures = []
         halves = []
         for case in cases[:MAX_ACROSS]:
             pressure, lower, upper, saturated = (case.column(name)[index] for name in self.needs)
             # None and infinite: beyond the scale, not missing.
             half = np.clip((upper - lower) / 2, 0.05, 200)
-            pressures.append(maps.Tile(case.estimator, pressure, "", saturated != 0, "saturated"))
+            pressures.append(Tile(case.estimator, pressure, "", saturated != 0, "saturated"))
             halves.append(replace(pressures[-1], title="", values=half))
         return [signed, widths], pressures + halves
 
@@ -468,27 +484,62 @@ class SweepPlot(Plot):
         """Draw a column for each swept key and a row for each quantity."""
         keys = swept_numbers(cases)
         quantities = _swept_errors(cases)
-        figure = style.new_figure(0.7 + 2.1 * len(quantities))
+        figure = new_figure(0.7 + 2.1 * len(quantities))
         grid = figure.subplots(
             len(quantities), len(keys), squeeze=False, sharex="col", sharey="row"
         )
         for axes_row, (name, errors) in zip(grid, quantities.items(), strict=True):
             for axes, key in zip(axes_row, keys, strict=True):
-                _draw_lines(axes, key, cases, errors)
+                self._draw_lines(axes, key, cases, errors)
                 below = key if name == [*quantities][-1] else ""
-                style.dressed(axes, below, QUANTITIES[name] if key == keys[0] else "")
-                axes.set_ylim(self.vmin, self.vmax)
-        style.shared_legend(figure, grid, "lower center", ncols=3)
-        return style.labelled(figure, "", "", cases[0].recording)
+                dressed(axes, below, QUANTITIES[name] if key == keys[0] else "")
+        shared_legend(figure, grid, "lower center", ncols=3)
+        return labelled(figure, "", "", cases[0].recording)
 
     def draw_on(self, axes: Axes, cases: Cases) -> None:
         """Draw the first quantity over the first swept key."""
         name, errors = next(iter(_swept_errors(cases).items()))
         key = swept_numbers(cases)[0]
-        _draw_lines(axes, key, cases, errors)
-        style.dressed(axes, key, QUANTITIES[name])
+        self._draw_lines(axes, key, cases, errors)
+        dressed(axes, key, QUANTITIES[name])
+        axes.legend(fontsize=SMALL_POINT)
+
+    def _draw_lines(
+        self, axes: Axes, key: str, cases: Cases, errors: Sequence[float | None]
+    ) -> None:
+        """Draw the errors of cases over the values of a key.
+
+        An estimator without swept numbers has a dashed line.
+        """
+        estimators = list(dict.fromkeys(case.unswept_name for case in cases))
+        keys = swept_numbers(cases)
+        lines: dict[tuple[str, ...], list[tuple[Any, float]]] = {}
+        for case, error in zip(cases, errors, strict=True):
+            if error is not None and (key in case.swept or case.swept.keys().isdisjoint(keys)):
+                further = (
+                    f"{swept} {value}" for swept, value in case.swept.items() if swept != key
+                )
+                point = case.swept.get(key), max(error, MIN_DIFFERENCE)
+                lines.setdefault((case.unswept_name, *further), []).append(point)
+        for name, points in lines.items():
+            look: dict[str, Any] = {
+                "color": f"C{estimators.index(name[0]) % 10}",
+                "lw": 1,
+                "label": ", ".join(name),
+            }
+            if points[0][0] is None:
+                axes.axhline(points[0][1], ls="--", **look)
+            else:
+                axes.plot(*zip(*sorted(points), strict=True), "o-", ms=3, **look)
+        values = [case.swept[key] for case in cases if key in case.swept]
+        if 0 < DECADE * min(values) <= max(values):
+            axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter(PLAIN_NUMBER)
+            axis.set_minor_formatter("")
         axes.set_ylim(self.vmin, self.vmax)
-        axes.legend(fontsize=style.SMALL_POINT)
 
 
 def _swept_errors(cases: Cases) -> dict[str, list[float | None]]:
@@ -506,37 +557,3 @@ def swept_numbers(cases: Cases) -> tuple[str, ...]:
             if isinstance(value, int | float) and not isinstance(value, bool):
                 numbers.setdefault(key, set()).add(value)
     return tuple(key for key, values in numbers.items() if len(values) > 1)
-
-
-def _draw_lines(axes: Axes, key: str, cases: Cases, errors: Sequence[float | None]) -> None:
-    """Draw the errors of cases over the values of a key.
-
-    An estimator without swept numbers has a dashed line.
-    """
-    estimators = list(dict.fromkeys(case.unswept_name for case in cases))
-    keys = swept_numbers(cases)
-    lines: dict[tuple[str, ...], list[tuple[Any, float]]] = {}
-    for case, error in zip(cases, errors, strict=True):
-        if error is not None and (key in case.swept or case.swept.keys().isdisjoint(keys)):
-            further = (f"{swept} {value}" for swept, value in case.swept.items() if swept != key)
-            lines.setdefault((case.unswept_name, *further), []).append(
-                (case.swept.get(key), max(error, MIN_DIFFERENCE))
-            )
-    for name, points in lines.items():
-        look: dict[str, Any] = {
-            "color": f"C{estimators.index(name[0]) % 10}",
-            "lw": 1,
-            "label": ", ".join(name),
-        }
-        if points[0][0] is None:
-            axes.axhline(points[0][1], ls="--", **look)
-        else:
-            axes.plot(*zip(*sorted(points), strict=True), "o-", ms=3, **look)
-    values = [case.swept[key] for case in cases if key in case.swept]
-    if 0 < DECADE * min(values) <= max(values):
-        axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter(style.PLAIN_NUMBER)
-        axis.set_minor_formatter("")

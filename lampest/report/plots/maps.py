@@ -3,9 +3,8 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, repeat
 from math import ceil
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib import colormaps
@@ -20,7 +19,18 @@ from matplotlib.tri import Triangulation
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Mask, Panel
-from lampest.report.plots import style
+from lampest.report.plots.style import (
+    PLAIN_NUMBER,
+    SMALL_POINT,
+    TEXT_POINT,
+    WIDTH_INCH,
+    labelled,
+    new_figure,
+    round_numbers,
+    shared_legend,
+    short_title,
+    wrapped,
+)
 
 # loads are blue: they lower the resistance and raise the pressure
 SIGNED = "RdBu_r"
@@ -69,15 +79,15 @@ def log_scale(
     numbers = _finite(values)
     numbers = numbers[numbers > 0]
     low, high = np.percentile(numbers, [1, 99]) if numbers.size else (1.0, 10.0)
-    steps = style.round_numbers(*ends)
+    steps = round_numbers(*ends)
     first = max((step for step in steps[:-1] if step <= low), default=steps[0])
     last = min((step for step in steps if step >= high and step > first), default=steps[-1])
-    return Scale(LogNorm(first, last), colormaps[colours], label, style.round_numbers(first, last))
+    return Scale(LogNorm(first, last), colormaps[colours], label, round_numbers(first, last))
 
 
 def signed_scale(values: Sequence[Array], label: str, least: float, most: float = np.inf) -> Scale:
     """Return a scale symmetric about zero that covers 98 % of the values, from ±least to ±most."""
-    reach = min(max(least, _reach(values)), most)
+    reach = np.clip(_reach(values), least, most)
     power = 10.0 ** np.floor(np.log10(reach))
     limit = float(power * np.ceil(reach / power * (1 - 1e-9)))
     return Scale(Normalize(-limit, limit), colormaps[SIGNED], label)
@@ -88,10 +98,10 @@ def banded_scale(values: Sequence[Array], label: str) -> Scale:
 
     The limit is the smallest round number that covers 98 % of all values, 100 at most.
     """
-    limit = next((step for step in style.round_numbers(1, 100) if step >= _reach(values)), 100.0)
+    limit = next((step for step in round_numbers(1, 100) if step >= _reach(values)), 100.0)
     ticks = np.linspace(-limit, limit, 11).tolist()
-    steps = (np.arange(1, 11) * limit / 10).tolist()
-    return stepped_scale(steps, f"{label} (ends at ±{limit:g} %)", ticks)
+    steps = np.arange(1, 11) * limit / 10
+    return stepped_scale(steps.tolist(), f"{label} (ends at ±{limit:g} %)", ticks)
 
 
 def change_scale(values: Sequence[Array], label: str) -> Scale:
@@ -104,7 +114,7 @@ def change_scale(values: Sequence[Array], label: str) -> Scale:
     if _reach(values) <= 50:
         return banded_scale(values, label)
     factors = np.array(FACTORS)
-    bounds = np.concatenate([100 / factors[::-1] - 100, 100 * factors - 100]).round()
+    bounds = np.append(100 / factors[::-1], 100 * factors).round() - 100
     return _with_bounds(bounds, colormaps[SIGNED], label, bounds.tolist())
 
 
@@ -112,7 +122,7 @@ def stepped_scale(
     steps: Sequence[float], label: str, ticks: Sequence[float], colours: str = SIGNED
 ) -> Scale:
     """Return a scale of bands between ±steps, white within the first."""
-    bounds = np.concatenate([np.negative(steps)[::-1], steps])
+    bounds = np.append(np.negative(steps)[::-1], steps)
     return _with_bounds(bounds, colormaps[colours], label, ticks)
 
 
@@ -136,7 +146,7 @@ def limited(scale: Scale, low: float | None, high: float | None) -> Scale:
         raise InputError(f"vmin and vmax must be in order{positive}, not {first:g} and {last:g}")
     label = re.sub(r" \(ends at .*\)", "", scale.label)
     if logarithmic:
-        return Scale(LogNorm(first, last), scale.colours, label, style.round_numbers(first, last))
+        return Scale(LogNorm(first, last), scale.colours, label, round_numbers(first, last))
     if isinstance(scale.norm, BoundaryNorm):
         ticks = np.linspace(first, last, 11)
         # The band about zero.
@@ -201,36 +211,48 @@ class MapPainter:
         """Draw a map, rows downwards."""
         self._frame(axes)
         title = "\n".join(filter(None, (tile.title, tile.note)))
-        axes.set_title(title, fontsize=style.SMALL_POINT + 0.5, linespacing=1.3)
+        axes.set_title(title, fontsize=SMALL_POINT + 0.5, linespacing=1.3)
         if tile.values is None:
             axes.annotate(
                 "not solved",
                 (0.5, 0.5),
                 xycoords="axes fraction",
                 ha="center",
-                fontsize=style.SMALL_POINT,
+                fontsize=SMALL_POINT,
             )
             return
         if self.contoured and self.panel.cells is None and min(self.panel.shape) > 1:
             # Percentages become factors, so that rises and falls are alike.
             logs = np.log1p(np.maximum(self._cut(tile.values), -99.9) / 100)
-            *places, logs = _refined(self.panel, logs)
-            axes.contourf(*places, 100 * np.expm1(logs), **self._bands())
+            # Bilinear at eight points a cell, constant beyond the outer centres.
+            half = self.panel.pitch_mm / 2
+            x, y = self.panel.centres_mm()
+            fine_x, fine_y = (
+                np.linspace(line[0] - half, line[-1] + half, len(line) * 8 + 1) for line in (x, y)
+            )
+            across = np.array([np.interp(fine_x, x, row) for row in logs])
+            fine = np.array([np.interp(fine_y, y, column) for column in across.T]).T
+            axes.contourf(fine_x, fine_y, 100 * np.expm1(fine), **self._bands())
         else:
             self._patches(axes, tile.values)
         if self.contoured:
-            axes.plot(
-                *map(np.ravel, self.panel.places_mm),
-                ".",
-                color="0.35",
-                ms=1,
-                label="cell centre",
-                clip_on=False,
-            )
+            centres = map(np.ravel, self.panel.places_mm)
+            axes.plot(*centres, ".", color="0.35", ms=1, label="cell centre", clip_on=False)
         if tile.outlined is not None and np.any(tile.outlined) and self.panel.cells is None:
             self._outline(axes, tile.outlined)
         if tile.marked is not None and np.any(tile.marked):
-            self._mark(axes, tile.marked, tile.mark)
+            size = float(np.clip(40 / max(self.panel.shape), 0.5, 4))
+            (cross,) = axes.plot(
+                *self.panel.places_mm[:, tile.marked],
+                marker="x",
+                label=tile.mark,
+                color="black",
+                ms=size,
+                mew=size / 4,
+                ls="none",
+                clip_on=False,
+            )
+            cross.set_path_effects([withStroke(linewidth=size / 2, foreground="white")])
 
     def _outline(self, axes: Axes, outlined: Mask) -> None:
         """Draw the outline of the true load along the edges of its cells."""
@@ -245,29 +267,15 @@ class MapPainter:
         edges.set_path_effects([withStroke(linewidth=2.8, foreground="white")])
         axes.plot([], [], color="black", lw=1.3, label="true outline of the load")
 
-    def _mark(self, axes: Axes, marked: Mask, label: str) -> None:
-        """Draw a cross on each marked cell."""
-        size = float(np.clip(40 / max(self.panel.shape), 0.5, 4))
-        (cross,) = axes.plot(
-            *self.panel.places_mm[:, marked],
-            marker="x",
-            label=label,
-            color="black",
-            ms=size,
-            mew=size / 4,
-            ls="none",
-            clip_on=False,
-        )
-        cross.set_path_effects([withStroke(linewidth=size / 2, foreground="white")])
-
     def bar(
         self, figure: Any, axes: Any, location: Literal["right", "bottom"], aspect: float = 28
     ) -> None:
         """Draw the colour bar of some axes of a figure next to them."""
-        ticks = self.scale.ticks
-        # Numbers beside each other need more room than above each other.
-        if ticks is not None and location == "bottom":
-            ticks = ticks[:: ceil(len(ticks) / MAX_TICKS_ACROSS)]
+        placed: dict[str, Any] = {}
+        if (ticks := self.scale.ticks) is not None:
+            # Numbers beside each other need more room than above each other.
+            step = ceil(len(ticks) / MAX_TICKS_ACROSS) if location == "bottom" else 1
+            placed = {"ticks": FixedLocator(ticks[::step]), "format": PLAIN_NUMBER}
         bar = figure.colorbar(
             ScalarMappable(self.scale.norm, self.scale.colours),
             ax=axes,
@@ -275,26 +283,26 @@ class MapPainter:
             extend="both",
             extendfrac=0.04,
             spacing="uniform",
-            ticks=None if ticks is None else FixedLocator(ticks),
-            format=None if ticks is None else style.PLAIN_NUMBER,
             aspect=aspect,
             pad=0.02,
+            **placed,
         )
         bar.minorticks_off()
         extent = figure.bbox.height if location == "right" else figure.bbox.width
-        label = style.wrapped(self.scale.label, int(SIGNS_PER_INCH * extent / figure.dpi))
-        bar.set_label(label, fontsize=style.TEXT_POINT)
-        bar.ax.tick_params(labelsize=style.SMALL_POINT)
+        label = wrapped(self.scale.label, int(SIGNS_PER_INCH * extent / figure.dpi))
+        bar.set_label(label, fontsize=TEXT_POINT)
+        bar.ax.tick_params(labelsize=SMALL_POINT)
 
     def _frame(self, axes: Axes) -> None:
         """Set the limits of the axes to the edges of the cells."""
         (left, right), (top, bottom) = self.panel.extents_mm
-        beyond = self.panel.pitch_mm * (0.5 if self.panel.cells is None else 0.93)  # 1.3/√2: turned
-        axes.set_facecolor(NO_NUMBER if self.panel.cells is None else "white")
+        full = self.panel.cells is None
+        beyond = self.panel.pitch_mm * (0.5 if full else 0.93)  # 1.3/√2: turned
+        axes.set_facecolor(NO_NUMBER if full else "white")
         axes.set_aspect("equal")
         axes.set_xlim(left - beyond, right + beyond)
         axes.set_ylim(bottom + beyond, top - beyond)
-        axes.tick_params(labelsize=style.SMALL_POINT)
+        axes.tick_params(labelsize=SMALL_POINT)
         axes.locator_params(nbins=5, steps=[1, 2, 5, 10])
         broad = right - left + 2 * beyond
         tall = bottom - top + 2 * beyond
@@ -312,12 +320,11 @@ class MapPainter:
         centres = places[:, None]
         listed = self.panel.cells is not None
         outlines = list(centres + 1.3 * (corners - centres)) if listed else []
-        look: dict[str, Any] = {
-            "cmap": self.scale.colours.with_extremes(bad=NO_NUMBER),
-            "norm": self.scale.norm,
-        }
         around = PolyCollection(outlines, facecolors="0.25", edgecolors="none", zorder=0.5)
-        patches = PolyCollection(list(corners), edgecolor="face", lw=0.2, **look)
+        colours = self.scale.colours.with_extremes(bad=NO_NUMBER)
+        patches = PolyCollection(
+            list(corners), edgecolor="face", lw=0.2, cmap=colours, norm=self.scale.norm
+        )
         patches.set_array(np.ma.masked_invalid(values))
         axes.add_collection(around)
         axes.add_collection(patches)
@@ -335,9 +342,10 @@ class MapPainter:
 
     def _bands(self) -> dict[str, Any]:
         """Colours, norm and levels of filled contours between the boundaries of the scale."""
-        assert isinstance(self.scale.norm, BoundaryNorm)
-        look = {"cmap": self.scale.colours, "norm": self.scale.norm, "extend": "both"}
-        return look | {"levels": self.scale.norm.boundaries}
+        norm = self.scale.norm
+        assert isinstance(norm, BoundaryNorm)
+        look = {"cmap": self.scale.colours, "norm": norm, "extend": "both"}
+        return look | {"levels": norm.boundaries}
 
     def _cut(self, values: Array) -> Array:
         """Clip values to just beyond the scale, so that no cell spreads its colour over others."""
@@ -367,23 +375,25 @@ def _squares(panel: Panel, places: Array) -> Array:
     )
 
 
-def _refined(panel: Panel, values: Array) -> tuple[Array, Array, Array]:
-    """Interpolate bilinearly at eight points a cell, constant beyond the outer centres."""
-    x, y = panel.centres_mm()
-    half = panel.pitch_mm / 2
-    fine = [
-        np.linspace(positions[0] - half, positions[-1] + half, len(positions) * 8 + 1)
-        for positions in (x, y)
-    ]
-    across = np.array([np.interp(fine[0], x, row) for row in values])
-    return fine[0], fine[1], np.array([np.interp(fine[1], y, column) for column in across.T]).T
+def maps_in_rows(
+    count: int, panel: Panel, width: float, *, rows: int | None, own_bars: bool
+) -> tuple[int, int, float, float, float]:
+    """Arrange equal maps in a figure with about the proportions 3 : 2 and few gaps.
 
-
-class Arrangement(NamedTuple):
-    """Arrangement of equal maps in a figure.
-
-    Attributes
+    Parameters
     ----------
+    count : int
+        Number of maps.
+    panel : Panel
+    width : float
+        Largest width of the figure, inches.
+    rows : int or None
+        Rows of maps, if their number is given.
+    own_bars : bool
+        Whether every map has a colour bar.
+
+    Returns
+    -------
     across, down : int
         Columns and rows of maps.
     map_width : float
@@ -391,59 +401,29 @@ class Arrangement(NamedTuple):
     width, height : float
         Size of the figure, inches.
     """
+    broad, tall = (most - least + panel.pitch_mm for least, most in panel.extents_mm)
+    # Inches for the colour bars, and between maps.
+    beside, gap = (0.4, 0.9) if own_bars else (1.0, 0.2)
 
-    across: int
-    down: int
-    map_width: float
-    width: float
-    height: float
+    def map_width(across: int) -> float:
+        return (width - beside) / across - gap
 
-    @classmethod
-    def of(
-        cls, count: int, panel: Panel, width: float, *, rows: int | None, own_bars: bool
-    ) -> "Arrangement":
-        """Return the arrangement with about the proportions 3 : 2 and few gaps.
+    def height(across: int) -> float:
+        return ceil(count / across) * (map_width(across) * tall / broad + 0.4) + 0.8
 
-        Parameters
-        ----------
-        count : int
-            Number of maps.
-        panel : Panel
-        width : float
-            Largest width of the figure, inches.
-        rows : int or None
-            Rows of maps, if their number is given.
-        own_bars : bool
-            Whether every map has a colour bar.
-        """
-        broad, tall = (most - least + panel.pitch_mm for least, most in panel.extents_mm)
-        # Inches for the colour bars, and between maps.
-        beside, gap = (0.4, 0.9) if own_bars else (1.0, 0.2)
+    def unfit(across: int) -> float:
+        # deviation from 3 : 2, with a cost for empty places
+        return abs(height(across) - width / 1.5) + 0.3 * (-count % across)
 
-        def map_width(across: int) -> float:
-            return (width - beside) / across - gap
-
-        def height(across: int) -> float:
-            return ceil(count / across) * (map_width(across) * tall / broad + 0.4) + 0.8
-
-        def unfit(across: int) -> float:
-            # deviation from 3 : 2, with a cost for empty places
-            return abs(height(across) - width / 1.5) + 0.3 * (-count % across)
-
-        most = min(count, int((width - 1.0) / 0.88))
-        across = min(range(1, most + 1), key=unfit) if rows is None else count // rows
-        down = ceil(count / across)
-        # The maps of a tall panel get narrower.
-        beyond = max(height(across) - MAX_ASPECT * width, 0.0) * broad / tall
-        beyond = min(beyond, max(0.0, (map_width(across) - MIN_WIDE_INCH) * down))
-        narrowed = map_width(across) - beyond / down
-        return cls(
-            across,
-            down,
-            narrowed,
-            width - beyond * across / down,
-            min(height(across), MAX_ASPECT * width),
-        )
+    most = min(count, int((width - 1.0) / 0.88))
+    across = min(range(1, most + 1), key=unfit) if rows is None else count // rows
+    down = ceil(count / across)
+    # The maps of a tall panel get narrower.
+    tallest = MAX_ASPECT * width
+    beyond = max(height(across) - tallest, 0.0) * broad / tall
+    beyond = min(beyond, max(0.0, (map_width(across) - MIN_WIDE_INCH) * down))
+    narrowed = map_width(across) - beyond / down
+    return across, down, narrowed, width - beyond * across / down, min(height(across), tallest)
 
 
 def maps_figure(
@@ -451,15 +431,12 @@ def maps_figure(
     panel: Panel,
     scale: Scale | Sequence[Scale],
     title: str = "",
-    width: float = style.WIDTH_INCH,
+    width: float = WIDTH_INCH,
     *,
     contoured: bool = False,
     about: str = "",
 ) -> Figure:
-    """Draw maps side by side.
-
-    The number of columns is that with which the figure has about the proportions 3 : 2 and few
-    gaps.
+    """Draw maps side by side, as `maps_in_rows` places them.
 
     Parameters
     ----------
@@ -479,43 +456,33 @@ def maps_figure(
     scales = [scale] if isinstance(scale, Scale) else scale
     own_bars = len(scales) == len(tiles) > 1
     in_rows = 1 < len(scales) < len(tiles)
-    arrangement = Arrangement.of(
+    across, down, map_width, wide, tall = maps_in_rows(
         len(tiles), panel, width, rows=len(scales) if in_rows else None, own_bars=own_bars
     )
-    figure = style.new_figure(arrangement.height, arrangement.width)
-    grid = figure.subplots(
-        arrangement.down, arrangement.across, squeeze=False, sharex=True, sharey=True
-    )
+    figure = new_figure(tall, wide)
+    grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     for axes in grid.flat[len(tiles) :]:
         axes.set_visible(False)
-    for number, axes in enumerate(grid.flat[: len(tiles)]):  # ticks where numbers stand beside them
-        lowest = number + arrangement.across >= len(tiles)
-        axes.tick_params(bottom=lowest, labelbottom=lowest, left=number % arrangement.across == 0)
-    signs = max(10, int(17 * arrangement.map_width))  # that fit over a map
+    signs = max(10, int(17 * map_width))  # that fit over a map
     painters = [MapPainter(panel, level, contoured) for level in scales]
     maps_of_scale = len(tiles) // len(scales)
-    of_tiles = chain.from_iterable(repeat(painter, maps_of_scale) for painter in painters)
-    for axes, tile, painter in zip(grid.flat, tiles, of_tiles, strict=False):
-        name = tile.title.replace("paper's lambda", "paper's λ")
-        painter.draw(axes, replace(tile, title=style.wrapped(style.short_title(name, 60), signs)))
-        if arrangement.map_width < 5 * TICK_INCH:
-            axes.locator_params(axis="x", nbins=max(1, int(arrangement.map_width / TICK_INCH)))
+    for number, (axes, tile) in enumerate(zip(grid.flat, tiles, strict=False)):
+        lowest = number + across >= len(tiles)  # ticks where numbers stand beside them
+        axes.tick_params(bottom=lowest, labelbottom=lowest, left=number % across == 0)
+        name = short_title(tile.title.replace("paper's lambda", "paper's λ"), 60)
+        painters[number // maps_of_scale].draw(axes, replace(tile, title=wrapped(name, signs)))
+        if map_width < 5 * TICK_INCH:
+            axes.locator_params(axis="x", nbins=max(1, int(map_width / TICK_INCH)))
     # The maps beside which a colour bar stands: each, those of a row, or all.
     beside: Any = grid.flat if own_bars else grid if in_rows else [grid]
     for painter, axes in zip(painters, beside, strict=False):
-        painter.bar(figure, axes, "right", aspect=figure.get_figheight() / 0.16)
-    style.shared_legend(figure, grid, "lower right", least=2 if contoured else 1, ncols=2)
-    return _labelled(figure, grid, title, about, alone=len(tiles) == 1)
-
-
-def _labelled(figure: Figure, grid: Any, title: str, about: str, *, alone: bool) -> Figure:
-    """Label the axes of a map that stands alone, or those that all maps of a grid share."""
-    if alone:
-        grid[0, 0].set_xlabel(ACROSS_LABEL, fontsize=style.TEXT_POINT)
-        grid[0, 0].set_ylabel(DOWN_LABEL, fontsize=style.TEXT_POINT)
-        return style.labelled(figure, about, "", title)
-    wide_text = int(16 * figure.get_figwidth())  # signs of the labels' size across the figure
-    below = style.wrapped("; ".join(filter(None, (ACROSS_LABEL, about))), wide_text)
-    return style.labelled(
-        figure, below, DOWN_LABEL, "\n".join(style.wrapped(t, wide_text) for t in title.split("\n"))
-    )
+        painter.bar(figure, axes, "right", aspect=tall / 0.16)
+    shared_legend(figure, grid, "lower right", least=2 if contoured else 1, ncols=2)
+    if len(tiles) == 1:  # the axes of a map that stands alone have labels of their own
+        grid[0, 0].set_xlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
+        grid[0, 0].set_ylabel(DOWN_LABEL, fontsize=TEXT_POINT)
+        return labelled(figure, about, "", title)
+    signs = int(16 * wide)  # of the labels' size across the figure
+    below = wrapped("; ".join(filter(None, (ACROSS_LABEL, about))), signs)
+    title = "\n".join(wrapped(line, signs) for line in title.split("\n"))
+    return labelled(figure, below, DOWN_LABEL, title)

@@ -1,6 +1,5 @@
 """Picture of a recording's readings: which of them are missing, impossible, or outliers."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,15 @@ from lampest.panel.panel import Array, Numbers
 from lampest.recording.readings import Sidedness
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, opened
-from lampest.report.plots import style
+from lampest.report.plots.style import (
+    PICTURES,
+    SMALL_POINT,
+    SUFFIXES,
+    TEXT_POINT,
+    new_figure,
+    save,
+    verbatim,
+)
 
 # What becomes of a reading, from the state of most to those that override others.
 STATES = (
@@ -50,42 +57,37 @@ def states_of(cleaned: Cleaned, recorded: Array) -> Numbers:
     -------
     integer array, same shape
     """
-    left_out = cleaned.readings.seen == 0
+    readings = cleaned.readings
+    left_out = readings.seen == 0
     alone = cleaned.outliers & ~cleaned.impossible
-    missing = np.isnan(recorded)
-    states = np.where(cleaned.readings.side == Sidedness.VALUE, MEASURED, BOUND)
-    states = np.where(missing, MISSING, states)
+    states = np.where(readings.side == Sidedness.VALUE, MEASURED, BOUND)
     chosen = (
         alone & ~left_out,
         alone & left_out,
         cleaned.impossible,
-        np.broadcast_to(cleaned.frozen, recorded.shape),
+        cleaned.frozen,
         readings_of(cleaned.garbled, cleaned.recording),
     )
     for state, flagged in enumerate(chosen, start=KEPT):
-        states = np.where(flagged & ~missing, state, states)
+        states = np.where(flagged, state, states)
+    states = np.where(np.isnan(recorded), MISSING, states)
     return np.where(cleaned.recording.scene.requested, states, len(STATES) - 1)
-
-
-def _states(recording: Recording) -> Numbers:
-    """Return the states of the readings of one network or of modules, of dead ones missing."""
-    prepared = Prepared(recording)
-    layout = prepared.layout
-    if layout is None:
-        return states_of(prepared.cleaned, recording.recorded)
-    missing = np.full(recording.modules[0].recorded.shape, MISSING)
-    parts = [
-        missing if module is None else states_of(module.cleaned, module.recording.recorded)
-        for module in prepared.modules
-    ]
-    return layout.joined(np.stack(parts, axis=-3))
 
 
 def readings_picture(recording: Recording) -> Figure:
     """Draw the state of each reading of a recording: places downwards, frames to the right."""
-    states = _states(recording)
+    prepared = Prepared(recording)
+    if prepared.layout is None:
+        states = states_of(prepared.cleaned, recording.recorded)
+    else:  # modules, of which dead ones are missing
+        missing = np.full(recording.modules[0].recorded.shape, MISSING)
+        parts = [
+            missing if module is None else states_of(module.cleaned, module.recording.recorded)
+            for module in prepared.modules
+        ]
+        states = prepared.layout.joined(np.stack(parts, axis=-3))
     frames, rows, columns = states.shape
-    figure = style.new_figure(HEIGHT_INCH)
+    figure = new_figure(HEIGHT_INCH)
     axes = figure.add_subplot()
     colours = colormaps["tab10"](np.arange(len(STATES)))
     colours[MEASURED] = to_rgba("0.93")
@@ -99,33 +101,28 @@ def readings_picture(recording: Recording) -> Figure:
         interpolation="nearest",
         extent=(-0.5, frames - 0.5, rows - 0.5, -0.5),
     )
-    unloaded = int(np.sum(recording.role == UNLOADED))
-    axes.set_xlabel(f"frame [number in the file], {unloaded} unloaded", fontsize=style.TEXT_POINT)
-    axes.set_ylabel(
-        f"row [number], each with its {columns} columns downwards", fontsize=style.TEXT_POINT
-    )
+    unloaded = np.sum(recording.role == UNLOADED)
+    axes.set_xlabel(f"frame [number in the file], {unloaded} unloaded", fontsize=TEXT_POINT)
+    axes.set_ylabel(f"row [number], each with its {columns} columns downwards", fontsize=TEXT_POINT)
     axes.set_yticks(np.arange(0, rows, -(-rows // MAX_ROW_TICKS)))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.tick_params(labelsize=style.SMALL_POINT)
-    axes.set_title(recording.name, fontsize=style.TEXT_POINT)
+    axes.tick_params(labelsize=SMALL_POINT)
+    axes.set_title(recording.name, fontsize=TEXT_POINT)
+    patches = []
+    for state, words in enumerate(STATES):
+        of_frames = (states == state).sum(axis=(1, 2))
+        if of_frames.any():
+            places = counted(int(of_frames.sum()), "reading")
+            label = f"{words}: {places} in {counted(int(np.sum(of_frames > 0)), 'frame')}"
+            patches.append(Patch(facecolor=colours[state], edgecolor="0.5", lw=0.3, label=label))
     figure.legend(
-        handles=list(_legend(states, colours)),
-        fontsize=style.SMALL_POINT,
+        handles=patches,
+        fontsize=SMALL_POINT,
         frameon=False,
         ncols=2,
         loc="outside lower center",
     )
     return figure
-
-
-def _legend(states: Numbers, colours: Array) -> Iterator[Patch]:
-    """Yield the colour and the number of readings of each state that occurs."""
-    for state, words in enumerate(STATES):
-        of_frames = (states == state).any(axis=(1, 2))
-        if of_frames.any():
-            places = counted(int((states == state).sum()), "reading")
-            label = f"{words}: {places} in {counted(int(of_frames.sum()), 'frame')}"
-            yield Patch(facecolor=colours[state], edgecolor="0.5", lw=0.3, label=label)
 
 
 def plot_readings(path: Path, out: Path | None) -> Path:
@@ -147,10 +144,10 @@ def plot_readings(path: Path, out: Path | None) -> Path:
     if isinstance(recording, StoredRecording):
         recording = recording.part(recording.blocks[0])
     target = path.parent if out is None else out
-    if target.suffix not in style.SUFFIXES:
+    if target.suffix not in SUFFIXES:
         if target.suffix and not target.is_dir():
-            raise InputError(f"{target}: {style.PICTURES}")
+            raise InputError(f"{target}: {PICTURES}")
         target = target / f"readings_{recording.name}.png"
-    with style.verbatim():
-        style.save(readings_picture(recording), target)
+    with verbatim():
+        save(readings_picture(recording), target)
     return target

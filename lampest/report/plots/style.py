@@ -74,16 +74,12 @@ def shared_legend(
     """Add one legend for all axes, unless there are fewer labels than `least`."""
     handles: dict[str, Any] = {}
     for axes in grid.flat:
-        handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True)) | handles
+        artists, labels = axes.get_legend_handles_labels()
+        handles = dict(zip(labels, artists, strict=True)) | handles
     if len(handles) >= least:
-        defaults: dict[str, Any] = {
-            "fontsize": SMALL_POINT,
-            "frameon": False,
-            "ncols": len(handles),
-        }
-        figure.legend(
-            handles.values(), handles.keys(), **defaults | {"loc": f"outside {location}"} | look
-        )
+        usual: dict[str, Any] = {"loc": f"outside {location}", "ncols": len(handles)}
+        usual |= {"fontsize": SMALL_POINT, "frameon": False}
+        figure.legend(handles.values(), handles.keys(), **usual | look)
 
 
 def save(figure: Figure, path: str | Path) -> None:
@@ -111,9 +107,8 @@ def write_all(
     cannot be written.
     """
     tasks = list(zip(figures, files, strict=True))
-    for file, image in zip(
-        files, each_of(_image, tasks, on_picture, Serial() if in_process else None), strict=True
-    ):
+    images = each_of(_image, tasks, on_picture, Serial() if in_process else None)
+    for file, image in zip(files, images, strict=True):
         with whole_file(file) as unfinished:
             unfinished.write_bytes(image)
     return list(files)
@@ -134,37 +129,31 @@ def data_uri(figure: Figure) -> str:
 def _drawn(figure: Figure, kind: str) -> bytes:
     """Render a figure reproducibly; texts become paths, so that no fonts are needed."""
     stream = BytesIO()
-    dated = {"png": ("Software",), "svg": ("Date", "Creator"), "pdf": ("CreationDate",)}[kind]
-    metadata = dict.fromkeys(dated)
+    dated = {"png": ("Software",), "svg": ("Date", "Creator"), "pdf": ("CreationDate",)}
+    metadata = dict.fromkeys(dated[kind])
     for spine in chain.from_iterable(axes.spines.values() for axes in figure.axes):
         spine.set_in_layout(False)  # its ticks fit into the gaps
     with rc_context({"svg.hashsalt": "lampest", "svg.fonttype": "path"}):
-        if kind == "png":
-            with _laid_out(figure) as canvas:
-                canvas.print_png(stream, metadata=metadata)
-        else:
+        if kind != "png":
             figure.savefig(stream, format=kind, metadata=metadata)
+            return stream.getvalue()
+        # The figure is laid out for its pixels, so that it is drawn once.
+        engine = figure.get_layout_engine()
+        dots = figure.dpi
+        canvas: Any = FigureCanvasAgg(figure)
+        figure.dpi = DOTS_PER_INCH
+        if engine is not None:
+            measured = [_measured_once(axes) for axes in figure.axes]
+            engine.execute(figure)
+            for axes in measured:
+                del axes.get_tightbbox
+        figure.set_layout_engine("none")
+        try:
+            canvas.print_png(stream, metadata=metadata)
+        finally:
+            figure.set_layout_engine(engine)
+            figure.dpi = dots
     return stream.getvalue()
-
-
-@contextmanager
-def _laid_out(figure: Figure) -> Iterator[Any]:
-    """Yield a canvas of a figure that is laid out for its pixels, so that it is drawn once."""
-    engine = figure.get_layout_engine()
-    dots = figure.dpi
-    canvas = FigureCanvasAgg(figure)
-    figure.dpi = DOTS_PER_INCH
-    if engine is not None:
-        measured = [_measured_once(axes) for axes in figure.axes]
-        engine.execute(figure)
-        for axes in measured:
-            del axes.get_tightbbox
-    figure.set_layout_engine("none")
-    try:
-        yield canvas
-    finally:
-        figure.set_layout_engine(engine)
-        figure.dpi = dots
 
 
 def _measured_once(axes: Any) -> Any:
@@ -227,7 +216,7 @@ def change_text(value: float, integer_from: float) -> str:
     """
     if abs(value) >= 1e5:
         digits, power = f"{value:+.1e}".split("e")
-        text = f"{digits}·10{str(int(power)).translate(RAISED)}"
+        text = f"{digits}·10{f'{int(power)}'.translate(RAISED)}"
     else:
         text = f"{value:+.{0 if abs(value) >= integer_from else 1}f}"
     return text.replace("-", "−")

@@ -528,7 +528,7 @@ def shown(alignment: Alignment, moment: float) -> list[tuple[int | None, ...]]:
     frames = []
     while (parts := alignment.frame(moment)) is not None:
         frames.append(
-            tuple(parts[b].frame.sequence if b in parts else None for b in range(alignment.boards))
+            tuple(parts[b].frame.sequence if b in parts else None for b in alignment.boards)
         )
     return frames
 
