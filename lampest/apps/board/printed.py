@@ -238,7 +238,8 @@ class Printer:
                 by_stamp = max(frame.seconds - previous.seconds, 0.0)
             at = self.last.time + (self.period or by_stamp or elapsed)
             session = self.last.session + restarted
-            events += (RESTARTED,) * restarted
+            if restarted:
+                events += (RESTARTED,)
             if frame.number is not None and previous.number is not None and not restarted:
                 lost += max(frame.number - previous.number - 1, 0)
         self._previous = frame
