@@ -143,17 +143,17 @@ def with_one_weight(penalty: lampest.Term, seed: int) -> str:
     estimator = lampest.Estimator((lampest.Misfit(), penalty), "reduced", error_bars=False)
     chosen: list[float] = []
 
-    networks = []
-    for part, own in zip(recording.modules, network_scenes(scene, estimator), strict=True):
+    networks = {}
+    for number, own in network_scenes(scene, estimator).items():
+        part = recording.modules[number]
         read = part.readings()
         resting = baseline_readings(part, read)
         frame = deciding_frames(part, read, resting)[0]
-        assert own is not None
         weighted = with_chosen_weights(
             estimator, own, deciding_data(estimator, own, resting, read[frame])[0], None
         )
         chosen.append(float(weighted.terms[1].weight))
-        networks.append((weighted, own, resting))
+        networks[number] = weighted, own, resting
     errors = []
     apart = begin_networks(scene, networks, 1.0)
     for stream in (apart, first_stream(recording, readings, estimator)):

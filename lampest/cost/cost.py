@@ -347,9 +347,10 @@ def stacked(parts: Sequence[Summand]) -> tuple[casadi.SX, casadi.SX]:
     residuals, weights : casadi.SX, shape (rows, 1)
         Rows of all summands in their order, and the weight of each row.
     """
-    weights = [casadi.repmat(part.weight, part.rows, 1) for part in parts]
-    residuals = [part.residual for part in parts]
-    return casadi.vertcat(casadi.SX(0, 1), *residuals), casadi.vertcat(casadi.SX(0, 1), *weights)
+    empty = casadi.SX(0, 1)
+    weights = (casadi.repmat(part.weight, part.rows, 1) for part in parts)
+    residuals = (part.residual for part in parts)
+    return casadi.vertcat(empty, *residuals), casadi.vertcat(empty, *weights)
 
 
 def program_groups(parts: Sequence[Summand]) -> list[list[Summand]]:
@@ -390,9 +391,8 @@ def _functions(cost: Cost) -> CostFunctions:
     lagrangian = smooth + casadi.dot(slope * dual, nonsmooth)
     unknown = symbols.unknown
     gradient = casadi.gradient(lagrangian, unknown)
-    # Costs of the terms at y = 0, a part of the scale of the cost.
     by_term = casadi.vertcat(*costs)
-    # Costs at readings of zero, f(r) = 0
+    # Costs of the terms at readings of zero, a part of the scale of the cost.
     blank = casadi.substitute(by_term, symbols.reading, casadi.SX.zeros(*symbols.reading.shape))
     outputs = {
         "first": casadi.densify(casadi.vertcat(by_term, blank, gradient)),
@@ -404,6 +404,5 @@ def _functions(cost: Cost) -> CostFunctions:
         name: symbols.compiled(name, output, weights=weights, dual=dual)
         for name, output in outputs.items()
     }
-    terms = np.array([part.term for part in through_duals], dtype=np.intp)
-    rows = np.array([part.rows for part in through_duals], dtype=np.intp)
-    return CostFunctions(**compiled, nonsmooth_terms=np.repeat(terms, rows))
+    terms = [np.full(part.rows, part.term) for part in through_duals]
+    return CostFunctions(**compiled, nonsmooth_terms=np.concatenate([np.zeros(0, int), *terms]))

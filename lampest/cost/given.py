@@ -51,8 +51,6 @@ class Background:
     Attributes
     ----------
     scene : Scene
-    period : float
-        Time between frames in s; infinite for a single frame.
     previous, previous_deviation : array, shape (rows, columns), or None
         Last estimate in ohm, and the standard deviation of its logarithm.
     baseline : array, shape (rows, columns), or None
@@ -60,7 +58,6 @@ class Background:
     """
 
     scene: Scene
-    period: float = float("inf")
     previous: Array | None = None
     previous_deviation: Array | None = None
     baseline: Array | None = None
@@ -135,16 +132,10 @@ class Given(ReadOnlyArrays):
         per_frame=True,
     )
     side: Any = input_field(
-        lambda readings, background: _mark(readings, readings.side),
-        0.0,
-        per_frame=True,
-        partial=True,
+        lambda readings, background: readings.side, 0.0, per_frame=True, partial=True
     )
     seen: Any = input_field(
-        lambda readings, background: _mark(readings, readings.seen),
-        1.0,
-        per_frame=True,
-        partial=True,
+        lambda readings, background: readings.seen, 1.0, per_frame=True, partial=True
     )
     previous: Any = input_field(
         lambda readings, background: background.previous, 1.0, after=lambda r: r
@@ -171,7 +162,11 @@ class Given(ReadOnlyArrays):
     def of(cls, readings: FrameReadings, background: Background) -> Self:
         """Return the arrays of a solve from its readings and background."""
         return cls(
-            **{name: source.of(readings, background) for name, source in cls.sources().items()}
+            **{
+                name: source.of(readings, background)
+                for name, source in cls.sources().items()
+                if readings.partial or not source.partial
+            }
         )
 
     @classmethod
@@ -217,8 +212,3 @@ class Given(ReadOnlyArrays):
             value = getattr(self, name)
             if value is not None:
                 yield name, value
-
-
-def _mark(readings: FrameReadings, mark: Array) -> Array | None:
-    """Return a mark of partial readings; None if all readings are values."""
-    return mark if readings.partial else None

@@ -374,7 +374,7 @@ class Evaluation(ReadOnlyArrays):
     def cost_scales(self) -> Array:
         """Scale s of the cost in tests of optimality, (…): φ plus the mean φ of a cell at y = 0."""
         scale = self.cell_costs + self.objectives
-        return np.asarray(np.where(scale == 0, 1.0, scale))
+        return np.where(scale == 0, 1.0, scale)
 
     @cached_property
     def cost_scale(self) -> float:
@@ -495,7 +495,7 @@ def _residuals(cost: Cost) -> Residuals:
     inputs = symbols.inputs()
     pairs = cost.residuals(symbols)
     stacked = casadi.vertcat(*(part for _, part in pairs))
-    term = np.concatenate([np.full(part.shape[0], number, dtype=np.intp) for number, part in pairs])
+    term = np.concatenate([np.full(part.shape[0], number) for number, part in pairs])
     # Rows whose derivative by the readings has a structural nonzero are data.
     reads = set(casadi.jacobian_sparsity(stacked, inputs["reading"]).row())
     parts = []

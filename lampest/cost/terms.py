@@ -21,7 +21,7 @@ from lampest.files.typed import (
     members_by_kind,
     shipped,
 )
-from lampest.panel.panel import Panel, difference_matrix
+from lampest.panel.panel import Array, Panel, difference_matrix
 
 Reference = Literal["baseline", "previous"]
 
@@ -60,12 +60,12 @@ class State(Given):
 
     def ratio(self, reference: Reference) -> Any:
         """Return r/r0, r0 of the baseline or of the previous frame, (cells, 1)."""
-        return self.cell_resistance / (self.baseline if reference == "baseline" else self.previous)
+        return self.cell_resistance / getattr(self, reference)
 
     def log_steps(self, values: Any) -> Any:
         """Return log(x_b/x_a)/distance over pairs of `Panel.neighbours`, (pairs, 1) per pitch."""
-        first, second, distance = neighbour_operators(self.panel)
-        return casadi.log((second @ values) / (first @ values)) / distance
+        first, second, distance = self._at_neighbours(values)
+        return casadi.log(second / first) / distance
 
     def grid(self, values: Any) -> Any:
         """Arrange a column of (cells, 1) as a matrix (rows, columns), symbolic or numeric."""
@@ -80,8 +80,17 @@ class State(Given):
         """
         if self.panel.cells is None:
             return gradient_operator(*self.panel.shape) @ values
-        first, second, distance = neighbour_operators(self.panel)
-        return (second @ values - first @ values) / distance
+        first, second, distance = self._at_neighbours(values)
+        return (second - first) / distance
+
+    def _at_neighbours(self, values: Any) -> tuple[Any, Any, Array]:
+        """Return the values of both cells of each pair of `Panel.neighbours`, and their distance.
+
+        Each is (pairs, 1), the distance in pitches.
+        """
+        *cells, distance = self.panel.neighbours
+        first, second = (values[numbers.tolist(), :] for numbers in cells)
+        return first, second, distance[:, None]
 
 
 @cache
@@ -95,28 +104,6 @@ def gradient_operator(rows: int, columns: int) -> casadi.DM:
         casadi.kron(along_rows, casadi.DM.eye(columns)),
         casadi.kron(casadi.DM.eye(rows), along_columns),
     )
-
-
-@cache
-def neighbour_operators(panel: Panel) -> tuple[casadi.DM, casadi.DM, casadi.DM]:
-    """Return the operators of differences between neighbours.
-
-    Returns
-    -------
-    first, second : casadi.DM, shape (pairs, cells), sparse
-        Selections of the first and of the second cell of every pair of neighbours.
-    distance : casadi.DM, shape (pairs, 1)
-        Distance of the two cells in pitches.
-    """
-    *cells, distance = panel.neighbours
-    pairs = range(len(distance))
-    first, second = (
-        casadi.DM.triplet(
-            list(pairs), numbers.tolist(), casadi.DM.ones(len(pairs)), len(pairs), panel.crossings
-        )
-        for numbers in cells
-    )
-    return first, second, casadi.DM(distance)
 
 
 Weight = float | Literal["auto"]

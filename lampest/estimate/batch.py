@@ -14,7 +14,6 @@ from multiprocessing import parent_process
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.problem import NO_DUAL, Evaluation
 from lampest.estimate.estimator import Estimator
@@ -23,6 +22,7 @@ from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import converter_and_faults, strongest, with_chosen_weights
 from lampest.files.errors import BROKEN
+from lampest.panel.panel import Numbers
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.projected_lbfgs import NAME, InverseHessians, serves, solve
@@ -32,11 +32,13 @@ MIN_PANELS_PER_THREAD = 20  # with fewer panels in a thread, threads cost more t
 MAX_BLOCK_FRAMES = 40  # frames that are solved together: 50 MB of inverse Hessians at 20 × 20
 # Mean of squared differences of two frames over σ²; with noise alone it is 2.
 MAX_NOISE_SQUARES = 4.0
+# Every stream after its frame with the frame's step, by number; inverse Hessians for the next frame
+Pushed = tuple[dict[int, tuple[Stream, Step]], InverseHessians]
 
 
 def push_streams(
     streams: Mapping[int, Stream], readings: Readings, inverses: InverseHessians
-) -> tuple[dict[int, tuple[Stream, Step]], InverseHessians]:
+) -> Pushed:
     """Push a frame to each stream, together where a batch can.
 
     Parameters
@@ -78,36 +80,30 @@ def _weighed(streams: Mapping[int, Stream], frames: Mapping[int, Readings]) -> d
             kind = id(stream.estimator), stream.rested, converter_and_faults(stream.scene)
             groups.setdefault(kind, {})[number] = stream
     for group in groups.values():
-        if any(stream.choosing(frames[number]) for number, stream in group.items()):
-            weighed |= _with_common_weights(group, frames)
-    return weighed
-
-
-def _with_common_weights(
-    group: Mapping[int, Stream], frames: Mapping[int, Readings]
-) -> dict[int, Stream]:
-    """Return the streams of a group, by number, with weights that the strongest of them choose."""
-    changes = [stream.change(frames[number]) for number, stream in group.items()]
-    numbers = [list(group)[place] for place in strongest(changes)]
-    deciding = group[numbers[0]]
-    (data, start), *further = (group[number].data_and_start(frames[number]) for number in numbers)
-    objective = with_chosen_weights(
-        deciding.estimator,
-        deciding.scene,
-        data.limited(deciding.estimator.solver.time_limit_s),
-        start,
-        [data for data, _ in further],
-    )
-    weights = tuple(float(term.weight) for term in objective.terms)
-    return {
-        number: replace(
-            stream,
-            weights=weights,
-            weight_sigma=objective.weight_sigma,
-            weighed_at=max(changes),
+        if not any(stream.choosing(frames[number]) for number, stream in group.items()):
+            continue
+        changes = [stream.change(frames[number]) for number, stream in group.items()]
+        numbers = [list(group)[place] for place in strongest(changes)]
+        deciding = group[numbers[0]]
+        (data, start), *further = (
+            group[number].data_and_start(frames[number]) for number in numbers
         )
-        for number, stream in group.items()
-    }
+        objective = with_chosen_weights(
+            deciding.estimator,
+            deciding.scene,
+            data.limited(deciding.estimator.solver.time_limit_s),
+            start,
+            [data for data, _ in further],
+        )
+        weights = tuple(float(term.weight) for term in objective.terms)
+        for number, stream in group.items():
+            weighed[number] = replace(
+                stream,
+                weights=weights,
+                weight_sigma=objective.weight_sigma,
+                weighed_at=max(changes),
+            )
+    return weighed
 
 
 def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Step]]:
@@ -132,7 +128,7 @@ def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Ste
     leading = dict.fromkeys(range(count) if len(leaders) == 1 else sorted(leaders), stream)
     solved, inverses = _solved_together(leading, readings, inverses)
     following = {
-        number: solved[leader][0] if leader in solved else stream
+        number: solved.get(leader, (stream,))[0]
         for number, leader in enumerate(nearest)
         if number not in leading
     }
@@ -193,27 +189,27 @@ def solve_baselines(streams: Mapping[int, Stream]) -> dict[int, Stream]:
 
 def _solved_together(
     streams: Mapping[int, Stream], readings: Readings, inverses: InverseHessians
-) -> tuple[dict[int, tuple[Stream, Step]], InverseHessians]:
+) -> Pushed:
     """Return the streams after their frame and the frame's step by number.
 
     Only streams that batches can solve are included. Streams with the same cost are one batch;
     large batches are split among threads.
     """
     groups = dict[Hashable, list[int]]()
-    partial = ((readings.side != 0) | (readings.seen < 1)).any(axis=(1, 2)).tolist()
     for number, stream in streams.items():
-        if _in_batches(stream, readings[number], partial=partial[number]):
-            kind = _unweighted(stream.estimator), stream.scene.faults, partial[number]
+        frame = readings[number]
+        if _in_batches(stream, frame):
+            kind = _unweighted(stream.estimator), stream.scene.faults, frame.partial
             groups.setdefault(kind, []).append(number)
     # Each of several processes has one core.
     cores = 1 if parent_process() else len(os.sched_getaffinity(0))
-    blocks = list[NDArray[np.intp]]()
+    blocks = list[Numbers]()
     for group in groups.values():
         # Frames of one stream stay in one thread, however many cores there are.
         distinct = len({id(streams[number]) for number in group})
         blocks += np.array_split(group, max(1, min(cores, distinct // MIN_PANELS_PER_THREAD)))
 
-    def solved_block(place: int) -> tuple[dict[int, tuple[Stream, Step]], InverseHessians]:
+    def solved_block(place: int) -> Pushed:
         numbers = blocks[place]
         own = inverses.some(numbers)
         with np.errstate(all="ignore"), suppress(*BROKEN):
@@ -233,7 +229,7 @@ def _solved_together(
     return solved, inverses
 
 
-def _in_batches(stream: Stream, readings: Readings, *, partial: bool) -> bool:
+def _in_batches(stream: Stream, readings: Readings) -> bool:
     """Return whether a batch can solve a stream's frame.
 
     A batch continues from an earlier estimate and has the reduced formulation, unwired two-point
@@ -253,7 +249,7 @@ def _in_batches(stream: Stream, readings: Readings, *, partial: bool) -> bool:
         and settings.starts is None
         and not estimator.weighs_previous
         and (not estimator.automatic or stream.chooses_weights)
-        and (not partial or (stream.track is None and bool(readings.enough(stream.scene))))
+        and (not readings.partial or (stream.track is None and bool(readings.enough(stream.scene))))
     )
 
 
@@ -267,9 +263,9 @@ def _solved_batch(
     streams: Sequence[Stream],
     frames: Readings,
     inverses: InverseHessians,
-    numbers: NDArray[np.intp],
+    numbers: Numbers,
     place: int,
-) -> tuple[dict[int, tuple[Stream, Step]], InverseHessians]:
+) -> Pushed:
     """Return the streams of one batch after their frame, and the frame's step, by number.
 
     Only verified minima are returned. The streams have one shape and one kind of cost; `place` is

@@ -143,13 +143,13 @@ def with_contacts(
     precision = np.where(uncertain, deviation, 1.0) ** -2.0
 
     def solved_with(ohm: Array) -> SolvedContacts:
-        if np.array_equal(ohm, mean):
-            return SolvedContacts(solved, mean, model.scale, mean, precision)
-        contacts = Contacts.of(ohm, deviation, shape[0])
-        trial_state = replace(state, scene=replace(state.scene, contacts=contacts))
-        trial = solve(trial_state, readings, solved.solution.cell_resistance)
-        seconds.append(trial.seconds)
-        return SolvedContacts(trial, ohm, model.scale, mean, precision)
+        step = solved
+        if not np.array_equal(ohm, mean):
+            contacts = Contacts.of(ohm, deviation, shape[0])
+            trial = replace(state, scene=replace(state.scene, contacts=contacts))
+            step = solve(trial, readings, solved.solution.cell_resistance)
+            seconds.append(step.seconds)
+        return SolvedContacts(step, ohm, model.scale, mean, precision)
 
     bounds = (np.where(uncertain, 0.0, mean), np.where(uncertain, np.inf, mean))
     _, fit = FIT.minimum(solved_with, mean, bounds)

@@ -5,7 +5,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.terms import term_kind
 from lampest.estimate.estimator import Estimator
@@ -15,7 +14,7 @@ from lampest.files.levels import TWO_SIDED
 from lampest.files.typed import ReadOnlyArrays
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.prepared import Prepared
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.readouts.converter import rails_reached
 from lampest.panel.readouts.wiring import Contacts
 from lampest.posterior.certainty import Certainty
@@ -149,7 +148,7 @@ class Estimates(ReadOnlyArrays):
 
     recording: Recording
     estimator: Estimator
-    frame: NDArray[np.intp]
+    frame: Numbers
     readings: Readings
     resting: Readings
     baseline_resistance: Array
@@ -204,12 +203,12 @@ class Estimates(ReadOnlyArrays):
         return self.resting.sigma_of_values
 
     @property
-    def missing_readings(self) -> NDArray[np.int64]:
+    def missing_readings(self) -> Numbers:
         """Number of missing readings, (frames,), without those the scene's faults make blind."""
         return np.asarray(self.readings.missing(self.recording.scene).sum(axis=(1, 2)))
 
     @property
-    def bound_readings(self) -> NDArray[np.int64]:
+    def bound_readings(self) -> Numbers:
         """Number of readings at a rail of the converter, zero, or below the series resistance.
 
         Shape (frames,).
@@ -238,7 +237,7 @@ class Estimates(ReadOnlyArrays):
         return tuple(messages)
 
     @property
-    def solved(self) -> NDArray[np.bool_]:
+    def solved(self) -> Mask:
         """Whether each frame was solved, (frames,)."""
         return np.array([step.solution.solved for step in self.steps])
 
@@ -264,7 +263,7 @@ class Estimates(ReadOnlyArrays):
         return 100 * (self.cell_resistance / self.baseline_resistance - 1)
 
     @property
-    def open_cell(self) -> NDArray[np.bool_]:
+    def open_cell(self) -> Mask:
         """Whether a cell cannot be distinguished from an open one, (frames, rows, columns)."""
         return (
             np.stack([step.solution.open_cell[-1] for step in self.steps])
@@ -272,7 +271,7 @@ class Estimates(ReadOnlyArrays):
         )
 
     @property
-    def at_lower_bound(self) -> NDArray[np.bool_]:
+    def at_lower_bound(self) -> Mask:
         """Whether a cell is at its lower bound, (frames, rows, columns)."""
         return np.stack([step.solution.at_lower[-1] for step in self.steps])
 

@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.losses import Student
 from lampest.cost.terms import Misfit, Term, term_kind
@@ -17,7 +16,7 @@ from lampest.files.applications import applications, loaded
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import Configuration, check_range
 from lampest.formulation.constraints import AnyPart
-from lampest.panel.panel import Panel
+from lampest.panel.panel import Mask, Panel
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MATRIX_CELLS
 from lampest.recording.readings import Readings, strongest_frame
@@ -54,7 +53,7 @@ class Verify(Configuration):
         if not isinstance(self.frames, str) and not 0 < self.frames <= 1:
             raise ValueError("frames must be none, strongest, all, or a share between 0 and 1")
 
-    def chosen(self, readings: Readings, resting: Readings) -> NDArray[np.bool_]:
+    def chosen(self, readings: Readings, resting: Readings) -> Mask:
         """Return which of the measured frames are verified, boolean (frames,).
 
         Parameters
@@ -235,7 +234,7 @@ class Estimator(Objective):
             In bytes.
         """
         module = panel.layout.each
-        penalised = self.method.optimum and any(not term.reads_measurement for term in self.terms)
+        penalised = self.method.optimum and self.penalised
         size = penalised * module.rows * module.columns / 10_000
         return 12 * size**1.1, 1e8 * size
 

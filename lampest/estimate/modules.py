@@ -5,12 +5,11 @@ scene requests terms across the seams (`coupled`), the image is one problem whos
 diagonal over the modules.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.estimate.batch import push_streams, solve_baselines
 from lampest.estimate.estimator import Estimator
@@ -20,7 +19,7 @@ from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.noise import MAX_NAMED, NoiseEstimate, named_modules
 from lampest.panel.faults import Faults
-from lampest.panel.panel import Array, Modules, Panel
+from lampest.panel.panel import Array, Mask, Modules, Panel
 from lampest.panel.readouts.two_point import ModulesReadout
 from lampest.panel.scene import Scene
 from lampest.posterior.certainty import Certainty
@@ -44,16 +43,18 @@ def begin_stream(estimator: Estimator, scene: Scene, period: float, resting: Rea
     """
     if scene.panel.modules is None:
         return Stream.begin(estimator, scene, period, resting)
-    pairs = zip(network_scenes(scene, estimator), network_readings(scene, resting), strict=True)
-    return begin_networks(
-        scene, [None if own is None else (estimator, own, part) for own, part in pairs], period
-    )
+    parts = network_readings(scene, resting)
+    networks = {
+        number: (estimator, own, parts[number])
+        for number, own in network_scenes(scene, estimator).items()
+    }
+    return begin_networks(scene, networks, period)
 
 
 @ONE_BLAS_THREAD
 def begin_networks(
     scene: Scene,
-    networks: Sequence[Network | None],
+    networks: Mapping[int, Network],
     period: float,
     noise: NoiseEstimate | None = None,
 ) -> Stream:
@@ -62,9 +63,8 @@ def begin_networks(
     Parameters
     ----------
     scene : Scene
-    networks : sequence of (Estimator, Scene, Readings) or None
-        Estimator, scene as in `network_scenes`, and unloaded readings of each network; None for a
-        dead module.
+    networks : mapping of int to (Estimator, Scene, Readings)
+        Estimator, scene, and unloaded readings of each network that `network_scenes` has.
     period : float
         Time between frames, s.
     noise : NoiseEstimate, optional
@@ -74,14 +74,13 @@ def begin_networks(
     """
     layout = scene.panel.layout
     if layout.coupled:
-        [(estimator, own, resting)] = filter(None, networks)
+        [(estimator, own, resting)] = networks.values()
         return CoupledStream.begin(replace(estimator, error_bars=False), own, period, resting)
     noises = (None,) * layout.count if noise is None else noise.of_modules
-    streams = dict[int, Stream]()
-    for number, network in enumerate(networks):
-        if network is not None:
-            estimator, own, resting = network
-            streams[number] = Stream.unrested(estimator, own, period, resting, noises[number])
+    streams = {
+        number: Stream.unrested(estimator, own, period, resting, noises[number])
+        for number, (estimator, own, resting) in networks.items()
+    }
     modules = solve_baselines(streams)
     first = next(iter(modules.values()))
     nothing = np.zeros_like(first.resting.side)
@@ -92,17 +91,15 @@ def begin_networks(
     return ModulesStream(first.estimator, scene, period, image, modules=modules).rested_whole()
 
 
-def network_scenes(scene: Scene, estimator: Estimator) -> list[Scene | None]:
-    """Return the scenes of the networks that are estimated on their own, None for a dead module.
+def network_scenes(scene: Scene, estimator: Estimator) -> dict[int, Scene]:
+    """Return the scenes of the networks that are estimated on their own, without dead modules.
 
     Raises InputError as `_coupled_scene`.
     """
     if scene.panel.layout.coupled:
-        return [_coupled_scene(scene, estimator)]
-    return [
-        None if number in scene.dead_modules else module
-        for number, module in enumerate(scene.of_modules)
-    ]
+        return {0: _coupled_scene(scene, estimator)}
+    modules = enumerate(scene.of_modules)
+    return {number: module for number, module in modules if number not in scene.dead_modules}
 
 
 def network_readings(scene: Scene, readings: Readings) -> list[Readings]:
@@ -151,9 +148,9 @@ def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
     )
 
 
-def _places(cells: NDArray[np.bool_]) -> tuple[tuple[int, int], ...]:
+def _places(cells: Mask) -> tuple[tuple[int, int], ...]:
     """Return row and column of the marked cells, (rows, columns)."""
-    return tuple((int(row), int(column)) for row, column in np.argwhere(cells))
+    return tuple((row, column) for row, column in np.argwhere(cells).tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,24 +171,20 @@ class CoupledStream(Stream):
     def push(self, readings: Readings) -> tuple[Stream, Step]:
         """Push a frame, as `Stream.push`."""
         stream, step = super().push(readings)
-        unread = self._unread(readings)
-        solution = step.solution
-        if not (unread.any() and solution.solved):
-            return stream, step
-        masked = replace(
-            solution,
-            cell_resistance=np.where(unread, np.nan, solution.cell_resistance),
-            reading=np.where(unread, np.nan, solution.reading),
+        cells, reading = (
+            np.where(self._unread(readings), np.nan, values)
+            for values in (step.solution.cell_resistance, step.solution.reading)
         )
+        masked = replace(step.solution, cell_resistance=cells, reading=reading)
         return stream, replace(step, solution=masked)
 
-    def _unread(self, readings: Readings) -> NDArray[np.bool_]:
+    def _unread(self, readings: Readings) -> Mask:
         """Return the cells of modules without any value, (rows, columns)."""
         assert isinstance(self.scene.readout, ModulesReadout)
         layout = self.scene.readout.layout
         parts = layout.split(readings.plain)
-        unread = np.logical_not(parts.any(axis=(-2, -1), keepdims=True))
-        return layout.joined(np.broadcast_to(unread, parts.shape))
+        read = parts.any(axis=(-2, -1), keepdims=True)
+        return ~layout.joined(np.broadcast_to(read, parts.shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,15 +233,6 @@ class ModulesStream(Stream):
             modules[number] = module.carrying(own)
         return replace(self, modules=modules, first=False)
 
-    @property
-    def takes_blocks(self) -> bool:
-        """Whether frames may be solved in blocks; modules are solved together instead."""
-        return False
-
-    def verified(self, readings: Readings, after: Stream, step: Step) -> tuple[Stream, Step]:
-        """Return the stream and the step unchanged: the steps of modules have no second solve."""
-        return after, step
-
     @ONE_BLAS_THREAD
     def tared(self, resting: Readings) -> "ModulesStream":
         """Return the stream of every module tared, as `Stream.tared`."""
@@ -289,10 +273,9 @@ class ModulesStream(Stream):
             )
         stream = replace(self, modules=modules, first=False).rested_whole()
         steps = []
-        for frame in range(len(readings.value)):
+        for own_steps in zip(*solved.values(), strict=True):
             on_frame()
-            own_steps = {number: column[frame] for number, column in solved.items()}
-            steps.append(image_step(layout, own_steps))
+            steps.append(image_step(layout, dict(zip(solved, own_steps, strict=True))))
         return stream, steps
 
     @property
@@ -345,10 +328,9 @@ def _joined(
     maps = {number: values[last] for number, values in every.items() if values is not None}
     if not maps:
         return None
-    first = next(iter(maps.values()))
-    blank = np.full(first.shape, missing, dtype=first.dtype)
+    blank = np.full_like(next(iter(maps.values())), missing)
     present = [maps.get(number, blank) for number in range(layout.count)]
-    return np.asarray(layout.joined(np.stack(present, axis=-3)))
+    return layout.joined(np.stack(present, axis=-3))
 
 
 def _joined_certainty(layout: Modules, parts: Mapping[int, Any], name: str) -> Certainty | None:
@@ -379,8 +361,7 @@ def image_step(layout: Modules, steps: Mapping[int, Step]) -> Step:
     )
     solutions = {number: step.solution for number, step in steps.items()}
     missing = {"cell_resistance": np.nan, "reading": np.nan, "open_cell": False, "at_lower": False}
-    parts: dict[str, Any] = {"at": None, "dual": None, "carried": None}
-    parts |= {
+    parts: dict[str, Any] = {
         name: _joined(layout, solutions, name, fill, slice(-1, None))
         for name, fill in missing.items()
     }
@@ -408,4 +389,4 @@ def image_step(layout: Modules, steps: Mapping[int, Step]) -> Step:
         sum(step.bars_seconds for step in present),
         sentence="; ".join(sentences),
         weight_sigma=counted[0].weight_sigma,
-    )
+    ).bare()

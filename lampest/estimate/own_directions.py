@@ -6,10 +6,9 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
-from numpy.typing import NDArray
 
 from lampest.formulation.instance import Instance, ProgramResult, on_bounds
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 
 SLOPE_ROUNDING = 1e-10  # of the unit of costs: a slope that may be the rounding of its parts
 # Factor on the multiplier that the curvature alone would make; a larger one holds its unknown at
@@ -37,9 +36,9 @@ class Directions:
         Z.
     """
 
-    held: NDArray[np.bool_]
-    follows: NDArray[np.bool_]
-    active: NDArray[np.bool_]
+    held: Mask
+    follows: Mask
+    active: Mask
     leading: Array
     rows: Array
     basis: Array
@@ -74,9 +73,8 @@ class Directions:
         follows = np.isin(names, [*program.network.voltages])
         balance = program.equation.sizes["balance"]
         by_voltage = scipy.sparse.linalg.splu(jacobian[:balance, follows])
-        leads = np.flatnonzero(~follows)
-        leading = np.zeros((len(x), len(leads)))
-        leading[leads, np.arange(len(leads))] = 1.0
+        leads = ~follows
+        leading = np.eye(len(x))[:, leads]
         leading[follows] = -by_voltage.solve(jacobian[:balance, leads].toarray())
         # A multiplier that a move off the bound by its distance would make holds nothing.
         curvature = np.zeros(len(x))
@@ -101,7 +99,7 @@ class Directions:
         return cls(held, follows, active, leading, rows, basis)
 
 
-def _held(value: Array, multiplier: Array, low: Array, high: Array) -> NDArray[np.bool_]:
+def _held(value: Array, multiplier: Array, low: Array, high: Array) -> Mask:
     """Return which values a limit holds, see `on_bounds`; equal limits hold always."""
     at_limit = on_bounds(value, multiplier, low, high)
     return np.asarray((low == high) | (at_limit == low) | (at_limit == high))

@@ -322,4 +322,4 @@ def _chosen_frames(recording: Recording, frames: Sequence[int] | None) -> list[i
             raise InputError(
                 f"the recording has frames 0 to {len(recording.role) - 1}, not {frame}"
             )
-    return [int(frame) for frame in indices]
+    return [*indices.tolist()]

@@ -13,13 +13,13 @@ sections 12.5 and 16.2; Fiacco, Introduction to Sensitivity and Stability Analys
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import pairwise, product
 
 import casadi
 import numpy as np
 import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
-from numpy.typing import NDArray
 
 from lampest.estimate.own_directions import SLOPE_ROUNDING, Directions
 from lampest.files.errors import InputError, counted
@@ -27,7 +27,7 @@ from lampest.formulation.instance import Instance, ProgramResult
 from lampest.formulation.ipopt import Interface
 from lampest.formulation.program import CELL_BOUNDS, Program
 from lampest.panel.compiled import SymbolsOwner, guarded
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask
 from lampest.solvers.by_ipopt import STATUS
 from lampest.solvers.certificate import ROUNDING, Definiteness, Modes
 from lampest.solvers.solution import OPTIMA, VERIFIED, Status
@@ -116,7 +116,7 @@ class OwnSolution(SymbolsOwner):
         limit = SLOPE_ROUNDING + VERIFIED * (np.abs(basis).T @ slopes)
         if np.any(np.abs(modes.undetermined(self._slope)) > limit):
             return Status.UNBOUNDED
-        return Status.SADDLE if self._falls(modes) else Status.FLAT
+        return Status.SADDLE if self._falls() else Status.FLAT
 
     @property
     def solved(self) -> bool:
@@ -171,7 +171,7 @@ class OwnSolution(SymbolsOwner):
         Raises InputError for an unknown name.
         """
         self._check_name(name)
-        return self._if_solved(self.instance.program.unknown.named(self.result.unknown)[name])
+        return self.value(name).ravel()
 
     @property
     def cell_resistance_errors(self) -> Array:
@@ -180,9 +180,7 @@ class OwnSolution(SymbolsOwner):
         A cell at a bound has zero, an undetermined one infinity. The misfit must be weighted by the
         noise for these numbers to have a meaning.
         """
-        # r = s/g: the deviation of r is r²/s times that of g
-        of_conductance = self._deviations("conductance").reshape(self.instance.shape)
-        return self.cell_resistance**2 / self.instance.scale * of_conductance
+        return np.sqrt(np.diag(self.covariance())).reshape(self.instance.shape)
 
     def value(self, of: str | casadi.SX) -> Array:
         """Return the value of an expression of the program's symbols, or of a name, of its shape.
@@ -198,7 +196,7 @@ class OwnSolution(SymbolsOwner):
         Raises InputError for an unknown name.
         """
         self._check_name(name)
-        return self._deviations(name)
+        return np.sqrt(np.diag(self.covariance(name)))
 
     @cached_property
     def optimality_error(self) -> float:
@@ -255,11 +253,8 @@ class OwnSolution(SymbolsOwner):
         unknowns in their unit.
         """
         sizes = self.instance.program.unknown.sizes
-        ends = np.cumsum([*sizes.values()]).tolist()
-        return {
-            name: slice(end - size, end)
-            for (name, size), end in zip(sizes.items(), ends, strict=True)
-        }
+        ends = pairwise(np.cumsum([0, *sizes.values()]).tolist())
+        return {name: slice(*rows) for name, rows in zip(sizes, ends, strict=True)}
 
     @property
     def hessian(self) -> scipy.sparse.csc_array:
@@ -289,8 +284,8 @@ class OwnSolution(SymbolsOwner):
         _, outer, _ = self._evaluated(self._function(of, ""))
         if not self.solved:
             return np.full((len(outer), len(outer)), np.nan)
-        factor, undetermined = (outer @ part for part in self._spread)
-        free = _reaches(undetermined, np.abs(outer) @ np.abs(self._spread[1]))
+        factor = outer @ self._spread[0]
+        free = self._free(outer)
         return np.where(free[:, None] | free, np.inf, factor @ factor.T)
 
     def sensitivity(self, *, of: str | casadi.SX = "cell_resistance", to: str) -> Array:
@@ -315,12 +310,10 @@ class OwnSolution(SymbolsOwner):
         _, outer, explicit = self._evaluated(self._function(of, to))
         if not self.solved:
             return np.full((len(outer), count), np.nan)
-        total = outer @ self._moved(to)
+        total = outer @ self._moved(to, count)
         if explicit.shape[1]:
             total += explicit
-        undetermined = self._spread[1]
-        free = _reaches(outer @ undetermined, np.abs(outer) @ np.abs(undetermined))
-        return np.where(free[:, None], np.nan, total)
+        return np.where(self._free(outer)[:, None], np.nan, total)
 
     @guarded
     def _function(self, of: str | casadi.SX, to: str) -> casadi.Function:
@@ -340,7 +333,7 @@ class OwnSolution(SymbolsOwner):
     def _evaluated(self, function: casadi.Function, *more: Array) -> list[Array]:
         """Return the results of a function of x, p and further arguments, as arrays."""
         results = function(self.result.unknown, self.instance.parameter, *more)
-        return [np.asarray(result, dtype=float) for result in results]
+        return list(map(np.asarray, results))
 
     def _size_of(self, to: str) -> int:
         """Return the number of entries of what a sensitivity is taken to.
@@ -348,15 +341,15 @@ class OwnSolution(SymbolsOwner):
         Raises InputError for another name.
         """
         program = self.instance.program
-        sizes = {name: program.parameter.sizes[name] for name, _ in program.given.named()}
-        sizes["weights"] = program.parameter.sizes["weights"]
+        given = (*dict(program.given.named()), "weights")
+        sizes = {name: program.parameter.sizes[name] for name in given}
         sizes |= dict.fromkeys(CELL_BOUNDS, program.unknown.sizes["conductance"])
         sizes |= {name: program.equation.sizes[name] for name in program.own_constraints}
         if to not in sizes:
             raise InputError(f"there is no sensitivity to {to}; there is one to {', '.join(sizes)}")
         return sizes[to]
 
-    def _moved(self, to: str) -> Array:
+    def _moved(self, to: str, count: int) -> Array:
         """Return dx/dp of the unknowns, (unknowns, parameters).
 
         With A dx = b along the active constraints, dx = dx₀ + Z w, where dx₀ is any solution of
@@ -369,7 +362,6 @@ class OwnSolution(SymbolsOwner):
         directions = self._directions
         _, jacobian, hessian = self._derivatives
         # ∂(∇L)/∂p, the change of the constraints' right sides, and that of held unknowns
-        count = self._size_of(to)
         slopes: Array = np.zeros((len(self.result.unknown), count))
         limits: Array = np.zeros((len(self.result.of_equations), count))
         moved = np.zeros_like(slopes)
@@ -410,9 +402,8 @@ class OwnSolution(SymbolsOwner):
         """Unit of each unknown of the program in those of `places`, (unknowns,)."""
         program = self.instance.program
         natural = casadi.vertcat(*(program.quantities[name] for name in program.unknown.sizes))
-        ones = casadi.substitute(natural, program.unknown.column, casadi.DM.ones(natural.shape))
-        units = casadi.Function("units", [program.parameter.column], [ones])
-        return np.asarray(units(self.instance.parameter)).ravel()
+        units = casadi.Function("units", [program.nlp["x"], program.nlp["p"]], [natural])
+        return np.asarray(units(1.0, self.instance.parameter)).ravel()
 
     def _check_name(self, name: str) -> None:
         """Raise InputError unless the program has an own unknown of this name."""
@@ -478,22 +469,22 @@ class OwnSolution(SymbolsOwner):
         least = np.maximum(least, np.finfo(float).tiny)
         return Modes.of(basis.T @ (hessian @ basis), least)
 
-    def _falls(self, modes: Modes) -> bool:
+    def _falls(self) -> bool:
         """Return whether the cost falls along a direction of no curvature.
 
         Only points within the constraints count, to first order.
         """
         x = self.result.unknown
         cost, equations = self._values(x)
-        flat = self._directions.basis @ (modes.vectors[:, ~modes.solid] / modes.size[:, None])
-        for along in flat.T / np.abs(flat).max(axis=0)[:, None]:
-            for length in PROBES:
-                for step in (length * along, -length * along):
-                    inside = np.clip(x + step, self.instance.lower, self.instance.upper)
-                    lower, moved = self._values(inside)
-                    near = np.abs(moved - equations).max(initial=0.0) <= SAME_PLACE
-                    if near and lower < cost - SLOPE_ROUNDING:
-                        return True
+        flat = self._spread[1]
+        along = flat.T / np.abs(flat).max(axis=0)[:, None]
+        for direction, length, side in product(along, PROBES, (1, -1)):
+            step = side * length * direction
+            inside = np.clip(x + step, self.instance.lower, self.instance.upper)
+            lower, moved = self._values(inside)
+            near = np.abs(moved - equations).max(initial=0.0) <= SAME_PLACE
+            if near and lower < cost - SLOPE_ROUNDING:
+                return True
         return False
 
     @cached_property
@@ -512,14 +503,15 @@ class OwnSolution(SymbolsOwner):
         curvature = modes.values[modes.solid] * (self.instance.cost_scale / 2)
         return directions[:, modes.solid] / np.sqrt(curvature), directions[:, ~modes.solid]
 
-    def _deviations(self, name: str) -> Array:
-        """Return the standard deviations of one block of unknowns, in the program's unit."""
-        chosen = self.places[name]
-        if not self.solved:
-            return np.full(chosen.stop - chosen.start, np.nan)
-        factor, undetermined = self._spread
-        deviations = np.sqrt(np.sum(factor[chosen] ** 2, axis=1))
-        return np.where(_reaches(undetermined[chosen], np.abs(undetermined)), np.inf, deviations)
+    def _free(self, outer: Array) -> Mask:
+        """Return which rows of a quantity move, beyond rounding, along undetermined directions.
+
+        `outer` are the derivatives of the quantity by the unknowns, (size, unknowns).
+        """
+        undetermined = self._spread[1]
+        largest = np.abs(undetermined).max(axis=0, initial=0.0)
+        size = np.abs(outer).sum(axis=1, keepdims=True) * largest
+        return np.asarray(np.any(np.abs(outer @ undetermined) > VERIFIED * size, axis=1))
 
 
 def _with_slopes(program: Program, expression: casadi.SX, to: str) -> casadi.Function:
@@ -550,9 +542,3 @@ def _forces_by(program: Program, to: str) -> casadi.Function:
     slopes = casadi.gradient(lagrangian, nlp["x"])
     outputs = [casadi.densify(casadi.jacobian(value, symbol)) for value in (slopes, nlp["g"])]
     return casadi.Function("forces", [nlp["x"], nlp["p"], multiplier], outputs)
-
-
-def _reaches(chosen: Array, size: Array) -> NDArray[np.bool_]:
-    """Return which rows of moves, (rows, m), are no rounding of moves of a size, (…, m)."""
-    largest = size.max(axis=0, initial=0.0)
-    return np.asarray(np.any(np.abs(chosen) > VERIFIED * largest, axis=1))

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
@@ -13,7 +12,7 @@ from lampest.estimate.stream import CarriedOver, Stream
 from lampest.files.errors import InputError
 from lampest.inference.prepared import Prepared
 from lampest.inference.readings.outliers import WINDOW
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 from lampest.recording.readings import mean_change
 from lampest.recording.recording import MEASURED, Recording, baseline_readings
 from lampest.recording.stored import StoredRecording, first_unloaded, joined, measured_part
@@ -191,7 +190,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
     return lead, Prepared(joined((lead, joined((around,), around.role == MEASURED))))
 
 
-def _own_frames(recording: Recording, frames: range) -> NDArray[np.intp]:
+def _own_frames(recording: Recording, frames: range) -> Numbers:
     """Return the indices of a part's own measured frames, without the lead and the margins."""
     number = recording.number
     assert number is not None

@@ -6,7 +6,6 @@ from itertools import pairwise
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
@@ -19,6 +18,7 @@ from lampest.estimate.weights import converter_and_faults, strongest, with_chose
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.prepared import Prepared
+from lampest.panel.panel import Numbers
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings, mean_change
 from lampest.recording.recording import UNLOADED, Recording, baseline_readings, deciding_frames
@@ -100,7 +100,7 @@ class MeasuredPart:
     """
 
     recording: Recording
-    frames: NDArray[np.intp]
+    frames: Numbers
     readings: Readings
     prepared: Prepared
 
@@ -282,21 +282,19 @@ def first_stream(
     from lampest.estimate.modules import begin_networks, network_readings, network_scenes
 
     recordings = [recording] if layout.coupled else recording.modules
-    parts = zip(
-        network_scenes(scene, estimator), recordings, network_readings(scene, readings), strict=True
-    )
-    networks = [
-        None if own is None else _Network.of(replace(part, scene=own), read)
-        for own, part, read in parts
-    ]
+    parts = network_readings(scene, readings)
+    networks = {
+        number: _Network.of(replace(recordings[number], scene=own), parts[number])
+        for number, own in network_scenes(scene, estimator).items()
+    }
     similar = dict[Hashable, list[_Network]]()
-    for network in filter(None, networks):
+    for network in networks.values():
         similar.setdefault(network.kind, []).append(network)
     chosen = {kind: _weighted(estimator, several) for kind, several in similar.items()}
-    begun = [
-        None if own is None else (chosen[own.kind], own.recording.scene, own.resting)
-        for own in networks
-    ]
+    begun = {
+        number: (chosen[own.kind], own.recording.scene, own.resting)
+        for number, own in networks.items()
+    }
     return begin_networks(scene, begun, period, noise)
 
 
@@ -328,8 +326,7 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
         float(mean_change(frame.plain_values, network.resting.value)) for network, frame in deciding
     ]
     frames_of = dict[_Network, list[Readings]]()
-    for number in strongest(changes):
-        network, frame = deciding[number]
+    for network, frame in (deciding[number] for number in strongest(changes)):
         frames_of.setdefault(network, []).append(frame)
     data, *further = (
         data

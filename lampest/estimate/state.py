@@ -151,7 +151,7 @@ class SequenceState(ReadOnlyArrays):
     @property
     def background(self) -> Background:
         """The background of a frame without knowledge of earlier frames."""
-        return Background(self.scene, self.period)
+        return Background(self.scene)
 
     @property
     def baseline_resistance(self) -> Array:
@@ -163,13 +163,6 @@ class SequenceState(ReadOnlyArrays):
     def rested(self) -> bool:
         """Whether the baseline is solved."""
         return self.baseline is not None and self.baseline.solution.solved
-
-    def with_baseline(self, baseline: Step) -> Self:
-        """Return the state with a solved baseline.
-
-        The baseline is also the previous estimate of the first frame.
-        """
-        return replace(self, baseline=baseline, previous=baseline.estimate(0))
 
     def without_comparisons(self) -> Self:
         """Return the state without the terms that compare with an earlier frame."""

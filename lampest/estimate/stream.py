@@ -257,7 +257,12 @@ class Stream(SequenceState):
         return replace(step, solution=replace(step.solution, status=Status.UNCOMPARED))
 
     def verified(self, readings: Readings, after: "Stream", step: Step) -> tuple["Stream", Step]:
-        """Compare the step of a solved frame with a second solve, see `Method.verified`."""
+        """Compare the step of a solved frame with a second solve, see `Method.verified`.
+
+        Steps of several networks have none, and are unchanged.
+        """
+        if self.joined:
+            return after, step
         after, step = self.estimator.method.verified(self, readings, after, step)
         return after, self._as_compared(step)
 
@@ -288,10 +293,11 @@ class Stream(SequenceState):
     def takes_blocks(self) -> bool:
         """Whether several of the next frames may be solved over a leading axis.
 
-        Their estimates depend on no other measured frame, and cells are the only unknowns.
+        Their estimates depend on no other measured frame, and cells are the only unknowns. Networks
+        of one frame are solved together instead.
         """
         estimator = self.estimator
-        many = self.scene.panel.crossings > MAX_BLOCK_CELLS
+        many = self.joined or self.scene.panel.crossings > MAX_BLOCK_CELLS
         if many or self.first or not self.forgets or estimator.automatic or estimator.relative:
             return False
         return estimator.problem(self.scene, 1, self.period).cells_alone

@@ -25,7 +25,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.covariance import DenseErrors
-from lampest.posterior.linear import LinearModel, rank
+from lampest.posterior.linear import LinearModel
 from lampest.posterior.reference import MAX_CELLS, references
 from lampest.posterior.reference_fit import Reference
 from lampest.posterior.spectrum import (
@@ -359,9 +359,8 @@ class EvidencePoint:
         penalties = np.unique(model.penalty_term)
         # γ: the unknowns that no penalty restricts, and those that the data determine against each
         # penalty
-        bound = min(rank(model.at.cost.unweighted), len(model.free))
         by_penalties = sum(self.errors.determined(int(number)) for number in penalties)
-        determined = len(model.free) - bound + by_penalties
+        determined = len(model.free) - model.penalty_rank + by_penalties
         size = float(np.median(np.abs(model.residual[counted]) / model.noise[counted]))
         return count, max(count - determined, 0.0), count * (MAD_TO_SIGMA * size) ** 2
 

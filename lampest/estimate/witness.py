@@ -68,11 +68,7 @@ def another_start(cost: Cost, data: Data, previous: Array | None) -> Evaluation:
     equal = evaluated(cost, data, data.uniform_start)
     if np.array_equal(equal.branch, evaluated(cost, data, previous).branch):
         return equal
-    return evaluated(
-        cost,
-        data,
-        np.broadcast_to(np.median(previous, axis=(-2, -1), keepdims=True), previous.shape),
-    )
+    return evaluated(cost, data, np.median(previous, axis=(-2, -1), keepdims=True))
 
 
 def compared(solution: Solution, witness: Solution) -> Verification:

@@ -10,12 +10,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lampest.cost.problem import Data, Evaluation
+from lampest.cost.problem import Data
 from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.state import AnyState
 from lampest.files.errors import BROKEN
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import Linear, steihaug
+from lampest.panel.trust_region import steihaug
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.preconditioners import preconditioner
@@ -108,7 +108,15 @@ class LinearisedMethod(Method):
         cost = state.estimator.cost(state.scene, 1, partial=data.partial)
         with suppress(*BROKEN):
             at = evaluated(cost, data, start.previous[None])
-            return replace(start, prepared=(at, inverse_hessian(at)))
+            hessian = Hessian(at, Smoothing.start(at))
+            free = np.ones(len(hessian.gradient), dtype=bool)
+            # With Cholesky's factor one step of conjugate gradients is enough.
+            precondition = preconditioner(hessian, free).over(free, at.cell_resistance)
+
+            def inverse(slope: Array) -> Array:
+                return -steihaug(hessian.product, precondition, slope, ACCURACY).step
+
+            return replace(start, prepared=(at, inverse))
         return start
 
     def solution(
@@ -130,14 +138,3 @@ class LinearisedMethod(Method):
                 outcome = Outcome(cells, dual, Status.APPROXIMATE, 1)
                 return approximation(solver.cost, data, outcome)
         return OptimalMethod("reduced").solution(solver, data, previous, None)
-
-
-def inverse_hessian(at: Evaluation) -> Linear:
-    """Return the product with H⁻¹ at a point, by conjugate gradients with a factor.
-
-    With Cholesky's factor one step is enough.
-    """
-    hessian = Hessian(at, Smoothing.start(at))
-    free = np.ones(len(hessian.gradient), dtype=bool)
-    precondition = preconditioner(hessian, free).over(free, at.cell_resistance)
-    return lambda slope: -steihaug(hessian.product, precondition, slope, ACCURACY).step

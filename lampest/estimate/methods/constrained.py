@@ -150,16 +150,13 @@ class ConstrainedMethod(Method):
         outcome = solver.continued(prepared).solve(data, start)
         solved = outcome.carried
         assert isinstance(solved, OwnSolution)
-        if not solved.solved:
-            failed = failure(solver.cost, data, outcome.status, np.nan, outcome)
-            return replace(failed, solver=solver.name)
-        cells = np.clip(outcome.cell_resistance, data.lower, data.upper)
-        at = start.elsewhere(cells)
-        solution = solution_at(at, solved.optimality_error, outcome, outcome.status)
-        reading = solved.value("reading").reshape(cells.shape)
-        return replace(
-            solution, objective=solved.objective, reading=reading, dual=None, solver=solver.name
-        )
+        solution = failure(solver.cost, data, outcome.status, np.nan, outcome)
+        if solved.solved:
+            at = evaluated(solver.cost, data, outcome.cell_resistance)
+            solution = solution_at(at, solved.optimality_error, outcome, outcome.status)
+            reading = solved.value("reading").reshape(solution.reading.shape)
+            solution = replace(solution, objective=solved.objective, reading=reading, dual=None)
+        return replace(solution, solver=solver.name)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
         """Return the solution where the next frame begins."""
@@ -178,8 +175,8 @@ class ConstrainedMethod(Method):
         """Update the state by a solved frame, with error bars along the constraints."""
         bars = None if state.track is None else _bars(step)
         if bars is not None and state.track is not None and state.track.baseline is not None:
-            independent = np.zeros(bars.frame.deviation.shape)
-            bars = replace(bars, change=bars.frame.less(state.track.baseline, independent))
+            change = bars.frame.less(state.track.baseline, shared=np.zeros(1))
+            bars = replace(bars, change=change)
         return super().after(state, replace(step, bars=bars), readings)
 
     def verified(

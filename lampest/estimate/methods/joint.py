@@ -11,18 +11,17 @@ cells that no reading determines. The Hessian is block tridiagonal in t with a b
 (`lampest.posterior.chain`).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.inference.assumptions import ASSUMED
 from lampest.panel.effects import Shared
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.trust_region import backtracked
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.chain import Chain
@@ -108,10 +107,8 @@ class Joint:
             drawn = np.stack([noise.columns(frame.measured, baseline=False) for frame in data])
             # each part is a mean of unloaded/resting frames
             drawn[:resting] *= np.sqrt(resting / noise.unloaded)
-        lasting = np.median(np.stack([alone[:-2], alone[1:-1], alone[2:]]), axis=0)
-        start = np.pad(
-            np.concatenate([alone[:1], lasting, alone[-1:]]), ((0, 0), (0, drawn.shape[2]))
-        )
+        start = np.pad(alone, ((0, 0), (0, drawn.shape[2])))
+        start[1:-1, :size] = np.median([alone[:-2], alone[1:-1], alone[2:]], axis=0)
         joint = cls(
             tuple(cost),
             tuple(data),
@@ -150,25 +147,23 @@ class Joint:
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds of u and w, (frames, cells + n) each."""
         limits = zip(*(data.log_bounds for data in self.data), strict=True)
-        lower, upper = (np.stack(limit).reshape(self.anchor.shape) for limit in limits)
-        more = ((0, 0), (0, self.drawn.shape[2]))
-        return np.pad(lower, more, constant_values=-np.inf), np.pad(
-            upper, more, constant_values=np.inf
-        )
+        lower, upper = (np.reshape(limit, self.anchor.shape) for limit in limits)
+        unbounded = np.full(self.drawn[:, 0].shape, np.inf)
+        return np.hstack([lower, -unbounded]), np.hstack([upper, unbounded])
 
     @cached_property
     def at(self) -> tuple[Evaluation, ...]:
         """Misfit of every frame, with the shared errors U z + V w subtracted from its readings."""
-        evaluations = []
         offsets = self.shared @ self.shift[: self._sharing] + np.einsum(
             "tri,ti->tr", self.drawn, self.chance
         )
-        cells = np.exp(self.log_cells)
-        for cost, data, own, offset in zip(self.cost, self.data, cells, offsets, strict=True):
+
+        def evaluated(cost: Cost, data: Data, cells: Array, offset: Array) -> Evaluation:
             measured = data.measured - offset.reshape(data.measured.shape)
             shifted = replace(data, given=replace(data.given, measured=measured))
-            evaluations.append(Evaluation.at(cost, shifted, own.reshape(measured.shape)))
-        return tuple(evaluations)
+            return Evaluation.at(cost, shifted, cells.reshape(measured.shape))
+
+        return tuple(map(evaluated, self.cost, self.data, np.exp(self.log_cells), offsets))
 
     @property
     def cells(self) -> int:
@@ -198,10 +193,19 @@ class Joint:
     @cached_property
     def value(self) -> float:
         """Φ."""
-        strayed = IGNORANCE * np.sum((self.log_cells - self.anchor) ** 2)
-        ties = np.sum(self.stiffness * self.steps**2)
-        priors = np.sum(self._shifted**2 * self.certainty) + np.sum(self.chance**2) + strayed + ties
-        return sum(at.objective for at in self.at) + float(priors)
+        priors = (self.prior * self._strayed**2, self.certainty * self._shifted**2)
+        ties = self.stiffness * self.steps**2
+        return float(sum(at.objective for at in self.at) + sum(map(np.sum, (*priors, ties))))
+
+    @property
+    def prior(self) -> Array:
+        """Prior precision of u and w, ε and 1, (cells + n,)."""
+        return np.repeat([IGNORANCE, 1.0], [self.cells, self.drawn.shape[2]])
+
+    @property
+    def _strayed(self) -> Array:
+        """(u − a, w), (frames, cells + n)."""
+        return np.hstack([self.log_cells - self.anchor, self.chance])
 
     @property
     def _shifted(self) -> Array:
@@ -212,9 +216,9 @@ class Joint:
     @property
     def certainty(self) -> Array:
         """Prior precision of z and c."""
-        of_z = np.full(self._sharing, 1.0 if self.held is None else HELD_PRECISION)
-        of_c = np.full(len(self.stiffness), ASSUMED.common_step**-2)
-        return np.concatenate([of_z, of_c])
+        of_z = 1.0 if self.held is None else HELD_PRECISION
+        counts = self._sharing, len(self.stiffness)
+        return np.repeat([of_z, ASSUMED.common_step**-2], counts)
 
     @property
     def ties(self) -> Array:
@@ -229,9 +233,9 @@ class Joint:
         misfit = np.stack([at.log_gradient(NO_DUAL).ravel() / 2 for at in self.at])
         # ½ ∂Φ/∂u_t = ½ ∂misfit/∂u_t + λ_{t−1} x_{t−1} − λ_t x_t + ε (u_t − a_t);  ½ ∂Φ/∂w_t = V_tᵀ
         # ½ ∂misfit/∂f + w_t
-        cells = misfit + pulls[:-1] - pulls[1:] + IGNORANCE * (self.log_cells - self.anchor)
-        chance = np.einsum("tri,tr->ti", self.drawn, self._through) + self.chance
-        return np.concatenate([cells, chance], axis=1)
+        chance = np.einsum("tri,tr->ti", self.drawn, self._through)
+        gradient = np.hstack([misfit - np.diff(pulls, axis=0), chance])
+        return gradient + self.prior * self._strayed
 
     @cached_property
     def _through(self) -> Array:
@@ -239,7 +243,7 @@ class Joint:
         return np.stack([at.partials(NO_DUAL)[1].ravel() / 2 for at in self.at])
 
     @cached_property
-    def pressed(self) -> NDArray[np.bool_]:
+    def pressed(self) -> Mask:
         """Whether an unknown is at a bound with the gradient pointing outside.
 
         Shape (frames, cells + n).
@@ -266,58 +270,55 @@ class Joint:
         return tuple(LinearModel(at, NO_DUAL) for at in self.at)
 
     @cached_property
-    def sensitivities(self) -> list[Array]:
-        """√ω ∂x/∂(u, w) of every frame's data residuals x, (rows, cells + n)."""
-        slopes = [model.at.networks[0].sensitivity() for model in self.models]
-        return self._weighted(
-            [np.concatenate(pair, axis=1) for pair in zip(slopes, self.drawn, strict=True)]
-        )
+    def sensitivities(self) -> Array:
+        """√ω ∂x/∂(u, w) of every frame's data residuals x, (frames, rows, cells + n)."""
+        slopes = [at.networks[0].sensitivity() for at in self.at]
+        return self._weighted(np.concatenate([slopes, self.drawn], axis=2))
 
-    def _weighted(self, columns: Iterable[Array]) -> list[Array]:
-        """Return √ω ∂x/∂f U of every frame (rows, n), for changes U of readings (readings, n)."""
-        parts = zip(self.models, self._sizes, columns, strict=True)
-        return [np.asarray(model.through @ moved) * size[:, None] for model, size, moved in parts]
+    def _weighted(self, columns: Array) -> Array:
+        """Return √ω ∂x/∂f U, (frames, rows, n), for changes U of readings (frames, readings, n)."""
+        moved = [model.through @ change for model, change in zip(self.models, columns, strict=True)]
+        return np.asarray(self._sizes[..., None] * moved)
 
     @cached_property
-    def _sizes(self) -> list[Array]:
-        """√ω of every frame's residuals.
+    def _sizes(self) -> Array:
+        """√ω of every frame's residuals, (frames, rows).
 
         Here ω is the loss's curvature, or where that is not positive, its IRLS weight.
         """
         loss = self.cost[0].terms[0].loss
-        x = [model.residual for model in self.models]
-        differences = np.concatenate(x)
-        curvature = loss.curvature(differences)
-        size = np.sqrt(np.where(curvature > 0, curvature, loss.stiffness(differences)))
-        return np.split(size, np.cumsum([len(rows) for rows in x])[:-1])
+        residuals = np.stack([model.residual for model in self.models])
+        curvature = loss.curvature(residuals.ravel())
+        size = np.where(curvature > 0, curvature, loss.stiffness(residuals.ravel()))
+        return np.sqrt(size).reshape(residuals.shape)
 
     @cached_property
     def chain(self) -> Chain:
         """Half of the Gauss-Newton Hessian of Φ; unknowns at a bound are fixed."""
         free = ~self.pressed
-        count = len(self.position)
         sharing = self._sharing
-        cells = self.cells
-        prior = np.pad(
-            self.ties + IGNORANCE, ((0, 0), (0, self.drawn.shape[2])), constant_values=1.0
+        # λ of u, and none of w
+        ties, stiffness = (
+            np.pad(values, ((0, 0), (0, self.drawn.shape[2])))
+            for values in (self.ties, self.stiffness)
         )
         # Diagonal blocks A_t = J̃ᵀ J̃ + ties + ε over the free unknowns, 1 for the fixed ones.
-        blocks = np.stack([rows.T @ rows for rows in self.sensitivities])
+        rows = self.sensitivities
+        blocks = rows.swapaxes(1, 2) @ rows
         blocks *= free[:, :, None] & free[:, None, :]
-        across = np.arange(blocks.shape[1])
-        blocks[:, across, across] = np.where(free, blocks[:, across, across] + prior, 1.0)
+        diagonals = np.einsum("tii->ti", blocks)
+        diagonals[...] = np.where(free, diagonals + ties + self.prior, 1.0)
         # Border: ∂²Φ/∂u∂z = J̃ᵀ Ũ and ∂²Φ/∂u∂c = ±λ; corner: prior of z and c, Ũᵀ Ũ and Σ λ.
         border = np.zeros((*self.position.shape, len(self.shift)))
         corner = np.diag(self.certainty)
-        border[:, :, :sharing], corner[:sharing, :sharing] = self._bordered(self.shared)
-        corner[:sharing, :sharing] += np.diag(self.certainty[:sharing])
-        step = np.arange(count - 1)
-        border[step, :cells, sharing + step] = self.stiffness
-        border[step + 1, :cells, sharing + step] = -self.stiffness
-        corner[sharing + step, sharing + step] += self.stiffness.sum(axis=1)
+        border[:, :, :sharing], informed = self._bordered(self.shared)
+        corner[:sharing, :sharing] += informed
+        step = np.arange(len(stiffness))
+        border[step, :, sharing + step] = stiffness
+        border[step + 1, :, sharing + step] = -stiffness
+        corner[sharing + step, sharing + step] += stiffness.sum(axis=1)
         # Off-diagonal blocks −Λ, diagonal over the cells that are free in both frames.
-        tie = np.zeros((count - 1, blocks.shape[1]))
-        tie[:, :cells] = self.stiffness * (free[1:] & free[:-1])[:, :cells]
+        tie = stiffness * (free[1:] & free[:-1])
         return Chain(blocks, tie, border * free[:, :, None], corner)
 
     def _bordered(self, columns: Array) -> tuple[Array, Array]:
@@ -329,11 +330,8 @@ class Joint:
             E: changes of the readings by further errors.
         """
         moved = self._weighted(columns)
-        border, corner = (
-            np.stack([rows.T @ right for rows, right in zip(unknowns, moved, strict=True)])
-            for unknowns in (self.sensitivities, self._weighted(self.shared))
-        )
-        return border, corner.sum(axis=0)
+        border = self.sensitivities.swapaxes(1, 2) @ moved
+        return border, np.einsum("tri,trj->ij", self._weighted(self.shared), moved)
 
     def answer(self, columns: Array) -> Array:
         """Return the response of u to errors of the readings that Φ does not contain.
@@ -345,9 +343,8 @@ class Joint:
         columns : array, shape (frames, readings, n)
         """
         right, corner = self._bordered(columns)
-        steps = np.zeros((len(self.stiffness), columns.shape[2]))
-        free_right = right * ~self.pressed[:, :, None]
-        unknowns, _ = self.chain.solve(free_right, np.concatenate([corner, steps]))
+        of_border = np.pad(corner, ((0, len(self.stiffness)), (0, 0)))
+        unknowns, _ = self.chain.solve(right * ~self.pressed[:, :, None], of_border)
         return unknowns[:, : self.cells]
 
     @property
@@ -367,8 +364,7 @@ class Joint:
 
     def expected_squares(self) -> Array:
         """Return E x² of the steps, (frames − 1, cells)."""
-        shifted = np.zeros((len(self.stiffness), len(self.shift)))
-        shifted[:, self._sharing :] = np.eye(len(self.stiffness))
+        shifted = np.eye(len(self.shift))[self._sharing :]  # c_t
         # E x² = x² + var(u_{t+1} − u_t − c_t)
         return self.steps**2 + self.chain.step_variance(shifted)[:, : self.cells]
 
@@ -385,13 +381,10 @@ class Joint:
         shared = np.einsum("tri,tr->i", self.shared, self._through)
         # ½ ∂Φ/∂z = Σ_t Uᵀ ½ ∂misfit/∂f + z (or its deviation from ẑ), ½ ∂Φ/∂c_t = −Σ_i λ_ti x_ti +
         # c_t/τ²
-        slope = (
-            np.concatenate([shared, -np.sum(self.stiffness * self.steps, axis=1)])
-            + self._shifted * self.certainty
-        )
-        cells, shift = self.chain.solve(
-            -np.where(self.pressed, 0.0, self.gradient)[..., None], -slope[:, None]
-        )
+        slope = np.append(shared, -np.sum(self.stiffness * self.steps, axis=1))
+        slope += self._shifted * self.certainty
+        free_gradient = np.where(self.pressed, 0.0, self.gradient)
+        cells, shift = self.chain.solve(-free_gradient[..., None], -slope[:, None])
         return cells[..., 0], shift[:, 0]
 
     def agreeing(self, stiffness: Array) -> "Joint":
@@ -410,25 +403,27 @@ class Joint:
             λ with which the cells near loads are free.
         """
         count = self._sharing
-        unlinked = replace(self, stiffness=stiffness)
         # ẑ and C of all cells, ẑ' and C' without those near loads
-        covariance = self.chain.border_covariance[:count, :count]
-        shift = self.shift[:count] + self.newton()[1][:count]
-        covariance_without = unlinked.chain.border_covariance[:count, :count]
-        shift_without = self.shift[:count] + unlinked.newton()[1][:count]
+        (shift, covariance), (shift_without, covariance_without) = (
+            (
+                (self.shift + joint.newton()[1])[:count],
+                joint.chain.border_covariance[:count, :count],
+            )
+            for joint in (self, replace(self, stiffness=stiffness))
+        )
         difference = covariance_without - covariance
         expected = float(np.trace(difference))
         squares = float(np.sum((shift_without - shift) ** 2))
         if squares <= expected:
             return self
-        precision = positive_inverse(covariance)
-        precision_without = positive_inverse(covariance_without)
         ratio = squares / expected
         share = (ratio * np.exp(1 - ratio)) ** (expected**2 / np.sum(difference**2) / 2)
         # The average has the precision share · C⁻¹ + (1 − share) · C'⁻¹, and is the mean weighted
         # by these.
-        average_precision = share * precision + (1 - share) * precision_without
-        pull = share * (precision @ shift) + (1 - share) * (precision_without @ shift_without)
+        precision = share * positive_inverse(covariance)
+        precision_without = (1 - share) * positive_inverse(covariance_without)
+        average_precision = precision + precision_without
+        pull = precision @ shift + precision_without @ shift_without
         return replace(self, held=(np.linalg.solve(average_precision, pull), average_precision))
 
     @property
@@ -496,7 +491,7 @@ def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
     free = model.free
     tie = joint.ties[frame]
 
-    def released(cells: NDArray[np.intp]) -> Array:
+    def released(cells: Numbers) -> Array:
         """Return the variance of cells at a bound if each alone were released.
 
         Neighbouring frames count as known.

@@ -128,21 +128,22 @@ class Method(Configuration):
         several = state.scene.wiring is None and several_panels(
             state.scene.circuit, *state.scene.panel.shape
         )
-        if state.previous is not None:
-            start = state.previous
-            if several and state.baseline is not None and readings.plain.all():
-                start = self._nearest_panel(state, data, readings)
-            return data, start[None]
-        if several and state.panels is not None:
-            return data, np.clip(state.panels.resting, data.lower[0], data.upper[0])[None]
-        panels = uniform_branches(state.scene.circuit, state.resting.value)
-        if not panels:
-            return data, None
-        # Of several panels that give the same readings the one nearest to the unloaded panel is
-        # meant.
-        return data, np.minimum(panels[0][1], data.upper[0])[None]
+        start = state.previous
+        if start is None:
+            # Of several panels that give the same readings the one nearest to the unloaded panel is
+            # meant.
+            panels = uniform_branches(state.scene.circuit, state.resting.value)
+            if several and state.panels is not None:
+                start = state.panels.resting
+            elif panels:
+                start = panels[0][1]
+        elif several and state.rested and readings.plain.all():
+            start = self._nearest_panel(state, start, data, readings)
+        return data, None if start is None else np.clip(start, data.lower[0], data.upper[0])[None]
 
-    def _nearest_panel(self, state: SequenceState, data: Data, readings: Readings) -> Array:
+    def _nearest_panel(
+        self, state: SequenceState, previous: Array, data: Data, readings: Readings
+    ) -> Array:
         """Return the panel that gives a frame's readings and differs least from the unloaded one.
 
         The panels are found from known panels. The result are the previous cells where none is
@@ -150,21 +151,17 @@ class Method(Configuration):
         """
         from lampest.inference.circuits.alike import nearest_panel, noise_share
 
-        assert state.previous is not None
-        known = [state.previous, state.baseline_resistance]
+        known = [previous, state.baseline_resistance]
         if state.panels is not None:
             known.append(state.panels.loaded)
-        firsts = [cells for cells in known if np.isfinite(cells).all()]
         panels = panels_beyond_folds(
             state.scene.circuit,
             readings.value,
             (data.lower[0], data.upper[0]),
             noise_share(readings),
-            firsts,
+            [cells for cells in known if np.isfinite(cells).all()],
         )
-        if not panels or not np.isfinite(state.baseline_resistance).all():
-            return state.previous
-        return nearest_panel(panels, state.baseline_resistance)
+        return nearest_panel(panels, state.baseline_resistance) if panels else previous
 
     def _background_with_previous(self, state: SequenceState, readings: Readings) -> Background:
         """Return the background of a frame with the previous frame and the baseline.
@@ -219,11 +216,10 @@ class Method(Configuration):
             begin = perf_counter()
             with ended_where_hung(limit):
                 solution = self.solution(solver, data.limited(limit), previous, state.prepared)
-            weights = tuple(float(weight) for weight in solver.cost.weights)
             return Step(
                 solution,
                 choice + perf_counter() - begin,
-                weights,
+                tuple(solver.cost.weights.tolist()),
                 weight_sigma=objective.weight_sigma,
             )
 
@@ -241,7 +237,8 @@ class Method(Configuration):
                     beyond = self._beyond(absolute, state.resting, baseline, model)
                     track = replace(track, baseline=track.baseline.reaching_farther(*beyond))
                 state = replace(state, track=track)
-        return state.with_baseline(baseline)
+        # The baseline is also the previous estimate of the first frame.
+        return replace(state, baseline=baseline, previous=baseline.estimate(0))
 
     def _with_contacts(
         self, state: AnyState, readings: Readings, solved: Step
@@ -298,11 +295,11 @@ class Method(Configuration):
         cost = before.estimator.cost(state.scene, len(data.measured), partial=data.partial)
         witness = testimony(cost, data, previous, state.estimator.solver)
         comparison = compared(step.solution, witness)
-        if comparison.witness is not Witness.LOWER:
-            return after, replace(step, verification=comparison)
-        lower = replace(step, solution=witness, verification=comparison)
-        after, lower = self.after(before, lower, readings)
-        return replace(after, estimator=state.estimator), lower
+        step = replace(step, verification=comparison)
+        if comparison.witness is Witness.LOWER:
+            after, step = self.after(before, replace(step, solution=witness), readings)
+            after = replace(after, estimator=state.estimator)
+        return after, step
 
     def after(self, state: AnyState, step: Step, readings: Readings) -> tuple[AnyState, Step]:
         """Update the state by a solved frame.

@@ -23,7 +23,6 @@ from time import monotonic, perf_counter
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.losses import Squared
 from lampest.cost.problem import NO_DUAL, Data
@@ -38,8 +37,7 @@ from lampest.files.typed import check_positive_fields
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.evidence import touching
 from lampest.panel.effects import Shared
-from lampest.panel.panel import Array
-from lampest.posterior.linear import IGNORANCE, positive_inverse
+from lampest.panel.panel import Array, Mask
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.solution import (
@@ -138,9 +136,10 @@ class SmootherMethod(Method):
         # The unloaded frames enter as means of a few parts, so that a wrong reading in one part can
         # be identified.
         numbers = np.flatnonzero(resting.enough(state.scene))
-        count = min(len(numbers), MAX_UNLOADED_PARTS)
-        parts = np.array_split(numbers, count) if count else []
-        groups = [resting[part].mean().beside(count) for part in parts] or [state.resting]
+        parts = np.array_split(numbers, min(len(numbers), MAX_UNLOADED_PARTS) or 1)
+        groups = [state.resting]
+        if len(numbers):
+            groups = [resting[part].mean().beside(len(parts)) for part in parts]
         state, steps = self._together(state, groups, read, [], on_frame)
         missing = state.unsolved(Status.UNREAD if rested else Status.UNRESTED)
         solved = iter(steps)
@@ -275,7 +274,7 @@ def _begun(
         estimates.append(before if step.estimate(0) is None else step.cell_resistance)
         if number >= len(resting):
             on_frame()
-    return data, np.log(np.stack(estimates)).reshape(len(data), -1)
+    return data, np.log(estimates).reshape(len(data), -1)
 
 
 def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
@@ -379,7 +378,7 @@ class Walk:
             factor = SLOW_DECREASE
         return replace(self, deviation=max(self.deviation * factor, least)), True
 
-    def near_loads(self, squares: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    def near_loads(self, squares: Array, shape: tuple[int, ...]) -> Mask:
         """Return the steps in which a cell or one of its neighbours jumps, S > κ².
 
         Shape (frames − 1, cells).
@@ -433,9 +432,9 @@ def smoothed(joint: Joint, walk: Walk, settings: Settings, until: float = inf) -
     """
     # Noise of frames alone, from diag (J̃ᵀ J̃ + prior)⁻¹: the walk begins at thrice its median.
     cells = slice(joint.cells)
-    prior = np.pad(np.full(joint.cells, IGNORANCE), (0, joint.drawn.shape[2]), constant_values=1.0)
-    inverses = [positive_inverse(rows.T @ rows + np.diag(prior)) for rows in joint.sensitivities]
-    variance = np.minimum([np.diag(inverse)[cells] for inverse in inverses], ASSUMED.jump**2)
+    rows = joint.sensitivities
+    inverses = np.linalg.inv(rows.swapaxes(1, 2) @ rows + np.diag(joint.prior))
+    variance = np.minimum(np.einsum("tii->ti", inverses)[:, cells], ASSUMED.jump**2)
     noise = float(np.sqrt(np.median(variance)))
     least = walk.deviation * noise
     walk = replace(walk, deviation=NOISE_REACH * noise)
