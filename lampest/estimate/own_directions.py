@@ -73,8 +73,9 @@ class Directions:
         follows = np.isin(names, [*program.network.voltages])
         balance = program.equation.sizes["balance"]
         by_voltage = scipy.sparse.linalg.splu(jacobian[:balance, follows])
-        leads = ~follows
-        leading = np.eye(len(x))[:, leads]
+        leads = np.flatnonzero(~follows)
+        leading = np.zeros((len(x), len(leads)))
+        leading[leads, np.arange(len(leads))] = 1.0
         leading[follows] = -by_voltage.solve(jacobian[:balance, leads].toarray())
         # A multiplier that a move off the bound by its distance would make holds nothing.
         curvature = np.zeros(len(x))
