@@ -7,15 +7,15 @@ them. One search at scattered cells finds it for a circuit.
 """
 
 from functools import lru_cache
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from lampest.panel.circuit import CircuitOfLines
 from lampest.panel.equation import equation_of
-from lampest.panel.network import Network
 from lampest.panel.panel import Array
-from lampest.panel.readouts.wiring import Wiring
+
+if TYPE_CHECKING:
+    from lampest.panel.readouts.readout import Readout
 
 Scale = Literal["all", "rows", "columns"]
 TYPICAL_OHM = 3000.0
@@ -26,23 +26,7 @@ NULL = 1e-6  # singular value over the largest; of readings that are shown 0.01 
 WITHIN = 0.9  # share of a scale's square that lies in the null space
 
 
-class SolvableCircuit(CircuitOfLines, Protocol):
-    """Interface of a readout whose cells are searched for."""
-
-    def ties(self, measured: Array) -> Array:
-        """Return the ties of the lines, see `Readout.ties`."""
-
-    def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
-        """Return the solved network, see `Readout.network`."""
-
-    def uniform_start(self, measured: Array) -> Array:
-        """Return cells (…, rows, columns) ohm as if all were equal."""
-
-    def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
-        """Return the readings of cells (…, rows, columns) ohm."""
-
-
-def unseen_scales(circuit: SolvableCircuit, rows: int, columns: int) -> tuple[Scale, ...]:
+def unseen_scales(circuit: "Readout", rows: int, columns: int) -> tuple[Scale, ...]:
     """Return the scales that no reading shows: of all cells, of each row, of each column.
 
     A load, or nothing that conducts elsewhere, shows the scale.
@@ -57,28 +41,27 @@ def unseen_scales(circuit: SolvableCircuit, rows: int, columns: int) -> tuple[Sc
 
 
 @lru_cache(maxsize=64)
-def _unseen(circuit: SolvableCircuit, rows: int, columns: int) -> tuple[Scale, ...]:
+def _unseen(circuit: "Readout", rows: int, columns: int) -> tuple[Scale, ...]:
     """Return the scales of a circuit that lie in the null space of its Jacobian at random cells.
 
     A scale is unseen if more than WITHIN of the square of each of its directions lies there.
     """
-    scatter = np.random.default_rng(1).standard_normal((rows, columns))
-    cells = TYPICAL_OHM * np.exp(SCATTER * scatter)
+    scatter = SCATTER * np.random.default_rng(1).standard_normal((rows, columns))
+    cells = TYPICAL_OHM * np.exp(scatter)
     # An orthonormal basis of the directions of ln r that no reading shows
     _, singular, basis = np.linalg.svd(circuit.network(cells, circuit.ties(cells)).sensitivity())
     null = basis[singular <= NULL * singular[0]]
-    row, column = np.indices((rows, columns))
-    scales: dict[Scale, list[Array]] = {
-        "all": [np.ones((rows, columns))],
-        "rows": [(row == line) * 1.0 for line in range(rows)],
-        "columns": [(column == line) * 1.0 for line in range(columns)],
+    # Directions of each scale, (cells, directions)
+    scales: dict[Scale, Array] = {
+        "all": np.ones((cells.size, 1)),
+        "rows": np.repeat(np.eye(rows), columns, axis=0),
+        "columns": np.tile(np.eye(columns), (rows, 1)),
     }
-
-    def within(direction: Array) -> bool:
-        flat = direction.ravel()
-        return bool(np.sum((null @ flat) ** 2) > WITHIN * np.sum(flat**2))
-
-    return tuple(name for name, directions in scales.items() if all(map(within, directions)))
+    return tuple(
+        name
+        for name, along in scales.items()
+        if np.all(np.sum((null @ along) ** 2, axis=0) > WITHIN * np.sum(along**2, axis=0))
+    )
 
 
 def unseen_sentence(scales: tuple[str, ...]) -> str:
