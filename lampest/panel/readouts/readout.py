@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ from lampest.panel.lines import (
     per_line,
 )
 from lampest.panel.network import Network, SolvedNetwork
-from lampest.panel.panel import Array, Numbers, Shape
+from lampest.panel.panel import Array, Numbers, Panel, Shape
 from lampest.panel.readouts import starts
 from lampest.panel.readouts.converter import (
     MAX_VOLT,
@@ -49,8 +49,25 @@ from lampest.panel.readouts.scan_order import check_scan_order
 from lampest.panel.readouts.starts import USUAL_OHM
 from lampest.panel.readouts.wiring import Wiring, connected_parts
 
-if TYPE_CHECKING:
-    from lampest.panel.scene import Scene
+
+class Surroundings(Protocol):
+    """Interface of a scene for a readout."""
+
+    @property
+    def panel(self) -> Panel:
+        """Panel that is read."""
+
+    @property
+    def series_ohm(self) -> Array:
+        """Resistance in series with every reading, ohm, to be broadcast to (rows, columns)."""
+
+    @property
+    def series_lines(self) -> tuple[Array, Array]:
+        """Resistance in series with each row, (rows,), and with each column, (columns,), ohm."""
+
+    @property
+    def wiring(self) -> Wiring | None:
+        """Wire, contacts and touching lines; None without any."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +190,7 @@ class Readout(Completed, ABC):
     def terminations(self, driven: int, sensed: int) -> Terminations:
         """Return the ends of the lines of a panel with so many driven and sensed lines."""
 
-    def check(self, scene: "Scene") -> None:
+    def check(self, scene: Surroundings) -> None:
         """Raise ValueError if the scene does not fit the readout, or lists do not fit its panel.
 
         A scene does not fit the readout if it has keys that the readout cannot model.
@@ -187,7 +204,7 @@ class Readout(Completed, ABC):
             )
         check_on_panel(self, scene)
 
-    def in_scene(self, scene: "Scene") -> "Readout":
+    def in_scene(self, scene: Surroundings) -> "Readout":
         """Return the circuit that gives the readings of a scene."""
         return self
 
@@ -319,11 +336,11 @@ class Readout(Completed, ABC):
         of_lines = along(opposite(ends.driven), per_line("offset_volt", offset, sensed))
         return ends.recorded_reference + (-of_lines if ends.amplified else of_lines)
 
-    def from_recorded(self, recorded: Array, scene: "Scene") -> Array:
+    def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
         """Return the network's readings of recorded values, (…, rows, columns)."""
         return nominal_terminations(self).sign * (recorded - self._level(recorded.shape))
 
-    def to_recorded(self, reading: Array, scene: "Scene") -> Array:
+    def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
         """Return the recorded values of the network's readings, (…, rows, columns)."""
         return self._level(reading.shape) + nominal_terminations(self).sign * reading
 

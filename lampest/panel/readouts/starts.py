@@ -5,7 +5,6 @@ All are functions of a circuit whose lines end as `lampest.panel.circuit` says.
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,10 +15,7 @@ from lampest.panel.readouts import branches
 from lampest.panel.readouts.alternation import alternated_cells
 from lampest.panel.readouts.branches import LEVELS, MAX_CELLS, MAX_MISFIT, MIN_FOLD, misfit
 from lampest.panel.readouts.floating import convex_start, uniform_factor
-from lampest.panel.readouts.unseen import unseen_scales
-
-if TYPE_CHECKING:
-    from lampest.panel.readouts.readout import Readout
+from lampest.panel.readouts.unseen import SolvableCircuit, unseen_scales
 
 UNIFORM_LEVELS = 140  # of uniform panels, from 10 ohm to 100 Mohm: 12 % from one to the next
 UNIFORM_KNOTS = 48  # of these levels that networks are solved for; the others are interpolated
@@ -43,7 +39,7 @@ def _reference(equation: Equation) -> Array:
     return np.where(np.isfinite(equation.load), equation.load, USUAL_OHM)
 
 
-def apparent_resistance(circuit: "Readout", measured: Array) -> Array:
+def apparent_resistance(circuit: SolvableCircuit, measured: Array) -> Array:
     """Return the resistance of a single divider with a reading, (…, rows, columns) ohm.
 
     For a reading V the resistance is Rs·((U − V_d)·c/V − 1) − Rd.
@@ -60,7 +56,7 @@ def apparent_resistance(circuit: "Readout", measured: Array) -> Array:
     return np.maximum(total - load - equation.drive, MIN_LOAD_SHARE * total)
 
 
-def uniform_start(circuit: "Readout", measured: Array) -> Array:
+def uniform_start(circuit: SolvableCircuit, measured: Array) -> Array:
     """Return r_ij = Rs_j·(1 − Σ_k v_kj)/v_ij, (…, rows, columns) ohm, for idle lines at ground.
 
     The formula is exact for Rd = Rp = 0, where no sensed line depends on another one or on its
@@ -87,7 +83,7 @@ def uniform_start(circuit: "Readout", measured: Array) -> Array:
     return np.asarray(_reference(equation) * remainder / share)
 
 
-def by_uniform_panels(circuit: "Readout", measured: Array) -> bool:
+def by_uniform_panels(circuit: SolvableCircuit, measured: Array) -> bool:
     """Return whether no closed form gives a cell by its reading, but a uniform panel does."""
     equation = _equation(circuit, measured)
     if equation.plain and np.isfinite(equation.load).all():
@@ -95,14 +91,16 @@ def by_uniform_panels(circuit: "Readout", measured: Array) -> bool:
     return not unseen_scales(circuit, *measured.shape[-2:])
 
 
-def _of_uniform_panels(circuit: "Readout", measured: Array) -> Array:
+def _of_uniform_panels(circuit: SolvableCircuit, measured: Array) -> Array:
     """Return the uniform panels that come nearest to each reading, (…, rows, columns) ohm."""
     levels, readings = uniform_readings(circuit, *measured.shape[-2:])
     distance = np.abs(readings - measured[..., None, :, :])
     return np.asarray(levels[np.argmin(distance, axis=-3)])
 
 
-def start(circuit: "Readout", measured: Array, upper: Array, near: Array | None = None) -> Array:
+def start(
+    circuit: SolvableCircuit, measured: Array, upper: Array, near: Array | None = None
+) -> Array:
     """Return cells that reproduce the readings, (rows, columns) ohm.
 
     The search alternates between potentials and cells (`alternated_cells`). Where this moves away
@@ -132,7 +130,7 @@ def start(circuit: "Readout", measured: Array, upper: Array, near: Array | None 
     return panels[0][1] if panels else np.minimum(uniform_start(circuit, measured), upper)
 
 
-def nearly_shorted(circuit: "Readout", measured: Array) -> Array:
+def nearly_shorted(circuit: SolvableCircuit, measured: Array) -> Array:
     """Return cells that count as shorts, (…, rows, columns) ohm.
 
     A share of the uniform start bounds them, too, because with idle lines at ground the apparent
@@ -145,7 +143,7 @@ def nearly_shorted(circuit: "Readout", measured: Array) -> Array:
     return SHORT_SHARE * np.minimum(apparent_resistance(circuit, measured), cells)
 
 
-def several_panels(circuit: "Readout", rows: int, columns: int) -> bool:
+def several_panels(circuit: SolvableCircuit, rows: int, columns: int) -> bool:
     """Return whether readings rise and fall with the conductance of the cells.
 
     The readings of usual cells may then be those of quite different cells, too: idle lines hold
@@ -166,7 +164,7 @@ def several_panels(circuit: "Readout", rows: int, columns: int) -> bool:
 
 
 def panels_beyond_folds(
-    circuit: "Readout",
+    circuit: SolvableCircuit,
     measured: Array,
     limits: tuple[Array, Array],
     tolerance: float,
@@ -178,7 +176,7 @@ def panels_beyond_folds(
 
     Parameters
     ----------
-    circuit : Readout
+    circuit : SolvableCircuit
     measured : array, shape (rows, columns)
         Readings; those that are NaN do not count.
     limits : tuple of two arrays, shape (rows, columns)
@@ -202,7 +200,7 @@ def panels_beyond_folds(
     )
 
 
-def uniform_branches(circuit: "Readout", measured: Array) -> list[tuple[float, Array]]:
+def uniform_branches(circuit: SolvableCircuit, measured: Array) -> list[tuple[float, Array]]:
     """Return the panels that give readings, the most probable one first.
 
     A panel is ln p and cells (rows, columns) ohm. The list is empty where uniform panels give the
@@ -218,7 +216,7 @@ def uniform_branches(circuit: "Readout", measured: Array) -> list[tuple[float, A
 
 
 def _panels_from(
-    circuit: "Readout", measured: Array, firsts: Sequence[Array], upper: Array
+    circuit: SolvableCircuit, measured: Array, firsts: Sequence[Array], upper: Array
 ) -> list[tuple[float, Array]]:
     """Return the panels that give the readings, as `uniform_branches`, from the first ones."""
     return branches.panels_alike(
@@ -227,7 +225,7 @@ def _panels_from(
 
 
 @lru_cache(maxsize=128)
-def log_medians(circuit: "Readout", rows: int, columns: int) -> Array:
+def log_medians(circuit: SolvableCircuit, rows: int, columns: int) -> Array:
     """Return the logarithms of the median readings of uniform panels of LEVELS, (levels,).
 
     The check of a circuit asks for some ten circuits, the same for each recording of a panel.
@@ -238,7 +236,7 @@ def log_medians(circuit: "Readout", rows: int, columns: int) -> Array:
 
 
 @lru_cache(maxsize=32)
-def uniform_readings(circuit: "Readout", rows: int, columns: int) -> tuple[Array, Array]:
+def uniform_readings(circuit: SolvableCircuit, rows: int, columns: int) -> tuple[Array, Array]:
     """Return uniform panels and their readings.
 
     Returns
@@ -262,7 +260,7 @@ def uniform_readings(circuit: "Readout", rows: int, columns: int) -> tuple[Array
 
 
 @lru_cache(maxsize=32)
-def uniform_responses(circuit: "Readout", rows: int, columns: int) -> Array:
+def uniform_responses(circuit: SolvableCircuit, rows: int, columns: int) -> Array:
     """Return the largest |∂y/∂g|, (rows, columns), of each cell of uniform panels of LEVELS.
 
     The unit is volt·ohm. Divided by the noise, the response is the largest resistance that differs

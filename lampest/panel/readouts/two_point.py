@@ -5,7 +5,7 @@ A divider with a reference resistor measures the resistance.
 
 from dataclasses import dataclass, fields
 from math import inf
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,12 +15,9 @@ from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array, Modules, Numbers
 from lampest.panel.readouts.converter import converter_in_words, mean_sigma, relative_step
 from lampest.panel.readouts.floating import convex_start, grounding, uniform_factor
-from lampest.panel.readouts.readout import Readout
+from lampest.panel.readouts.readout import Readout, Surroundings
 from lampest.panel.readouts.starts import SHORT_SHARE
 from lampest.panel.readouts.wiring import Wiring
-
-if TYPE_CHECKING:
-    from lampest.panel.scene import Scene
 
 
 def divider_in_words(readout: "TwoPointReadout | ParallelDividers") -> str:
@@ -69,7 +66,7 @@ def divider_sigma(readout: "TwoPointReadout | ParallelDividers", recorded: Array
 
 
 def divider_recorded(
-    readout: "TwoPointReadout | ParallelDividers", reading: Array, scene: "Scene"
+    readout: "TwoPointReadout | ParallelDividers", reading: Array, scene: Surroundings
 ) -> Array:
     """Return R + R_series as recorded, (…, rows, columns) ohm.
 
@@ -85,7 +82,7 @@ def divider_recorded(
 
 
 def divider_reading(
-    readout: "TwoPointReadout | ParallelDividers", recorded: Array, scene: "Scene"
+    readout: "TwoPointReadout | ParallelDividers", recorded: Array, scene: Surroundings
 ) -> Array:
     """Return the resistance R of the panel alone, (…, rows, columns) ohm."""
     return _without_input(readout, recorded) - scene.series_ohm
@@ -181,7 +178,7 @@ class TwoPointReadout(Readout):
                 "groups have a resistor each at their columns: measured_across must be reference"
             )
 
-    def in_scene(self, scene: "Scene") -> Readout:
+    def in_scene(self, scene: Surroundings) -> Readout:
         """Return the circuit that gives the readings.
 
         With several groups of columns these are dividers in parallel, which share the driven row.

@@ -7,15 +7,15 @@ them. One search at scattered cells finds it for a circuit.
 """
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
+from lampest.panel.circuit import CircuitOfLines
 from lampest.panel.equation import equation_of
+from lampest.panel.network import Network
 from lampest.panel.panel import Array
-
-if TYPE_CHECKING:
-    from lampest.panel.readouts.readout import Readout
+from lampest.panel.readouts.wiring import Wiring
 
 Scale = Literal["all", "rows", "columns"]
 TYPICAL_OHM = 3000.0
@@ -26,7 +26,23 @@ NULL = 1e-6  # singular value over the largest; of readings that are shown 0.01 
 WITHIN = 0.9  # share of a scale's square that lies in the null space
 
 
-def unseen_scales(circuit: "Readout", rows: int, columns: int) -> tuple[Scale, ...]:
+class SolvableCircuit(CircuitOfLines, Protocol):
+    """Interface of a readout whose cells are searched for."""
+
+    def ties(self, measured: Array) -> Array:
+        """Return the ties of the lines, see `Readout.ties`."""
+
+    def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
+        """Return the solved network, see `Readout.network`."""
+
+    def uniform_start(self, measured: Array) -> Array:
+        """Return cells (…, rows, columns) ohm as if all were equal."""
+
+    def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
+        """Return the readings of cells (…, rows, columns) ohm."""
+
+
+def unseen_scales(circuit: SolvableCircuit, rows: int, columns: int) -> tuple[Scale, ...]:
     """Return the scales that no reading shows: of all cells, of each row, of each column.
 
     A load, or nothing that conducts elsewhere, shows the scale.
@@ -41,7 +57,7 @@ def unseen_scales(circuit: "Readout", rows: int, columns: int) -> tuple[Scale, .
 
 
 @lru_cache(maxsize=64)
-def _unseen(circuit: "Readout", rows: int, columns: int) -> tuple[Scale, ...]:
+def _unseen(circuit: SolvableCircuit, rows: int, columns: int) -> tuple[Scale, ...]:
     """Return the scales of a circuit that lie in the null space of its Jacobian at random cells.
 
     A scale is unseen if more than WITHIN of the square of each of its directions lies there.
