@@ -460,7 +460,7 @@ class Readout(Completed, ABC):
         if self.characteristic.curve is None:
             return np.asarray(self.zero_volt + self.code_sign * self.lsb_volt * code)
         volt, codes = self.characteristic.points
-        return np.interp(code, codes, volt)
+        return np.asarray(np.interp(code, codes, volt))
 
     def sigma(self, recorded: Array) -> Array:
         """Return σ of recorded readings, the same shape and unit."""
