@@ -44,7 +44,7 @@ class Ends(Validated):
     follows: bool = False
 
     def __post_init__(self) -> None:
-        ohm, volt = (real_array(getattr(self, name), name) for name in ("ohm", "volt"))
+        ohm, volt = real_array(self.ohm, "ohm"), real_array(self.volt, "volt")
         if ohm.shape != volt.shape or not ohm.ndim:
             raise ValueError(
                 f"ohm of shape {ohm.shape} and volt of {volt.shape}: one of each a line"
@@ -56,9 +56,9 @@ class Ends(Validated):
     @classmethod
     def of(cls, ohm: Array, volt: Array | float | str = 0.0) -> Self:
         """Return ends at a potential in volt, or at that of the line that is read ('follows')."""
-        follows = isinstance(volt, str)
-        at = 0.0 if isinstance(volt, str) else volt
-        return cls(ohm, np.where(np.isinf(ohm), 0.0, at), follows)
+        if isinstance(volt, str):
+            return cls(ohm, np.zeros(ohm.shape), follows=True)
+        return cls(ohm, np.where(np.isinf(ohm), 0.0, volt))
 
     @classmethod
     def floating(cls, count: int) -> Self:
@@ -77,8 +77,7 @@ class Ends(Validated):
         They are those of the lines that the addresses name, or of all others.
         """
         named = np.eye(len(self.ohm), dtype=bool)
-        chosen = np.isfinite(self.ohm) & (named if own else ~named)
-        return self.volt[chosen]
+        return self.volt[np.isfinite(self.ohm) & (named if own else ~named)]
 
     def of_at_least(self, ohm: float) -> Self:
         """Return the ends with resistances of at least so many ohm."""
@@ -95,13 +94,10 @@ class Ends(Validated):
         """
         if np.any((self.ohm == 0) & (other.ohm == 0) & (self.volt != other.volt)):
             raise ValueError("0 ohm hold a line at two potentials: name the resistors")
-        own = self.ohm == 0
-        held = own | (other.ohm == 0)
-        total = np.where(held, 1.0, self.siemens + other.siemens)
-        connected = total > 0
         with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(held, own, np.where(connected, self.siemens / total, 0.0))
-            ohm = np.where(held, 0.0, 1 / total)
+            ohm = 1 / (self.siemens + other.siemens)
+            # 0 where lines float in both
+            share = np.where(self.ohm == 0, 1.0, np.nan_to_num(ohm / self.ohm))
         return replace(self, ohm=ohm, volt=share * self.volt + (1 - share) * other.volt)
 
 
@@ -164,15 +160,11 @@ class Terminations(Validated):
     @cached_property
     def potentials(self) -> Array:
         """Potentials of all ends but the sources, in volt."""
-        idle, loads, idle_loads = (
-            self.driving.connected(own=False),
-            self.sensing.connected(own=True),
-            self.sensing.connected(own=False),
-        )
+        loads, idle_loads = (self.sensing.connected(own=own) for own in (True, False))
         if self.driving.follows:
             # V is linear in the potential that follows if all others are counted from one
             return idle_loads if idle_loads.size else loads
-        return np.concatenate([idle, loads, idle_loads])
+        return np.concatenate([self.driving.connected(own=False), loads, idle_loads])
 
     @cached_property
     def reference(self) -> float:
@@ -182,9 +174,9 @@ class Terminations(Validated):
         """
         if not self.potentials.size:
             return 0.0
-        source = float(np.mean(self.source))
-        least, most = float(self.potentials.min()), float(self.potentials.max())
-        return least if source - least >= most - source else most
+        source = np.mean(self.source)
+        ends = float(self.potentials.min()), float(self.potentials.max())
+        return max(ends, key=lambda volt: abs(source - volt))
 
     @property
     def sign(self) -> float:
@@ -223,24 +215,20 @@ def scanned(
     array([[ 0., inf],
            [inf,  0.]])
     """
-    count = len(own.ohm)
-    named = np.eye(count, dtype=bool)
+    named = np.eye(len(own.ohm), dtype=bool)
     selected = named
     if groups is not None:
-        place = np.full(count, -1)
+        place = np.full(len(own.ohm), -1)
         for group in groups:
             for number, line in enumerate(group):
                 if line is not None:
                     place[line] = number
         selected = place[:, None] == place
     others = own if together is None else together
-    ohm, volt = (
-        np.where(named, own_value, np.where(selected, of_others, of_idle))
-        for own_value, of_others, of_idle in (
-            (own.ohm, others.ohm, idle.ohm),
-            (own.volt, others.volt, idle.volt),
-        )
+    of_own, of_others, of_idle = (
+        np.stack([ends.ohm, ends.volt])[:, None] for ends in (own, others, idle)
     )
+    ohm, volt = np.where(named, of_own, np.where(selected, of_others, of_idle))
     return Ends(ohm, volt, follows=idle.follows or others.follows)
 
 
@@ -266,8 +254,8 @@ def nominal_terminations(circuit: CircuitOfLines) -> Terminations:
         (circuit.of_driven, "driven_groups"),
         ((*circuit.of_sensed, "offset_volt"), "groups"),
     ):
-        values = [getattr(circuit, key, None) for key in keys]
+        values = (getattr(circuit, key, None) for key in keys)
         listed = [len(value) for value in values if isinstance(value, tuple)]
-        grouped = [line + 1 for line in listed_lines(getattr(circuit, groups, None) or ())]
-        counts.append(max([*listed, *grouped], default=NOMINAL_LINES))
+        listed += [line + 1 for line in listed_lines(getattr(circuit, groups, None) or ())]
+        counts.append(max(listed, default=NOMINAL_LINES))
     return circuit.terminations(*counts)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lampest.files.typed import Configuration, check_positive_fields, check_range, check_ranges
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Panel, Shape
 
 GRAVITY = 9.81  # m/s²
 
@@ -42,11 +42,11 @@ def water_pressure(panel: Panel, water: Water | None) -> Array:
     """
     if water is None:
         return np.zeros(panel.shape)
-    kpa_per_mm = 1e-6 * 1000 * GRAVITY
-    return np.asarray(np.nan_to_num(kpa_per_mm * (water.top_row_depth_mm + panel.places_mm[1])))
+    depth_mm = water.top_row_depth_mm + panel.places_mm[1]
+    return np.asarray(np.nan_to_num(1e-6 * 1000 * GRAVITY * depth_mm))
 
 
-def motion_patterns(shape: tuple[int, ...]) -> Array:
+def motion_patterns(shape: Shape) -> Array:
     """Return the patterns in which moving water changes ln r of all cells, (3, rows, columns).
 
     The patterns are 1, the place across the columns, and the place across the rows, from −1 to 1. A
@@ -59,7 +59,7 @@ def motion_patterns(shape: tuple[int, ...]) -> Array:
 
 def moved_by_water(measured: Array, motion: Array) -> Array:
     """Return the changes of readings (rows, columns) by motion of 3 sizes, (3, rows, columns)."""
-    return np.asarray(motion[:, None, None] * motion_patterns(measured.shape) * measured)
+    return motion[:, None, None] * motion_patterns(measured.shape) * measured
 
 
 @dataclass(frozen=True)

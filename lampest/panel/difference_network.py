@@ -5,10 +5,8 @@ not exist. The potential differences do. Where lines have wire, the differences 
 those between terminals. `DifferenceNetwork` has the equations.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -78,16 +76,14 @@ class DifferenceNetwork(SolvedNetwork):
         leaks = wiring.leak_admittance(cell_resistance.shape)
         if leaks is not None:
             admittance = admittance + leaks
-        parts: Sequence[Any]
-        if wiring.joined:
+        if not wiring.joined:
+            entries, excited = excitations(admittance, ties)
+        else:
             # Touching lines are one node, with the sum of their ties: E (Eᵀ (BC + diag t) E)⁻¹ Eᵀ
             nodes = wiring.nodes(len(ties))
             node_ties = np.where(nodes > 0, ties[:, None], 0.0).sum(axis=0)
             of_nodes = excitations(nodes.T @ admittance @ nodes, node_ties)
-            parts = [nodes @ part @ nodes.T for part in of_nodes]
-        else:
-            parts = excitations(admittance, ties)
-        entries, excited = parts
+            entries, excited = (nodes @ part @ nodes.T for part in of_nodes)
         far = None
         if wire is not None and circuit is not None:
             lines = equation_of(circuit, *cell_resistance.shape).read_at_far_end & ~np.isinf(ties)
@@ -163,15 +159,15 @@ class DifferenceNetwork(SolvedNetwork):
     def across_readings(self) -> Array:
         """Difference across every cell for each reading, D_jc − D_kc, (readings, cells)."""
         differences = self.potential_differences
-        return np.asarray(differences[: self.rows, None] - differences[None, self.rows :]).reshape(
+        return (differences[: self.rows, None] - differences[None, self.rows :]).reshape(
             self.transfer.shape
         )
 
     def own_differences(self) -> tuple[Array, Array]:
-        rows, columns = self.shape
-        row, column = np.indices((rows, columns))
-        differences = self.potential_differences.reshape(-1, rows, columns)
-        return differences[row, row, column], differences[rows + column, row, column]
+        of_rows, of_columns = np.split(
+            self.potential_differences.reshape(-1, *self.shape), [self.rows]
+        )
+        return np.einsum("jjk->jk", of_rows), np.einsum("kjk->jk", of_columns)
 
     def currents(self, step: Array) -> Array:
         return self.entering(self._currents(step))
@@ -191,7 +187,7 @@ class DifferenceNetwork(SolvedNetwork):
 
     def drawn_of(self, weighed: Array) -> Array:
         """Return diag(DᵀWD) from `weighed`, (rows, columns)."""
-        return np.asarray(np.sum(self.potential_differences * weighed, axis=0).reshape(self.shape))
+        return np.asarray(np.sum(self.potential_differences * weighed, axis=0)).reshape(self.shape)
 
     def between_cells(self, weighed: Array) -> Array:
         """Return DᵀWD from `weighed`, (cells, cells)."""
@@ -200,10 +196,8 @@ class DifferenceNetwork(SolvedNetwork):
     def moved(self, weighed: Array, step: Array) -> tuple[Entries, Array]:
         currents = self._currents(step)
         changed = self.excited @ self.entering(currents)
-        moved = self.driven(currents, changed)
-        return self.entries(self._read(changed, currents)), 2 * np.sum(
-            moved.T * weighed, axis=0
-        ).reshape(self.shape)
+        drawn = np.sum(self.driven(currents, changed).T * weighed, axis=0)
+        return self.entries(self._read(changed, currents)), 2 * drawn.reshape(self.shape)
 
     @property
     def terminal_currents(self) -> Array:
@@ -211,10 +205,9 @@ class DifferenceNetwork(SolvedNetwork):
 
         The currents are 1 − diag(t) Z, and −K of a held line. At a far end none enters.
         """
-        ties = np.where(self.of_free[:, 0], self.ties, 0.0)
-        excited = np.eye(len(ties)) if self.far is None else np.diag(~self.far.lines)
-        entering = excited - ties[:, None] * self.read_potentials().T
-        return np.where(self.of_free, entering, -self._impedance)
+        through_ties = self.free(self.ties[:, None]) * self.read_potentials().T
+        excited = np.eye(len(self.ties)) if self.far is None else np.diag(~self.far.lines)
+        return np.where(self.of_free, excited - through_ties, -self._impedance)
 
     def normal_by_lines(self, weight: Array) -> NormalByLines:
         return Network.normal_by_lines(self, weight)
@@ -237,22 +230,16 @@ def excitations(admittance: Array, ties: Array) -> tuple[Array, Array]:
     entries, potentials : arrays, shape (lines, lines)
         K and P.
     """
-    held = np.isinf(ties)
-    count = int(held.sum())
-    # Held lines first
-    order = np.argsort(~held, kind="stable")
-    places = np.argsort(order)
-    ordered = admittance[order][:, order]
-    within = np.linalg.inv(ordered[count:, count:] + np.diag(ties[order[count:]]))
+    is_held = np.isinf(ties)
+    free = np.flatnonzero(~is_held)
+    held = np.flatnonzero(is_held)
+    within = np.linalg.inv(admittance[np.ix_(free, free)] + np.diag(ties[free]))
     # Current into held lines from the free ones: −G = admittance between them
-    between = -ordered[:count, count:] @ within
+    towards = admittance[np.ix_(held, free)]
+    between = -towards @ within
     entries = np.empty_like(admittance)
-    entries[count:, count:] = within
-    entries[:count, count:] = between
-    entries[count:, :count] = between.T
-    entries[:count, :count] = -(ordered[:count, :count] + between @ ordered[count:, :count])
-    potentials = np.zeros_like(admittance)
-    potentials[count:, count:] = within
-    potentials[:count, count:] = between
-    np.einsum("ii->i", potentials)[:count] = 1.0
-    return entries[places][:, places], potentials[places][:, places]
+    entries[np.ix_(free, free)] = within
+    entries[np.ix_(held, free)] = between
+    entries[np.ix_(free, held)] = between.T
+    entries[np.ix_(held, held)] = -(admittance[np.ix_(held, held)] + between @ towards.T)
+    return entries, np.where(is_held, np.eye(len(ties)), entries)

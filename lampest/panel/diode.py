@@ -46,9 +46,9 @@ class Diode(Configuration):
 
     def description(self) -> str:
         """Return the drop and its slope in words."""
-        decade = 1e3 * np.log(10) * self.slope_volt
         return (
-            f"diode {self.drop_volt:g} V at {1e3 * self.at_ampere:g} mA, {decade:.3g} mV a decade"
+            f"diode {self.drop_volt:g} V at {1e3 * self.at_ampere:g} mA, "
+            f"{1e3 * np.log(10) * self.slope_volt:.3g} mV a decade"
         )
 
     @cached_property

@@ -29,7 +29,7 @@ ends that is furthest from the source.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from itertools import product
 from typing import Any, Self
 
@@ -37,7 +37,7 @@ import numpy as np
 
 from lampest.panel.circuit import CircuitOfLines, Ends, Terminations, nominal_terminations
 from lampest.panel.diode import Diode
-from lampest.panel.lines import along, of_side, opposite
+from lampest.panel.lines import Side, along, of_side, opposite
 from lampest.panel.panel import Array, Mask, Numbers, check_line_memory
 
 
@@ -116,8 +116,8 @@ class LineChange:
     @property
     def stays(self) -> Mask:
         """Whether a line ends in the base as it does while it is used, (lines,)."""
-        same_volt = (self.own.volt == self.base.volt) & (not self.base.follows)
-        return np.asarray((self.own.ohm == self.base.ohm) & same_volt)
+        same = (self.own.ohm == self.base.ohm) & (self.own.volt == self.base.volt)
+        return np.asarray(same & (not self.base.follows))
 
     @property
     def held(self) -> Mask:
@@ -127,9 +127,10 @@ class LineChange:
     @cached_property
     def ratio(self) -> Array:
         """Rd/Rp, (lines,): 0 of lines that float in the base, 1 of lines that are held."""
+        own, base = self.own.ohm, self.base.ohm
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.where(self.own.ohm == self.base.ohm, 1.0, self.own.ohm / self.base.ohm)
-        return np.where(np.isinf(self.base.ohm), 0.0, np.where(self.base.ohm == 0, 1.0, ratio))
+            ratio = np.where((base == 0) | (own == base), 1.0, own / base)
+        return np.where(np.isinf(base), 0.0, ratio)
 
     def drive_terms(self) -> Array:
         """Return A and A', then both terms of the current, (4, lines); see `Equation`."""
@@ -281,8 +282,7 @@ class Equation:
                 volt = self._solved(entries, at_lines, terms.of_drive, terms.of_load)
             else:
                 # V_j = V_0 + V_1 Vp with Vp = V_j, where V_1 is excited by idle driven lines alone
-                alone = 0.0 * at_lines[0], 0.0 * at_lines[1]
-                without = self._solved(entries, alone, terms.of_drive, terms.of_load)
+                without = self._solved(entries, (0.0, 0.0), terms.of_drive, terms.of_load)
                 share = self._solved(entries, at_lines, terms.follows, 0.0 * terms.of_load)
                 volt = without / (1 - share)
             return terms.level + self.gain * (volt - terms.load_volt)
@@ -312,8 +312,8 @@ class Equation:
         load, by_load = self.load_terms
         of_drive = own_driven * by_drive + drive
         of_load = own_sensed * by_load + load
-        square = mutual * mutual
-        return of_drive, of_load, of_drive * of_load - square * (by_drive * by_load)
+        coupling = mutual * mutual * (by_drive * by_load)
+        return of_drive, of_load, of_drive * of_load - coupling
 
     def _solved(
         self,
@@ -425,12 +425,15 @@ def equation_of(circuit: CircuitOfLines, rows: int, columns: int) -> Equation:
     ends = circuit.terminations(driven_count, sensed_count)
     side = ends.driven
 
-    def of_driven(values: Array) -> Array:
-        return np.broadcast_to(along(side, values), (rows, columns)).copy()
+    def on_panel(of_lines: Side, values: Array) -> Array:
+        return np.broadcast_to(along(of_lines, values), (rows, columns)).copy()
 
-    def of_sensed(values: Array) -> Array:
-        return np.broadcast_to(along(opposite(side), values), (rows, columns)).copy()
+    def at_addresses(of_driven: Array, of_sensed: Array) -> Array:
+        """Return values of all lines, (addresses, lines), from those of both sides in each base."""
+        bases = product(of_driven, of_sensed)
+        return np.stack([np.concatenate(of_side(side, *values)) for values in bases])
 
+    of_driven, of_sensed = (partial(on_panel, line) for line in (side, opposite(side)))
     # Where nothing but both read lines ends anywhere, a resistance is that of floating lines
     alone = Ends.floating(sensed_count) if ends.two_point else None
     sensing = LineChange.of(ends.sensing, alone, whole=ends.at_far_end)
@@ -440,19 +443,11 @@ def equation_of(circuit: CircuitOfLines, rows: int, columns: int) -> Equation:
     if ends.two_point or np.isfinite(sensing.bases.ohm).any(axis=1).all():
         resting = np.where(resting > 0, resting, np.inf)
     driving = LineChange.of(ends.driving, Ends.of(resting, nominal.reference))
-    ties = []
-    tie_volts = []
-    read_at = []
+    ties = at_addresses(driving.bases.siemens, sensing.bases.siemens)
     idle_volt = driving.bases.volt
     idle_volt = np.ones(idle_volt.shape) if driving.base.follows else nominal.relative(idle_volt)
-    load_volt = nominal.relative(sensing.bases.volt)
-    for one, other in product(range(len(driving.of_base)), range(len(sensing.of_base))):
-        siemens = driving.bases.siemens[one], sensing.bases.siemens[other]
-        ties.append(np.concatenate(of_side(side, *siemens)))
-        at_ends = np.concatenate(of_side(side, idle_volt[one], load_volt[other]))
-        tie_volts.append(np.where(ties[-1] > 0, at_ends, 0.0))
-        read = np.multiply.outer(driving.of_base[one], sensing.of_base[other]) * 1.0
-        read_at.append(read if side == "rows" else read.T)
+    tie_volts = at_addresses(idle_volt, nominal.relative(sensing.bases.volt))
+    read = product(driving.of_base, sensing.of_base)
     together = (ends.sensing.ohm == sensing.own.ohm) & (ends.sensing.volt == sensing.own.volt)
     drive, by_drive, by_excitation, by_potential = map(of_driven, driving.drive_terms())
     load, by_load = map(of_sensed, sensing.load_terms())
@@ -467,13 +462,17 @@ def equation_of(circuit: CircuitOfLines, rows: int, columns: int) -> Equation:
         drive_terms=(drive, by_drive),
         load_terms=(load, by_load),
         current_terms=(by_excitation, by_potential),
-        floating=not np.any(ties),
+        floating=not ties.any(),
         grounded=bool(np.all(driving.base.ohm <= driving.own.ohm)) and len(driving.of_base) == 1,
-        ties=np.stack(ties),
-        read_at=np.stack(read_at),
+        ties=ties,
+        read_at=np.stack([np.multiply.outer(*of_side(side, *lines)) * 1.0 for lines in read]),
         together=None if together.all() else together.T * 1.0,
         potentials=_potential_terms(
-            ends, nominal, (driving, sensing), np.stack(tie_volts), (of_driven, of_sensed)
+            ends,
+            nominal,
+            (driving, sensing),
+            np.where(ties > 0, tie_volts, 0.0),
+            (of_driven, of_sensed),
         ),
     )
 

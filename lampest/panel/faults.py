@@ -80,11 +80,10 @@ class Faults(Configuration):
         for row, column in (*self.open, *self.shorted):
             if not (0 <= row < panel.rows and 0 <= column < panel.columns):
                 raise ValueError(f"faults: there is no cell [{row}, {column}]")
-        sides = (
+        for dead, joined, count, name in (
             (self.dead_rows, self.joined_rows, panel.rows, "row"),
             (self.dead_columns, self.joined_columns, panel.columns, "column"),
-        )
-        for dead, joined, count, name in sides:
+        ):
             touching = list(chain.from_iterable(joined))
             if any(len(group) < 2 for group in joined) or len(set(touching)) < len(touching):
                 raise ValueError(
@@ -114,11 +113,10 @@ class Faults(Configuration):
         module_faults = module_faults or Faults()
 
         def inside(cells: tuple[tuple[int, int], ...]) -> list[tuple[int, int]]:
-            moved = ((row - rows.start, column - columns.start) for row, column in cells)
             return [
-                place
-                for place in moved
-                if 0 <= place[0] < layout.each.rows and 0 <= place[1] < layout.each.columns
+                (row - rows.start, column - columns.start)
+                for row, column in cells
+                if rows.start <= row < rows.stop and columns.start <= column < columns.stop
             ]
 
         merged = replace(

@@ -7,8 +7,7 @@ cells.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from itertools import repeat
+from functools import cached_property
 
 import numpy as np
 
@@ -27,44 +26,31 @@ class NetworkPart:
         cells, or those of addresses, all with the same ones.
     cells : integer array, shape (…, rows, columns)
         Numbers of its cells on the panel, row by row; readings have the number of their cell.
-    read : boolean array, shape (…, rows, columns), or None
-        Readings that the network gives; None: all.
+    read : boolean array, shape (…, rows, columns)
+        Readings that the network gives.
     """
 
     network: Network
     cells: Numbers
-    read: Mask | None = None
+    read: Mask
 
     @property
     def addresses(self) -> "list[NetworkPart]":
         """Parts of one address each, whose large matrices are made one after the other."""
-        if self.read is None or self.read.ndim == 2:
+        if self.read.ndim == 2:
             return [self]
         assert isinstance(self.network, SolvedNetwork)
-        return [
-            NetworkPart(self.network.some(number), self.cells[number], read)
-            for number, read in enumerate(self.read)
-        ]
+        networks = map(self.network.some, range(len(self.read)))
+        return list(map(NetworkPart, networks, self.cells, self.read))
 
     @cached_property
     def given(self) -> Numbers:
         """Numbers of the readings that the network gives."""
-        return self.cells if self.read is None else self.cells[self.read]
-
-    @property
-    def square(self) -> tuple[Numbers, Numbers]:
-        """Places of a matrix over its cells in that over all, (…, cells, 1) and (…, 1, cells)."""
-        cells = self.cells.reshape(*self.cells.shape[:-2], 1, -1)
-        return cells.swapaxes(-1, -2), cells
-
-    def give(self, readings: Array) -> Array:
-        """Return the readings that the network gives, (…, rows, columns, …) of all."""
-        return readings if self.read is None else readings[self.read]
+        return self.cells[self.read]
 
     def weights(self, weights: Array) -> Array:
         """Return weights of the readings, zero where another network gives them."""
-        own = weights.reshape(-1)[self.cells]
-        return own if self.read is None else np.where(self.read, own, 0.0)
+        return np.where(self.read, weights.reshape(-1)[self.cells], 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,15 +84,15 @@ class JoinedNetwork(Network):
         places : Modules, or boolean array, shape (addresses, rows, columns)
             Arrangement of the modules, or the readings of each address, all over the same cells.
         """
-        cells = _numbers(*places.shape[-2:])
+        cells = np.arange(cell_resistance.size).reshape(cell_resistance.shape)
         if isinstance(places, Modules):
-            cells, read = places.split(cells), None
+            cells = places.split(cells)
+            read = np.ones(cells.shape, dtype=bool)
         else:
             cells, read = np.broadcast_to(cells, places.shape), places
         if networks[0].cell_resistance.ndim > 2:
             return cls(cell_resistance, (NetworkPart(networks[0], cells, read),))
-        reads = repeat(None) if read is None else read
-        return cls(cell_resistance, tuple(map(NetworkPart, networks, cells, reads)))
+        return cls(cell_resistance, tuple(map(NetworkPart, networks, cells, read)))
 
     def reading(self) -> Array:
         return self._readings([part.network.reading() for part in self.parts])
@@ -118,16 +104,12 @@ class JoinedNetwork(Network):
     def adjoint(self, weights: Array) -> Array:
         return self._summed([part.network.adjoint(part.weights(weights)) for part in self.parts])
 
-    def sensitivity(self) -> Array:
+    def sensitivity(self, read: Mask | None = None) -> Array:
         sensitivity = np.zeros((self.cell_resistance.size, self.cell_resistance.size))
         for part in self._addresses:
-            if part.read is None:
-                sensitivity[part.square] = part.network.sensitivity()
-            else:
-                assert isinstance(part.network, SolvedNetwork)
-                response = part.network.sensitivity(part.read)
-                sensitivity[part.given[:, None], part.square[1]] = response
-        return sensitivity
+            places = np.ix_(part.given, part.cells.ravel())
+            sensitivity[places] = part.network.sensitivity(part.read)
+        return sensitivity if read is None else sensitivity[read.ravel()]
 
     def own_response(self) -> Array:
         return self._readings([part.network.own_response() for part in self.parts])
@@ -160,7 +142,7 @@ class JoinedNetwork(Network):
         behind = of_parts[0].shape[parts[0].cells.ndim :]
         readings = np.empty((self.cell_resistance.size, *behind))
         for part, of_part in zip(parts, of_parts, strict=True):
-            readings[part.given] = part.give(of_part)
+            readings[part.given] = of_part[part.read]
         return readings.reshape(*self.cell_resistance.shape, *behind)
 
     def _summed(self, of_parts: Iterable[Array]) -> Array:
@@ -181,18 +163,20 @@ class JoinedSecondOrder(SecondOrder):
 
     @cached_property
     def _orders(self) -> list[SecondOrder]:
-        parts = self.network.parts
-        return [part.network.second_order(part.weights(self.weights)) for part in parts]
+        return [
+            part.network.second_order(part.weights(self.weights)) for part in self.network.parts
+        ]
 
     def adjoint(self) -> Array:
         return self.network._summed(order.adjoint() for order in self._orders)
 
     def products(self, step: Array) -> tuple[Array, Array]:
         flat = step.reshape(-1)
-        pairs = zip(self._orders, self.network.parts, strict=True)
-        changes, seconds = zip(
-            *(order.products(flat[part.cells]) for order, part in pairs), strict=True
+        products = (
+            order.products(flat[part.cells])
+            for order, part in zip(self._orders, self.network.parts, strict=True)
         )
+        changes, seconds = zip(*products, strict=True)
         return self.network._readings(changes), self.network._summed(seconds)
 
     def matrix(self) -> Array:
@@ -200,11 +184,6 @@ class JoinedSecondOrder(SecondOrder):
         matrix = np.zeros((size, size))
         for part in self.network._addresses:
             order = part.network.second_order(part.weights(self.weights))
-            matrix[part.square] += order.matrix()
+            cells = part.cells.ravel()
+            matrix[np.ix_(cells, cells)] += order.matrix()
         return matrix
-
-
-@lru_cache(maxsize=64)
-def _numbers(rows: int, columns: int) -> Numbers:
-    """Return the numbers of a panel's cells, (rows, columns)."""
-    return np.arange(rows * columns).reshape(rows, columns)

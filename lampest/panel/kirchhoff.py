@@ -53,8 +53,7 @@ def bipartite_matrix(diagonal: Array, between: Array) -> Array:
     d is (…, lines), and A is (…, rows, columns).
     """
     rows = between.shape[-2]
-    lines = diagonal.shape[-1]
-    matrix = np.zeros((*diagonal.shape, lines), dtype=between.dtype)
+    matrix = np.zeros((*diagonal.shape, diagonal.shape[-1]), dtype=between.dtype)
     matrix[..., :rows, rows:] = between
     matrix[..., rows:, :rows] = between.swapaxes(-1, -2)
     np.einsum("...ii->...i", matrix)[...] = diagonal
@@ -75,7 +74,8 @@ def line_sums(values: Array, of_columns: Array | None = None) -> Array:
 
     Columns may have values of their own. Shape (…, rows + columns).
     """
-    of_columns = values if of_columns is None else of_columns
+    if of_columns is None:
+        of_columns = values
     return np.concatenate([np.add.reduce(values, -1), np.add.reduce(of_columns, -2)], axis=-1)
 
 
@@ -92,7 +92,7 @@ def inverse_of(conductance: Array, ties: Array) -> Array:
     """
     rows, columns = conductance.shape[-2:]
     if rows < columns:
-        return np.roll(inverse_of(*_exchanged(conductance, ties)), (rows, rows), axis=(-2, -1))
+        return np.roll(inverse_of(*_exchanged(conductance, ties)), rows, axis=(-2, -1))
     check_line_memory(rows, columns)
     row_sums, shares, schur = _without_rows(conductance, ties)
     # Z_kk' = S⁻¹, Z_jk = diag(a)⁻¹ G S⁻¹, Z_jj' = diag(a)⁻¹ + diag(a)⁻¹ G S⁻¹ Gᵀ diag(a)⁻¹
@@ -120,10 +120,7 @@ def log_determinant(conductance: Array, ties: Array) -> float:
 
 def _exchanged(conductance: Array, ties: Array) -> tuple[Array, Array]:
     """Return the conductances and ties of a network whose rows are columns."""
-    rows = conductance.shape[-2]
-    return conductance.swapaxes(-1, -2), np.concatenate(
-        [ties[..., rows:], ties[..., :rows]], axis=-1
-    )
+    return conductance.swapaxes(-1, -2), np.roll(ties, -conductance.shape[-2], axis=-1)
 
 
 def _without_rows(conductance: Array, ties: Array) -> tuple[Array, Array, Array]:
@@ -168,8 +165,8 @@ class LineBlocks:
     def matrix(self) -> Array:
         """Return the matrix, (k·lines, k·lines)."""
         count, _, lines = self.diagonal.shape
-        blocks = bipartite_matrix(self.diagonal, self.between)
-        return blocks.transpose(0, 2, 1, 3).reshape(count * lines, count * lines)
+        blocks = bipartite_matrix(self.diagonal, self.between).swapaxes(1, 2)
+        return blocks.reshape(count * lines, count * lines)
 
     def inverse(self) -> Callable[[Array], Array]:
         """Return the product with the inverse, (k·lines,).
@@ -270,8 +267,7 @@ class Stencil:
         # (diag(d) + U S Uᵀ)⁻¹ x = x/d − (1/d)·U (S⁻¹ + Uᵀ diag(1/d) U)⁻¹ Uᵀ (x/d)
         lines = self.inner(line_sums(first))
         rows = len(first)
-        solved: Array = first - self.diagonal * (lines[:rows, None] + lines[None, rows:])
-        return solved
+        return first - self.diagonal * (lines[:rows, None] + lines[None, rows:])
 
 
 def square_by_lines(
@@ -295,18 +291,13 @@ def square_by_lines(
     heavy = conductance * cells * weight
     of_lines = line_sums(weight)
     no_lines = np.zeros_like(lines)
-    no_cells = np.zeros_like(weight)
     of_rows, of_columns = np.split(lines, [len(weight)])
-    square_of_lines = lines * of_lines * lines
-    square_of_cells = of_rows[:, None] * weight * of_columns
-    mixed = LineBlocks(
-        np.array([[no_lines, lines], [lines, square_of_lines]]),
-        np.array([[no_cells, no_cells], [no_cells, square_of_cells]]),
-    )
-    inverse = LineBlocks(
-        np.array([[-of_lines, 1 / lines], [1 / lines, no_lines]]),
-        np.array([[-weight, no_cells], [no_cells, no_cells]]),
-    )
+    # Between rows and columns one of the blocks of each matrix is not zero
+    between, between_inverse = np.zeros((2, 2, 2, *weight.shape))
+    between[1, 1] = of_rows[:, None] * weight * of_columns
+    between_inverse[0, 0] = -weight
+    mixed = LineBlocks(np.array([[no_lines, lines], [lines, lines * of_lines * lines]]), between)
+    inverse = LineBlocks(np.array([[-of_lines, 1 / lines], [1 / lines, no_lines]]), between_inverse)
     return NormalByLines(
         heavy * conductance * cells, np.stack([heavy, conductance]), mixed, inverse
     )

@@ -22,7 +22,7 @@ from lampest.panel.circuit import CircuitOfLines
 from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.equation import equation_of
 from lampest.panel.kirchhoff import line_sums
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Shape
 
 ENTRY_NAMES = "pqtef"
 TWO_POINT_SLOPES = np.array(1.0), np.array(1.0), np.array(-2.0)
@@ -65,8 +65,9 @@ def equation_derivatives(
     every = casadi.MX.sym("entries", size * count)
     ones = casadi.DM.ones(size)
     flat = [casadi.MX.sym(name, size) for name in ENTRY_NAMES[:count]]
-    entries = (casadi.reshape(entry, columns, rows).T for entry in flat)
-    reading = equation_of(circuit, rows, columns).reading(*entries)
+    reading = equation_of(circuit, rows, columns).reading(
+        *(casadi.reshape(entry, columns, rows).T for entry in flat)
+    )
 
     @cache
     def derivative(*by: int) -> Any:
@@ -79,17 +80,14 @@ def equation_derivatives(
             return casadi.vec(casadi.densify(reading).T)
         return casadi.jtimes(derivative(*by[:-1]), flat[by[-1]], ones)
 
-    names = product(range(count), repeat=order)
     # h_pq = h_qp
-    listed = (casadi.densify(derivative(*sorted(numbers))) for numbers in names)
-    stacked = casadi.cse(casadi.vertcat(*listed))
+    every_pair = map(sorted, product(range(count), repeat=order))
+    stacked = casadi.cse(casadi.vertcat(*(casadi.densify(derivative(*by)) for by in every_pair)))
     (of_every,) = casadi.substitute([stacked], flat, casadi.vertsplit(every, size))
     return Compiled(casadi.Function("derivatives", [every], [of_every]))
 
 
-def law_derivatives(
-    circuit: CircuitOfLines, entries: Entries, shape: tuple[int, ...], order: int
-) -> Array:
+def law_derivatives(circuit: CircuitOfLines, entries: Entries, shape: Shape, order: int) -> Array:
     """Return all derivatives of h of an order, (derivatives, *shape), for readings of a shape."""
     every = all_entries(entries, shape)
     function = equation_derivatives(circuit, *shape[-2:], len(every), order)
@@ -99,7 +97,7 @@ def law_derivatives(
     return np.stack([one.reshape(-1, *shape[1:]) for one in each], axis=1)
 
 
-def all_entries(parts: Entries, shape: tuple[int, ...]) -> Array:
+def all_entries(parts: Entries, shape: Shape) -> Array:
     """Return entries of the readings as one array, (entries, *shape)."""
     every = np.empty((len(parts), *shape))
     for number, part in enumerate(parts):
@@ -118,5 +116,5 @@ def loading_of(row: Array, column: Array, mutual: Array, *of_sources: Array) -> 
 
     With potentials those of v_j and v_k follow.
     """
-    potentials = line_sums(*of_sources) if of_sources else None
-    return Loading(line_sums(row, column), mutual / 2, potentials)
+    of_potentials = line_sums(*of_sources) if of_sources else None
+    return Loading(line_sums(row, column), mutual / 2, of_potentials)

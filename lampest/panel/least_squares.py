@@ -176,5 +176,5 @@ def _damped_step(point: Linearised, free: Mask, damping: float, longest: Array |
     if failed:  # not positive definite in double precision
         solution = np.linalg.solve(damped, point.gradient[free])
     step[free] = -solution
-    share = float(np.min(longest / np.maximum(np.abs(step), MIN_LENGTH)))
-    return step * min(1.0, share)
+    share = np.min(longest / np.maximum(np.abs(step), MIN_LENGTH))
+    return step * min(1.0, float(share))

@@ -75,8 +75,7 @@ def as_tuple(value: PerLine) -> tuple[float, ...]:
 
 def lines_text(value: PerLine, unit: str = "ohm") -> str:
     """Return '10000 ohm', or 'from 980 to 1020 ohm' if lines differ."""
-    low = min(as_tuple(value))
-    high = max(as_tuple(value))
+    low, high = min(as_tuple(value)), max(as_tuple(value))
     return f"{low:g} {unit}" if low == high else f"from {low:g} to {high:g} {unit}"
 
 
@@ -118,16 +117,11 @@ def with_channels(name: str, value: PerLine, channels: Array) -> tuple[float, ..
     Raises ValueError if a sum is negative.
     """
     total = per_line(name, value, len(channels)) + channels
-    if np.any(total < 0):
+    if min(total) < 0:
         raise ValueError(
             f"the spread of the channels makes a resistance negative; give a larger {name}"
         )
-    return tuple(float(ohm) for ohm in total)
-
-
-def parallel(ohm: Array, shunt: float | None) -> Array:
-    """Return the resistance of `ohm` and `shunt` in parallel; a shunt of None is absent."""
-    return ohm if shunt is None else np.asarray(1 / (1 / ohm + 1 / shunt))
+    return tuple(total.tolist())
 
 
 def listed_lines(groups: Groups) -> list[int]:
@@ -140,29 +134,28 @@ def check_apart(groups: Groups, key: str) -> None:
     if not groups or not all(listed_lines((group,)) for group in groups):
         raise ValueError(f"{key}: every multiplexer has at least one line")
     lines = listed_lines(groups)
-    twice = next((line for line in lines if lines.count(line) > 1), None)
-    if twice is not None:
-        raise ValueError(
-            f"{key} overlap: line {twice} is listed twice, but it is behind one multiplexer"
-        )
+    for line in lines:
+        if lines.count(line) > 1:
+            raise ValueError(
+                f"{key} overlap: line {line} is listed twice, but it is behind one multiplexer"
+            )
 
 
 def check_groups(groups: Groups | None, side: Side, count: int, key: str = "groups") -> None:
     """Raise ValueError unless groups, if any, name every one of `count` lines of a side."""
     if groups is None:
         return
-    lines = set(listed_lines(groups))
+    listed, lines = set(listed_lines(groups)), set(range(count))
     name = side.removesuffix("s")
-    beyond = sorted(lines - set(range(count)))
-    if beyond:
+    if listed - lines:
         raise ValueError(
-            f"readout.{key}: there is no {name} {beyond[0]}; "
+            f"readout.{key}: there is no {name} {min(listed - lines)}; "
             f"{side} are numbered from 0 to {count - 1}"
         )
-    missing = sorted(set(range(count)) - lines)
-    if missing:
+    if lines - listed:
         raise ValueError(
-            f"readout.{key}: {name} {missing[0]} is left out; every one is behind a multiplexer"
+            f"readout.{key}: {name} {min(lines - listed)} is left out; "
+            "every one is behind a multiplexer"
         )
 
 
@@ -201,5 +194,7 @@ class SeriesPerLine(Configuration):
 
     def of_lines(self, panel: Panel) -> tuple[Array, Array]:
         """Return the resistances of all rows, (rows,), and of all columns, (columns,) ohm."""
-        row = per_line("series_resistance_ohm.rows", self.rows, panel.rows)
-        return row, per_line("series_resistance_ohm.columns", self.columns, panel.columns)
+        return (
+            per_line("series_resistance_ohm.rows", self.rows, panel.rows),
+            per_line("series_resistance_ohm.columns", self.columns, panel.columns),
+        )

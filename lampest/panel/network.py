@@ -34,7 +34,7 @@ from lampest.panel.law import (
     law_derivatives,
     loading_of,
 )
-from lampest.panel.panel import Array, Mask, Numbers
+from lampest.panel.panel import Array, Mask, Numbers, Shape
 
 # Indices of rows and columns that give (rows, columns, …) for all readings.
 EVERY_ROW = (slice(None), None)
@@ -71,8 +71,11 @@ class Network(ABC):
         """Return Jᵀ·w for weights w of the readings, (rows, columns)."""
 
     @abstractmethod
-    def sensitivity(self) -> Array:
-        """Return J, (readings, cells)."""
+    def sensitivity(self, read: Mask | None = None) -> Array:
+        """Return J, (readings, cells).
+
+        With `read`, (rows, columns), it has the rows alone of the readings that are True there.
+        """
 
     @abstractmethod
     def own_response(self) -> Array:
@@ -108,8 +111,7 @@ class Network(ABC):
         Panels that give the same readings and differ in sign lie on two sides of a fold; see
         `lampest.panel.readouts.branches`.
         """
-        grown = self.forward(np.ones(self.cell_resistance.shape))
-        return np.sign(np.median(grown, axis=(-2, -1)))
+        return np.sign(np.median(self.forward(np.ones_like(self.cell_resistance)), axis=(-2, -1)))
 
     def normal_by_lines(self, weight: Array) -> NormalByLines:
         """Return an approximation of JᵀWJ for weights w ≥ 0 of the readings (rows, columns).
@@ -227,7 +229,7 @@ class SolvedNetwork(Network):
         )
 
     @property
-    def shape(self) -> tuple[int, ...]:
+    def shape(self) -> Shape:
         """Shape of the cells, (…, rows, columns)."""
         return self.cell_resistance.shape
 
@@ -280,9 +282,8 @@ class SolvedNetwork(Network):
         """Second derivatives h″ of h, (entries, entries, rows, columns); None: h is linear."""
         if self.circuit is None:
             return None
-        count = len(self._entries)
         second = law_derivatives(self.circuit, self._entries, self.shape, 2)
-        return second.reshape(count, count, *self.shape)
+        return second.reshape(len(self._entries), -1, *self.shape)
 
     def read_change(self, change: Entries) -> Array:
         """Return h_p·dp + h_q·dq + h_t·dt, (rows, columns)."""
@@ -392,8 +393,8 @@ class SolvedNetwork(Network):
     def source_differences(self) -> Array:
         """Difference of v = Pᵀ·x across every cell, (…, rows, columns)."""
         assert self.sources is not None
-        by_sources = matrix_vector(self.potentials().swapaxes(-1, -2), self.sources)
-        return self.across_cells(by_sources).reshape(self.shape)
+        potentials = matrix_vector(self.potentials().swapaxes(-1, -2), self.sources)
+        return self.across_cells(potentials).reshape(self.shape)
 
     def across_cells(self, values: Array) -> Array:
         """Return V·B (…, cells) for values V (…, lines)."""
@@ -432,10 +433,7 @@ class SolvedNetwork(Network):
         return *responses, row * by_sources, column * by_sources
 
     def sensitivity(self, read: Mask | None = None) -> Array:
-        """Return J, (…, readings, cells); of two-point readings J = (D_jc − D_kc)²·g_c.
-
-        With `read`, (rows, columns), it has the rows alone of the readings that are True there.
-        """
+        """Return J, (…, readings, cells); of two-point readings J = (D_jc − D_kc)²·g_c."""
         response: Array
         if self.circuit is None:
             response = self.across_readings**2
@@ -448,14 +446,10 @@ class SolvedNetwork(Network):
         if read is not None:
             j, k = np.nonzero(read)
             slopes = tuple(slope[read] for slope in slopes)
-        row, column, mutual, *by_sources = self.entry_responses(j, k)
-        of_row, of_column, of_mutual, *of_sources = (slope[..., None] for slope in slopes)
-        response = of_mutual * mutual
-        response += of_row * row[j]
-        response += of_column * column[k]
-        if by_sources:
-            response += of_sources[0] * by_sources[0][j]
-            response += of_sources[1] * by_sources[1][k]
+        parts = self.entry_responses(j, k)
+        response = slopes[2][..., None] * parts[2]
+        for number, lines in ((0, j), (1, k), (3, j), (4, k))[: len(parts) - 1]:
+            response += slopes[number][..., None] * parts[number][lines]
         return response.reshape(-1, response.shape[-1])
 
     def own_response(self) -> Array:
@@ -464,7 +458,7 @@ class SolvedNetwork(Network):
             return (row - column) ** 2 / self.cell_resistance
         change: Entries = (row**2, column**2, row * column)
         if self.sources is not None:
-            change = (*change, row * self.source_differences, column * self.source_differences)
+            change += row * self.source_differences, column * self.source_differences
         return self.conductance * self.read_change(change)
 
     def response_of(self, response: "Callable[[SolvedNetwork], Array]") -> Array:
@@ -487,14 +481,14 @@ class SolvedNetwork(Network):
         between = across.T @ self.free(self.potentials() @ across)
         towards = self.read_potentials() @ across
         # (1/G + Bᵀ Z B)⁻¹ = G (1 + G Bᵀ Z B)⁻¹, which allows G = 0
-        core = np.linalg.inv(np.eye(across.shape[1]) + siemens * between)
-        change = siemens * towards @ core @ towards.swapaxes(-1, -2)
-        return replace(self, _impedance=self._impedance - change)
+        core = siemens * np.linalg.inv(np.eye(across.shape[1]) + siemens * between)
+        changed = self._impedance - towards @ core @ towards.swapaxes(-1, -2)
+        return replace(self, _impedance=changed)
 
     def entries(self, matrix: Array) -> Entries:
         """Return (K_jj, K_kk, K_jk) of K (…, lines, lines), with sources also both parts of K·x."""
-        diagonal = self._parts(matrix.diagonal(axis1=-2, axis2=-1))
-        entries = (*diagonal, matrix[..., : self.rows, self.rows :])
+        row, column = self._parts(matrix.diagonal(axis1=-2, axis2=-1))
+        entries = row, column, matrix[..., : self.rows, self.rows :]
         if self.sources is None:
             return entries
         return *entries, *self._parts(matrix_vector(matrix, self.sources))
@@ -563,11 +557,9 @@ class SolvedSecondOrder(SecondOrder):
         if shape == self.weights.shape:
             return list((weighted * all_entries(change, shape)).sum(axis=1))
         changes: list[Array] = [np.zeros(shape) for _ in change]
+        # Of single networks alone: the shape is that of the readings, and of the cells
         for of, by in np.argwhere(weighted.any(axis=(-2, -1))):
-            curvature = weighted[of, by]
-            changes[of] += (
-                curvature.reshape(*curvature.shape, *(1,) * (len(shape) - 2)) * change[by]
-            )
+            changes[of] += weighted[of, by][..., None] * change[by]
         return changes
 
     @cached_property
@@ -585,13 +577,11 @@ class SolvedSecondOrder(SecondOrder):
         matrix *= conductance[..., None, :]
         if network.curvatures is not None:
             # Σ_i w_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i
-            row, column, mutual, *of_sources = network.entry_responses()
-            changes: Entries = (row[:, None], column[None], mutual)
-            if of_sources:
-                changes = (*changes, of_sources[0][:, None], of_sources[1][None])
-            by_row, by_column, by_mutual, *by_sources = self.change_of_slopes(changes)
-            matrix += row.T @ by_row.sum(axis=1) + column.T @ by_column.sum(axis=0)
-            matrix += mutual.reshape(-1, len(matrix)).T @ by_mutual.reshape(-1, len(matrix))
-            for axis, (part, by_part) in enumerate(zip(of_sources, by_sources, strict=True)):
-                matrix += part.T @ by_part.sum(axis=1 - axis)
+            responses = network.entry_responses()
+            # Axes of the readings along which a response is the same: its own line has several
+            axes = (1, 0, (), 1, 0)[: len(responses)]
+            changes = self.change_of_slopes(tuple(map(np.expand_dims, responses, axes)))
+            for response, change, axis in zip(responses, changes, axes, strict=True):
+                changed = change if axis == () else change.sum(axis=axis)
+                matrix += response.reshape(-1, len(matrix)).T @ changed.reshape(-1, len(matrix))
         return matrix

@@ -14,6 +14,7 @@ from lampest.files.typed import Configuration, check_positive_fields, check_rang
 Array = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
+Shape = tuple[int, ...]
 MAX_PITCH_MM = 1e6  # mm: a kilometre, beyond any panel
 MAX_CELLS = 1_000_000  # of a panel, or of the image of its modules (tests/units/test_claims.py)
 # lines: matrices over fewer lines fit into 100 MB, and memory is not checked
@@ -23,16 +24,14 @@ PLACE_TOLERANCE = 1.01  # factor on squared distances: positions are written wit
 CellPlace = tuple[int, int, float, float] | tuple[int, int, float, float, float]
 
 
-def check_line_memory(rows: int, columns: int, matrices: int = 3) -> None:
-    """Raise InputError if memory does not suffice for `matrices` matrices (lines, lines).
+def check_line_memory(rows: int, columns: int) -> None:
+    """Raise InputError if memory does not suffice for three matrices (lines, lines).
 
     L and Z are such matrices.
     """
     lines = rows + columns
     if lines > MAX_UNCHECKED_LINES:
-        check_memory(
-            8.0 * matrices * lines**2, f"a panel of {rows} × {columns} cells ({lines} lines)"
-        )
+        check_memory(24.0 * lines**2, f"a panel of {rows} × {columns} cells ({lines} lines)")
 
 
 @dataclass(frozen=True)
@@ -207,9 +206,9 @@ class Panel(Configuration):
             present[row, column] = True
         return present
 
-    def check_memory(self, matrices: int = 3) -> None:
-        """Raise InputError if memory does not suffice for `matrices` matrices (lines, lines)."""
-        check_line_memory(self.rows, self.columns, matrices)
+    def check_memory(self) -> None:
+        """Raise InputError if memory does not suffice for three matrices (lines, lines)."""
+        check_line_memory(self.rows, self.columns)
 
     def centres_mm(self) -> tuple[Array, Array]:
         """Return the positions of the lines, including seams.
@@ -320,9 +319,11 @@ class Panel(Configuration):
         cells = np.flatnonzero(self.present)
         axes = [*self.places_mm, *([] if self.heights_mm is None else [self.heights_mm])]
         places = np.stack([axis.ravel()[cells] for axis in axes], axis=-1)
-        pairs = list[tuple[int, int]]()
-        for cell in range(len(cells)):
-            pairs += [(cell, near) for near in circle_neighbours(places, cell).tolist()]
+        pairs = [
+            (cell, near)
+            for cell in range(len(cells))
+            for near in circle_neighbours(places, cell).tolist()
+        ]
         first, second = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
         distance = np.linalg.norm(places[first] - places[second], axis=-1) / self.pitch_mm
         return cells[first], cells[second], distance
@@ -348,39 +349,14 @@ def circle_neighbours(places: Array, number: int) -> Numbers:
     return after[after > number]
 
 
-def connected_parts(conducting: Mask) -> Numbers | None:
-    """Return the number of the connected part of each line, (lines,).
-
-    The result is None if the cells connect all lines. `conducting`, (rows, columns), states which
-    crossings conduct.
-    """
-    if conducting.all():
-        return None
-    rows, columns = conducting.shape
-    row = np.arange(rows)
-    column = np.arange(rows, rows + columns)
-    # Every line takes the least number of its part, which passes from rows to columns and back.
-    changed = True
-    while changed:
-        previous_row = row
-        previous_column = column
-        column = np.minimum(column, np.where(conducting, row[:, None], rows + columns).min(axis=0))
-        row = np.minimum(row, np.where(conducting, column, rows + columns).min(axis=1))
-        rows_stay = np.array_equal(row, previous_row)
-        changed = not (rows_stay and np.array_equal(column, previous_column))
-    first, parts = np.unique(np.concatenate([row, column]), return_inverse=True)
-    return None if len(first) == 1 else np.asarray(parts, dtype=np.intp)
-
-
 def beyond_any_panel(values: Array) -> Mask:
     """Return whether numbers are outside the range of physical quantities.
 
     Zero, infinity and NaN are not.
     """
     size = np.abs(values)
-    return np.asarray(
-        np.isfinite(values) & (values != 0) & ((size < MIN_NUMBER) | (size > MAX_NUMBER))
-    )
+    extreme = (values != 0) & ((size < MIN_NUMBER) | (size > MAX_NUMBER))
+    return np.asarray(np.isfinite(values) & extreme)
 
 
 def as_panels_have(values: Array) -> Array:

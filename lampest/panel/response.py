@@ -60,8 +60,8 @@ class Response(Configuration):
 
     def _tables(self) -> dict[str, Table]:
         """Return the tables of cells that are specified, by name."""
-        tables = {"gain": self.gain, "gain_sd": self.gain_sd}
-        return {name: table for name, table in tables.items() if table is not None}
+        tables = ("gain", self.gain), ("gain_sd", self.gain_sd)
+        return {name: table for name, table in tables if table is not None}
 
     def check(self, shape: tuple[int, int]) -> None:
         """Raise ValueError unless tables of cells have the panel's shape (rows, columns)."""
@@ -232,17 +232,13 @@ class PowerResponse(Response):
     def logarithm(self, pressure: ArrayLike) -> Array:
         """Return ln f(p) = −n ln(1 + p/p1), and −n p/p1 for suction."""
         share = np.asarray(pressure, dtype=float) / self.scale_kpa
-        return np.asarray(
-            -self.exponent * (np.log1p(np.maximum(share, 0.0)) + np.minimum(share, 0.0))
-        )
+        return -self.exponent * (np.log1p(np.maximum(share, 0.0)) + np.minimum(share, 0.0))
 
     def pressure(self, logarithm: ArrayLike) -> Array:
         """Return p = p1 (e^{−x/n} − 1) for x = ln f, and −p1 x/n for suction."""
         fallen = -np.asarray(logarithm, dtype=float) / self.exponent
         with np.errstate(over="ignore"):
-            return np.asarray(
-                self.scale_kpa * (np.expm1(np.maximum(fallen, 0.0)) + np.minimum(fallen, 0.0))
-            )
+            return self.scale_kpa * (np.expm1(np.maximum(fallen, 0.0)) + np.minimum(fallen, 0.0))
 
     def curve_sd(self, pressure: ArrayLike) -> Array:
         return np.full(np.shape(pressure), self.sd)
@@ -282,7 +278,7 @@ class PublishedResponse(Response):
         # Inverse of `_level`: ln(f) in the linear part 0.112 ≤ f ≤ 1, shifted by the level's excess
         # beyond it
         linear = np.clip(level, CURVE_RATIO[3], 1.0)
-        return np.asarray(np.log(linear) + (level - linear))
+        return np.log(linear) + (level - linear)
 
     def pressure(self, logarithm: ArrayLike) -> Array:
         return _straight_on(-_level(logarithm), -CURVE_LEVEL, CURVE_KPA)

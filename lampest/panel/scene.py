@@ -21,9 +21,9 @@ from lampest.panel.lines import (
     check_resistors,
     lines_text,
 )
-from lampest.panel.panel import Array, Mask, Numbers, Panel, connected_parts
+from lampest.panel.panel import Array, Mask, Numbers, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
-from lampest.panel.readouts.wiring import Contacts, Lines, NeighbourLeaks, Wiring
+from lampest.panel.readouts.wiring import Contacts, Lines, NeighbourLeaks, Wiring, connected_parts
 from lampest.panel.response import AnyResponse, Film
 from lampest.panel.sizes import (
     ESTIMATED,
@@ -316,8 +316,7 @@ class Scene(Configuration):
         texts = []
         for path in self.assumed:
             part, _, name = path.partition(".")
-            owner = getattr(self, part, None)
-            value = getattr(owner, name, None)
+            value = getattr(getattr(self, part, None), name, None)
             if path == CHOSEN_RANGE and self.readout is not None:
                 value = self.readout.characteristic.full_volt
             if value is not None:
@@ -397,7 +396,7 @@ class Scene(Configuration):
     @property
     def known_memory(self) -> float | None:
         """`converter_memory` if it is a number; None otherwise."""
-        return None if isinstance(self.converter_memory, str) else self.converter_memory
+        return plain_size(self.converter_memory)
 
     @property
     def common_change(self) -> tuple[float, float]:
@@ -482,9 +481,9 @@ def without_own_keys(document: Document) -> tuple[Document, tuple[tuple[str, Any
     if not added:
         return document, ()
     registered = applications().scene_keys
-    objects = list[tuple[str, Any]]()
+    objects: dict[str, Any] = {}
     for key in sorted(added & registered.keys()):
         part = replace(document, content={key: content[key]})
-        objects.append((key, validated(part, dict[str, loaded(registered[key])])[key]))  # type: ignore[misc]
-    left = {key: value for key, value in content.items() if key not in dict(objects)}
-    return replace(document, content=left), tuple(objects)
+        objects |= validated(part, dict[str, loaded(registered[key])])  # type: ignore[misc]
+    left = {key: value for key, value in content.items() if key not in objects}
+    return replace(document, content=left), tuple(objects.items())

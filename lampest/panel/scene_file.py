@@ -3,7 +3,6 @@
 import warnings
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
 
 from lampest.files.document import read_document
 from lampest.files.typed import members_of, typed
@@ -33,20 +32,19 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
             document, content=document.content["scene"], marks=document.marks["scene"]
         )
     scene = validated_scene(document)
-    parts: dict[str, Any] = {"panel": scene.panel}
-    if scene.readout is not None:
-        parts["readout"] = scene.readout
-    specified = {name: {"kind", *document.content[name]} for name in parts}
-    if scene.readout is not None:  # a named converter states its bits
-        specified["readout"] |= set(scene.readout.completed(document.content["readout"]))
+    stated = {"panel": {*document.content["panel"]}}
     if scene.panel.modules is not None:  # rows, columns and pitch follow from the modules
-        specified["panel"] |= {"rows", "columns", *document.content["panel"]["modules"]["each"]}
-    left_open = list[str]()
-    for name, part in parts.items():
-        for entry in fields(part):
-            stated = entry.name in specified[name] | CHECKED_DEFAULTS
-            if not stated and getattr(part, entry.name):
-                left_open.append(f"{name}.{entry.name}")
+        stated["panel"] |= {"rows", "columns", *document.content["panel"]["modules"]["each"]}
+    if scene.readout is not None:  # a named converter states its bits
+        completed = scene.readout.completed(document.content["readout"])
+        stated["readout"] = {"kind", *CHECKED_DEFAULTS, *completed}
+    left_open = [
+        f"{name}.{entry.name}"
+        for name, specified in stated.items()
+        for part in [getattr(scene, name)]
+        for entry in fields(part)
+        if entry.name not in specified and getattr(part, entry.name)
+    ]
     if scene.readout is not None and range_assumed(scene.readout):
         left_open.append(CHOSEN_RANGE)
     return replace(scene, assumed=scene.assumed or tuple(left_open))

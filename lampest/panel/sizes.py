@@ -192,8 +192,10 @@ def limits_of(name: str) -> tuple[float, float]:
     """
     if name in LIMITS:
         return LIMITS[name]
-    shared = "lampest.panel.effects:shared_effect_of"
-    effect = loaded(OF_KEYS[name]) if name in OF_KEYS else loaded(shared)(name)
+    if name in OF_KEYS:
+        effect = loaded(OF_KEYS[name])
+    else:
+        effect = loaded("lampest.panel.effects:shared_effect_of")(name)
     limits: tuple[float, float] = effect.limits
     return limits
 

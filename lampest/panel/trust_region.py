@@ -8,7 +8,7 @@ Proc. Amer. Math. Soc. 4, 1953 (golden sections; importing those of SciPy takes 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import inf
+from math import inf, sqrt
 from typing import TypeVar
 
 import numpy as np
@@ -83,84 +83,53 @@ def steihaug(
     residual = gradient
     scaled = precondition(gradient)
     if not gradient @ scaled > 0:
-        precondition = np.copy  # M has lost its digits
-        scaled = gradient
+        scaled, precondition = gradient, np.copy  # M has lost its digits
     strength = float(gradient @ scaled)
     search = -scaled
     goal = accuracy**2 * strength
-    norms = _Norms(0.0, 0.0, strength)
+    step_square, mixed, search_square = 0.0, 0.0, strength
     curvature = inf
     count = 0
     while strength > goal and count < most_products:
         count += 1
         image = product(search)
         curvature = float(search @ image)
-        length = strength / curvature if curvature > 0 else inf
-        inside = norms.square_after(length) < radius**2
-        if not inside:
-            length = min(norms.length_to(radius), _length_in_reach(step, search, curvature))
-        elif count > 1 and admits is not None and not admits(step + length * search):
+        longest = _length_to(radius, step_square, mixed, search_square)
+        length = strength / curvature if curvature > 0 else _length_in_reach(step, search)
+        inside = curvature > 0 and length < longest
+        length = min(length, longest)
+        if inside and count > 1 and admits is not None and not admits(step + length * search):
             break
         step = step + length * search
         residual = residual + length * image
+        step_square += length * (2 * mixed + length * search_square)
         if not inside:
-            norms = norms.after(length, 0.0, 0.0)
             break
         scaled = precondition(residual)
         ratio = float(residual @ scaled) / strength
         strength *= ratio
         search = ratio * search - scaled
-        norms = norms.after(length, ratio, strength)
+        mixed = ratio * (mixed + length * search_square)
+        search_square = strength + ratio**2 * search_square
     decrease = -0.5 * float(step @ (gradient + residual))
-    return SubproblemStep(step, float(np.sqrt(norms.step)), decrease, not curvature > 0, count)
+    return SubproblemStep(step, float(np.sqrt(step_square)), decrease, not curvature > 0, count)
 
 
-@dataclass(frozen=True)
-class _Norms:
-    """Products of step and search direction in the norm of M, without a product with M.
+def _length_to(radius: float, step_square: float, mixed: float, search_square: float) -> float:
+    """Return t ≥ 0 with ‖s + t p‖_M = radius; infinite without a radius.
 
-    Attributes
-    ----------
-    step, mixed, search : float
-        ‖s‖², sᵀMp and ‖p‖².
+    `step_square`, `mixed` and `search_square` are ‖s‖², sᵀMp and ‖p‖². They follow by recursion,
+    without a product with M (Steihaug 1983).
     """
-
-    step: float
-    mixed: float
-    search: float
-
-    def square_after(self, length: float) -> float:
-        """Return ‖s + αp‖²_M = ‖s‖² + 2α sᵀMp + α²‖p‖² for a length α."""
-        return self.step + 2 * length * self.mixed + length * length * self.search
-
-    def length_to(self, radius: float) -> float:
-        """Return t ≥ 0 with ‖s + t p‖_M = radius; infinite without a radius."""
-        if radius == inf:
-            return inf
-        # Positive root of ‖p‖² t² + 2 sᵀMp t − (radius² − ‖s‖²) = 0, without cancellation
-        room = max(radius**2 - self.step, 0.0)
-        root = float(np.sqrt(self.mixed**2 + self.search * room))
-        return room / ((self.mixed + root) or 1.0)
-
-    def after(self, length: float, ratio: float, strength: float) -> "_Norms":
-        """Return the products after a step α p and the next search direction p ← βp − z.
-
-        The length α, the ratio β and rᵀz determine them by recursion (Steihaug 1983).
-        """
-        return _Norms(
-            step=self.square_after(length),
-            mixed=ratio * (self.mixed + length * self.search),
-            search=strength + ratio**2 * self.search,
-        )
-
-
-def _length_in_reach(step: Array, search: Array, curvature: float) -> float:
-    """Return the least t at which an entry of s + t p can reach MAX_RELATIVE_CHANGE.
-
-    Along a positive curvature the length is infinite: the change is limited by the radius alone.
-    """
-    if curvature > 0:
+    if radius == inf:
         return inf
+    # Positive root of ‖p‖² t² + 2 sᵀMp t − (radius² − ‖s‖²) = 0, without cancellation
+    room = max(radius**2 - step_square, 0.0)
+    return room / ((mixed + sqrt(mixed**2 + search_square * room)) or 1.0)
+
+
+def _length_in_reach(step: Array, search: Array) -> float:
+    """Return the least t at which an entry of s + t p can reach MAX_RELATIVE_CHANGE."""
     room = np.maximum(MAX_RELATIVE_CHANGE - np.abs(step), 0.0)
     with np.errstate(divide="ignore"):
         return float(np.fmin.reduce(room / np.abs(search), initial=inf))
@@ -185,17 +154,16 @@ def backtracked(trial: Callable[[float], T | None], lengths: int) -> T | None:
 
 def golden_section(value: Callable[[float], float], low: float, high: float, width: float) -> float:
     """Return the middle of a range of at most `width` about a minimum between two places."""
-    inner = [high - GOLDEN * (high - low), low + GOLDEN * (high - low)]
-    values = [value(place) for place in inner]
-    while high - low > width:
-        if values[0] < values[1]:
-            high = inner[1]
-            inner = [high - GOLDEN * (high - low), inner[0]]
-            values = [value(inner[0]), values[0]]
+    # One of both golden sections is known; the other one lies as far from the other end
+    inner = low + GOLDEN * (high - low)
+    at_inner = value(inner)
+    while abs(high - low) > width:
+        mirrored = low + high - inner
+        at_mirrored = value(mirrored)
+        if at_mirrored < at_inner:
+            high, inner, at_inner = inner, mirrored, at_mirrored
         else:
-            low = inner[0]
-            inner = [inner[1], low + GOLDEN * (high - low)]
-            values = [values[1], value(inner[1])]
+            low, high = high, mirrored
     return (low + high) / 2
 
 

@@ -17,7 +17,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -87,14 +87,14 @@ class SharedEffect(ABC):
     ''
     """
 
-    setting: ClassVar[str]
-    name: ClassVar[str]
-    limits: ClassVar[tuple[float, float]]
-    prior: ClassVar[float | None] = None
-    is_typical: ClassVar[bool] = False
-    is_advised: ClassVar[bool] = True
-    keeps_column: ClassVar[bool] = False
-    if_undetermined: ClassVar[str] = (
+    setting: str
+    name: str
+    limits: tuple[float, float]
+    prior: float | None = None
+    is_typical: bool = False
+    is_advised: bool = True
+    keeps_column: bool = False
+    if_undetermined: str = (
         "the load changes all cells alike: press a few cells, and leave the others free"
     )
 
@@ -131,8 +131,10 @@ class SharedEffect(ABC):
 
     def sentence(self, size: float, deviation: float) -> str:
         """Return the error that a recording shows in words, with its size and its deviation."""
-        measured = f"{size:.2g} +- {deviation:.1g} {self.unit or '(relative)'}"
-        return f"{self.name} of {measured} would explain what still cells change"
+        return (
+            f"{self.name} of {size:.2g} +- {deviation:.1g} {self.unit or '(relative)'} "
+            "would explain what still cells change"
+        )
 
     def simulated(
         self,
@@ -167,14 +169,14 @@ class ReadoutNumber(SharedEffect):
         Number of its first column among those of `tolerance_errors`.
     """
 
-    over_reference: ClassVar[float] = np.inf
-    over_channel: ClassVar[float] = np.inf
-    first: ClassVar[int] = 0
+    over_reference: float = np.inf
+    over_channel: float = np.inf
+    first: int = 0
 
     def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:
-        cells = network.cell_resistance
         sizes = size / self.over_reference, size / self.over_channel
-        return tolerance_errors(scene.circuit, cells, measured, scene, *sizes)[self.first :]
+        errors = tolerance_errors(scene.circuit, network.cell_resistance, measured, scene, *sizes)
+        return errors[self.first :]
 
 
 def shared_effects() -> tuple[SharedEffect, ...]:
@@ -186,7 +188,7 @@ def shared_effects() -> tuple[SharedEffect, ...]:
     Raises InputError if an installed package registers something else than an effect, or a key that
     exists.
     """
-    further = list[SharedEffect]()
+    effects = {setting: shared_effect_of(setting) for setting in SHARED}
     in_notebook = {
         kind.setting: kind
         for kind in SharedEffect.__subclasses__()
@@ -197,13 +199,12 @@ def shared_effects() -> tuple[SharedEffect, ...]:
         if kind in in_notebook.values():
             named = f"{kind.__name__} of this program"
         if issubclass(kind, SharedEffect):
-            taken = [*SHARED, *(error.setting for error in further)]
-            if kind.setting in taken:
-                raise InputError(f"{named} needs a setting unlike {', '.join(taken)}")
-            further.append(kind())
+            if kind.setting in effects:
+                raise InputError(f"{named} needs a setting unlike {', '.join(effects)}")
+            effects[kind.setting] = kind()
         elif not issubclass(kind, loaded("lampest.panel.effects.line_effect:LineEffect")):
             raise InputError(f"{named} is no effect, SharedEffect or LineEffect")
-    return (*map(shared_effect_of, SHARED), *further)
+    return tuple(effects.values())
 
 
 def sized_effects(sizes: Systematic) -> tuple[SharedEffect, ...]:
@@ -221,8 +222,7 @@ def _sized_effects(
 ) -> tuple[SharedEffect, ...]:
     """Return the errors of `sized_effects`, where these kinds are defined."""
     keys = dict.fromkeys((*SHARED, *(key for key, _ in sizes.own)))
-    chosen = (key for key in keys if sizes.entry(key) or key == REFERENCE)
-    return tuple(map(shared_effect_of, chosen))
+    return tuple(shared_effect_of(key) for key in keys if sizes.entry(key) or key == REFERENCE)
 
 
 def shared_effect_of(setting: str) -> SharedEffect:
@@ -233,10 +233,10 @@ def shared_effect_of(setting: str) -> SharedEffect:
     if setting in SHARED:
         shipped: SharedEffect = loaded(SHARED[setting])()
         return shipped
-    for error in shared_effects()[len(SHARED) :]:
-        if error.setting == setting:
-            return error
-    raise ValueError(f"{setting}: no installed effect has this key")
+    effects = {error.setting: error for error in shared_effects()}
+    if setting not in effects:
+        raise ValueError(f"{setting}: no installed effect has this key")
+    return effects[setting]
 
 
 def error_columns(
@@ -250,13 +250,12 @@ def error_columns(
 
     U is in the readings' unit. `measured` are the readings of the network, (…, rows, columns).
     """
-    sized = [(error, sizes.size(error.setting)) for error in errors]
-    parts = [
-        error.columns(network, measured, scene, size)
-        for error, size in sized
-        if size or error.keeps_column
-    ]
-    return np.concatenate([np.zeros((0, *measured.shape)), *parts])
+    parts = [np.zeros((0, *measured.shape))]
+    for error in errors:
+        size = sizes.size(error.setting)
+        if size or error.keeps_column:
+            parts.append(error.columns(network, measured, scene, size))
+    return np.concatenate(parts)
 
 
 def recorded_share(measured: Array, scene: Scene) -> Array:
@@ -270,8 +269,8 @@ def recorded_share(measured: Array, scene: Scene) -> Array:
 
 def recorded_times(measured: Array, scene: Scene, factor: Array | float) -> Array:
     """Return the readings, (..., rows, columns), that times as large recorded values would give."""
-    recorded = scene.circuit.to_recorded(measured, scene)
-    return scene.circuit.from_recorded(recorded * factor, scene)
+    circuit = scene.circuit
+    return circuit.from_recorded(circuit.to_recorded(measured, scene) * factor, scene)
 
 
 def own_errors(measured: Array, scene: Scene, size: float) -> Array:
@@ -337,8 +336,9 @@ def systematic_of(scene: Scene) -> Systematic | None:
 
 def usual_sizes() -> Systematic:
     """Return the sizes of common electronics and films, those of `systematic: typical`."""
-    errors = (error for error in shared_effects() if error.is_typical)
-    priors: dict[str, Any] = {error.setting: error.prior for error in errors}
+    priors: dict[str, Any] = {
+        error.setting: error.prior for error in shared_effects() if error.is_typical
+    }
     return Systematic(response_sd=TYPICAL_RESPONSE_SD, **priors)
 
 
@@ -362,8 +362,7 @@ def estimated_errors(scene: Scene) -> tuple[str, ...]:
     """Return the fields of `Systematic` that a scene calls `estimated`."""
     if not isinstance(scene.systematic, Systematic):
         return ()
-    settings = (part.name for part in fields(Systematic) if part.name != "own")
-    names = (*settings, *dict(scene.systematic.own))
+    names = (*(part.name for part in fields(Systematic)), *dict(scene.systematic.own))
     return tuple(name for name in names if scene.systematic.entry(name) == ESTIMATED)
 
 
@@ -421,7 +420,7 @@ class Shared:
         The columns are those of contacts, then of reference and channels, then of hidden errors.
         `measured` are the readings of the network, (rows, columns).
         """
-        parts = list[Array]()
+        parts: list[Array] = [np.zeros((measured.size, 0))]
         if self.contact_root is not None:
             from lampest.panel.readouts.wired_network import contact_responses  # for contacts alone
 
@@ -436,4 +435,4 @@ class Shared:
                 columns = error_columns(errors, network, measured, self.scene, sizes)
                 part = columns.reshape(len(columns), measured.size).T
                 parts.append(part @ root if is_joint and root is not None else part)
-        return np.concatenate(parts, axis=1) if parts else np.zeros((measured.size, 0))
+        return np.concatenate(parts, axis=1)

@@ -1,7 +1,5 @@
 """Channels of multiplexers, which differ from line to line."""
 
-from typing import ClassVar
-
 import numpy as np
 
 from lampest.panel.effects import ReadoutNumber
@@ -22,7 +20,7 @@ class ChannelSpread(ReadoutNumber):
     setting = "channel_spread_ohm"
     name = "channels"
     limits = (0.0, MAX_OHM)
-    prior: ClassVar[float] = 3.0  # CD74HC4067, data sheet: any two channels differ by 10 ohm
+    prior: float = 3.0  # CD74HC4067, data sheet: any two channels differ by 10 ohm
 
     over_channel = 1.0
     first = 1

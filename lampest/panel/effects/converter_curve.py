@@ -1,7 +1,5 @@
 """The converter's smooth deviation from a straight line, its integral nonlinearity."""
 
-from typing import Any, ClassVar
-
 import numpy as np
 
 from lampest.panel.effects import SharedEffect
@@ -22,7 +20,7 @@ class ConverterCurve(SharedEffect):
     limits = (0.0, 2.0**32)
     # rms; data sheets of microcontrollers' converters promise 1 to 2 at most, that of an ATmega2560
     # 0.5.
-    prior: ClassVar[float] = 0.5
+    prior: float = 0.5
     stream = "inl"
     is_typical = True
     is_advised = False
@@ -50,7 +48,7 @@ class ConverterCurve(SharedEffect):
         volt: Array,
         random: np.random.Generator,
         period_s: float,
-        *sizes: Any,
+        *sizes: float,
     ) -> Array:
         """Return simulated voltages with a drawn curve, (frames, rows, columns)."""
         (inl_lsb,) = sizes

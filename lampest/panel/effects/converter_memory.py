@@ -1,9 +1,5 @@
 """Memory of a converter: its capacitor keeps a share of the channel that it read before."""
 
-from typing import Any
-
-import numpy as np
-
 from lampest.panel.effects.sized_effect import SizedEffect
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import Readout
@@ -29,7 +25,7 @@ class KeptShare(SizedEffect):
             "of the channel before: so fewer cells have moved under the load"
         )
 
-    def columns(self, circuit: Readout, values: Array, *sizes: Any) -> Array:
+    def columns(self, circuit: Readout, values: Array, *sizes: float) -> Array:
         """Return the column of the share: each channel's difference from the one before."""
         (deviation,) = sizes
-        return np.asarray(deviation * (values - of_previous_channel(circuit, values))[None])
+        return deviation * (values - of_previous_channel(circuit, values))[None]

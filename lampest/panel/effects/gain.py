@@ -1,7 +1,5 @@
 """Gain of a frame: a factor that its voltages share, of another size in every frame."""
 
-from typing import Any
-
 import numpy as np
 
 from lampest.panel.effects.sized_effect import SizedEffect
@@ -21,10 +19,10 @@ class Gain(SizedEffect):
     def sentence(self, size: float, deviation: float) -> str:
         return f"the gain of a frame varies by {100 * size:.2g} +- {100 * deviation:.1g} %"
 
-    def columns(self, circuit: Readout, values: Array, *sizes: Any) -> Array:
+    def columns(self, circuit: Readout, values: Array, *sizes: float) -> Array:
         """Return the column of the factor."""
         (gain,) = sizes
-        return np.asarray(gain * values[None])
+        return gain * values[None]
 
     def disturbed(
         self,
@@ -32,9 +30,9 @@ class Gain(SizedEffect):
         volt: Array,
         random: np.random.Generator,
         period_s: float,
-        *sizes: Any,
+        *sizes: float,
     ) -> Array:
         """Return V·(1 + g), g normal in every frame."""
         (spread,) = sizes
         gain = spread * random.standard_normal(len(volt))
-        return np.asarray(volt * (1 + gain[:, None, None]))
+        return volt * (1 + gain[:, None, None])

@@ -58,8 +58,9 @@ class SharedGround(LineEffect):
 def _grounded(scene: Scene, network: Network, ohm: float) -> tuple[Array, Array]:
     """Return readings with a ground of `ohm`, up to a constant, and their derivatives by log r.
 
-    The ground is one more node. With A the admittance of all nodes, V the potentials, and a, v the
-    differences of A⁻¹e_k and of V across cell c, ∂V_k/∂g_c = −a_c v_c.
+    The ground is one more node, which is eliminated: with y the conductances from idle lines to it,
+    the ends have the admittance diag(1/R) − y yᵀ/(Σ y + 1/ohm). With A that of the lines, V their
+    potentials, and a, v the differences of A⁻¹e_k and of V across cell c, ∂V_k/∂g_c = −a_c v_c.
 
     Returns
     -------
@@ -70,31 +71,29 @@ def _grounded(scene: Scene, network: Network, ohm: float) -> tuple[Array, Array]
     by_rows = nominal_terminations(circuit).driven == "rows"
     conductance = network.conductance if by_rows else network.conductance.T
     driven, sensed = conductance.shape
-    lines = driven + sensed
     ends = circuit.terminations(driven, sensed)
-    idle = np.pad(~np.eye(driven, dtype=bool), ((0, 0), (0, sensed)))
+    of_driven = np.stack([ends.driving.ohm, ends.driving.volt])
+    is_idle = np.pad(~np.eye(driven, dtype=bool), ((0, 0), (0, sensed)))
     reading = np.zeros((driven, sensed))
     sensitivity = np.zeros((driven, sensed, driven, sensed))
     states = np.stack([ends.sensing.ohm, ends.sensing.volt], axis=1)
     states, state_of = np.unique(states, axis=0, return_inverse=True)
-    for number, (sensing_ohm, sensing_volt) in enumerate(states):
-        of_sensed = np.broadcast_to([[sensing_ohm], [sensing_volt]], (2, driven, sensed))
-        volt = np.hstack([ends.driving.volt, of_sensed[1]])
-        siemens = 1 / np.maximum(np.hstack([ends.driving.ohm, of_sensed[0]]), MIN_OHM)
-        shared = np.where(idle, siemens, 0.0)
-        admittance = np.zeros((driven, lines + 1, lines + 1))
-        admittance[:, :lines, :lines] = laplacian(conductance)
-        np.einsum("aii->ai", admittance)[:, :lines] += siemens + TO_GROUND
-        admittance[:, :lines, lines] = admittance[:, lines, :lines] = -shared
-        admittance[:, lines, lines] = shared.sum(axis=1) + 1 / ohm
-        # potentials of idle ends are counted from the ground's own
-        source = np.pad(siemens * volt, ((0, 0), (0, 1)))
-        source[:, lines] = -np.sum(shared * volt, axis=1)
-        impedance = np.linalg.inv(admittance)
-        potentials = (impedance @ source[:, :, None])[:, :lines, 0]
+    for number, state in enumerate(states):
+        of_sensed = np.broadcast_to(state[:, None], (2, driven, sensed))
+        end_ohm, volt = np.concatenate([of_driven, of_sensed], axis=2)
+        siemens = 1 / np.maximum(end_ohm, MIN_OHM)
+        idle = np.where(is_idle, siemens, 0.0)
+        total = idle.sum(axis=1) + 1 / ohm
+        admittance = idle[:, :, None] * idle[:, None] / -total[:, None, None]
+        diagonal = np.einsum("aii->ai", admittance)
+        diagonal += siemens
+        current = admittance @ volt[:, :, None]
+        diagonal += TO_GROUND
+        impedance = np.linalg.inv(admittance + laplacian(conductance))
+        potentials = (impedance @ current)[:, :, 0]
         read = state_of.ravel() == number
         reading[:, read] = potentials[:, driven:][:, read]
-        adjoint = impedance[:, driven:lines, :lines][:, read]
+        adjoint = impedance[:, driven:][:, read]
         across = adjoint[:, :, :driven, None] - adjoint[:, :, None, driven:]
         drop = potentials[:, :driven, None] - potentials[:, None, driven:]
         sensitivity[:, read] = across * (conductance * drop)[:, None]

@@ -119,9 +119,8 @@ def line_effects() -> tuple[type[LineEffect], ...]:
 
 def stated_effects(scene: Scene) -> tuple[LineEffect, ...]:
     """Return the effects at lines whose sizes a scene states."""
-    shape = scene.panel.shape
     return tuple(
-        replace(loaded(effect.path).simulated(size, *shape), known=True)
+        replace(loaded(effect.path).simulated(size, *scene.panel.shape), known=True)
         for effect in LINE_EFFECTS
         if isinstance(size := specified(scene, effect.key), float) and size
     )
@@ -144,7 +143,7 @@ def with_effects(
     )
     for effect in effects:
         network = effect.changed(network)
-    return network, np.asarray(added)
+    return network, added
 
 
 def effect_on_readings(effects: Sequence[LineEffect], scene: Scene, network: Network) -> Array:

@@ -9,7 +9,7 @@ from lampest.panel.circuit import nominal_terminations
 from lampest.panel.effects import E24_TOLERANCE, SharedEffect
 from lampest.panel.lines import Side, along, opposite, per_line
 from lampest.panel.network import Network
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Shape
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.keys import entry
 from lampest.panel.readouts.tolerances import tolerance_errors
@@ -35,13 +35,11 @@ class LoadTolerance(SharedEffect):
         """Return a column for each resistor, (resistors, ..., rows, columns)."""
         circuit = scene.circuit
         cells = network.cell_resistance
-        shape = measured.shape[-2:]
-        resistors = resistors_of(circuit, shape)
+        resistors = resistors_of(circuit, measured.shape[-2:])
         deviation = size / np.sqrt(3)
         if circuit.unit == "ohm":
             together = tolerance_errors(circuit, cells, measured, scene, deviation, 0.0)[0]
-            side = sensed_side(circuit)
-            errors = [together * along(side, lines) for lines in resistors]
+            errors = [together * along(sensed_side(circuit), lines) for lines in resistors]
         else:
             unchanged = circuit.exact_reading(cells, scene.wiring)
             name = circuit.of_sensed[0]
@@ -59,7 +57,7 @@ def sensed_side(circuit: Readout) -> Side:
     return opposite(nominal_terminations(circuit).driven)
 
 
-def resistors_of(circuit: Readout, shape: tuple[int, ...]) -> Array:
+def resistors_of(circuit: Readout, shape: Shape) -> Array:
     """Return 1 for the lines of each resistor, (resistors, sensed).
 
     Lines that float while they are idle have their resistor behind a multiplexer. The result has no
@@ -81,4 +79,4 @@ def resistors_of(circuit: Readout, shape: tuple[int, ...]) -> Array:
     else:
         resistors = []
     several = entry(circuit, circuit.of_sensed[0]) is not None and len(resistors) > 1
-    return np.array(resistors if several else np.zeros((0, sensed)), dtype=float)
+    return np.array(resistors if several else [], dtype=float).reshape(-1, sensed)

@@ -1,7 +1,5 @@
 """Motion: loads that move, and jitter, while the readings of a frame are taken."""
 
-from typing import Any
-
 import numpy as np
 
 from lampest.panel.effects.sized_effect import SizedEffect
@@ -38,9 +36,9 @@ class LoadMotion(SizedEffect):
             f"by {100 * jitter:.2g} % of its change"
         )
 
-    def columns(self, circuit: Readout, values: Array, *sizes: Any) -> Array:
+    def columns(self, circuit: Readout, values: Array, *sizes: float) -> Array:
         """Return the column of the jitter; none where the unloaded panel was not read."""
         jitter, resting = sizes
         if resting is None:
             return np.zeros((0, *values.shape))
-        return np.asarray((jitter * (values - resting))[None])
+        return (jitter * (values - resting))[None]

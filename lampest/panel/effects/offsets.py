@@ -7,7 +7,7 @@ import numpy as np
 
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.effects import SharedEffect
-from lampest.panel.lines import of_side, opposite, per_line
+from lampest.panel.lines import of_side, per_line
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.keys import MAX_OFFSET_VOLT
@@ -30,13 +30,12 @@ class AmplifierOffsets(SharedEffect):
         if not hasattr(circuit, "offset_volt"):
             return np.zeros((0, *measured.shape))
         cells = network.cell_resistance
-        side = opposite(nominal_terminations(circuit).driven)
-        count = of_side(side, *cells.shape)[0]
+        _, count = of_side(nominal_terminations(circuit).driven, *cells.shape)
         offset = per_line("offset_volt", circuit.offset_volt or 0.0, count)
-        columns = np.zeros((count, *measured.shape))
         unchanged = circuit.exact_reading(cells, scene.wiring)
-        for line, own in enumerate(np.eye(count)):
+        columns = []
+        for own in np.eye(count):
             actual = replace(circuit, offset_volt=tuple((offset + size * own).tolist()))
             recorded = actual.to_recorded(actual.exact_reading(cells, scene.wiring), scene)
-            columns[line] = circuit.from_recorded(recorded, scene) - unchanged
-        return columns
+            columns.append(circuit.from_recorded(recorded, scene) - unchanged)
+        return np.array(columns)

@@ -4,7 +4,7 @@ import numpy as np
 
 from lampest.panel.effects import SharedEffect, recorded_share
 from lampest.panel.network import Network
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Shape
 from lampest.panel.scene import Scene
 
 
@@ -31,7 +31,7 @@ class ReadingError(SharedEffect):
         np.einsum("c...c->...c", columns)[...] = shares
         return columns.reshape(-1, *measured.shape)
 
-    def drawn(self, shape: tuple[int, ...], size: float, random: np.random.Generator) -> Array:
+    def drawn(self, shape: Shape, size: float, random: np.random.Generator) -> Array:
         """Return drawn factors on recorded values of a panel's shape."""
         return np.exp(size * random.standard_normal(shape))
 

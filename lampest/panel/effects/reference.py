@@ -1,7 +1,5 @@
 """The relative error of the reference resistor, or of all loads or feedback resistors together."""
 
-from typing import ClassVar
-
 import numpy as np
 
 from lampest.panel.effects import ReadoutNumber
@@ -18,7 +16,7 @@ class ReferenceTolerance(ReadoutNumber):
     limits = (0.0, BELOW_ONE)
     # Resistors of the series E24 lie within E24_TOLERANCE; intervals of 95 % cover these and
     # resistances in series at once.
-    prior: ClassVar[float] = 0.06
+    prior: float = 0.06
     is_typical = True
     is_advised = False
     keeps_column = True

@@ -31,11 +31,9 @@ class Ripple(SizedEffect):
         common_ripple, line_ripple = sizes
         lines, channels = values.shape[::-1] if by_columns(circuit) else values.shape
         common = np.repeat(common_ripple.T[:, None, :], lines, axis=1)
-        by_line = np.zeros((lines, line_ripple.shape[1], lines, channels))
-        for line in range(lines):
-            by_line[line, :, line] = line_ripple.T
+        by_line = np.einsum("kl,cn->knlc", np.eye(lines), line_ripple)
         flat = np.concatenate(
-            [common.reshape(-1, lines * channels), by_line.reshape(-1, lines * channels)]
+            [patterns.reshape(-1, lines * channels) for patterns in (common, by_line)]
         )
         return in_panel_order(circuit, flat, (len(flat), *values.shape))
 

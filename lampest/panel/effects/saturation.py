@@ -1,7 +1,5 @@
 """A stage before the converter that saturates: it passes no voltage above a share of the range."""
 
-from typing import Any
-
 import numpy as np
 
 from lampest.panel.effects.sized_effect import SizedEffect
@@ -24,8 +22,8 @@ class Saturation(SizedEffect):
         volt: Array,
         random: np.random.Generator,
         period_s: float,
-        *sizes: Any,
+        *sizes: float,
     ) -> Array:
         """Return V, and the end of the range above it."""
         (share,) = sizes
-        return np.asarray(np.minimum(volt, share * readout.full_scale_volt))
+        return np.minimum(volt, share * readout.full_scale_volt)

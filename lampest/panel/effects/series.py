@@ -25,9 +25,8 @@ class SeriesTolerance(SharedEffect):
     def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:
         """Return its column."""
         circuit = scene.circuit
-        cells = network.cell_resistance
-        lines = tolerance_errors(circuit, cells, measured, scene, 0.0, 1.0)[1:]
-        driven, _ = of_side(circuit.noisy_side, *np.split(lines, [measured.shape[-2]]))
+        errors = tolerance_errors(circuit, network.cell_resistance, measured, scene, 0.0, 1.0)
+        driven, _ = of_side(circuit.noisy_side, *np.split(errors[1:], [measured.shape[-2]]))
         return np.asarray(size * driven.sum(axis=0)[None])
 
     def with_errors(self, scene: Scene, errors: Array) -> Scene:

@@ -6,7 +6,7 @@ recording determines the size is in `lampest.inference.effects`, whose room is a
 """
 
 from abc import ABC
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -33,16 +33,16 @@ class SizedEffect(ABC):
         Name of its random numbers in simulations.
     """
 
-    unit: ClassVar[str] = ""
-    limits: ClassVar[tuple[float, float]]
-    prior: ClassVar[float]
-    in_volt: ClassVar[bool] = True
-    averages: ClassVar[bool] = True
-    stream: ClassVar[str] = ""
+    unit: str = ""
+    limits: tuple[float, float]
+    prior: float
+    in_volt: bool = True
+    averages: bool = True
+    stream: str = ""
 
     def sentence(self, size: float, deviation: float) -> str:
         """Return what a recording shows in words, with the size and its standard deviation."""
-        raise NotImplementedError(f"{type(self).__name__} is not advised")
+        raise NotImplementedError
 
     def columns(self, circuit: Readout, values: Array, *sizes: Any) -> Array:
         """Return what one standard deviation of each error does to a frame, (n, rows, columns).
@@ -55,7 +55,7 @@ class SizedEffect(ABC):
         *sizes
             Sizes of the errors, those of `lampest.posterior.frame_noise`.
         """
-        raise NotImplementedError(f"{type(self).__name__} leaves no error in a frame")
+        raise NotImplementedError
 
     def disturbed(
         self,
@@ -78,4 +78,4 @@ class SizedEffect(ABC):
         *sizes
             Sizes of the effect, those of `unmodelled`.
         """
-        raise NotImplementedError(f"{type(self).__name__} does not act at the converter")
+        raise NotImplementedError

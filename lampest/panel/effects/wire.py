@@ -28,10 +28,10 @@ class WirePerCell(SharedEffect):
     def in_scene(self, scene: Scene, ohm: float) -> Scene:
         """Return the scene with more wire from cell to cell, in ohm."""
         lines = scene.lines or Lines()
-        row = lines.row_ohm_per_cell + ohm
-        column = lines.column_ohm_per_cell + ohm
-        more = replace(lines, row_ohm_per_cell=row, column_ohm_per_cell=column)
-        return replace(scene, lines=more)
+        more = {
+            name: getattr(lines, name) + ohm for name in ("row_ohm_per_cell", "column_ohm_per_cell")
+        }
+        return replace(scene, lines=replace(lines, **more))
 
 
 WIRE = WirePerCell()

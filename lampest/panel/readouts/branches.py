@@ -27,6 +27,7 @@ shortened until the misfit falls.
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import islice
 
 import numpy as np
 import scipy
@@ -70,7 +71,7 @@ def uniform_panels(log_medians: Array, measured: Array) -> list[Array]:
     if not crossings.size:
         return [np.full(measured.shape, LEVELS[np.argmin(np.abs(excess))])]
     # linear in the logarithms between two levels
-    share = excess[crossings] / (excess[crossings] - excess[crossings + 1])
+    share = excess[crossings] / -np.diff(excess)[crossings]
     levels = LEVELS[crossings] * (LEVELS[1] / LEVELS[0]) ** share
     return [np.full(measured.shape, level) for level in levels]
 
@@ -114,10 +115,12 @@ def panels_alike(
     alike = [number for number, deviation in enumerate(misfits) if deviation <= largest]
     if len(alike) == 1:
         return [(0.0, panels[alike[0]])]
-    evidence = {number: _log_evidence(networks[number], panels[number]) for number in alike}
-    prior = {number: LOG_PRIOR * bool(networks[number].branch < 0) for number in alike}
-    order = sorted(alike, key=lambda number: -(evidence[number] + prior[number]))
-    return [(evidence[number], panels[number]) for number in order]
+    evidence = {number: _log_evidence(networks[number]) for number in alike}
+    alike.sort(
+        key=lambda number: evidence[number] + LOG_PRIOR * bool(networks[number].branch < 0),
+        reverse=True,
+    )
+    return [(evidence[number], panels[number]) for number in alike]
 
 
 def every_panel(
@@ -145,12 +148,10 @@ def every_panel(
     """
     panels: list[Array] = []
     waiting = list(firsts)
-    searches = 0
-    while waiting and searches < MAX_SEARCHES:
-        first = np.clip(waiting.pop(0), *limits)
-        searches = searches + 1
-        least = np.clip(first / RANGE, *limits)
-        most = np.clip(first * RANGE, *limits)
+    # The list grows while it is read
+    for start in islice(waiting, MAX_SEARCHES):
+        first = np.clip(start, *limits)
+        least, most = (np.clip(first * factor, *limits) for factor in (1 / RANGE, RANGE))
         cells = matching_cells(network, measured, first, least, most)
         if not misfit(network(cells), measured) <= tolerance:
             continue
@@ -169,15 +170,12 @@ def _beyond_folds(
     """
     panels = []
     for line in range(cells.shape[driven_axis]):
-        of_line = np.moveaxis(np.zeros(cells.shape, dtype=bool), driven_axis, 0)
-        of_line[line] = True
-        chosen = np.moveaxis(of_line, 0, driven_axis)
+        chosen = np.indices(cells.shape)[driven_axis] == line
         if not np.isfinite(measured[chosen]).any():
             continue
-        excess = np.empty(len(LINE_FACTORS))
-        for number, factor in enumerate(LINE_FACTORS):
-            reading = network(np.where(chosen, factor * cells, cells)).reading()
-            excess[number] = np.log(np.nanmedian(reading[chosen] / measured[chosen]))
+        scaled = [np.where(chosen, factor * cells, cells) for factor in LINE_FACTORS]
+        ratios = [network(panel).reading()[chosen] / measured[chosen] for panel in scaled]
+        excess = np.log(np.nanmedian(ratios, axis=1))
         for crossing in np.flatnonzero(excess[:-1] * excess[1:] < 0):
             factor = float(np.sqrt(LINE_FACTORS[crossing] * LINE_FACTORS[crossing + 1]))
             if abs(np.log(factor)) > np.log(MIN_FACTOR):
@@ -194,8 +192,9 @@ def _distinct(panels: Sequence[Array]) -> list[Array]:
     return distinct
 
 
-def _log_evidence(solved: Network, cells: Array) -> float:
+def _log_evidence(solved: Network) -> float:
     """Return ln p = −n ln s − ln|det J|; 0 for a large panel."""
+    cells = solved.cell_resistance
     if cells.size > MAX_CELLS:
         return 0.0
     scatter = max(float(np.log(cells).std()), MIN_SCATTER)

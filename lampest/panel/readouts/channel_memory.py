@@ -28,10 +28,10 @@ def with_memory(readout: Readout, fraction: float, volt: Array) -> Array:
     channels = in_scan_order(readout, volt)
     # Periodic frame: the recursion is a product in the discrete Fourier transform, V(ω) = (1 −
     # m)/(1 − m e^−iω) U(ω).
-    turns = np.fft.rfftfreq(channels.shape[-1])
-    response = (1 - fraction) / (1 - fraction * np.exp(-2j * np.pi * turns))
-    held = np.fft.irfft(response * np.fft.rfft(channels), channels.shape[-1])
-    return in_panel_order(readout, held, volt.shape)
+    count = channels.shape[-1]
+    delay = np.exp(-2j * np.pi * np.fft.rfftfreq(count))
+    held = np.fft.rfft(channels) * (1 - fraction) / (1 - fraction * delay)
+    return in_panel_order(readout, np.fft.irfft(held, count), volt.shape)
 
 
 def without_memory(
@@ -73,9 +73,9 @@ def without_memory(
     noise = sigma / slope(volt)
     previous = of_previous_channel(readout, volt)
     previous_noise = of_previous_channel(readout, noise)
-    unknown = ~np.isfinite(previous)
-    previous = np.where(unknown, volt, previous)
-    previous_noise = np.where(unknown, (most - least) / np.sqrt(12), previous_noise)
+    known = np.isfinite(previous)
+    previous = np.where(known, previous, volt)
+    previous_noise = np.where(known, previous_noise, (most - least) / np.sqrt(12))
     true = np.clip((volt - fraction * previous) / (1 - fraction), least, most)
     true_noise = np.hypot(noise, fraction * previous_noise) / (1 - fraction)
     return readout.recorded_from_volt(true), true_noise * slope(true)

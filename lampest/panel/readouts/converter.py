@@ -81,31 +81,27 @@ class Characteristic(Configuration):
                 raise ValueError(f"converter voltages must lie within {MAX_VOLT:g} V of ground")
         if self.zero_volt == self.full_volt:
             raise ValueError("zero_volt and full_volt must differ: they are the ends of the range")
-        self._check_name()
+        if self.name is not None:
+            if self.zero_volt != 0 or self.curve is not None or self.signed:
+                raise ValueError(
+                    f"{self.name} states zero_volt, curve and signed: "
+                    "only full_volt may stand beside"
+                )
+            ranges = self.numbers.ranges
+            if ranges and self.full_volt not in (None, *ranges):
+                listed = ", ".join(f"{volt:g}" for volt in ranges)
+                raise ValueError(
+                    f"full_volt: {self.name} has the ranges {listed} V, not {self.full_volt:g} V"
+                )
         if self.curve is None:
             return
         if self.zero_volt != 0 or self.full_volt is not None:
             raise ValueError("curve takes the place of zero_volt and full_volt: give either")
         if len(self.curve) < 2:
             raise ValueError("curve needs two or more points [volt, code]")
-        volt, code = np.array(sorted(self.curve)).T
-        rises, falls = np.all(np.diff(code) > 0), np.all(np.diff(code) < 0)
-        if not (np.all(np.diff(volt) > 0) and (rises or falls)):
+        volt, code = np.diff(sorted(self.curve), axis=0).T
+        if not (np.all(volt > 0) and (np.all(code > 0) or np.all(code < 0))):
             raise ValueError("curve must rise or fall throughout: each voltage has one code")
-
-    def _check_name(self) -> None:
-        if self.name is None:
-            return
-        if self.zero_volt != 0 or self.curve is not None or self.signed:
-            raise ValueError(
-                f"{self.name} states zero_volt, curve and signed: only full_volt may stand beside"
-            )
-        ranges = self.numbers.ranges
-        if ranges and self.full_volt not in (None, *ranges):
-            listed = ", ".join(f"{volt:g}" for volt in ranges)
-            raise ValueError(
-                f"full_volt: {self.name} has the ranges {listed} V, not {self.full_volt:g} V"
-            )
 
     @property
     def numbers(self) -> KnownConverter:
@@ -138,10 +134,10 @@ class Characteristic(Configuration):
     def description(self) -> str:
         """Return the range in words."""
         if self.name is not None:
-            full = self.numbers.full_volt if self.full_volt is None else self.full_volt
-            chosen = self.numbers.ranges or self.full_volt is not None
-            end = f" to {full:g} V" if chosen else ""
-            return f"converter {self.name}{end}"
+            full = self.full_volt
+            if full is None and self.numbers.ranges:
+                full = self.numbers.full_volt
+            return f"converter {self.name}" + ("" if full is None else f" to {full:g} V")
         if self.curve is not None:
             volt, code = self.points
             return f"codes by a curve from {volt[0]:g} V ({code[0]:g}) to {volt[-1]:g} V"
@@ -166,8 +162,8 @@ def converter_in_words(readout: Any) -> str:
         else "as the unloaded frames show it"
     )
     floor = f", codes above {readout.floor_code}" if readout.floor_code else ""
-    named = readout.converter is not None
-    ends = f", {stated_characteristic(readout).description()}" if named else ""
+    stated = stated_characteristic(readout)
+    ends = "" if readout.converter is None else f", {stated.description()}"
     readings = counted(readout.readings, "reading")
     return f"{readout.adc_bits} bits, {readings}, noise {noise}{floor}{ends}"
 

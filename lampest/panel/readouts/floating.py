@@ -43,12 +43,10 @@ def grounding(two_point_resistance: Array, parts: Numbers | None = None) -> Arra
     """
     total = line_sums(1 / two_point_resistance)
     tie = np.zeros_like(total)
-    if parts is None:
-        ground = total.argmax(axis=-1)[..., None]
+    parts = np.zeros(total.shape[-1], dtype=np.intp) if parts is None else parts
+    for part in np.unique(parts):
+        ground = np.where(parts == part, total, -1.0).argmax(axis=-1)[..., None]
         np.put_along_axis(tie, ground, np.take_along_axis(total, ground, axis=-1), axis=-1)
-        return tie
-    grounds = [int(np.argmax(np.where(parts == part, total, -1.0))) for part in np.unique(parts)]
-    tie[grounds] = total[grounds]
     return tie
 
 
@@ -132,14 +130,13 @@ class _ConvexPoint:
     @cached_property
     def free(self) -> Mask:
         """Whether a cell is free to follow −∇, boolean (rows, columns)."""
-        inside = self.network.conductance > self.least * (1 + BOUND_ROUNDING)
-        return inside | (self.gradient < 0)
+        return (self.conductance > self.least * (1 + BOUND_ROUNDING)) | (self.gradient < 0)
 
     @cached_property
     def misfit(self) -> float:
         """Largest entry of ∇ over the free cells, relative to R_m."""
-        relative = self.gradient[self.free] / self.measured[self.free]
-        return float(np.max(np.abs(relative), initial=0))
+        relative = np.abs(self.gradient / self.measured)
+        return float(np.max(relative, initial=0, where=self.free))
 
 
 def _lower_point(point: _ConvexPoint) -> _ConvexPoint | None:
@@ -246,8 +243,8 @@ def condition(network: SolvedNetwork) -> float:
     An error ε_l of L_ll changes bᵀZb by ε_l·v_l², v = Z·b, and v_l² ≤ Z_ll·bᵀZb. The sum is
     infinite or NaN for a broken inverse.
     """
-    driving_point = network.potentials().diagonal()
-    return float(np.abs(line_sums(network.conductance) * driving_point).sum())
+    total = line_sums(network.conductance)
+    return float(np.abs(total * network.potentials().diagonal()).sum())
 
 
 def exact_two_point_resistance(cell_resistance: Array) -> Array:

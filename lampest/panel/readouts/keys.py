@@ -40,8 +40,8 @@ def driven_ends(readout: Any, count: int) -> Ends:
     """Return the ends of driven lines while they are driven: the source behind drive_ohm."""
     own = entry(readout, "drive_volt")
     source = readout.supply_volt if own is None else own
-    drive = per_line("drive_ohm", readout.drive_ohm, count)
-    return Ends.of(drive, 0.0 if entry(readout, "polarity") == "down" else source)
+    at = 0.0 if entry(readout, "polarity") == "down" else source
+    return Ends.of(per_line("drive_ohm", readout.drive_ohm, count), at)
 
 
 def idle_ends(readout: Any, ohm: Array) -> Ends:

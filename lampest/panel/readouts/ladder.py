@@ -52,14 +52,13 @@ class Ladder:
         turned = cells[outer, inner]
         count, size = turned.shape
         steps = np.arange(1, size + 1)
-        index = np.arange(size)
         # K of one rung: cells c and d share min(c, d) segments and the rung's contact; r on the
         # diagonal.
         matrix = np.tile(
             lines.row_ohm_per_cell * np.minimum.outer(steps, steps).astype(float), (count, 1, 1)
         )
         matrix += contacts[:count][outer, None, None]
-        matrix[:, index, index] += turned
+        np.einsum("kcc->kc", matrix)[...] += turned
         segment = np.full((count, size), lines.column_ohm_per_cell)
         segment[-1] += contacts[count:][inner]
         rung = np.linalg.inv(matrix)
@@ -71,8 +70,7 @@ class Ladder:
             # segment
             total = conductance + rung[number]
             passed[number] = np.linalg.inv(np.eye(size) + total * segment[number])
-            conductance = passed[number] @ total
-            shown[number] = conductance
+            conductance = shown[number] = passed[number] @ total
         return cls(outer, inner, rung, passed, shown, segment)
 
     def solve(self, differences: Array) -> Array:
@@ -86,14 +84,12 @@ class Ladder:
         # Forward: source current of all rungs so far, behind each segment.
         behind = np.zeros(driven.shape[1:])
         for number in range(len(driven)):
-            behind = self.passed[number] @ (behind + driven[number])
-            source[number] = behind
+            behind = source[number] = self.passed[number] @ (behind + driven[number])
         # Backward: currents through the segments, and potentials of the rails at each rung.
         rail = np.zeros(driven.shape[1:])
         for number in reversed(range(len(driven))):
             current = source[number] - self.shown[number] @ rail
-            rail = rail + self.segment_ohm[number, :, None] * current
-            potential[number] = rail
+            rail = potential[number] = rail + self.segment_ohm[number, :, None] * current
         return (driven - self.rung @ potential)[self.outer, self.inner]
 
 
@@ -196,7 +192,6 @@ def into_lines(currents: Array) -> Array:
 def incidence(rows: int, columns: int) -> Array:
     """Return Bᵀ, (rows, columns, lines): +1 at a cell's row, −1 at its column."""
     matrix = np.zeros((rows, columns, rows + columns))
-    row, column = np.indices((rows, columns))
-    matrix[row, column, row] = 1.0
-    matrix[row, column, rows + column] = -1.0
+    np.einsum("jkj->jk", matrix[..., :rows])[...] = 1.0
+    np.einsum("jkk->jk", matrix[..., rows:])[...] = -1.0
     return matrix

@@ -88,6 +88,6 @@ class LoadedColumnsReadout(Readout):
         """
         drive = driven_ends(self, driven)
         together = idle_ends(self, drive.ohm)
+        idle = Ends.floating(driven)
         stay = self.groups is None
-        floating = Ends.floating(driven)
-        return ends_with_loads(self, drive, floating, together, sensed, loads_stay=stay)
+        return ends_with_loads(self, drive, idle, together, sensed, loads_stay=stay)

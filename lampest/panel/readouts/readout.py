@@ -31,7 +31,7 @@ from lampest.panel.lines import (
     per_line,
 )
 from lampest.panel.network import Network, SolvedNetwork
-from lampest.panel.panel import Array, Numbers, Panel, connected_parts
+from lampest.panel.panel import Array, Numbers, Panel, Shape
 from lampest.panel.readouts import starts
 from lampest.panel.readouts.converter import (
     MAX_VOLT,
@@ -47,7 +47,7 @@ from lampest.panel.readouts.keys import check_keys, check_on_panel, entry
 from lampest.panel.readouts.known_converters import KNOWN_CONVERTERS, Known, KnownConverter
 from lampest.panel.readouts.scan_order import check_scan_order
 from lampest.panel.readouts.starts import USUAL_OHM
-from lampest.panel.readouts.wiring import Wiring
+from lampest.panel.readouts.wiring import Wiring, connected_parts
 
 
 class Surroundings(Protocol):
@@ -290,10 +290,9 @@ class Readout(Completed, ABC):
         if wiring is not None:
             conducting = wiring.connecting(conducting)
         equation = equation_of(self, *cell_resistance.shape)
-        parts = connected_parts(conducting)
-        ties = np.squeeze(equation.ties_of_parts(parts, lambda: np.array(USUAL_OHM)))
+        ties = equation.ties_of_parts(connected_parts(conducting), lambda: np.array(USUAL_OHM))
         with np.errstate(divide="ignore"):
-            return self.network(cell_resistance, ties, wiring).reading()
+            return self.network(cell_resistance, np.squeeze(ties), wiring).reading()
 
     # Cells at which solves begin, and their bounds.
 
@@ -324,7 +323,7 @@ class Readout(Completed, ABC):
 
     # Between recorded values and the network's readings.
 
-    def _level(self, shape: tuple[int, ...]) -> Array | float:
+    def _level(self, shape: Shape) -> Array | float:
         """Return the recorded value of a reading of 0, to be broadcast to (rows, columns), volt.
 
         Amplifiers add their offsets; an inverting one is recorded below its reference.
@@ -339,13 +338,11 @@ class Readout(Completed, ABC):
 
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
         """Return the network's readings of recorded values, (…, rows, columns)."""
-        ends = nominal_terminations(self)
-        return ends.sign * (recorded - self._level(recorded.shape))
+        return nominal_terminations(self).sign * (recorded - self._level(recorded.shape))
 
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
         """Return the recorded values of the network's readings, (…, rows, columns)."""
-        ends = nominal_terminations(self)
-        return self._level(reading.shape) + ends.sign * reading
+        return self._level(reading.shape) + nominal_terminations(self).sign * reading
 
     def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
         """Return the σ of the network's readings y, σ·|∂y/∂(recorded)|.
@@ -445,15 +442,14 @@ class Readout(Completed, ABC):
     def steps_from_volt(self, volt: Array) -> Array:
         """Return voltages as codes that are neither rounded nor clipped; any shape."""
         if self.characteristic.curve is None:
-            return np.asarray((np.asarray(volt) - self.zero_volt) * self.code_sign / self.lsb_volt)
+            return np.asarray((volt - self.zero_volt) * self.code_sign / self.lsb_volt)
         points, codes = self.characteristic.points
         order = np.argsort(points)
-        return np.asarray(np.interp(volt, points[order], codes[order]))
+        return np.interp(volt, points[order], codes[order])
 
     def code_from_volt(self, volt: Array) -> NDArray[np.int64]:
         """Return the nearest code, clipped to the lowest and the highest one; any shape."""
-        code = np.clip(np.rint(self.steps_from_volt(volt)), *self.codes)
-        return np.asarray(code, dtype=np.int64)
+        return np.clip(np.rint(self.steps_from_volt(volt)), *self.codes).astype(np.int64)
 
     def volt_from_code(self, mean_code: Array) -> Array:
         """Return the voltage that a code stands for, the middle of its interval.
@@ -488,10 +484,7 @@ class Readout(Completed, ABC):
         # narrow the range.
         edges = np.sort(self.volt_from_code(np.array([floor + 0.5, top - 0.5])))
         if not isinstance(self.passes_volt, str | None):
-            within = np.add(
-                self.passes_volt,
-                np.array([1, -1]) * NOISE_REACH * float(np.mean(mean_sigma(self))),
-            )
-            edges = np.array([max(edges[0], within[0]), min(edges[1], within[1])])
+            margin = NOISE_REACH * np.mean(mean_sigma(self))
+            edges = np.clip(edges, self.passes_volt[0] + margin, self.passes_volt[1] - margin)
         ends = self.recorded_from_volt(edges)
         return float(ends.min()), float(ends.max())

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from lampest.panel.panel import Array, Numbers, Panel
+from lampest.panel.panel import Array, Numbers, Panel, Shape
 
 
 def by_columns(readout: Any) -> bool:
@@ -35,21 +35,19 @@ def check_scan_order(readout: Any, panel: Panel) -> None:
     for row, column in order:
         if not (0 <= row < rows and 0 <= column < columns):
             raise ValueError(f"readout.scan_order: there is no reading [{row}, {column}]")
-    if len(set(order)) < len(order):
+    listed = set(order)
+    if len(listed) < len(order):
         twice = next(at for at in order if order.count(at) > 1)
         raise ValueError(f"readout.scan_order: {list(twice)} is listed twice")
-    listed = np.zeros(panel.shape, dtype=bool)
-    for at in order:
-        listed[at] = True
-    left_out = np.argwhere(panel.present & ~listed)
-    if len(left_out):
-        raise ValueError(f"readout.scan_order: {left_out[0].tolist()} is left out")
+    for place in np.argwhere(panel.present).tolist():
+        if tuple(place) not in listed:
+            raise ValueError(f"readout.scan_order: {place} is left out")
 
 
 def in_scan_order(readout: Any, values: Array) -> Array:
     """Return values (…, rows, columns) in scan order, (…, channels)."""
-    flat = values.reshape(*values.shape[:-2], -1)
-    return flat[..., scan_places(readout, *values.shape[-2:])]
+    places = scan_places(readout, *values.shape[-2:])
+    return values.reshape(*values.shape[:-2], -1)[..., places]
 
 
 def in_scan_lines(readout: Any, values: Array) -> Array:
@@ -65,7 +63,7 @@ def of_previous_channel(readout: Any, values: Array) -> Array:
     return in_panel_order(readout, shifted, values.shape)
 
 
-def in_panel_order(readout: Any, channels: Array, shape: tuple[int, ...]) -> Array:
+def in_panel_order(readout: Any, channels: Array, shape: Shape) -> Array:
     """Return values (…, channels) in scan order as an array of `shape` (…, rows, columns)."""
     flat = np.empty_like(channels)
     flat[..., scan_places(readout, *shape[-2:])] = channels

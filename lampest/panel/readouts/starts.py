@@ -67,8 +67,7 @@ def uniform_start(circuit: SolvableCircuit, measured: Array) -> Array:
     if by_uniform_panels(circuit, measured):
         return _of_uniform_panels(circuit, measured)
     if equation.floating:
-        factor = uniform_factor(*measured.shape[-2:])
-        return apparent_resistance(circuit, measured) / factor
+        return apparent_resistance(circuit, measured) / uniform_factor(*measured.shape[-2:])
     if not equation.grounded:
         apparent = apparent_resistance(circuit, measured)
         if np.mean(equation.driving.base.ohm) > np.median(apparent):
@@ -94,11 +93,9 @@ def by_uniform_panels(circuit: SolvableCircuit, measured: Array) -> bool:
 
 def _of_uniform_panels(circuit: SolvableCircuit, measured: Array) -> Array:
     """Return the uniform panels that come nearest to each reading, (…, rows, columns) ohm."""
-    rows, columns = measured.shape[-2:]
-    levels, readings = uniform_readings(circuit, rows, columns)
-    flat = measured.reshape(-1, rows, columns)
-    distance = np.abs(readings[None] - flat[:, None])
-    return np.asarray(levels[np.argmin(distance, axis=1)]).reshape(measured.shape)
+    levels, readings = uniform_readings(circuit, *measured.shape[-2:])
+    distance = np.abs(readings - measured[..., None, :, :])
+    return np.asarray(levels[np.argmin(distance, axis=-3)])
 
 
 def start(
@@ -233,8 +230,9 @@ def log_medians(circuit: SolvableCircuit, rows: int, columns: int) -> Array:
 
     The check of a circuit asks for some ten circuits, the same for each recording of a panel.
     """
-    panels = (np.full((rows, columns), level) for level in LEVELS)
-    return np.array([np.log(np.median(circuit.exact_reading(cells))) for cells in panels])
+    shape = rows, columns
+    readings = [circuit.exact_reading(np.full(shape, level)) for level in LEVELS]
+    return np.asarray(np.log(np.median(readings, axis=(1, 2))))
 
 
 @lru_cache(maxsize=32)
@@ -268,9 +266,9 @@ def uniform_responses(circuit: SolvableCircuit, rows: int, columns: int) -> Arra
     The unit is volt·ohm. Divided by the noise, the response is the largest resistance that differs
     from an open cell.
     """
-    responses = []
+    largest = np.zeros((rows, columns))
     for level in LEVELS:
-        cells = np.full((rows, columns), level)
+        cells = np.full(largest.shape, level)
         network = circuit.network(cells, circuit.ties(cells))
-        responses.append(np.abs(network.own_response()) * level)
-    return np.asarray(np.max(responses, axis=0))
+        largest = np.maximum(largest, np.abs(network.own_response()) * level)
+    return largest

@@ -18,7 +18,8 @@ from lampest.panel.lines import (
 )
 from lampest.panel.panel import Array
 from lampest.panel.readouts.keys import entry
-from lampest.panel.readouts.readout import Readout, Surroundings
+from lampest.panel.readouts.readout import Readout
+from lampest.panel.scene import Scene
 
 Circuit = TypeVar("Circuit", bound=Readout)
 
@@ -72,7 +73,7 @@ def scene_behind_channels(scene: Any, row_ohm: Array, column_ohm: Array) -> Any:
 
 
 def _reading_behind(
-    circuit: Readout, cells: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array
+    circuit: Readout, cells: Array, scene: Scene, row_ohm: Array, column_ohm: Array
 ) -> Array:
     """Return the readings with additional channels, which are part of a resistance that is read."""
     actual = behind_channels(circuit, row_ohm, column_ohm)
@@ -81,7 +82,7 @@ def _reading_behind(
 
 
 def simulated(
-    circuit: Readout, cells: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array
+    circuit: Readout, cells: Array, scene: Scene, row_ohm: Array, column_ohm: Array
 ) -> Array:
     """Return recorded values (frames, rows, columns) of cells, without noise and quantisation.
 
@@ -95,7 +96,7 @@ def tolerance_errors(
     circuit: Readout,
     cells: Array,
     measured: Array,
-    scene: Surroundings,
+    scene: Scene,
     reference: float,
     channel: float,
 ) -> Array:
@@ -137,7 +138,7 @@ def tolerance_errors(
     return np.concatenate([errors, lines])
 
 
-def channel_errors(circuit: Readout, cells: Array, scene: Surroundings, channel: float) -> Array:
+def channel_errors(circuit: Readout, cells: Array, scene: Scene, channel: float) -> Array:
     """Return the effect of each line's channel on the readings, rows first.
 
     Shape (rows + columns, rows, columns). Where idle driven lines are not connected through their
@@ -158,9 +159,7 @@ def channel_errors(circuit: Readout, cells: Array, scene: Surroundings, channel:
     every = lines[driven].sum(axis=0)
     behind = behind_channels(circuit, *np.split(channel * every, [rows]))
     if np.array_equal(circuit.ties(cells), behind.ties(cells)):
-        together = error(every)
-        for line, own in zip(driven, np.eye(len(driven)), strict=True):
-            errors[line] = together * along(side, own)
+        errors[driven] = error(every) * [along(side, own) for own in np.eye(len(driven))]
     else:
         errors[driven] = [error(one) for one in lines[driven]]
     if circuit.unit == "ohm" or entry(circuit, circuit.channels[1]):

@@ -4,12 +4,13 @@ A divider with a reference resistor measures the resistance.
 """
 
 from dataclasses import dataclass, fields
+from math import inf
 from typing import Any, Literal
 
 import numpy as np
 
 from lampest.panel.circuit import Ends, Terminations, scanned
-from lampest.panel.lines import Groups, PerLine, parallel, per_line
+from lampest.panel.lines import Groups, PerLine, per_line
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array, Modules, Numbers
 from lampest.panel.readouts.converter import converter_in_words, mean_sigma, relative_step
@@ -19,7 +20,7 @@ from lampest.panel.readouts.starts import SHORT_SHARE
 from lampest.panel.readouts.wiring import Wiring
 
 
-def divider_in_words(readout: Any) -> str:
+def divider_in_words(readout: "TwoPointReadout | ParallelDividers") -> str:
     """Return the circuit of dividers and its numbers with their units, in words."""
     converter = "" if readout.input_ohm is None else f", converter input {readout.input_ohm:g} ohm"
     if readout.groups is not None:
@@ -30,7 +31,7 @@ def divider_in_words(readout: Any) -> str:
     )
 
 
-def divider_resistance(readout: Any, volt: Array) -> Array:
+def divider_resistance(readout: "TwoPointReadout | ParallelDividers", volt: Array) -> Array:
     """Return R of voltages V at the converter: 0 or infinite at the rails.
 
     R = (Vcc − V)/V·Rref across the reference, R = V/(Vcc − V)·Rref across the sensor.
@@ -39,33 +40,34 @@ def divider_resistance(readout: Any, volt: Array) -> Array:
     ends = readout.supply_volt - volt, volt
     upper, lower = ends if readout.measured_across == "reference" else ends[::-1]
     with np.errstate(divide="ignore"):
-        return np.asarray(upper / lower * readout.reference_ohm)
+        return upper / lower * readout.reference_ohm
 
 
-def divider_volt(readout: Any, recorded: Array) -> Array:
+def divider_volt(readout: "TwoPointReadout | ParallelDividers", recorded: Array) -> Array:
     """Return V across the reference, or across the sensor; any shape.
 
     V = Vcc·Rref/(R + Rref) across the reference, V = Vcc·R/(R + Rref) across the sensor.
     """
     with np.errstate(divide="ignore"):
         ratio = np.asarray(recorded, dtype=float) / readout.reference_ohm
-        return np.asarray(
-            readout.supply_volt
-            / (1 + (ratio if readout.measured_across == "reference" else 1 / ratio))
+        return readout.supply_volt / (
+            1 + (ratio if readout.measured_across == "reference" else 1 / ratio)
         )
 
 
-def divider_sigma(readout: Any, recorded: Array) -> Array:
+def divider_sigma(readout: "TwoPointReadout | ParallelDividers", recorded: Array) -> Array:
     """Return σ_R = (R + Rref)²/Rref · σ_V/Vcc (delta method); any shape, ohm.
 
     R includes the series resistance.
     """
     total = np.asarray(recorded, dtype=float) + readout.reference_ohm
     sigma = mean_sigma(readout) * relative_step(readout, divider_volt(readout, recorded))
-    return np.asarray(total**2 * (sigma / (readout.reference_ohm * readout.supply_volt)))
+    return total**2 * (sigma / (readout.reference_ohm * readout.supply_volt))
 
 
-def divider_recorded(readout: Any, reading: Array, scene: Surroundings) -> Array:
+def divider_recorded(
+    readout: "TwoPointReadout | ParallelDividers", reading: Array, scene: Surroundings
+) -> Array:
     """Return R + R_series as recorded, (…, rows, columns) ohm.
 
     The converter's input resistance distorts the value.
@@ -75,16 +77,20 @@ def divider_recorded(readout: Any, reading: Array, scene: Surroundings) -> Array
         return total
     if readout.measured_across == "sensor":
         with np.errstate(divide="ignore"):
-            return np.asarray(1 / (1 / total + 1 / readout.input_ohm))
-    return np.asarray(total * (1 + readout.reference_ohm / readout.input_ohm))
+            return 1 / (1 / total + 1 / readout.input_ohm)
+    return total * (1 + readout.reference_ohm / readout.input_ohm)
 
 
-def divider_reading(readout: Any, recorded: Array, scene: Surroundings) -> Array:
+def divider_reading(
+    readout: "TwoPointReadout | ParallelDividers", recorded: Array, scene: Surroundings
+) -> Array:
     """Return the resistance R of the panel alone, (…, rows, columns) ohm."""
     return _without_input(readout, recorded) - scene.series_ohm
 
 
-def divider_reading_sigma(readout: Any, recorded: Array, sigma: Array) -> Array:
+def divider_reading_sigma(
+    readout: "TwoPointReadout | ParallelDividers", recorded: Array, sigma: Array
+) -> Array:
     """Return σ of the readings: σ of the recorded values times ∂R/∂(recorded)."""
     if readout.input_ohm is None:
         return sigma
@@ -92,7 +98,7 @@ def divider_reading_sigma(readout: Any, recorded: Array, sigma: Array) -> Array:
     return sigma * slope ** (2 if readout.measured_across == "sensor" else 1)
 
 
-def _without_input(readout: Any, recorded: Array) -> Array:
+def _without_input(readout: "TwoPointReadout | ParallelDividers", recorded: Array) -> Array:
     """Return the resistance of lines and panel without the converter's input resistance.
 
     Across the sensor, a recorded value above the input resistance becomes nearly open.
@@ -100,18 +106,20 @@ def _without_input(readout: Any, recorded: Array) -> Array:
     if readout.input_ohm is None:
         return recorded
     if readout.measured_across == "sensor":
-        return np.asarray(
-            1 / np.maximum(1 / recorded - 1 / readout.input_ohm, SHORT_SHARE / readout.input_ohm)
-        )
-    return np.asarray(recorded / (1 + readout.reference_ohm / readout.input_ohm))
+        return 1 / np.maximum(1 / recorded - 1 / readout.input_ohm, SHORT_SHARE / readout.input_ohm)
+    return recorded / (1 + readout.reference_ohm / readout.input_ohm)
 
 
-def divider_ends(readout: Any, rows: Array, columns: Array) -> Terminations:
+def divider_ends(
+    readout: "TwoPointReadout | ParallelDividers", rows: Array, columns: Array
+) -> Terminations:
     """Return the ends: the supply at the driven row, the reference at the columns read.
 
     All other lines float. The lines have channels, (rows,) and (columns,) ohm.
     """
-    reference = parallel(np.full(len(columns), readout.reference_ohm), readout.input_ohm)
+    # The converter's input is parallel to the reference resistor
+    siemens = 1 / readout.reference_ohm + 1 / (readout.input_ohm or inf)
+    reference = np.full(len(columns), 1 / siemens)
     return Terminations(
         "rows",
         scanned(Ends.of(rows, readout.supply_volt), Ends.floating(len(rows))),

@@ -62,23 +62,22 @@ def _unseen(circuit: SolvableCircuit, rows: int, columns: int) -> tuple[Scale, .
 
     A scale is unseen if more than WITHIN of the square of each of its directions lies there.
     """
-    scatter = np.random.default_rng(1).standard_normal((rows, columns))
-    cells = TYPICAL_OHM * np.exp(SCATTER * scatter)
+    scatter = SCATTER * np.random.default_rng(1).standard_normal((rows, columns))
+    cells = TYPICAL_OHM * np.exp(scatter)
     # An orthonormal basis of the directions of ln r that no reading shows
     _, singular, basis = np.linalg.svd(circuit.network(cells, circuit.ties(cells)).sensitivity())
     null = basis[singular <= NULL * singular[0]]
-    row, column = np.indices((rows, columns))
-    scales: dict[Scale, list[Array]] = {
-        "all": [np.ones((rows, columns))],
-        "rows": [(row == line) * 1.0 for line in range(rows)],
-        "columns": [(column == line) * 1.0 for line in range(columns)],
+    # Directions of each scale, (cells, directions)
+    scales: dict[Scale, Array] = {
+        "all": np.ones((cells.size, 1)),
+        "rows": np.repeat(np.eye(rows), columns, axis=0),
+        "columns": np.tile(np.eye(columns), (rows, 1)),
     }
-
-    def within(direction: Array) -> bool:
-        flat = direction.ravel()
-        return bool(np.sum((null @ flat) ** 2) > WITHIN * np.sum(flat**2))
-
-    return tuple(name for name, directions in scales.items() if all(map(within, directions)))
+    return tuple(
+        name
+        for name, along in scales.items()
+        if np.all(np.sum((null @ along) ** 2, axis=0) > WITHIN * np.sum(along**2, axis=0))
+    )
 
 
 def unseen_sentence(scales: tuple[str, ...]) -> str:

@@ -18,8 +18,7 @@ def contact_responses(networks: Sequence[Network]) -> Array:
     def of_one(solved: SolvedNetwork) -> Array:
         assert isinstance(solved, DifferenceNetwork)
         # ∂Z_ab/∂c_l = I_la I_lb, I_la the current that enters line l while line a is excited
-        entering = solved.terminal_currents
-        changes = (solved.entries(np.outer(line, line)) for line in entering)
+        changes = (solved.entries(np.outer(line, line)) for line in solved.terminal_currents)
         return np.stack([solved.read_change(change) for change in changes], axis=-1)
 
     maps = (network.response_of(of_one) for network in networks)
@@ -39,16 +38,17 @@ def wire_responses(network: Network, lines: Lines) -> Array:
         rows, columns = solved.conductance.shape[-2:]
         maps = currents.reshape(*currents.shape[:-1], rows, columns)
         circuit = solved.circuit
-        far = None if circuit is None else equation_of(circuit, rows, columns).read_at_far_end
+        far = np.zeros(rows + columns, dtype=bool)
+        if circuit is not None:
+            far = equation_of(circuit, rows, columns).read_at_far_end
         responses = []
-        sides = (
+        for axis, near, of_side in (
             (-1, lines.rows_enter == "left", slice(rows)),
             (-2, lines.columns_leave == "top", slice(rows, None)),
-        )
-        for axis, near, of_side in sides:
+        ):
             from_far_end = np.flip(maps, axis) if near else maps
             beyond = np.cumsum(from_far_end, axis).reshape(currents.shape)
-            if far is not None and far[of_side].any():
+            if far[of_side].any():
                 # A line that is read at its far end carries the current of its excitation, too.
                 along = incidence(rows, columns).reshape(-1, rows + columns).T
                 beyond[..., of_side, :] -= along[of_side]

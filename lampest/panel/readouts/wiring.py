@@ -15,7 +15,7 @@ import numpy as np
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration
 from lampest.panel.lines import PerLine, as_tuple, check_lines, check_resistors, per_line
-from lampest.panel.panel import Array, Mask, Numbers
+from lampest.panel.panel import Array, Mask, Numbers, Shape
 
 
 @dataclass(frozen=True)
@@ -88,21 +88,21 @@ class Contacts(Configuration):
     rows: ContactPrior = ContactPrior()
     columns: ContactPrior = ContactPrior()
 
-    def mean(self, shape: tuple[int, ...]) -> Array:
+    def mean(self, shape: Shape) -> Array:
         """Return the means of all lines, (lines,) ohm, rows first.
 
         Raises ValueError if a list has another length.
         """
         return self._of_lines("mean_ohm", shape)
 
-    def deviation(self, shape: tuple[int, ...]) -> Array:
+    def deviation(self, shape: Shape) -> Array:
         """Return the standard deviations of all lines, (lines,) ohm.
 
         Raises ValueError if a list has another length.
         """
         return self._of_lines("sd_ohm", shape)
 
-    def _of_lines(self, name: str, shape: tuple[int, ...]) -> Array:
+    def _of_lines(self, name: str, shape: Shape) -> Array:
         """Return a field of the priors for all lines, (lines,) ohm, rows first."""
         sides = zip(("rows", "columns"), (self.rows, self.columns), shape, strict=True)
         return np.concatenate(
@@ -115,12 +115,10 @@ class Contacts(Configuration):
     @classmethod
     def of(cls, mean: Array, deviation: Array, rows: int) -> "Contacts":
         """Return the contacts from means and deviations, (lines,) ohm each, rows first."""
-        means = np.asarray(mean, dtype=float).tolist()
-        deviations = np.asarray(deviation, dtype=float).tolist()
-        return cls(
-            rows=ContactPrior(tuple(means[:rows]), tuple(deviations[:rows])),
-            columns=ContactPrior(tuple(means[rows:]), tuple(deviations[rows:])),
-        )
+        priors = []
+        for side in (slice(rows), slice(rows, None)):
+            priors.append(ContactPrior(tuple(mean[side].tolist()), tuple(deviation[side].tolist())))
+        return cls(*priors)
 
 
 @dataclass(frozen=True)
@@ -141,9 +139,9 @@ class NeighbourLeaks(Configuration):
     columns: PerLine = inf
 
     def __post_init__(self) -> None:
-        for side in ("rows", "columns"):
-            finite = tuple(ohm for ohm in as_tuple(getattr(self, side)) if ohm != inf)
-            if finite or not as_tuple(getattr(self, side)):
+        for side, value in (("rows", self.rows), ("columns", self.columns)):
+            finite = tuple(ohm for ohm in as_tuple(value) if ohm != inf)
+            if finite or value == ():
                 check_resistors(f"leak_ohm.{side}", finite)
         if min(*as_tuple(self.rows), *as_tuple(self.columns)) == inf:
             raise ValueError("leak_ohm names no leak: give rows, columns or both")
@@ -161,7 +159,7 @@ class NeighbourLeaks(Configuration):
                     f"{lines - 1} gaps"
                 )
 
-    def between(self, shape: tuple[int, ...]) -> tuple[Numbers, Array]:
+    def between(self, shape: Shape) -> tuple[Numbers, Array]:
         """Return the lines and the conductances of all leaks, (2, leaks) and (leaks,) siemens."""
         rows, columns = shape
         first = np.delete(np.arange(rows + columns - 1), rows - 1)
@@ -201,7 +199,7 @@ class Wiring:
         """Whether cells lie at the terminals: no wire, contact or touching line is between them."""
         return not (self.joined or self.lines.resist or self.contacts is not None)
 
-    def leak_admittance(self, shape: tuple[int, ...]) -> Array | None:
+    def leak_admittance(self, shape: Shape) -> Array | None:
         """Return the Laplacian of the leaks, (lines, lines) siemens; None without leaks."""
         if self.leaks is None:
             return None
@@ -223,11 +221,11 @@ class Wiring:
                     conducting = conducting | conducting.any(axis=axis, keepdims=True)
         return conducting
 
-    def contact_ohm(self, shape: tuple[int, ...]) -> Array:
+    def contact_ohm(self, shape: Shape) -> Array:
         """Return the mean contact resistances, (lines,) ohm; zero without contacts."""
         return np.zeros(sum(shape)) if self.contacts is None else self.contacts.mean(shape)
 
-    def path_ohm(self, shape: tuple[int, ...]) -> Array:
+    def path_ohm(self, shape: Shape) -> Array:
         """Return the resistance of wire and contacts of every cell, (rows, columns) ohm.
 
         The path of a cell leads from terminal to terminal. Contacts count with their means plus
@@ -240,7 +238,7 @@ class Wiring:
         most = self.contacts.mean(shape) + NOISE_REACH * self.contacts.deviation(shape)
         return along + down + most[:rows, None] + most[rows:]
 
-    def wire_ohm(self, shape: tuple[int, ...]) -> tuple[Array, Array]:
+    def wire_ohm(self, shape: Shape) -> tuple[Array, Array]:
         """Return the wire of rows, (1, columns), and columns, (rows, 1), to every cell in ohm."""
         rows, columns = shape
         along = np.arange(1, columns + 1)[None]
@@ -259,3 +257,21 @@ class Wiring:
         for group in self.joined:
             first[list(group)] = group[0]
         return np.asarray(first[:, None] == np.unique(first), dtype=float)
+
+
+def connected_parts(conducting: Mask) -> Numbers | None:
+    """Return the number of the connected part of each line, (lines,).
+
+    The result is None if the cells connect all lines. `conducting`, (rows, columns), states which
+    crossings conduct.
+    """
+    if conducting.all():
+        return None
+    from scipy.sparse import coo_array  # for panels with open cells
+    from scipy.sparse.csgraph import connected_components
+
+    row, column = np.nonzero(conducting)
+    rows, columns = conducting.shape
+    links = coo_array((np.ones(len(row)), (row, rows + column)), (rows + columns,) * 2)
+    count, parts = connected_components(links, directed=False)
+    return None if count == 1 else parts.astype(np.intp)
