@@ -442,17 +442,11 @@ def test_the_size_of_static_errors_is_estimated_from_still_cells(size: float, se
 
 @pytest.mark.slow
 def test_error_bars_allow_for_uncertain_static_errors() -> None:
-    """An error of 0.2 % is too small to be advised.
-
-    Intervals of such recordings contained 72 to 84 %.
-    """
+    """An error of 0.2 % is too small to be advised: without it intervals contain half."""
     recordings = [
         recorded(seed, scene_of(2.5, STATIC), 2.5, static=0.002) for seed in (40, 44, 46, 47)
     ]
-    assert (
-        np.mean([coverage_of(recording) for recording in recordings], axis=0).min()
-        > MIN_HARD_COVERAGE
-    )
+    assert np.mean([coverage_of(recording) for recording in recordings], axis=0).min() > 0.75
 
 
 @pytest.mark.slow
